@@ -1,0 +1,35 @@
+# make fly   sets everything up and flies the embedded site in simulation, GPS off
+# make test  sets everything up and passes the tests
+# make check lint and types
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: venv fly test check clean
+
+venv: .venv/.onboard
+
+.venv/.onboard: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "vwnav needs Python 3.11 or newer; try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+.venv/.dev: .venv/.onboard
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+# FLY adds options, for example: make fly FLY="--features sift"
+fly: .venv/.onboard
+	$(BIN)/vwnav fly --sim $(FLY)
+
+test: .venv/.dev
+	$(BIN)/python -m pytest
+
+check: .venv/.dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf .venv build dist

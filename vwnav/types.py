@@ -1,0 +1,324 @@
+"""The values that travel between rooms, and the protocols at the seams.
+
+Everything is SI and radians unless a name says otherwise; `docs/conventions.md` holds the table.
+Times `t_s` are seconds on one monotonic clock, at exposure for pictures. NaN never means "unknown":
+unknown values are None.
+"""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FeatureName = Literal["learned", "sift", "orb"]
+FEATURE_NAMES: tuple[FeatureName, ...] = ("learned", "sift", "orb")
+PointKind = Literal["nadir", "center"]
+Array = NDArray[np.float64]
+Gray = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture of the camera.
+
+    Attributes:
+        t_s: time of exposure.
+        image: (h, w) gray or (h, w, 3) BGR, uint8.
+        index: number of the frame in its source, from 0.
+    """
+
+    t_s: float
+    image: NDArray[np.uint8]
+    index: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Keypoints with descriptors, strongest first.
+
+    Attributes:
+        uv: (n, 2) float32, pixels, centres at integers.
+        descriptors: (n, d) float32 of unit length, or (n, 32) uint8 for binary ones.
+        scores: (n,) float32, larger is better.
+    """
+
+    uv: NDArray[np.float32]
+    descriptors: NDArray[np.float32] | NDArray[np.uint8]
+    scores: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        n = len(self.uv)
+        if self.uv.shape != (n, 2) or self.descriptors.ndim != 2:
+            raise ValueError(
+                f"expected uv (n, 2) and descriptors (n, d), got {self.uv.shape} "
+                f"and {self.descriptors.shape}"
+            )
+        if len(self.descriptors) != n or self.scores.shape != (n,):
+            raise ValueError(
+                f"expected {n} descriptors and scores, got {self.descriptors.shape} "
+                f"and {self.scores.shape}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+
+class FeatureExtractor(Protocol):
+    """A detector with its descriptor. Equal `feature_set_id` means descriptors can be compared."""
+
+    @property
+    def name(self) -> FeatureName: ...
+
+    @property
+    def feature_set_id(self) -> str: ...
+
+    def extract(self, gray: Gray, max_keypoints: int) -> Features: ...
+
+
+class RejectReason(Enum):
+    """Why no position came out of a picture."""
+
+    NO_MAP = "no map under the prior"
+    TOO_DARK = "picture without contrast"
+    TOO_LOW = "too close to the ground for the map"
+    TILTED = "camera does not look down"
+    FEW_KEYPOINTS = "too few keypoints"
+    FEW_MATCHES = "too few matches"
+    FEW_INLIERS = "too few inliers"
+    AMBIGUOUS = "a second place fits as well"
+    GEOMETRY = "the homography is not that of level ground"
+    PRIOR = "too far from the prior"
+    NO_FRAME = "no picture"
+    NOT_TRIED = "not tried on this frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known before a picture is matched; every field may be unknown.
+
+    Attributes:
+        lat_deg, lon_deg: where the camera is thought to be.
+        sigma_m: one-sigma of that, per horizontal axis.
+        yaw_rad: heading of the body (of the picture's upper edge for a picture alone).
+        agl_m: height above the ground under the camera, `sigma_agl_ratio` its relative sigma.
+        roll_rad, pitch_rad: attitude of the body; unknown is taken as level.
+    """
+
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    sigma_m: float = 50.0
+    yaw_rad: float | None = None
+    sigma_yaw_rad: float = 0.26
+    agl_m: float | None = None
+    sigma_agl_ratio: float = 0.15
+    roll_rad: float | None = None
+    pitch_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MatchStats:
+    """Counts and times of one attempt, for fixes and rejections alike (milliseconds)."""
+
+    keypoints: int = 0
+    matches: int = 0
+    inliers: int = 0
+    rectify_ms: float = 0.0
+    extract_ms: float = 0.0
+    match_ms: float = 0.0
+    verify_ms: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapFix:
+    """Where a picture was taken.
+
+    Attributes:
+        lat_deg, lon_deg: of the camera ("nadir"), or of the image centre ("center") when the
+            attitude is unknown.
+        covariance_ne_m2: (2, 2) of north and east.
+        yaw_rad: heading of the body, 0 = true north, clockwise positive.
+        agl_m: height above ground from the scale.
+        features: the set that made it.
+    """
+
+    t_s: float
+    lat_deg: float
+    lon_deg: float
+    covariance_ne_m2: Array
+    yaw_rad: float
+    sigma_yaw_rad: float
+    agl_m: float | None
+    sigma_agl_m: float | None
+    point: PointKind
+    features: FeatureName
+    stats: MatchStats = field(default_factory=MatchStats)
+
+    @property
+    def sigma_m(self) -> float:
+        """Root mean of the two variances: one sigma per horizontal axis."""
+        return float(np.sqrt(np.trace(self.covariance_ne_m2) / 2.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """No fix, and why: a result, not an error."""
+
+    t_s: float
+    reason: RejectReason
+    detail: str = ""
+    features: FeatureName | None = None
+    stats: MatchStats = field(default_factory=MatchStats)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryMotion:
+    """Motion of the camera over the ground between two exposures.
+
+    Attributes:
+        t0_s, t1_s: the two exposures.
+        displacement_ned_m: (3,), scaled with the AGL that was handed in.
+        covariance_ned_m2: (3, 3), without the error of that AGL.
+        yaw_increment_rad: clockwise positive; `sigma_yaw_rad` its sigma.
+        agl_m: the AGL that scaled it (displacement is proportional to it).
+        tracks: inliers that carried it.
+    """
+
+    t0_s: float
+    t1_s: float
+    displacement_ned_m: Array
+    covariance_ned_m2: Array
+    yaw_increment_rad: float
+    sigma_yaw_rad: float
+    agl_m: float
+    tracks: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attitude:
+    """Attitude of the body as the autopilot sees it: quat_wxyz (4,) of R_ned_body."""
+
+    t_s: float
+    quat_wxyz: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What the filter believes at `t_s`, in NED about the run's origin.
+
+    Attributes:
+        position_ned_m, velocity_ned_m_s: (3,).
+        covariance: (6, 6) of position and velocity.
+        quat_wxyz: (4,) of R_ned_body, heading bias removed.
+        agl_m: height above the ground below.
+        t_last_fix_s: exposure of the last map fix that was fused, None before the first.
+        reset_counter: counts re-localisations (jumps), nothing else.
+    """
+
+    t_s: float
+    position_ned_m: Array
+    velocity_ned_m_s: Array
+    covariance: Array
+    quat_wxyz: Array
+    sigma_yaw_rad: float
+    agl_m: float
+    sigma_agl_m: float
+    t_last_fix_s: float | None
+    reset_counter: int
+
+    @property
+    def sigma_horizontal_m(self) -> float:
+        """The larger semi-axis of the one-sigma ellipse."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
+
+
+@dataclass(frozen=True, slots=True)
+class VelocitySetpoint:
+    """What the autopilot is asked to fly: NED velocity, and a heading (None holds the present)."""
+
+    north_m_s: float
+    east_m_s: float
+    down_m_s: float
+    yaw_rad: float | None = None
+
+
+class FlightMode(Enum):
+    """Flight modes that matter to a navigator, whatever the autopilot calls them."""
+
+    OFFBOARD = "offboard"  # PX4 Offboard, ArduPilot GUIDED: ours
+    TAKEOFF = "takeoff"
+    HOLD = "hold"
+    LAND = "land"
+    RETURN = "return"
+    DESCEND = "descend"
+    MISSION = "mission"
+    MANUAL = "manual"  # any mode flown with sticks: position, altitude, stabilised, acro
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """A snapshot of the autopilot's telemetry; ages are relative to `t_s`.
+
+    Attributes:
+        height_m: barometric height above the place where the link came up, up positive.
+        rangefinder_m: distance to the ground along the body's down axis.
+        local_position_ok: the autopilot's own filter has a horizontal position.
+    """
+
+    t_s: float
+    connected: bool
+    armed: bool
+    in_air: bool
+    mode: FlightMode
+    attitude: Attitude | None
+    height_m: float | None
+    height_t_s: float | None
+    rangefinder_m: float | None
+    battery_ratio: float | None
+    rc_available: bool
+    local_position_ok: bool
+    armable: bool
+    heartbeat_age_s: float
+
+
+class FrameSource(Protocol):
+    """Pictures, in order of time. `next_frame` waits for the next one; None is the end."""
+
+    def next_frame(self) -> Frame | None: ...
+
+    def close(self) -> None: ...
+
+
+class Autopilot(Protocol):
+    """The link as the flight loop sees it: thread-safe, never blocks for long.
+
+    Commands return None when accepted and a reason when refused.
+    """
+
+    def state(self) -> VehicleState: ...
+
+    def attitude_at(self, t_s: float) -> Attitude | None: ...
+
+    def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None: ...
+
+    def send_estimate(self, estimate: Estimate) -> None: ...
+
+    def send_velocity(self, setpoint: VelocitySetpoint) -> None: ...
+
+    def arm(self) -> str | None: ...
+
+    def takeoff(self, height_m: float) -> str | None: ...
+
+    def start_offboard(self) -> str | None: ...
+
+    def hold(self) -> str | None: ...
+
+    def land(self) -> str | None: ...
+
+    def return_home(self) -> str | None: ...
+
+    def disarm(self) -> str | None: ...
+
+    def close(self) -> None: ...
