@@ -1,0 +1,198 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.errors import CalibrationError
+from vwnav.geometry.calibration import check_fits, load_camera, save_camera
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import rotation_from_euler
+
+K = np.array([[500.25, 0.0, 321.5], [0.0, 501.5, 238.25], [0.0, 0.0, 1.0]])
+OURS = {
+    "width_px": 640,
+    "height_px": 480,
+    "model": "pinhole",
+    "fx_px": 500.0,
+    "fy_px": 500.0,
+    "cx_px": 319.5,
+    "cy_px": 239.5,
+}
+ROS = """image_width: 640
+image_height: 480
+camera_name: belly
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [500.25, 0., 321.5, 0., 501.5, 238.25, 0., 0., 1.]
+distortion_model: {model}
+distortion_coefficients:
+  rows: 1
+  cols: {count}
+  data: {data}
+"""
+
+
+def opencv_yaml(path: Path, distortion: list[float]) -> Path:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("camera_matrix", K)
+    storage.write("distortion_coefficients", np.array([distortion]).T)
+    storage.release()
+    return path
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(CalibrationError) as caught:
+        load_camera(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 500
+    return message
+
+
+def mounted(roll: float, pitch: float, fisheye: bool) -> Camera:
+    return Camera(
+        width_px=640,
+        height_px=480,
+        K=K,
+        distortion=(-0.1, 0.01, 1e-4, -1e-4),
+        model="fisheye" if fisheye else "pinhole",
+        R_body_camera=rotation_from_euler(roll, pitch, 0.3),
+        t_body_camera_m=np.array([0.1, 0.0, 0.05]),
+    )
+
+
+@pytest.mark.parametrize("suffix", [".json", ".toml"])
+@given(roll=st.floats(-3.0, 3.0), pitch=st.floats(-1.6, 1.6), fisheye=st.booleans())
+def test_our_files_give_the_same_camera_back(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, roll: float, pitch: float, fisheye: bool
+) -> None:
+    path = tmp_path_factory.mktemp("calibration") / f"camera{suffix}"
+    camera = mounted(roll, pitch, fisheye)
+    save_camera(camera, path)
+    again = load_camera(path)
+    assert (again.model, again.distortion) == (camera.model, camera.distortion)
+    np.testing.assert_array_equal(again.K, camera.K)
+    np.testing.assert_allclose(again.R_body_camera, camera.R_body_camera, atol=1e-7)
+    np.testing.assert_array_equal(again.t_body_camera_m, camera.t_body_camera_m)
+
+
+def test_opencv_yaml_is_read(tmp_path: Path) -> None:
+    camera = load_camera(opencv_yaml(tmp_path / "c.yml", [-0.2, 0.05, 1e-3, 2e-3, 0.01]))
+    np.testing.assert_allclose(camera.K, K)
+    assert camera.distortion == pytest.approx((-0.2, 0.05, 1e-3, 2e-3, 0.01))
+    assert (camera.width_px, camera.height_px, camera.model) == (640, 480, "pinhole")
+
+
+def test_opencv_yaml_with_unused_higher_coefficients_is_read(tmp_path: Path) -> None:
+    camera = load_camera(opencv_yaml(tmp_path / "c.yaml", [-0.2, 0.05, 0, 0, 0.01, 0, 0, 0]))
+    assert len(camera.distortion) == 5
+
+
+def test_higher_distortion_coefficients_are_refused(tmp_path: Path) -> None:
+    path = opencv_yaml(tmp_path / "c.yaml", [-0.2, 0.05, 0, 0, 0.01, 0.3, 0, 0])
+    assert "k1 k2 p1 p2 k3" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("ros_model", "data", "model"),
+    [
+        ("plumb_bob", [-0.2, 0.05, 0.001, 0.002, 0.0], "pinhole"),
+        ("equidistant", [0.1, 0.01, 0.0, 0.0], "fisheye"),
+    ],
+)
+def test_ros_camera_info_is_read(
+    tmp_path: Path, ros_model: str, data: list[float], model: str
+) -> None:
+    path = tmp_path / "ost.yaml"
+    path.write_text(ROS.format(model=ros_model, count=len(data), data=data))
+    camera = load_camera(path)
+    assert camera.model == model
+    assert camera.distortion == pytest.approx(data)
+    np.testing.assert_allclose(camera.K, K)
+
+
+def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "ost.yaml"
+    path.write_text(ROS.format(model="division", count=4, data=[0.0] * 4))
+    assert "division" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fx_px": -500.0}, "positive focal"),
+        ({"fx_px": float("nan")}, "finite"),
+        ({"fx_px": True}, "finite number"),
+        ({"fx_px": "500"}, "finite number"),
+        ({"distortion": [0.1, float("inf"), 0, 0]}, "finite"),
+        ({"distortion": 3}, "list"),
+        ({"width_px": 640.5}, "whole number"),
+        ({"width_px": 10**30}, "whole number"),
+        ({"cx_px": 5000.0}, "outside the picture"),
+        ({"model": "magic"}, "pinhole or fisheye"),
+        ({"model": ["pinhole"]}, "not a usable"),
+        ({"mount_rpy_deg": [0, 0]}, "3 numbers"),
+        ({"focal": 3}, "unknown key focal"),
+    ],
+)
+def test_senseless_values_are_refused_in_one_line(
+    tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(OURS | change))
+    assert message in refused(path)
+
+
+def test_missing_value_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({k: v for k, v in OURS.items() if k != "cy_px"}))
+    assert "cy_px" in refused(path)
+
+
+@pytest.mark.parametrize("suffix", [".json", ".toml", ".yaml"])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[1, 2]", b"\xff\xfe\x00", b"camera_matrix: [", b"a" * 999]
+)
+def test_damaged_files_are_refused_in_one_line(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"camera{suffix}"
+    path.write_bytes(content)
+    refused(path)
+
+
+@given(cut=st.integers(0, 400))
+def test_a_file_cut_anywhere_is_refused(tmp_path_factory: pytest.TempPathFactory, cut: int) -> None:
+    folder = tmp_path_factory.mktemp("cut")
+    text = opencv_yaml(folder / "whole.yaml", [-0.2, 0.05, 0.0, 0.0, 0.01]).read_text()
+    path = folder / "cut.yaml"
+    path.write_text(text[: min(cut, text.rindex("data"))])
+    refused(path)
+
+
+def test_missing_file_wrong_kind_and_huge_file_are_refused(tmp_path: Path) -> None:
+    assert "cannot read" in refused(tmp_path / "none.json")
+    (tmp_path / "camera.txt").write_text("")
+    assert ".toml" in refused(tmp_path / "camera.txt")
+    (tmp_path / "camera.json").write_text(" " * 2_000_000)
+    assert "1 MB" in refused(tmp_path / "camera.json")
+
+
+def test_calibration_for_other_pictures_is_refused() -> None:
+    camera = Camera.from_hfov(640, 480, 60.0)
+    check_fits(camera, 640, 480)
+    with pytest.raises(CalibrationError, match="640 x 480 px but they are 1280 x 720"):
+        check_fits(camera, 1280, 720)
+
+
+def test_only_our_own_kinds_are_written(tmp_path: Path) -> None:
+    camera = Camera.from_hfov(640, 480, 60.0)
+    with pytest.raises(CalibrationError, match=r"use \.json or \.toml"):
+        save_camera(camera, tmp_path / "camera.yaml")
+    with pytest.raises(CalibrationError, match="cannot write"):
+        save_camera(camera, tmp_path / "nowhere" / "camera.json")

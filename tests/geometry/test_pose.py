@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
+from vwnav.geometry.pose import (
+    PoseErrors,
+    pose_from_map_homography,
+    pose_from_rectified,
+    pose_without_attitude,
+)
+from vwnav.geometry.rectify import rectification
+from vwnav.geometry.rotations import rotation_from_euler, vector_from_rotation, wrap_pi
+
+seeds = st.integers(0, 2**31)
+EXACT = PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0)
+
+
+def error_ne_m(pose, shot) -> np.ndarray:
+    east_px, south_px = pose.nadir_px - shot.nadir_px
+    return np.array([-south_px / shot.px_per_m[1], east_px / shot.px_per_m[0]])
+
+
+def turned(yaw_rad: float) -> np.ndarray:
+    return rotation_from_euler(0.0, 0.0, yaw_rad)
+
+
+@given(seeds, st.floats(20.0, 200.0), st.floats(-0.3, 0.3), st.floats(0.8, 1.2))
+def test_nadir_view_gives_position_heading_and_height(
+    shot_of, seed: int, agl_m: float, yaw_error_rad: float, agl_ratio: float
+) -> None:
+    shot = shot_of(np.random.default_rng(seed), agl_m=agl_m)
+    # Heading and height are assumed wrong: the map puts them right.
+    R_assumed = turned(-yaw_error_rad) @ shot.R_ned_camera
+    view = rectification(shot.camera.K, (640, 480), R_assumed, agl_m / agl_ratio, 0.3)
+    uv_rect = transform_points(view.H_rect_frame, shot.uv)
+    fit = estimate_homography(uv_rect, shot.map_px, 2.0, seed)
+    pose = pose_from_rectified(fit.H, view, uv_rect, shot.map_px, shot.px_per_m, EXACT)
+    assert np.linalg.norm(error_ne_m(pose, shot)) < 0.01
+    assert wrap_pi(pose.yaw_correction_rad - yaw_error_rad) == pytest.approx(0.0, abs=1e-3)
+    assert pose.scale_ratio == pytest.approx(agl_ratio, rel=1e-3)
+    assert pose.agl_m == pytest.approx(agl_m, rel=1e-3)
+
+
+@given(seeds)
+def test_similarity_of_the_nadir_view_serves_as_well(shot_of, seed: int) -> None:
+    shot = shot_of(np.random.default_rng(seed))
+    view = rectification(shot.camera.K, (640, 480), shot.R_ned_camera, 55.0, 0.3)
+    uv_rect = transform_points(view.H_rect_frame, shot.uv)
+    fit = estimate_similarity(uv_rect, shot.map_px, 2.0, seed)
+    pose = pose_from_rectified(fit.H, view, uv_rect, shot.map_px, shot.px_per_m, EXACT)
+    # A similarity cannot stretch north against east as the map does: 0.4 % of some 30 m here.
+    assert np.linalg.norm(error_ne_m(pose, shot)) < 0.15
+    assert pose.agl_m == pytest.approx(50.0, rel=2e-3)
+
+
+@given(seeds, st.floats(20.0, 200.0), st.floats(-3.0, 3.0))
+def test_picture_on_the_map_with_attitude_gives_the_pose(
+    shot_of, seed: int, agl_m: float, yaw_error_rad: float
+) -> None:
+    shot = shot_of(np.random.default_rng(seed), agl_m=agl_m)
+    H = estimate_homography(shot.uv, shot.map_px, 2.0, seed).H
+    R_assumed = turned(-yaw_error_rad) @ shot.R_ned_camera
+    pose = pose_from_map_homography(
+        H, shot.camera.K, R_assumed, shot.uv, shot.map_px, shot.px_per_m, EXACT
+    )
+    assert np.linalg.norm(error_ne_m(pose, shot)) < 0.02
+    assert wrap_pi(pose.yaw_correction_rad - yaw_error_rad) == pytest.approx(0.0, abs=1e-3)
+    assert pose.agl_m == pytest.approx(agl_m, rel=1e-3)
+
+
+@given(seeds, st.floats(20.0, 200.0))
+def test_picture_on_the_map_alone_gives_pose_and_attitude(shot_of, seed: int, agl_m: float) -> None:
+    shot = shot_of(np.random.default_rng(seed), agl_m=agl_m, tilt_rad=0.3)
+    H = estimate_homography(shot.uv, shot.map_px, 2.0, seed).H
+    pose = pose_without_attitude(H, shot.camera.K, shot.px_per_m)
+    assert np.linalg.norm(error_ne_m(pose, shot)) < 0.02 * agl_m / 20.0
+    assert pose.agl_m == pytest.approx(agl_m, rel=1e-3)
+    assert np.linalg.norm(vector_from_rotation(pose.R_ned_camera @ shot.R_ned_camera.T)) < 2e-3
+
+
+def noisy_pose(shot, rng: np.random.Generator, sigma_px: float, sigma_tilt_rad: float):
+    """The pose out of one noisy set of matches and one wrong attitude."""
+    tilt = rotation_from_euler(*rng.normal(0.0, sigma_tilt_rad, 2), 0.0)
+    yaw = np.arctan2(shot.R_ned_camera[1, 0], shot.R_ned_camera[0, 0])
+    R_assumed = turned(yaw) @ tilt @ turned(-yaw) @ shot.R_ned_camera
+    view = rectification(shot.camera.K, (640, 480), R_assumed, shot.agl_m, 0.3)
+    uv_rect = transform_points(view.H_rect_frame, shot.uv)
+    uv_map = shot.map_px + rng.normal(0.0, sigma_px, shot.map_px.shape)
+    H = estimate_homography(uv_rect, uv_map, 10.0 * sigma_px, 0).H
+    errors = PoseErrors(sigma_px=sigma_px, sigma_tilt_rad=sigma_tilt_rad)
+    return pose_from_rectified(H, view, uv_rect, uv_map, shot.px_per_m, errors)
+
+
+@pytest.mark.parametrize(("sigma_px", "sigma_tilt_rad"), [(0.7, 0.0), (0.7, 0.02), (0.1, 0.03)])
+def test_stated_covariances_are_those_of_many_trials(
+    shot_of, sigma_px: float, sigma_tilt_rad: float
+) -> None:
+    rng = np.random.default_rng(4)
+    shot = shot_of(rng, tilt_rad=0.05)
+    poses = [noisy_pose(shot, rng, sigma_px, sigma_tilt_rad) for _ in range(400)]
+    errors_m = np.array([error_ne_m(pose, shot) for pose in poses])
+    nees = [
+        e @ np.linalg.solve(p.covariance_ne_m2, e) for e, p in zip(errors_m, poses, strict=True)
+    ]
+    assert np.mean(nees) == pytest.approx(2.0, rel=0.2)
+    if sigma_tilt_rad == 0.0:
+        yaw_nees = [(p.yaw_correction_rad / p.sigma_yaw_rad) ** 2 for p in poses]
+        agl_nees = [((p.agl_m - shot.agl_m) / p.sigma_agl_m) ** 2 for p in poses]
+        assert np.mean(yaw_nees) == pytest.approx(1.0, rel=0.25)
+        assert np.mean(agl_nees) == pytest.approx(1.0, rel=0.25)
+
+
+@settings(max_examples=20)
+@given(st.floats(20.0, 200.0), st.floats(0.0, 0.1))
+def test_tilt_error_counts_as_height_times_its_angle(
+    shot_of, agl_m: float, sigma_tilt_rad: float
+) -> None:
+    shot = shot_of(np.random.default_rng(0), agl_m=agl_m)
+    H = estimate_homography(shot.uv, shot.map_px, 2.0, 0).H
+    still, tilted = (
+        pose_from_map_homography(
+            H, shot.camera.K, shot.R_ned_camera, shot.uv, shot.map_px, shot.px_per_m, errors
+        ).covariance_ne_m2
+        for errors in (EXACT, PoseErrors(sigma_px=0.5, sigma_tilt_rad=sigma_tilt_rad))
+    )
+    expected = (agl_m * sigma_tilt_rad) ** 2 * np.eye(2)
+    np.testing.assert_allclose(tilted - still, expected, rtol=1e-3, atol=1e-9)
+
+
+def test_error_of_the_map_adds_to_the_covariance(shot_of) -> None:
+    shot = shot_of(np.random.default_rng(0))
+    H = estimate_homography(shot.uv, shot.map_px, 2.0, 0).H
+    errors = PoseErrors(sigma_px=1e-3, sigma_tilt_rad=0.0, sigma_georeference_m=1.5)
+    pose = pose_from_map_homography(
+        H, shot.camera.K, shot.R_ned_camera, shot.uv, shot.map_px, shot.px_per_m, errors
+    )
+    np.testing.assert_allclose(pose.covariance_ne_m2, 2.25 * np.eye(2), atol=1e-3)
+
+
+def test_camera_that_looks_at_the_sky_has_no_pose(shot_of) -> None:
+    shot = shot_of(np.random.default_rng(0))
+    H = estimate_homography(shot.uv, shot.map_px, 2.0, 0).H
+    upside_down = rotation_from_euler(np.pi, 0.0, 0.0) @ shot.R_ned_camera
+    args = (shot.uv, shot.map_px, shot.px_per_m, EXACT)
+    assert pose_from_map_homography(H, shot.camera.K, upside_down, *args) is None
+
+
+@pytest.mark.parametrize(
+    "H", [np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag([1.0, -1.0, 1.0])]
+)
+def test_what_is_no_view_from_above_gives_no_free_pose(shot_of, H: np.ndarray) -> None:
+    shot = shot_of(np.random.default_rng(0))
+    assert pose_without_attitude(H, shot.camera.K, shot.px_per_m) is None

@@ -1,0 +1,223 @@
+"""Camera calibration files: our own JSON and TOML, OpenCV's YAML, ROS camera_info YAML.
+
+Our own keys, the same in JSON and TOML (`docs/conventions.md` has an example):
+`width_px height_px model fx_px fy_px cx_px cy_px distortion mount_rpy_deg lever_arm_m`;
+the last three may be left out. The mount turns the camera away from looking straight down with its
+upper edge to the nose.
+"""
+
+import json
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from vwnav.errors import CalibrationError
+from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, CameraModel
+from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
+from vwnav.types import Array
+
+_MAX_BYTES = 1_000_000
+_NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
+_REQUIRED = ("width_px", "height_px", "model", *_NUMBERS)
+_LISTS = ("distortion", "mount_rpy_deg", "lever_arm_m")
+_MODELS: dict[str, CameraModel] = {
+    "": "pinhole",
+    "pinhole": "pinhole",
+    "plumb_bob": "pinhole",
+    "radtan": "pinhole",
+    "rational_polynomial": "pinhole",
+    "fisheye": "fisheye",
+    "equidistant": "fisheye",
+}
+
+
+def load_camera(path: Path | str) -> Camera:
+    """The camera of a calibration file.
+
+    Raises:
+        CalibrationError: the file is missing, damaged, or describes no camera.
+    """
+    path = Path(path)
+    try:
+        camera = _camera(path, _read(path))
+        _check_plausible(camera)
+    except CalibrationError:
+        raise
+    except (ValueError, KeyError, TypeError, OverflowError, cv2.error, SystemError) as error:
+        raise CalibrationError(
+            f"{path}: not a usable camera calibration ({_one_line(error)}); "
+            "expected JSON, TOML, or YAML of OpenCV or ROS camera_info"
+        ) from error
+    return camera
+
+
+def save_camera(camera: Camera, path: Path | str) -> None:
+    """Write our own JSON or TOML, by the file's suffix.
+
+    Raises:
+        CalibrationError: the suffix is another one, or the file cannot be written.
+    """
+    path = Path(path)
+    values = _to_dict(camera)
+    match path.suffix.lower():
+        case ".json":
+            text = json.dumps(values, indent=2) + "\n"
+        case ".toml":
+            # Numbers, lists of numbers and plain strings look the same in JSON and TOML.
+            text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+        case suffix:
+            raise CalibrationError(f"{path}: cannot write {suffix!r}; use .json or .toml")
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot write ({error.strerror})") from error
+
+
+def check_fits(camera: Camera, width_px: int, height_px: int) -> None:
+    """Make sure that a calibration is for pictures of this size.
+
+    Raises:
+        CalibrationError: it is not.
+    """
+    if (camera.width_px, camera.height_px) != (width_px, height_px):
+        raise CalibrationError(
+            f"the calibration is for pictures of {camera.width_px} x {camera.height_px} px but "
+            f"they are {width_px} x {height_px} px; calibrate at that size"
+        )
+
+
+def _read(path: Path) -> str:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise CalibrationError(f"{path}: larger than 1 MB, not a camera calibration")
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot read ({error.strerror})") from error
+
+
+def _camera(path: Path, text: str) -> Camera:
+    match path.suffix.lower():
+        case ".json":
+            return _from_dict(json.loads(text))
+        case ".toml":
+            return _from_dict(tomllib.loads(text))
+        case ".yaml" | ".yml":
+            return _from_yaml(text)
+        case suffix:
+            raise CalibrationError(
+                f"{path}: unknown kind of calibration {suffix!r}; use .json, .toml, .yaml or .yml"
+            )
+
+
+def _from_dict(values: Any) -> Camera:
+    if not isinstance(values, dict):
+        raise ValueError("expected named values at the top")
+    missing = [key for key in _REQUIRED if key not in values]
+    unknown = [key for key in values if key not in (*_REQUIRED, *_LISTS)]
+    if missing or unknown:
+        raise ValueError(
+            f"missing {', '.join(missing)}" if missing else f"unknown key {', '.join(unknown)}"
+        )
+    fx_px, fy_px, cx_px, cy_px = (_number(values[key], key) for key in _NUMBERS)
+    roll, pitch, yaw = (math.radians(a) for a in _numbers(values, "mount_rpy_deg", (0.0,) * 3))
+    return Camera(
+        width_px=_pixels(values["width_px"], "width_px"),
+        height_px=_pixels(values["height_px"], "height_px"),
+        K=np.array([[fx_px, 0.0, cx_px], [0.0, fy_px, cy_px], [0.0, 0.0, 1.0]]),
+        distortion=tuple(_numbers(values, "distortion", ())),
+        model=values["model"],
+        R_body_camera=rotation_from_euler(roll, pitch, yaw) @ R_BODY_CAMERA_DOWN,
+        t_body_camera_m=np.array(_numbers(values, "lever_arm_m", (0.0,) * 3)),
+    )
+
+
+def _to_dict(camera: Camera) -> dict[str, Any]:
+    mount_rpy_rad = euler_from_rotation(camera.R_body_camera @ R_BODY_CAMERA_DOWN.T)
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "model": camera.model,
+        "fx_px": float(camera.K[0, 0]),
+        "fy_px": float(camera.K[1, 1]),
+        "cx_px": float(camera.K[0, 2]),
+        "cy_px": float(camera.K[1, 2]),
+        "distortion": list(camera.distortion),
+        "mount_rpy_deg": [math.degrees(angle) for angle in mount_rpy_rad],
+        "lever_arm_m": camera.t_body_camera_m.tolist(),
+    }
+
+
+def _from_yaml(text: str) -> Camera:
+    # ROS writes no version line, without which OpenCV does not read the file.
+    body = text if text.lstrip().startswith("%YAML") else f"%YAML:1.0\n---\n{text}"
+    storage = cv2.FileStorage(body, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    try:
+        K = _matrix(storage, "camera_matrix").reshape(3, 3)
+        coefficients = _matrix(storage, "distortion_coefficients")
+        width_px, height_px = (storage.getNode(f"image_{side}") for side in ("width", "height"))
+        name = storage.getNode("distortion_model")
+        if width_px.empty() or height_px.empty():
+            raise ValueError("missing image_width or image_height")
+        return Camera(
+            width_px=_pixels(width_px.real(), "image_width"),
+            height_px=_pixels(height_px.real(), "image_height"),
+            K=K,
+            distortion=_known_coefficients(coefficients, name.string()),
+            model=_MODELS.get(name.string(), "pinhole"),
+        )
+    finally:
+        storage.release()
+
+
+def _known_coefficients(coefficients: Array, model: str) -> tuple[float, ...]:
+    """The coefficients without trailing zeros beyond the fifth, which other models use."""
+    if model not in _MODELS:
+        raise ValueError(f"unknown distortion_model {model!r}")
+    keep = 4 if _MODELS[model] == "fisheye" else 5
+    if np.any(coefficients[keep:]):
+        raise ValueError(f"distortion beyond k1 k2 p1 p2 k3 (model {model or 'of OpenCV'!r})")
+    return tuple(float(k) for k in coefficients[:keep])
+
+
+def _matrix(storage: cv2.FileStorage, key: str) -> Array:
+    """The numbers of a matrix, row by row, as OpenCV and ROS both write them."""
+    data = storage.getNode(key).getNode("data") if not storage.getNode(key).empty() else None
+    if data is None or not data.isSeq():
+        raise ValueError(f"missing {key} with its data")
+    return np.array([data.at(i).real() for i in range(data.size())])
+
+
+def _number(value: Any, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{key} is {value!r}, expected a finite number")
+    return float(value)
+
+
+def _numbers(values: dict[str, Any], key: str, default: tuple[float, ...]) -> list[float]:
+    found = values.get(key, default)
+    if not isinstance(found, list | tuple) or (default and len(found) != len(default)):
+        raise ValueError(f"{key} is {found!r}, expected a list of {len(default) or 'some'} numbers")
+    return [_number(value, key) for value in found]
+
+
+def _pixels(value: Any, key: str) -> int:
+    if _number(value, key) != int(value) or not 1 <= value <= 100_000:
+        raise ValueError(f"{key} is {value!r}, expected a whole number of pixels")
+    return int(value)
+
+
+def _check_plausible(camera: Camera) -> None:
+    cx_px, cy_px = camera.K[0, 2], camera.K[1, 2]
+    if not (0.0 <= cx_px < camera.width_px and 0.0 <= cy_px < camera.height_px):
+        raise ValueError(
+            f"the principal point {cx_px:g}, {cy_px:g} lies outside the picture of "
+            f"{camera.width_px} x {camera.height_px} px"
+        )
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,144 @@
+"""The camera: what pixel a direction falls on, and the way back, and how it is mounted.
+
+Camera axes are right, down (in the picture), forward along the optical axis. Pixel centres are at
+integers. Pictures look down by default, their upper edge towards the nose.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.types import Array
+
+CameraModel = Literal["pinhole", "fisheye"]
+# Columns are the camera's axes in the body: u is right, v is back, the optical axis is down.
+R_BODY_CAMERA_DOWN: Array = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_DISTORTION_LENGTHS: dict[str, tuple[int, ...]] = {"pinhole": (0, 4, 5), "fisheye": (4,)}
+_ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Camera:
+    """A calibrated camera.
+
+    Attributes:
+        width_px, height_px: size of the pictures the calibration is for.
+        K: (3, 3) focal lengths and principal point in pixels, centres at integers, no skew.
+        distortion: k1 k2 p1 p2 [k3] of "pinhole" (empty for none), k1 k2 k3 k4 of "fisheye"
+            (equidistant), both as OpenCV defines them.
+        R_body_camera: (3, 3) mount. t_body_camera_m: (3,) place of the camera in the body.
+
+    Raises:
+        ValueError: from the constructor, when a field makes no camera.
+    """
+
+    width_px: int
+    height_px: int
+    K: Array
+    distortion: tuple[float, ...] = ()
+    model: CameraModel = "pinhole"
+    R_body_camera: Array = field(default_factory=R_BODY_CAMERA_DOWN.copy)
+    t_body_camera_m: Array = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        for name, shape in (("K", (3, 3)), ("R_body_camera", (3, 3)), ("t_body_camera_m", (3,))):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            if value.shape != shape or not np.all(np.isfinite(value)):
+                raise ValueError(f"expected {name} {shape} of finite numbers, got {value.tolist()}")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
+        self._check()
+
+    def _check(self) -> None:
+        if self.width_px < 1 or self.height_px < 1:
+            raise ValueError(f"expected a picture size, got {self.width_px} x {self.height_px}")
+        if self.K[0, 0] <= 0.0 or self.K[1, 1] <= 0.0:
+            raise ValueError(
+                f"expected positive focal lengths, got {self.K[0, 0]:g} and {self.K[1, 1]:g} px"
+            )
+        if self.model not in _DISTORTION_LENGTHS:
+            raise ValueError(f"expected model pinhole or fisheye, got {self.model!r}")
+        if len(self.distortion) not in _DISTORTION_LENGTHS[self.model]:
+            raise ValueError(
+                f"expected {' or '.join(map(str, _DISTORTION_LENGTHS[self.model]))} distortion "
+                f"coefficients for {self.model}, got {len(self.distortion)}"
+            )
+        if not all(math.isfinite(k) for k in self.distortion):
+            raise ValueError(f"expected finite distortion coefficients, got {self.distortion}")
+        R = self.R_body_camera
+        if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
+            raise ValueError(f"expected R_body_camera to be a rotation, got {R.tolist()}")
+
+    @staticmethod
+    def from_hfov(width_px: int, height_px: int, hfov_deg: float) -> "Camera":
+        """A down-looking pinhole camera with square pixels and no distortion.
+
+        Raises:
+            ValueError: the field of view is not between 0 and 180 degrees.
+        """
+        if not 0.0 < hfov_deg < 180.0:
+            raise ValueError(f"expected a field of view of 0 to 180 degrees, got {hfov_deg}")
+        f_px = width_px / 2.0 / math.tan(math.radians(hfov_deg) / 2.0)
+        K = [[f_px, 0.0, (width_px - 1) / 2.0], [0.0, f_px, (height_px - 1) / 2.0], [0.0, 0.0, 1.0]]
+        return Camera(width_px=width_px, height_px=height_px, K=np.array(K))
+
+    def scaled(self, width_px: int, height_px: int) -> "Camera":
+        """The same camera with its pictures resized: `(uv + 0.5) * scale - 0.5`."""
+        scale_u, scale_v = width_px / self.width_px, height_px / self.height_px
+        K = self.K.copy()
+        K[0] *= scale_u
+        K[1] *= scale_v
+        K[0, 2] += 0.5 * scale_u - 0.5
+        K[1, 2] += 0.5 * scale_v - 0.5
+        return replace(self, width_px=width_px, height_px=height_px, K=K)
+
+    def undistorted(self) -> "Camera":
+        """The pinhole camera without distortion that `undistort_maps` makes pictures of."""
+        return replace(self, distortion=(), model="pinhole")
+
+    def project(self, points_camera: Array) -> Array:
+        """Pixels (n, 2) of points (n, 3) in camera axes; NaN for points not in front of it."""
+        points = np.asarray(points_camera, dtype=np.float64).reshape(-1, 3)
+        uv = np.full((len(points), 2), np.nan)
+        front = points[:, 2] > 0.0
+        if np.any(front):
+            rays = (points[front] / points[front, 2:])[:, None]
+            zero = np.zeros(3)
+            if self.model == "fisheye":
+                out, _ = cv2.fisheye.projectPoints(rays, zero, zero, self.K, self._coefficients())
+            else:
+                out, _ = cv2.projectPoints(rays, zero, zero, self.K, self._coefficients())
+            uv[front] = out.reshape(-1, 2)
+        return uv
+
+    def bearings(self, uv: Array) -> Array:
+        """Directions (n, 3) of unit length in camera axes of pixels (n, 2), distortion removed."""
+        points = np.asarray(uv, dtype=np.float64).reshape(-1, 1, 2)
+        if len(points) == 0:
+            return np.zeros((0, 3))
+        K, coefficients = self.K, self._coefficients()
+        if self.model == "fisheye":
+            flat = cv2.fisheye.undistortPoints(points, K, coefficients, criteria=_ITERATIONS)
+        else:
+            flat = cv2.undistortPoints(points, K, coefficients, criteria=_ITERATIONS)
+        rays = np.column_stack([flat.reshape(-1, 2), np.ones(len(points))])
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def undistort_maps(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(map1, map2) for `cv2.remap` (fixed point) to the picture of `undistorted()`."""
+        size_wh = (self.width_px, self.height_px)
+        make = (
+            cv2.fisheye.initUndistortRectifyMap
+            if self.model == "fisheye"
+            else (cv2.initUndistortRectifyMap)
+        )
+        maps = make(self.K, self._coefficients(), np.eye(3), self.K, size_wh, cv2.CV_16SC2)
+        return cast("tuple[NDArray[Any], NDArray[Any]]", tuple(maps))
+
+    def _coefficients(self) -> Array:
+        return np.array(self.distortion if self.distortion else (0.0,) * 4)

@@ -1,0 +1,205 @@
+"""From a homography onto the map to where the camera is, and how sure that is.
+
+Map pixels are those of one zoom level, u east and v south; `px_per_m` is (east, north), which
+differ on a web-mercator map. Angles are clockwise positive as seen from above.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vwnav.geometry.homography import transform_points
+from vwnav.geometry.rectify import Rectification
+from vwnav.geometry.uncertainty import homography_covariance, similarity_covariance
+from vwnav.types import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseErrors:
+    """One-sigma errors behind a pose.
+
+    Attributes:
+        sigma_px: of a matched pair on the map, per axis.
+        sigma_tilt_rad: of roll and of pitch.
+        sigma_georeference_m: of the map itself, per axis.
+    """
+
+    sigma_px: float = 1.0
+    sigma_tilt_rad: float = 0.017
+    sigma_georeference_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapPose:
+    """Where the camera is over the map.
+
+    Attributes:
+        nadir_px: (2,) map pixel of the ground point below the camera.
+        covariance_ne_m2: (2, 2) of north and east.
+        yaw_correction_rad: to add to the heading that was assumed.
+        scale_ratio: true AGL over the AGL that was assumed.
+    """
+
+    nadir_px: Array
+    covariance_ne_m2: Array
+    yaw_correction_rad: float
+    sigma_yaw_rad: float
+    scale_ratio: float
+    agl_m: float
+    sigma_agl_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreePose:
+    """Camera over the map when no attitude was known: all of it out of the homography.
+
+    Attributes:
+        nadir_px: (2,) map pixel below the camera.
+        agl_m: height above the plane of the map.
+        R_ned_camera: (3, 3).
+    """
+
+    nadir_px: Array
+    agl_m: float
+    R_ned_camera: Array
+
+
+def pose_from_rectified(
+    H_map_rect: Array,
+    view: Rectification,
+    uv_rect: Array,
+    uv_map: Array,
+    px_per_m: tuple[float, float],
+    errors: PoseErrors,
+) -> MapPose | None:
+    """Pose of a nadir view that was fitted to the map.
+
+    The tilt was taken from the attitude, so its error moves the nadir by AGL times itself. None
+    when the pairs do not fix the pose.
+
+    Args:
+        H_map_rect: (3, 3) homography, or similarity, from view pixels to map pixels.
+        view: the rectification that made the view.
+        uv_rect: (n, 2) view pixels of the inlier pairs the fit was made of.
+        uv_map: (n, 2) their map pixels.
+        px_per_m: (east, north) of the map level at that place.
+        errors: of matches, attitude and map.
+    """
+    is_similarity = not np.any(H_map_rect[2, :2])
+    propagate = similarity_covariance if is_similarity else homography_covariance
+    covariance_px2 = propagate(uv_rect, uv_map, H_map_rect, errors.sigma_px, view.nadir_uv)
+    turn = _turn_and_scale(H_map_rect, view.m_per_px, uv_rect, px_per_m, errors.sigma_px)
+    nadir_px = transform_points(H_map_rect, view.nadir_uv)[0]
+    if covariance_px2 is None or turn is None or not np.all(np.isfinite(nadir_px)):
+        return None
+    yaw_correction_rad, scale_ratio, sigma_relative = turn
+    agl_m = view.agl_m * scale_ratio
+    return MapPose(
+        nadir_px=nadir_px,
+        covariance_ne_m2=_covariance_ne_m2(covariance_px2, px_per_m, agl_m, errors),
+        yaw_correction_rad=yaw_correction_rad,
+        sigma_yaw_rad=sigma_relative,
+        scale_ratio=scale_ratio,
+        agl_m=agl_m,
+        sigma_agl_m=agl_m * sigma_relative,
+    )
+
+
+def pose_from_map_homography(
+    H_map_frame: Array,
+    K: Array,
+    R_ned_camera: Array,
+    uv_frame: Array,
+    uv_map: Array,
+    px_per_m: tuple[float, float],
+    errors: PoseErrors,
+) -> MapPose | None:
+    """Pose of an undistorted picture that was fitted to the map directly.
+
+    Roll and pitch of `R_ned_camera` (3, 3) are trusted within `errors.sigma_tilt_rad`; its heading
+    is only the one that `yaw_correction_rad` refers to. Other arguments as `pose_from_rectified`,
+    with picture pixels in place of view pixels. `scale_ratio` is then the AGL in metres.
+    """
+    # A view with one metre of AGL and one metre per pixel, the nadir at its origin.
+    H_rect_frame = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ (
+        R_ned_camera @ np.linalg.inv(K)
+    )
+    rays_down = np.column_stack([uv_frame, np.ones(len(uv_frame))]) @ H_rect_frame[2]
+    if np.any(rays_down <= 0.0):
+        return None
+    H_map_rect = H_map_frame @ np.linalg.inv(H_rect_frame)
+    if abs(H_map_rect[2, 2]) < 1e-12:
+        return None
+    view = Rectification(H_rect_frame, (1, 1), 1.0, np.zeros(2), 1.0)
+    uv_rect = transform_points(H_rect_frame, uv_frame)
+    return pose_from_rectified(
+        H_map_rect / H_map_rect[2, 2], view, uv_rect, uv_map, px_per_m, errors
+    )
+
+
+def pose_without_attitude(
+    H_map_frame: Array, K: Array, px_per_m: tuple[float, float]
+) -> FreePose | None:
+    """Position, AGL and attitude out of the homography alone (Zhang 2000, section 3.1).
+
+    Weak in tilt, hence in position, when the field of view is small or the pairs are few: prefer
+    an attitude where there is one. None when the homography is not that of ground below a camera.
+    """
+    # Map pixels from metres north, east of the map pixel under the optical axis.
+    origin_px = transform_points(H_map_frame, K[:2, 2])[0]
+    H_map_ne = np.array([[0.0, px_per_m[0], 0.0], [-px_per_m[1], 0.0, 0.0], [0.0, 0.0, 1.0]])
+    H_map_ne[:2, 2] = origin_px
+    if not np.all(np.isfinite(H_map_ne)) or abs(np.linalg.det(H_map_frame)) < 1e-15:
+        return None
+    columns = np.linalg.inv(K) @ np.linalg.inv(H_map_frame) @ H_map_ne
+    # The origin is in front of the camera: third coordinate positive.
+    columns *= math.copysign(1.0, columns[2, 2])
+    scale = math.sqrt(float(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1])))
+    if not scale > 0.0:
+        return None
+    columns /= scale
+    U, _, Vt = np.linalg.svd(np.column_stack([columns[:, :2], np.cross(*columns.T[:2])]))
+    if np.linalg.det(U @ Vt) < 0.0:
+        return None
+    R_camera_ned = U @ Vt
+    camera_ned = -R_camera_ned.T @ columns[:, 2]
+    if camera_ned[2] >= 0.0:
+        return None
+    nadir_px = transform_points(H_map_ne, camera_ned[:2])[0]
+    return FreePose(nadir_px, float(-camera_ned[2]), R_camera_ned.T)
+
+
+def _covariance_ne_m2(
+    covariance_px2: Array, px_per_m: tuple[float, float], agl_m: float, errors: PoseErrors
+) -> Array:
+    """Of north and east: the fit's, in metres, and the errors that no match shows."""
+    to_ne = np.array([[0.0, -1.0 / px_per_m[1]], [1.0 / px_per_m[0], 0.0]])
+    unseen_m2 = (agl_m * errors.sigma_tilt_rad) ** 2 + errors.sigma_georeference_m**2
+    return np.asarray(to_ne @ covariance_px2 @ to_ne.T + unseen_m2 * np.eye(2))
+
+
+def _turn_and_scale(
+    H_map_rect: Array,
+    m_per_px: float,
+    uv_rect: Array,
+    px_per_m: tuple[float, float],
+    sigma_px: float,
+) -> tuple[float, float, float] | None:
+    """(rotation clockwise, scale, sigma of both) of the view against the map, both in metres.
+
+    Least squares over the places of the inliers; rotation in radians and relative scale have the
+    same sigma, that of one match over the root of the summed squared distances to the middle.
+    """
+    view_m = uv_rect * m_per_px @ np.array([1.0, 1.0j])
+    map_m = transform_points(H_map_rect, uv_rect) / px_per_m @ np.array([1.0, 1.0j])
+    view_m, map_m = view_m - view_m.mean(), map_m - map_m.mean()
+    spread = float(np.sqrt(np.sum(np.abs(view_m) ** 2)))
+    if not spread > 0.0 or not np.all(np.isfinite(map_m)):
+        return None
+    turn = complex(np.sum(map_m * np.conj(view_m))) / spread**2
+    scale = abs(turn)
+    if not scale > 0.0:
+        return None
+    sigma_m = sigma_px / math.sqrt(px_per_m[0] * px_per_m[1])
+    return math.atan2(turn.imag, turn.real), scale, sigma_m / (spread * scale)

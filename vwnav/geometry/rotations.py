@@ -1,0 +1,125 @@
+"""Rotations: matrices, quaternions, Euler angles, rotation vectors.
+
+`R_a_b` takes b-coordinates to a; quaternions are `quat_wxyz`, Hamilton product, and stand for the
+same map. Euler angles are yaw about down, then pitch about right, then roll about forward (Z-Y-X).
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vwnav.types import Array
+
+_TWO_PI = 2.0 * math.pi
+
+
+def wrap_pi(angle_rad: float) -> float:
+    """The same angle within [-pi, pi)."""
+    return (angle_rad + math.pi) % _TWO_PI - math.pi
+
+
+def skew(v: ArrayLike) -> Array:
+    """Matrix (3, 3) with `skew(v) @ w == cross(v, w)`."""
+    x, y, z = np.asarray(v, dtype=np.float64)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
+    """R_ned_body (3, 3) of Z-Y-X Euler angles."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def euler_from_rotation(R_ned_body: Array) -> tuple[float, float, float]:
+    """(roll, pitch, yaw) in radians, pitch within +-pi/2; in gimbal lock roll is 0."""
+    R = R_ned_body
+    cos_pitch = math.hypot(R[0, 0], R[1, 0])
+    pitch_rad = math.atan2(-R[2, 0], cos_pitch)
+    if cos_pitch < 1e-9:
+        return 0.0, pitch_rad, math.atan2(-R[0, 1], R[1, 1])
+    return math.atan2(R[2, 1], R[2, 2]), pitch_rad, math.atan2(R[1, 0], R[0, 0])
+
+
+def quat_multiply(quat_a_wxyz: Array, quat_b_wxyz: Array) -> Array:
+    """Hamilton product (4,): the rotation b first, then a."""
+    w0, v0 = quat_a_wxyz[0], quat_a_wxyz[1:]
+    w1, v1 = quat_b_wxyz[0], quat_b_wxyz[1:]
+    vector = w0 * v1 + w1 * v0 + np.cross(v0, v1)
+    return np.array([w0 * w1 - v0 @ v1, *vector])
+
+
+def rotation_from_quat(quat_wxyz: Array) -> Array:
+    """Matrix (3, 3); the quaternion need not be of unit length.
+
+    Raises:
+        ValueError: its length is zero or not finite.
+    """
+    norm = float(np.linalg.norm(quat_wxyz))
+    if not (math.isfinite(norm) and norm > 0.0):
+        raise ValueError(f"expected a quaternion of finite length, got {quat_wxyz}")
+    w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64) / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quat_from_rotation(R: Array) -> Array:
+    """quat_wxyz (4,) of unit length with w >= 0.
+
+    Divides by the largest of the four components (Shepperd 1978), so no rotation is special.
+    """
+    squares = np.array([np.trace(R), R[0, 0], R[1, 1], R[2, 2]])
+    largest = int(np.argmax(squares))
+    quat = np.empty(4)
+    if largest == 0:
+        quat[0] = 1.0 + squares[0]
+        quat[1:] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        quat[0] = R[k, j] - R[j, k]
+        quat[1 + i] = 1.0 + R[i, i] - R[j, j] - R[k, k]
+        quat[1 + j] = R[j, i] + R[i, j]
+        quat[1 + k] = R[k, i] + R[i, k]
+    quat /= np.linalg.norm(quat)
+    return -quat if quat[0] < 0.0 else quat
+
+
+def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Array:
+    """Matrix (3, 3) that turns about the vector (3,) by its length (exponential map)."""
+    v = np.asarray(rotation_vector_rad, dtype=np.float64)
+    half_angle = 0.5 * float(np.linalg.norm(v))
+    # np.sinc keeps the limit at zero: sin(x) / x with x = pi * argument.
+    return rotation_from_quat(
+        np.array([math.cos(half_angle), *(0.5 * np.sinc(half_angle / math.pi) * v)])
+    )
+
+
+def vector_from_rotation(R: Array) -> Array:
+    """Rotation vector (3,) with length within [0, pi] (logarithmic map)."""
+    quat = quat_from_rotation(R)
+    sin_half = float(np.linalg.norm(quat[1:]))
+    if sin_half < 1e-12:
+        return 2.0 * quat[1:]
+    angle_rad = 2.0 * math.atan2(sin_half, quat[0])
+    return np.asarray(quat[1:] * (angle_rad / sin_half))
+
+
+def slerp(quat0_wxyz: Array, quat1_wxyz: Array, fraction: float) -> Array:
+    """Rotation (4,) on the short way from `quat0` (fraction 0) to `quat1` (fraction 1), w >= 0."""
+    R0 = rotation_from_quat(quat0_wxyz)
+    step = vector_from_rotation(R0.T @ rotation_from_quat(quat1_wxyz))
+    return quat_from_rotation(R0 @ rotation_from_vector(fraction * step))
