@@ -1,0 +1,223 @@
+import contextlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.errors import RouteError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.guidance.missions import GlobalWaypoint, LocalWaypoint, load_route
+
+HOME = [47.397742, 8.545594, 488.0]
+IN_ORDER = [[47.398, 8.546, 50.0], [47.399, 8.546, 50.0], [47.399, 8.547, 55.0]]
+
+
+def item(command: int, place: list[float | None] | None = None, frame: int = 3) -> dict:
+    params = [0, 0, 0, None, *(place or [0, 0, 0])]
+    return {
+        "type": "SimpleItem",
+        "command": command,
+        "frame": frame,
+        "params": params,
+        "autoContinue": True,
+        "doJumpId": 1,
+    }
+
+
+def plan(items: list[dict], home: list[float] | None = HOME) -> dict:
+    mission = {"items": items, "plannedHomePosition": home, "firmwareType": 12, "vehicleType": 2}
+    return {"fileType": "Plan", "groundStation": "QGroundControl", "mission": mission, "version": 1}
+
+
+def survey(items: list[dict]) -> dict:
+    return {
+        "type": "ComplexItem",
+        "complexItemType": "survey",
+        "TransectStyleComplexItem": {"Items": items, "VisualTransectPoints": []},
+        "polygon": [[47.39, 8.54], [47.4, 8.54], [47.4, 8.55]],
+    }
+
+
+def line(coordinates: list[list[float]], kind: str = "LineString") -> dict:
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}}
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def file(name: str, content: object) -> Path:
+        path = tmp_path / name
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+        return path
+
+    return file
+
+
+def refused(path: Path, frame: str = "local") -> str:
+    with pytest.raises(RouteError) as caught:
+        load_route(path, frame)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    assert len(message) < 400
+    return message
+
+
+def test_plan_gives_its_waypoints_and_home(write) -> None:
+    items = [item(22, [None, None, 20]), *(item(16, p) for p in IN_ORDER), item(20)]
+    route = load_route(write("route.plan", plan(items)))
+    assert route.waypoints == tuple(GlobalWaypoint(*p) for p in IN_ORDER)
+    assert route.home == (HOME[0], HOME[1])
+
+
+def test_survey_gives_its_nested_waypoints_in_order(write) -> None:
+    nested = [item(16, IN_ORDER[1]), item(206), item(16, IN_ORDER[2]), item(206)]
+    route = load_route(write("route.plan", plan([item(16, IN_ORDER[0]), survey(nested)])))
+    assert route.waypoints == tuple(GlobalWaypoint(*p) for p in IN_ORDER)
+
+
+def test_altitude_above_sea_level_counts_from_home(write) -> None:
+    route = load_route(write("route.plan", plan([item(16, [47.398, 8.546, 548.0], frame=0)])))
+    assert route.waypoints[0].height_m == pytest.approx(60.0)
+
+
+def test_landing_place_is_flown_over_and_landing_anywhere_is_not(write) -> None:
+    items = [item(16, IN_ORDER[0]), item(21, [47.4, 8.55, 0])]
+    route = load_route(write("route.plan", plan(items)))
+    assert route.waypoints[1] == GlobalWaypoint(47.4, 8.55, 50.0)
+    assert len(load_route(write("b.plan", plan([items[0], item(21)]))).waypoints) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (plan([]), "no waypoints"),
+        (plan([item(22)]), "no waypoints"),
+        (plan([item(16, [95.0, 8.5, 50.0])]), "not on the globe"),
+        (plan([item(16, [47.0, 8.5, 5000.0])]), "height 5000"),
+        (plan([item(16, [47.0, 8.5, 0.0])]), "height 0"),
+        (plan([item(16, [None, 8.5, 50.0])]), "latitude"),
+        (plan([item(16, ["47", 8.5, 50.0])]), "expected a number"),
+        (plan([item(17, IN_ORDER[0])]), "command 17"),
+        (plan([item(16, IN_ORDER[0], frame=10)]), "make it relative"),
+        (plan([item(16, IN_ORDER[0], frame=0)], home=None), "plannedHomePosition"),
+        (plan([{"type": "SimpleItem", "command": 16, "frame": 3, "params": [1]}]), "seven params"),
+        (plan([{"type": "ComplexItem", "complexItemType": "StructureScan"}]), "StructureScan"),
+        (plan([{"type": "Other"}]), "unknown type"),
+        (plan(IN_ORDER, home=[1.0]), "plannedHomePosition"),
+        ({"fileType": "Plan", "mission": {}}, "without mission items"),
+        ({"fileType": "GeoFence"}, "not a QGroundControl plan"),
+        ("{", "not JSON"),
+        ("[" * 100_000, "not JSON"),
+        (json.dumps(plan([item(16, [47.0, float("nan"), 50.0])])), "longitude is nan"),
+        (json.dumps(plan([item(16, [47.0, 8.5, float("inf")])])), "height is inf"),
+        (json.dumps(plan([item(16, [47.0, 10**400, 50.0])])), "longitude"),
+    ],
+)
+def test_senseless_plan_is_refused_in_one_line(write, content: object, message: str) -> None:
+    assert message in refused(write("route.plan", content))
+
+
+def test_line_string_gives_waypoints_lon_lat_height(write) -> None:
+    coordinates = [[8.546, 47.398, 50.0], [8.547, 47.399]]
+    for content in (
+        line(coordinates),
+        line(coordinates)["geometry"],
+        {"type": "FeatureCollection", "features": [line(coordinates)]},
+    ):
+        route = load_route(write("route.geojson", content))
+        assert route.waypoints[0] == GlobalWaypoint(47.398, 8.546, 50.0)
+        assert route.waypoints[1] == GlobalWaypoint(47.399, 8.547, None)
+        assert route.home is None
+
+
+def test_points_are_flown_in_the_order_of_the_file(write) -> None:
+    features = [line([lon, lat, h], "Point") for lat, lon, h in IN_ORDER]
+    content = {"type": "FeatureCollection", "features": features}
+    route = load_route(write("route.json", content))
+    assert route.waypoints == tuple(GlobalWaypoint(*p) for p in IN_ORDER)
+
+
+def test_json_may_be_a_plan_too(write) -> None:
+    assert load_route(write("route.json", plan([item(16, IN_ORDER[0])]))).home is not None
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (line([]), "no waypoints"),
+        (line([[47.398, 98.5]]), "not on the globe"),
+        (line([[8.5]]), "lon, lat"),
+        (line([[8.5, None]]), "latitude"),
+        (line([[[8.5, 47.0]]], "Polygon"), "'Polygon' is no route"),
+        ({"type": "FeatureCollection"}, "without features"),
+        ({"type": "Feature", "geometry": None}, "without geometry"),
+        ({"type": "Topology"}, "'Topology' is no route"),
+        ([1, 2], "neither"),
+        ("3", "neither"),
+        ('{"type": "Point", "coordinates": [NaN, 47.0]}', "longitude is nan"),
+    ],
+)
+def test_senseless_geojson_is_refused_in_one_line(write, content: object, message: str) -> None:
+    assert message in refused(write("route.geojson", content))
+
+
+def test_thesis_text_is_north_east_height_or_latitude_longitude_height(write) -> None:
+    path = write("route.txt", "1,10,-20.5,30\n\n 2 , 0, 1e1, 40\n")
+    assert load_route(path).waypoints == (LocalWaypoint(10, -20.5, 30), LocalWaypoint(0, 10, 40))
+    assert load_route(path, "global").waypoints[0] == GlobalWaypoint(10, -20.5, 30)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "no waypoints"),
+        ("ID,X,Y,Z\n1,2,3,4\n", "line 1: X is 'X'"),
+        ("1,2,3\n", "line 1: expected ID,X,Y,Z"),
+        ("1,2,3,4\n1,5,6,7\n", "line 2: the ID '1' is there already"),
+        ("1,2,nan,4\n", "Y is nan"),
+        ("1,inf,3,4\n", "X is inf"),
+        ("1,2,3,-4\n", "height -4"),
+        ("1,2,3,99999\n", "height 99999"),
+        ("1,2,3e9,50\n", "100 km"),
+        (",2,3,4\n", "expected ID"),
+    ],
+)
+def test_senseless_text_is_refused_in_one_line(write, content: str, message: str) -> None:
+    assert message in refused(write("route.txt", content))
+
+
+def test_latitude_out_of_range_in_text_is_refused(write) -> None:
+    assert "not on the globe" in refused(write("route.txt", "1,95.0,8.5,50\n"), "global")
+
+
+def test_other_kinds_missing_binary_and_huge_files_are_refused(write, tmp_path: Path) -> None:
+    assert ".plan" in refused(write("route.kml", "<kml/>"))
+    assert "cannot read" in refused(tmp_path / "none.plan")
+    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x80")
+    assert "not a text file" in refused(tmp_path / "binary.txt")
+    assert "10 MB" in refused(write("huge.txt", " " * 10_000_001))
+    assert "10000 waypoints" in refused(
+        write("many.txt", "".join(f"{i},1,2,3\n" for i in range(10_001)))
+    )
+
+
+@given(st.binary(max_size=200), st.sampled_from(["a.plan", "a.geojson", "a.json", "a.txt"]))
+def test_any_bytes_give_a_route_or_one_clear_line(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, name: str
+) -> None:
+    path = tmp_path_factory.mktemp("route") / name
+    path.write_bytes(content)
+    with contextlib.suppress(RouteError):
+        assert load_route(path).waypoints
+
+
+def test_routes_become_metres_north_east_down_of_home(write) -> None:
+    frame = LocalFrame(*HOME)
+    local = load_route(write("a.txt", "1,10,20,30\n")).to_ned(frame, 50.0)
+    np.testing.assert_array_equal(local, [[10.0, 20.0, -30.0]])
+    content = line([[HOME[1], HOME[0] + 0.001], [HOME[1], HOME[0], 70.0]])
+    route = load_route(write("a.geojson", content)).to_ned(frame, 50.0)
+    np.testing.assert_allclose(route, [[111.2, 0.0, -50.0], [0.0, 0.0, -70.0]], atol=0.1)

@@ -1,0 +1,107 @@
+"""Routes out of QGroundControl's `.plan` files.
+
+Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. Command and
+frame numbers are MAVLink's MAV_CMD and MAV_FRAME.
+"""
+
+from typing import Any
+
+from vwnav.errors import RouteError
+from vwnav.guidance.waypoints import GlobalWaypoint, RouteFields, number
+
+_WAYPOINT, _RETURN, _LAND, _TAKEOFF = 16, 20, 21, 22
+_FIRST_COMMAND_WITHOUT_PLACE = 112  # MAV_CMD_CONDITION_DELAY; DO commands come after it
+_AMSL_FRAMES, _HOME_FRAMES = (0, 5), (3, 6)
+
+
+def parse(content: Any) -> RouteFields:
+    """Waypoints of a plan, surveys included.
+
+    Take-off (straight up from home), return and conditions, camera and gimbal commands are not
+    places and add none; a landing place is flown over at the height before it.
+
+    Raises:
+        RouteError: it is no plan, or holds items that cannot be flown.
+    """
+    if not isinstance(content, dict) or content.get("fileType") != "Plan":
+        raise RouteError("not a QGroundControl plan (fileType is not Plan)")
+    mission = content.get("mission")
+    items = mission.get("items") if isinstance(mission, dict) else None
+    if not isinstance(mission, dict) or not isinstance(items, list):
+        raise RouteError("a plan without mission items")
+    home = _home(mission.get("plannedHomePosition"))
+    waypoints: list[GlobalWaypoint] = []
+    for index, item in enumerate(_simple_items(items), start=1):
+        try:
+            waypoint = _waypoint(item, home[2] if home else None, waypoints)
+        except RouteError as error:
+            raise RouteError(f"mission item {index}: {error}") from error
+        if waypoint is not None:
+            waypoints.append(waypoint)
+    return RouteFields([*waypoints], home[:2] if home else None)
+
+
+def _home(position: Any) -> tuple[float, float, float] | None:
+    if position is None:
+        return None
+    if not isinstance(position, list) or len(position) != 3:
+        raise RouteError("plannedHomePosition is not lat, lon, altitude")
+    lat_deg, lon_deg, alt_amsl_m = (number(value, "home position") for value in position)
+    GlobalWaypoint(lat_deg, lon_deg, None)
+    return lat_deg, lon_deg, alt_amsl_m
+
+
+def _simple_items(items: list[Any]) -> list[dict[str, Any]]:
+    """All simple items in order, those nested in surveys among them."""
+    simple: list[dict[str, Any]] = []
+    for item in items:
+        kind = item.get("type") if isinstance(item, dict) else None
+        if kind == "SimpleItem":
+            simple.append(item)
+        elif kind == "ComplexItem":
+            simple += _nested_items(item)
+        else:
+            raise RouteError(f"a mission item of unknown type {str(kind)[:40]!r}")
+    return simple
+
+
+def _nested_items(item: dict[str, Any]) -> list[dict[str, Any]]:
+    transects = item.get("TransectStyleComplexItem")
+    nested = transects.get("Items") if isinstance(transects, dict) else None
+    if not isinstance(nested, list) or not all(
+        isinstance(one, dict) and one.get("type", "SimpleItem") == "SimpleItem" for one in nested
+    ):
+        kind = str(item.get("complexItemType"))[:40]
+        raise RouteError(f"{kind!r} without its waypoints; expected a survey or corridor scan")
+    return nested
+
+
+def _waypoint(
+    item: dict[str, Any], home_amsl_m: float | None, before: list[GlobalWaypoint]
+) -> GlobalWaypoint | None:
+    """The place of an item, None when it has none."""
+    command = number(item.get("command"), "command")
+    if command in (_TAKEOFF, _RETURN) or command >= _FIRST_COMMAND_WITHOUT_PLACE:
+        return None
+    if command not in (_WAYPOINT, _LAND):
+        raise RouteError(f"command {command:g} cannot be flown; use plain waypoints")
+    params = item.get("params")
+    if not isinstance(params, list) or len(params) != 7:
+        raise RouteError("expected seven params")
+    if command == _LAND and (params[4] or 0, params[5] or 0) == (0, 0):
+        return None  # MAVLink: land where you are
+    lat_deg, lon_deg = number(params[4], "latitude"), number(params[5], "longitude")
+    if command == _LAND:
+        return GlobalWaypoint(lat_deg, lon_deg, before[-1].height_m if before else None)
+    height_m = _height_m(number(params[6], "height"), item.get("frame"), home_amsl_m)
+    return GlobalWaypoint(lat_deg, lon_deg, height_m)
+
+
+def _height_m(altitude_m: float, frame: Any, home_amsl_m: float | None) -> float:
+    if frame in _HOME_FRAMES:
+        return altitude_m
+    if frame not in _AMSL_FRAMES:
+        raise RouteError(f"altitude frame {str(frame)[:40]} cannot be flown; make it relative")
+    if home_amsl_m is None:
+        raise RouteError("altitude above sea level without plannedHomePosition; make it relative")
+    return altitude_m - home_amsl_m
