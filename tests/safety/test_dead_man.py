@@ -1,0 +1,116 @@
+"""The sequence of the dead-man, without processes: silence, zero velocity, Hold, Land."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.safety.dead_man import Action, DeadMan, VehicleView
+from vwnav.safety.keepalive import Beat, GuardState
+from vwnav.types import FlightMode
+
+OFFBOARD = VehicleView(FlightMode.OFFBOARD, True, True)
+
+
+def beating(mode: FlightMode = FlightMode.OFFBOARD, engaged: bool = True) -> DeadMan:
+    guard = DeadMan()
+    guard.handle_vehicle(VehicleView(mode, True, True))
+    guard.handle_beat(Beat(engaged, 1, 100), 0.0)
+    return guard
+
+
+def run(guard: DeadMan, start_s: float, end_s: float) -> list[tuple[float, Action]]:
+    done = []
+    for i in range(int(start_s * 50), int(end_s * 50)):
+        action = guard.step(i / 50)
+        if action is Action.HOLD:
+            guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, guard.vehicle.position_ok))
+        elif action is Action.LAND:
+            guard.handle_vehicle(VehicleView(FlightMode.LAND, True, guard.vehicle.position_ok))
+        if action is not None:
+            done.append((i / 50, action))
+    return done
+
+
+def test_silence_leads_to_zero_velocity_then_hold_then_land_then_quiet():
+    done = run(beating(), 0.0, 20.0)
+    kinds = list(dict.fromkeys(action for _, action in done))
+    assert kinds == [Action.ZERO_VELOCITY, Action.HOLD, Action.LAND]
+    assert 0.5 < done[0][0] < 0.6
+    assert [t for t, a in done if a is Action.HOLD] == [pytest.approx(1.54, abs=0.03)]
+    assert done[-1] == (pytest.approx(4.04, abs=0.03), Action.LAND)
+
+
+def test_a_beating_navigator_is_left_alone():
+    guard = beating()
+    for i in range(100):
+        guard.handle_beat(Beat(True, i, 100), i * 0.1)
+        assert guard.step(i * 0.1 + 0.05) is None
+
+
+@given(st.sampled_from(FlightMode), st.booleans(), st.booleans())
+def test_nothing_is_done_for_a_navigator_that_does_not_claim_the_aircraft(mode, armed, position):
+    guard = beating(engaged=False)
+    guard.handle_vehicle(VehicleView(mode, armed, position))
+    assert run(guard, 0.0, 5.0) == []
+
+
+@given(st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION]), st.floats(0, 8))
+def test_whoever_else_takes_the_aircraft_keeps_it(mode, when_s):
+    guard = beating()
+    run(guard, 0.0, when_s)
+    guard.handle_vehicle(VehicleView(mode, True, True))
+    assert run(guard, when_s, when_s + 10.0) == []
+
+
+def test_a_pilot_who_chose_hold_is_not_landed_under():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, True))
+    assert run(guard, 0.0, 10.0) == []
+
+
+def test_a_takeoff_without_navigator_is_held_and_landed():
+    done = run(beating(FlightMode.TAKEOFF), 0.0, 10.0)
+    assert [action for _, action in done] == [Action.HOLD, Action.LAND]
+
+
+def test_a_hold_that_the_navigator_asked_for_ends_in_a_landing():
+    done = run(beating(FlightMode.HOLD), 0.0, 10.0)
+    assert [action for _, action in done] == [Action.LAND]
+
+
+def test_without_a_position_it_lands_at_once():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, True, False))
+    assert Action.HOLD not in [action for _, action in run(guard, 0.0, 3.0)]
+    assert guard.state is GuardState.LANDING
+
+
+def test_a_refused_hold_becomes_a_landing():
+    guard = beating()
+    actions = {guard.step(i / 50) for i in range(78)}
+    assert Action.HOLD in actions
+    guard.handle_answer(False, 1.6)
+    assert guard.step(1.6) is Action.LAND
+
+
+def test_a_command_without_effect_is_repeated_twice_a_second():
+    guard = beating()
+    holds = [i / 50 for i in range(200) if guard.step(i / 50) is Action.HOLD]
+    assert holds == pytest.approx([1.54, 2.04, 2.54, 3.04, 3.54], abs=0.05)
+
+
+def test_a_late_beat_does_not_regain_the_aircraft_but_a_new_claim_does():
+    guard = beating()
+    run(guard, 0.0, 1.0)
+    guard.handle_beat(Beat(True, 2, 100), 1.0)
+    assert guard.blocks_setpoints
+    guard.handle_beat(Beat(False, 3, 101), 1.0)
+    assert guard.blocks_setpoints
+    guard.handle_beat(Beat(True, 4, 101), 1.0)
+    assert guard.state is GuardState.RELAY
+
+
+def test_on_the_ground_silence_means_nothing():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, False, True))
+    assert run(guard, 0.0, 5.0) == []

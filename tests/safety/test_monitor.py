@@ -1,0 +1,254 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vwnav.safety.monitor import Action, Decision, SafetyConfig, SafetyMonitor
+from vwnav.types import Estimate, FlightMode, VehicleState
+
+CONFIG = SafetyConfig()
+STEP_S = 0.5
+VEHICLE = VehicleState(
+    t_s=0.0,
+    connected=True,
+    armed=True,
+    in_air=True,
+    mode=FlightMode.OFFBOARD,
+    attitude=None,
+    height_m=50.0,
+    height_t_s=0.0,
+    rangefinder_m=None,
+    battery_ratio=0.9,
+    rc_available=True,
+    local_position_ok=True,
+    armable=True,
+    heartbeat_age_s=0.3,
+)
+
+
+def estimate(t_s: float, sigma_m: float = 1.0, fix_age_s: float | None = 0.5) -> Estimate:
+    return Estimate(
+        t_s=t_s,
+        position_ned_m=np.zeros(3),
+        velocity_ned_m_s=np.zeros(3),
+        covariance=np.diag(np.full(6, sigma_m**2)),
+        quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
+        sigma_yaw_rad=0.05,
+        agl_m=50.0,
+        sigma_agl_m=2.0,
+        t_last_fix_s=None if fix_age_s is None else t_s - fix_age_s,
+        reset_counter=0,
+    )
+
+
+class Flight:
+    """A monitor and its clock; `fly` keeps one state of things for a time."""
+
+    def __init__(self, config: SafetyConfig = CONFIG) -> None:
+        self.monitor = SafetyMonitor(config)
+        self.t_s = 0.0
+
+    def fly(
+        self,
+        seconds: float = STEP_S,
+        sigma_m: float = 1.0,
+        fix_age_s: float | None = 0.5,
+        **vehicle,
+    ) -> Decision:
+        for _ in range(max(round(seconds / STEP_S), 1)):
+            self.t_s += STEP_S
+            now = estimate(self.t_s, sigma_m, fix_age_s)
+            decision = self.monitor.step(now, replace(VEHICLE, **vehicle), self.t_s)
+        return decision
+
+
+def test_all_well_means_navigate() -> None:
+    assert Flight().fly(60.0) == Decision(Action.NAVIGATE, "", may_travel=True)
+
+
+def test_before_the_first_fix_there_is_no_travelling_but_also_no_alarm() -> None:
+    decision = Flight().fly(60.0, sigma_m=500.0, fix_age_s=None)
+    assert decision == Decision(Action.NAVIGATE, "", may_travel=False)
+
+
+@pytest.mark.parametrize(
+    "mode", set(FlightMode) - {FlightMode.OFFBOARD, FlightMode.UNKNOWN}, ids=lambda m: m.value
+)
+def test_any_other_mode_after_ours_releases_at_once(mode: FlightMode) -> None:
+    flight = Flight()
+    flight.fly()
+    assert flight.fly(mode=mode).action is Action.RELEASE
+
+
+def test_take_off_and_the_hold_after_it_are_ours() -> None:
+    flight = Flight()
+    for mode in (FlightMode.MANUAL, FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.HOLD):
+        assert flight.fly(mode=mode, fix_age_s=None).action is Action.NAVIGATE
+    assert flight.fly(mode=FlightMode.MANUAL, fix_age_s=None).action is Action.RELEASE
+
+
+def test_a_mode_without_name_releases_only_when_it_stays() -> None:
+    flight = Flight()
+    flight.fly()
+    assert flight.fly(0.5, mode=FlightMode.UNKNOWN).action is Action.NAVIGATE
+    assert flight.fly(0.5).action is Action.NAVIGATE
+    assert flight.fly(2.0, mode=FlightMode.UNKNOWN).action is Action.RELEASE
+
+
+def test_release_ends_with_the_word_of_the_pilot_alone() -> None:
+    flight = Flight()
+    flight.fly()
+    flight.fly(mode=FlightMode.MANUAL)
+    # PX4 goes back to Offboard by itself: that is nobody's word.
+    assert flight.fly(30.0, mode=FlightMode.OFFBOARD).action is Action.RELEASE
+    flight.monitor.resume()
+    assert flight.fly(mode=FlightMode.MANUAL).action is Action.NAVIGATE
+    assert flight.fly(mode=FlightMode.OFFBOARD).action is Action.NAVIGATE
+    assert flight.fly(mode=FlightMode.HOLD).action is Action.RELEASE
+
+
+def test_low_battery_returns_and_critical_lands_for_good() -> None:
+    flight = Flight()
+    assert flight.fly(60.0, battery_ratio=0.26).action is Action.NAVIGATE
+    assert flight.fly(3.0, battery_ratio=0.2).action is Action.RETURN
+    assert flight.fly(3.0, battery_ratio=0.5).action is Action.RETURN
+    assert flight.fly(3.0, battery_ratio=0.1).action is Action.LAND
+    assert flight.fly(60.0, battery_ratio=0.9).action is Action.LAND
+
+
+def test_sagging_voltage_and_unknown_battery_change_nothing() -> None:
+    flight = Flight()
+    assert flight.fly(1.0, battery_ratio=0.05).action is Action.NAVIGATE
+    assert flight.fly(1.0, battery_ratio=0.5).action is Action.NAVIGATE
+    assert flight.fly(60.0, battery_ratio=None).action is Action.NAVIGATE
+
+
+def test_low_battery_before_the_first_fix_lands_where_it_climbed() -> None:
+    assert Flight().fly(5.0, battery_ratio=0.2, fix_age_s=None).action is Action.LAND
+
+
+def test_silent_autopilot_holds_then_lands() -> None:
+    flight = Flight()
+    assert flight.fly(heartbeat_age_s=1.5).action is Action.NAVIGATE
+    assert flight.fly(heartbeat_age_s=4.0).action is Action.HOLD
+    assert flight.fly().action is Action.NAVIGATE
+    assert flight.fly(connected=False).action is Action.HOLD
+    assert flight.fly(heartbeat_age_s=11.0).action is Action.LAND
+    assert flight.fly().action is Action.LAND
+
+
+@pytest.mark.parametrize("bad", [{"sigma_m": 12.0}, {"fix_age_s": 20.0}])
+def test_poor_position_holds_then_returns_by_odometry(bad: dict[str, float]) -> None:
+    flight = Flight()
+    flight.fly()
+    assert flight.fly(CONFIG.hold_time_s - 1.0, **bad).action is Action.HOLD
+    assert flight.fly(2.0, **bad).action is Action.RETURN
+    assert flight.fly(30.0).action is Action.RETURN
+
+
+@pytest.mark.parametrize("sigma_m", [40.0, np.nan, np.inf])
+def test_lost_position_holds_then_lands(sigma_m: float) -> None:
+    flight = Flight()
+    flight.fly()
+    assert flight.fly(CONFIG.hold_time_s - 1.0, sigma_m=sigma_m).action is Action.HOLD
+    assert flight.fly(2.0, sigma_m=sigma_m).action is Action.LAND
+
+
+def test_position_that_recovers_goes_on_with_the_route() -> None:
+    flight = Flight()
+    flight.fly()
+    assert flight.fly(5.0, sigma_m=9.0).action is Action.HOLD
+    # Not yet: it would fall back at once.
+    assert flight.fly(5.0, sigma_m=7.0).action is Action.HOLD
+    assert flight.fly(1.0, sigma_m=5.0).action is Action.NAVIGATE
+
+
+def test_a_return_whose_position_gets_lost_holds_then_lands() -> None:
+    flight = Flight()
+    flight.fly()
+    assert flight.fly(20.0, sigma_m=12.0).action is Action.RETURN
+    assert flight.fly(10.0, sigma_m=20.0).action is Action.RETURN
+    assert flight.fly(30.0, sigma_m=50.0).action is Action.LAND
+
+
+def test_old_estimate_is_no_estimate() -> None:
+    flight = Flight()
+    flight.fly()
+    now = estimate(flight.t_s)
+    decision = flight.monitor.step(now, VEHICLE, flight.t_s + 3.0)
+    assert decision == Decision(Action.HOLD, "no position estimate", may_travel=True)
+
+
+def test_pilot_may_take_over_a_landing() -> None:
+    flight = Flight()
+    flight.fly(5.0, battery_ratio=0.05)
+    assert flight.fly(5.0, mode=FlightMode.LAND, battery_ratio=0.05).action is Action.LAND
+    assert flight.fly(mode=FlightMode.MANUAL, battery_ratio=0.05).action is Action.RELEASE
+
+
+# A machine busy with other work is no failure of a law.
+unhurried = settings(deadline=None, max_examples=40)
+troubles = st.fixed_dictionaries(
+    {
+        "mode": st.sampled_from(FlightMode),
+        "battery_ratio": st.one_of(st.none(), st.floats(0.0, 1.0)),
+        "heartbeat_age_s": st.one_of(st.floats(0.0, 30.0), st.just(float("nan"))),
+        "connected": st.booleans(),
+        "sigma_m": st.one_of(st.floats(0.0, 100.0), st.sampled_from([np.nan, np.inf])),
+        "fix_age_s": st.one_of(st.none(), st.floats(0.0, 60.0)),
+        "seconds": st.floats(0.5, 18.0),
+    }
+)
+
+
+@unhurried
+@given(st.lists(troubles, max_size=8), st.lists(troubles, min_size=1, max_size=8))
+def test_release_is_never_left_by_itself(before: list[dict], after: list[dict]) -> None:
+    flight = Flight()
+    for trouble in before:
+        flight.fly(**trouble)
+    flight.fly(mode=FlightMode.OFFBOARD)
+    flight.fly(mode=FlightMode.MANUAL)
+    assert all(flight.fly(**trouble).action is Action.RELEASE for trouble in after)
+
+
+@unhurried
+@given(st.lists(troubles, max_size=8), troubles)
+def test_the_higher_trouble_decides(before: list[dict], now: dict) -> None:
+    flight = Flight()
+    flight.fly()
+    for trouble in [*before, now]:
+        action = flight.fly(**trouble | {"mode": FlightMode.OFFBOARD}).action
+    ratio = 1.0 if now["battery_ratio"] is None else now["battery_ratio"]
+    silent = not (now["heartbeat_age_s"] <= CONFIG.link_hold_s and now["connected"])
+    lost = not now["sigma_m"] <= CONFIG.return_sigma_m and now["fix_age_s"] is not None
+    if ratio < CONFIG.battery_critical_ratio and now["seconds"] > 3.0:
+        assert action is Action.LAND
+    elif silent or lost:
+        assert action in (Action.HOLD, Action.LAND)
+
+
+@unhurried
+@given(st.lists(troubles, min_size=1, max_size=10))
+def test_landing_is_only_given_up_to_a_pilot(history: list[dict]) -> None:
+    flight, landing = Flight(), False
+    for trouble in history:
+        action = flight.fly(**trouble).action
+        assert not landing or action in (Action.LAND, Action.RELEASE)
+        landing = landing or action is Action.LAND
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"hold_sigma_m": -1.0}, "hold_sigma_m"),
+        ({"battery_critical_ratio": 0.5}, "battery_low_ratio"),
+        ({"link_hold_s": 20.0}, "link_land_s"),
+        ({"hold_time_s": float("nan")}, "hold_time_s"),
+    ],
+)
+def test_senseless_thresholds_are_refused(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SafetyConfig(**changes)

@@ -1,0 +1,220 @@
+"""The ways to an autopilot: UDP both ways round, TCP, serial port; all without blocking."""
+
+import contextlib
+import os
+import socket
+import time
+from dataclasses import dataclass
+from typing import Literal, Protocol
+from urllib.parse import urlsplit
+
+from vwnav.errors import LinkError
+
+LinkKind = Literal["udpin", "udpout", "tcpout", "serial"]
+_ALIASES: dict[str, LinkKind] = {
+    "udpin": "udpin",
+    "udp": "udpin",
+    "udpout": "udpout",
+    "tcpout": "tcpout",
+    "tcp": "tcpout",
+    "serial": "serial",
+}
+_EXAMPLES = (
+    "udpin://0.0.0.0:14540, udpout://HOST:PORT, tcpout://HOST:PORT or serial:///dev/ttyAMA0:921600"
+)
+_READ_BYTES = 4096
+_UNSENT_LIMIT_BYTES = 65536
+_CONNECT_TIMEOUT_S = 5.0
+_REOPEN_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkAddress:
+    """Where the autopilot is: `place` is a host or a device, `number` a port or a baud rate."""
+
+    kind: LinkKind
+    place: str
+    number: int
+
+
+def parse_link(url: str) -> LinkAddress:
+    """Read a connection URL as MAVSDK writes them.
+
+    Raises:
+        LinkError: it is none.
+    """
+    scheme, _, rest = url.partition("://")
+    kind = _ALIASES.get(scheme)
+    place, _, number = rest.rpartition(":")
+    if kind is None or not number.isdecimal() or (kind != "udpin" and not place):
+        raise LinkError(f"{url!r} is no connection: give {_EXAMPLES}")
+    if kind != "serial":
+        place = urlsplit(f"//{place}").hostname or "0.0.0.0"
+        if not 0 < int(number) < 65536:
+            raise LinkError(f"{url!r} has no port between 1 and 65535: give {_EXAMPLES}")
+    return LinkAddress(kind, place, int(number))
+
+
+class Link(Protocol):
+    """A way to the autopilot."""
+
+    def fileno(self) -> int:
+        """Its descriptor, -1 while it is down."""
+        ...
+
+    def read(self) -> bytes:
+        """What has arrived; empty when nothing has."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send, or drop when the way is down."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+def open_link(address: LinkAddress) -> Link:
+    """Open the way.
+
+    Raises:
+        LinkError: it cannot be opened; says which and why.
+    """
+    try:
+        if address.kind in ("udpin", "udpout"):
+            return UdpLink(address)
+        return StreamLink(address)
+    except (OSError, ValueError) as error:
+        raise LinkError(_why_not_open(address, error)) from error
+
+
+def _why_not_open(address: LinkAddress, error: Exception) -> str:
+    where = f"{address.kind} {address.place}:{address.number}"
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    hint = {
+        "serial": "check the cable, the device name and that your user is in the group dialout",
+        "udpin": "is another program (a ground station, a second vwnav) using that port?",
+        "udpout": "check the address and the network",
+        "tcpout": "is the autopilot or its bridge running there?",
+    }[address.kind]
+    return f"cannot open {where}: {reason}; {hint}"
+
+
+class UdpLink:
+    """Listens and answers whoever spoke last (udpin), or calls a fixed address (udpout)."""
+
+    def __init__(self, address: LinkAddress) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._peer: tuple[str, int] | None = None
+        try:
+            if address.kind == "udpin":
+                self._socket.bind((address.place, address.number))
+            else:
+                self._peer = (socket.gethostbyname(address.place), address.number)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """One datagram."""
+        try:
+            data, self._peer = self._socket.recvfrom(_READ_BYTES)
+        except (BlockingIOError, ConnectionError):
+            return b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        """One datagram; a full queue or a peer that is not up drops it, as the air would."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._peer)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+
+class StreamLink:
+    """TCP or a serial port: a stream that may break and is opened again every second."""
+
+    def __init__(self, address: LinkAddress) -> None:
+        self._address = address
+        self._unsent = b""
+        self._retry_at_s = 0.0
+        self._port: _Port | None = _open_stream(address)
+
+    def fileno(self) -> int:
+        """Its descriptor, -1 while it is down; tries to open it again once a second."""
+        if self._port is None:
+            self._reopen()
+        return -1 if self._port is None else self._port.fileno()
+
+    def read(self) -> bytes:
+        """What has arrived; an end of the stream takes the link down."""
+        if self._port is None:
+            return b""
+        try:
+            data = os.read(self._port.fileno(), _READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._lose()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send as much as fits now and the rest with the next call; never half of `data` alone."""
+        if self._port is None or len(self._unsent) > _UNSENT_LIMIT_BYTES:
+            return
+        self._unsent += data
+        try:
+            self._unsent = self._unsent[os.write(self._port.fileno(), self._unsent) :]
+        except BlockingIOError:
+            return
+        except OSError:
+            self._lose()
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self._port is not None:
+            self._port.close()
+        self._port = None
+
+    def _lose(self) -> None:
+        self.close()
+        self._unsent = b""
+        self._retry_at_s = time.monotonic() + _REOPEN_PERIOD_S
+
+    def _reopen(self) -> None:
+        if time.monotonic() < self._retry_at_s:
+            return
+        self._retry_at_s = time.monotonic() + _REOPEN_PERIOD_S
+        with contextlib.suppress(OSError, ValueError):
+            self._port = _open_stream(self._address)
+
+
+class _Port(Protocol):
+    def fileno(self) -> int: ...
+
+    def close(self) -> None: ...
+
+
+def _open_stream(address: LinkAddress) -> _Port:
+    if address.kind == "serial":
+        import serial
+
+        # pyserial sets the line up (raw, baud rate, exclusive); reading goes past it by os.read.
+        port: _Port = serial.Serial(address.place, address.number, timeout=0, exclusive=True)
+        os.set_blocking(port.fileno(), False)
+        return port
+    connection = socket.create_connection((address.place, address.number), _CONNECT_TIMEOUT_S)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setblocking(False)
+    return connection

@@ -1,0 +1,48 @@
+"""The thresholds of the control hierarchy."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyConfig:
+    """When safety overrules the route.
+
+    Attributes:
+        battery_low_ratio, battery_critical_ratio: of the full battery: return, and land.
+        battery_time_s: below that for so long; load pulls the voltage down for moments.
+        link_hold_s: silence of the autopilot's heartbeat after which the aircraft is held.
+        link_land_s: and after which it is landed.
+        hold_sigma_m: one-sigma of the horizontal position that stops the flight.
+        resume_sigma_ratio: of `hold_sigma_m`; the flight goes on below that.
+        hold_fix_age_s: age of the last map fix that stops the flight.
+        estimate_age_s: age of the estimate itself that makes the position unusable.
+        return_sigma_m: with at most this the way home can still be found.
+        hold_time_s: holding for better times; then home, or down where the way is not known.
+        unknown_mode_s: a flight mode that nobody can name for so long is not ours.
+    """
+
+    battery_low_ratio: float = 0.25
+    battery_critical_ratio: float = 0.12
+    battery_time_s: float = 2.0
+    link_hold_s: float = 3.0  # heartbeats come once a second, and one may get lost
+    link_land_s: float = 10.0
+    hold_sigma_m: float = 8.0
+    resume_sigma_ratio: float = 0.7
+    hold_fix_age_s: float = 15.0
+    estimate_age_s: float = 1.0
+    return_sigma_m: float = 30.0
+    hold_time_s: float = 15.0
+    unknown_mode_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not 0.0 < value < 3600.0:
+                raise ValueError(f"expected {name} to be positive, got {value}")
+        for lower, upper in (
+            ("battery_critical_ratio", "battery_low_ratio"),
+            ("link_hold_s", "link_land_s"),
+            ("hold_sigma_m", "return_sigma_m"),
+        ):
+            if getattr(self, lower) > getattr(self, upper):
+                raise ValueError(f"expected {lower} to be at most {upper}")
