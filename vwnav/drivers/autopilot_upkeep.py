@@ -1,0 +1,169 @@
+"""What a link needs all the time: joined clocks, message rates, and one common origin."""
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from vwnav.drivers.autopilot_commands import CommandSender, Send
+from vwnav.drivers.telemetry_state import TelemetryState
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.safety.flight_modes import AutopilotKind, Command
+from vwnav.types import Array
+
+_log = logging.getLogger(__name__)
+_PERIOD_S = 0.2
+_RATES_CHECK_S = 2.0
+_STOP_WAIT_S = 1.0
+# MAVLink message ids and the rates that are asked for, Hz: HEARTBEAT, SYS_STATUS,
+# SCALED_PRESSURE, ATTITUDE, LOCAL_POSITION_NED, DISTANCE_SENSOR, EXTENDED_SYS_STATE.
+_RATES_HZ = {0: 5.0, 1: 5.0, 29: 20.0, 30: 50.0, 32: 5.0, 132: 10.0, 245: 5.0}
+_RATES_PX4_HZ = {230: 5.0, 436: 5.0}  # ESTIMATOR_STATUS, CURRENT_MODE
+_RATES_ARDUPILOT_HZ = {193: 5.0}  # EKF_STATUS_REPORT
+_SLOW_ATTITUDE_S = 0.3
+_CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
+_GPS_GLOBAL_ORIGIN = 49
+_ORIGIN_TRIES = 6
+_ORIGIN_PERIOD_S = 0.3
+_ORIGIN_DIFFERS_M = 0.5
+
+
+class Upkeep:
+    """A thread that asks for clocks and rates until it is closed.
+
+    Args:
+        telemetry, lock: the state and what guards it.
+    """
+
+    def __init__(
+        self,
+        send: Send,
+        commands: CommandSender,
+        telemetry: TelemetryState,
+        lock: threading.Lock,
+        clock: Callable[[], float],
+    ) -> None:
+        self._send = send
+        self._commands = commands
+        self._telemetry = telemetry
+        self._lock = lock
+        self._clock = clock
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="autopilot link", daemon=True)
+        self._thread.start()
+
+    def handle_timesync(self, _: str, fields: Mapping[str, Any], received_s: float) -> None:
+        """Answer the autopilot's question (it stamps our estimates by it), learn from answers."""
+        if fields["tc1"] == 0:
+            self._send("TIMESYNC", {"tc1": int(received_s * 1e9), "ts1": fields["ts1"]})
+            return
+        with self._lock:
+            self._telemetry.clock.handle_round_trip(
+                fields["ts1"] / 1e9, fields["tc1"] / 1e9, received_s
+            )
+
+    def close(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        self._thread.join(_STOP_WAIT_S)
+
+    def _run(self) -> None:
+        self._ask_for_rates()
+        checked_s = self._clock()
+        while not self._stop.wait(_PERIOD_S):
+            now_s = self._clock()
+            self._send("TIMESYNC", {"tc1": 0, "ts1": int(now_s * 1e9)})
+            if now_s - checked_s > _RATES_CHECK_S:
+                checked_s = now_s
+                if self._starves(now_s):  # an autopilot that restarts forgets
+                    self._ask_for_rates()
+
+    def _starves(self, now_s: float) -> bool:
+        with self._lock:
+            attitude = self._telemetry.newest_attitude
+            has_height = self._telemetry.has_height(now_s)
+        return not has_height or attitude is None or now_s - attitude.t_s > _SLOW_ATTITUDE_S
+
+    def _ask_for_rates(self) -> None:
+        px4 = self._telemetry.kind is AutopilotKind.PX4
+        for number, rate_hz in (
+            _RATES_HZ | (_RATES_PX4_HZ if px4 else _RATES_ARDUPILOT_HZ)
+        ).items():
+            params = (float(number), 1e6 / rate_hz)
+            refused = self._commands.command(Command(_CMD_MESSAGE_INTERVAL, params))
+            if refused:
+                _log.info("message %d at %.0f Hz: %s", number, rate_hz, refused)
+
+
+class OriginAgreement:
+    """Sets the autopilot's origin and finds where ours lies about the one it then has.
+
+    PX4 1.18 must have the origin before the first vision message, or its position jumps by
+    thousands of kilometres: until there is agreement, `offset_ned_m` is None.
+
+    Attributes:
+        offset_ned_m: (3,) our origin in the frame about the autopilot's.
+    """
+
+    def __init__(
+        self,
+        send: Send,
+        commands: CommandSender,
+        telemetry: TelemetryState,
+        lock: threading.Lock,
+        frame: LocalFrame,
+    ) -> None:
+        self._send = send
+        self._commands = commands
+        self._telemetry = telemetry
+        self._lock = lock
+        self._frame = frame
+        self._stop = threading.Event()
+        self.offset_ned_m: Array | None = None
+        with lock:
+            telemetry.origin = None
+        self._thread = threading.Thread(target=self._run, name="origin", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        self._thread.join(_STOP_WAIT_S)
+
+    def _run(self) -> None:
+        offset_ned_m: Array | None = None
+        for _ in range(_ORIGIN_TRIES):
+            self._send("SET_GPS_GLOBAL_ORIGIN", self._fields())
+            self._commands.command(Command(_CMD_REQUEST_MESSAGE, (float(_GPS_GLOBAL_ORIGIN),)))
+            if self._stop.wait(_ORIGIN_PERIOD_S):
+                return
+            offset_ned_m = self._offset()
+            if offset_ned_m is not None and np.linalg.norm(offset_ned_m) < _ORIGIN_DIFFERS_M:
+                break
+        if offset_ned_m is None:
+            _log.warning("the autopilot does not confirm its origin; estimates are sent anyway")
+            offset_ned_m = np.zeros(3)
+        elif np.linalg.norm(offset_ned_m) >= _ORIGIN_DIFFERS_M:
+            distance_m = np.linalg.norm(offset_ned_m)
+            _log.warning("the autopilot keeps its own origin, %.1f m from ours", distance_m)
+        self.offset_ned_m = offset_ned_m
+
+    def _offset(self) -> Array | None:
+        """Our origin about the one that the autopilot last told."""
+        with self._lock:
+            origin = self._telemetry.origin
+        if origin is None:
+            return None
+        frame = self._frame
+        return LocalFrame(*origin).to_ned(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
+
+    def _fields(self) -> dict[str, int]:
+        return {
+            "target_system": self._telemetry.system_id,
+            "latitude": round(self._frame.lat_deg * 1e7),
+            "longitude": round(self._frame.lon_deg * 1e7),
+            "altitude": round(self._frame.alt_amsl_m * 1e3),
+            "time_usec": 0,
+        }

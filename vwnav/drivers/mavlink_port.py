@@ -1,0 +1,141 @@
+"""MAVSDK as a port for single MAVLink messages: opens, subscribes, sends, closes.
+
+MAVSDK's `mavlink_direct` carries every message as JSON (null is NaN). Its callback interface is
+used, not the asyncio one on top of it: one thread hop less between the air and the attitude.
+MAVSDK's offboard plugin is left alone on purpose: it repeats the last setpoint by itself, so a hung
+control loop would go on flying. What is sent here stops when the loop stops.
+"""
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mavsdk import (  # type: ignore[import-untyped]
+    ComponentType,
+    Configuration,
+    LogLevel,
+    Mavsdk,
+    log_subscribe,
+)
+from mavsdk.plugins.mavlink_direct import (  # type: ignore[import-untyped]
+    MavlinkDirect,
+    MavlinkDirectError,
+    MavlinkDirectResult,
+    MavlinkMessage,
+)
+from mavsdk.plugins.param import Param, ParamError  # type: ignore[import-untyped]
+
+from vwnav.errors import LinkError
+
+_log = logging.getLogger(__name__)
+_mavsdk_log = logging.getLogger("mavsdk")
+_AUTOPILOT_COMPONENT = 1
+_LOOK_S = 0.25
+_LEVELS = {
+    LogLevel.DEBUG: logging.DEBUG,
+    LogLevel.INFO: logging.DEBUG,
+    LogLevel.WARN: logging.INFO,
+    LogLevel.ERROR: logging.WARNING,
+}
+_MISTAKES = (MavlinkDirectResult.INVALID_MESSAGE, MavlinkDirectResult.INVALID_FIELD)
+
+Handler = Callable[[str, Mapping[str, Any], float], None]
+
+
+def _log_line(level: LogLevel, message: str, _file: str | None, _line: int) -> bool:
+    _mavsdk_log.log(_LEVELS[level], "%s", message)
+    return True  # MAVSDK itself would print to stdout, which is for results
+
+
+class MavlinkPort:
+    """The link to one autopilot.
+
+    Args:
+        url: MAVSDK connection URL.
+        as_ground_station: call ourselves a ground station instead of a companion computer.
+        timeout_s: how long an autopilot is waited for.
+        clock: monotonic clock that stamps what is received.
+
+    Raises:
+        LinkError: the URL is wrong, or no autopilot is on the link.
+    """
+
+    def __init__(
+        self, url: str, as_ground_station: bool, timeout_s: float, clock: Callable[[], float]
+    ) -> None:
+        self._clock = clock
+        log_subscribe(_log_line)
+        role = (
+            ComponentType.GROUND_STATION if as_ground_station else ComponentType.COMPANION_COMPUTER
+        )
+        self._mavsdk = Mavsdk(Configuration.create_with_component_type(role))
+        try:
+            system = self._find_autopilot(url, timeout_s)
+            self._direct = MavlinkDirect(system)
+            self._param = Param(system)
+        except BaseException:
+            self._mavsdk.destroy()
+            raise
+        self._closed = False
+        self._closing = threading.Lock()
+
+    def subscribe(self, name: str, handler: Handler) -> None:
+        """Hand every message `name` of the autopilot to `handler`, on MAVSDK's thread."""
+
+        def receive(message: Any, _: Any) -> None:
+            received_s = self._clock()
+            if message.component_id == _AUTOPILOT_COMPONENT:
+                handler(name, json.loads(message.fields_json), received_s)
+
+        self._direct.subscribe_message(name, receive)
+
+    def send(self, name: str, fields: Mapping[str, Any]) -> None:
+        """Send one message; a link that is down or closed loses it, as the air would.
+
+        Raises:
+            ValueError: there is no such message or field.
+        """
+        message = MavlinkMessage(name, 0, 0, 0, 0, json.dumps(fields, allow_nan=False))
+        with self._closing:
+            if self._closed:
+                return
+            try:
+                self._direct.send_message(message)
+            except MavlinkDirectError as error:
+                if error.result in _MISTAKES:
+                    raise ValueError(f"{name} {fields}: {error.result.name}") from error
+                _log.debug("%s was not sent: %s", name, error.result.name)
+
+    def read_int_parameter(self, name: str) -> int | None:
+        """A PX4 integer parameter, which no float of PARAM_VALUE can carry; None without answer."""
+        try:
+            return int(self._param.get_param_int(name))
+        except ParamError as error:
+            _log.debug("parameter %s: %s", name, error)
+            return None
+
+    def close(self) -> None:
+        """Give the link back."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+        self._mavsdk.destroy()
+
+    def _find_autopilot(self, url: str, timeout_s: float) -> Any:
+        result = self._mavsdk.add_any_connection(url)
+        if result.name != "SUCCESS":
+            what = result.name.lower().replace("_", " ")
+            raise LinkError(f"cannot open the link {url}: {what}; check the URL and the device")
+        until_s = time.monotonic() + timeout_s
+        while time.monotonic() < until_s:  # in short looks, so that Ctrl-C is heard
+            system = self._mavsdk.first_autopilot(_LOOK_S)
+            if system is not None:
+                return system
+        raise LinkError(
+            f"no autopilot on {url} within {timeout_s:.0f} s: check its power, the cable, the "
+            "baud rate, and that it sends MAVLink on that port"
+        )

@@ -1,0 +1,251 @@
+"""What the autopilot's messages add up to: a `VehicleState`. No I/O; times are arguments."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vwnav.drivers.attitude_track import AttitudeTrack
+from vwnav.drivers.barometer import BarometricHeight, hectopascal
+from vwnav.drivers.boot_clock import BootClock
+from vwnav.drivers.status_text import StatusTexts
+from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
+from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.types import Attitude, FlightMode, VehicleState
+
+Fields = Mapping[str, Any]
+
+_ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
+_RC_RECEIVER, _PREARM = 0x10000, 0x10000000  # MAV_SYS_STATUS_SENSOR
+_IN_AIR = (2, 3, 4)  # MAV_LANDED_STATE: in air, taking off, landing
+_POSITION = 0x08 | 0x10  # ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS: POS_HORIZ_REL, _ABS
+_POSITION_ABSOLUTE, _CONSTANT_POSITION = 0x10, 0x80
+_PREDICTED = 0x100 | 0x200
+_DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270
+_LINK_LOST_S = 3.0
+_STALE_S = 3.0
+_RANGE_STALE_S = 0.5
+_PRESSURE_STALE_S = 0.5
+_INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
+_KEEP_ATTITUDES = 1000
+_MAX_ATTITUDE_GAP_S = 0.25
+_AHEAD_S = 0.1
+_SLOWEST_HEARTBEAT_S = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Stamped:
+    t_s: float
+    value: float
+
+
+class TelemetryState:
+    """Feed it decoded messages; not thread-safe."""
+
+    def __init__(self) -> None:
+        self.kind: AutopilotKind | None = None
+        self.system_id = 0
+        self.clock = BootClock()
+        self.texts = StatusTexts()
+        self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
+        self._attitudes = AttitudeTrack(_MAX_ATTITUDE_GAP_S, _KEEP_ATTITUDES)
+        self._heartbeats_t_s: deque[float] = deque(maxlen=5)
+        self._mode = FlightMode.UNKNOWN
+        self._commanded: tuple[FlightMode, FlightMode, float] | None = None  # new, old, when
+        self._armed = False
+        self._landed_state = 0
+        self._sensors: tuple[int, int] | None = None  # present, healthy
+        self._battery_ratio: float | None = None
+        self._estimator: tuple[float, int] | None = None  # time, flags
+        self._insane_position = False
+        self._range: _Stamped | None = None
+        self._heights: dict[str, _Stamped] = {}
+        self._barometers = {name: BarometricHeight() for name in ("SCALED_PRESSURE", "HIGHRES_IMU")}
+        self._handlers: dict[str, Callable[[Fields, float], None]] = {
+            "HEARTBEAT": self._handle_heartbeat,
+            "CURRENT_MODE": self._handle_current_mode,
+            "ATTITUDE": self._handle_attitude,
+            "SYS_STATUS": self._handle_sys_status,
+            "EXTENDED_SYS_STATE": self._handle_landed_state,
+            "ESTIMATOR_STATUS": self._handle_estimator,
+            "EKF_STATUS_REPORT": self._handle_estimator,
+            "LOCAL_POSITION_NED": self._handle_local_position,
+            "SCALED_PRESSURE": self._handle_scaled_pressure,
+            "HIGHRES_IMU": self._handle_highres_imu,
+            "DISTANCE_SENSOR": self._handle_distance,
+            "GPS_GLOBAL_ORIGIN": self._handle_origin,
+            "STATUSTEXT": self._handle_text,
+        }
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Names of the messages that are understood."""
+        return tuple(self._handlers)
+
+    @property
+    def newest_attitude(self) -> Attitude | None:
+        """The newest attitude."""
+        return self._attitudes.newest
+
+    def handle(self, name: str, fields: Fields, received_s: float) -> None:
+        """Take one message in; unknown ones do nothing."""
+        handler = self._handlers.get(name)
+        if handler is not None:
+            handler(fields, received_s)
+
+    def attitude_at(self, t_s: float) -> Attitude | None:
+        """Interpolated, or carried forward by at most 0.1 s; None where too little is known."""
+        return self._attitudes.at(t_s, _AHEAD_S)
+
+    def expect_mode(self, mode: FlightMode, t_s: float) -> None:
+        """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
+        self._commanded = (mode, self._mode, t_s)
+
+    def aiding(self, t_s: float) -> bool | None:
+        """The autopilot's filter predicts position from what we send; None when it never said.
+
+        PX4 drops it within 1 s when vision fails, 4 s before it reacts with its mode.
+        """
+        if self._estimator is None or t_s - self._estimator[0] > _STALE_S:
+            return None
+        return bool(self._estimator[1] & _PREDICTED)
+
+    def has_height(self, t_s: float) -> bool:
+        """A barometric height comes often enough."""
+        height = self._height(t_s)
+        return height is not None and t_s - height.t_s < _PRESSURE_STALE_S
+
+    def state(self, t_s: float) -> VehicleState:
+        """The snapshot at `t_s`."""
+        beat_age_s = t_s - self._heartbeats_t_s[-1] if self._heartbeats_t_s else math.inf
+        height = self._height(t_s)
+        fresh_range = self._range is not None and t_s - self._range.t_s < _RANGE_STALE_S
+        present, healthy = self._sensors or (0, 0)
+        return VehicleState(
+            t_s=t_s,
+            connected=beat_age_s < _LINK_LOST_S,
+            armed=self._armed,
+            in_air=self._landed_state in _IN_AIR or (self._landed_state == 0 and self._armed),
+            mode=self._mode_now(t_s),
+            attitude=self._attitudes.newest,
+            height_m=None if height is None else height.value,
+            height_t_s=None if height is None else height.t_s,
+            rangefinder_m=self._range.value if self._range is not None and fresh_range else None,
+            battery_ratio=self._battery_ratio,
+            rc_available=bool(present & healthy & _RC_RECEIVER),
+            local_position_ok=self._position_ok(t_s),
+            armable=bool(healthy & _PREARM) and self._can_take_off(),
+            heartbeat_age_s=beat_age_s,
+        )
+
+    def _height(self, t_s: float) -> _Stamped | None:
+        """SCALED_PRESSURE, unless it comes too seldom and HIGHRES_IMU can stand in."""
+        scaled, highres = (self._heights.get(source) for source in self._barometers)
+        if scaled is not None and t_s - scaled.t_s < _PRESSURE_STALE_S:
+            return scaled
+        return highres or scaled
+
+    def _mode_now(self, t_s: float) -> FlightMode:
+        """The heartbeat's mode, but for one that was sent before the command just accepted."""
+        if self._commanded is None:
+            return self._mode
+        commanded, old, when_s = self._commanded
+        period_s = _SLOWEST_HEARTBEAT_S
+        if len(self._heartbeats_t_s) > 1:
+            span_s = self._heartbeats_t_s[-1] - self._heartbeats_t_s[0]
+            period_s = min(period_s, span_s / (len(self._heartbeats_t_s) - 1))
+        if self._mode is not old or t_s - when_s > 1.2 * period_s + 0.1:
+            self._commanded = None
+            return self._mode
+        return commanded
+
+    def _position_ok(self, t_s: float) -> bool:
+        if self._estimator is None or t_s - self._estimator[0] > _STALE_S or self._insane_position:
+            return False
+        return bool(self._estimator[1] & _POSITION) and self._can_take_off()
+
+    def _can_take_off(self) -> bool:
+        """ArduCopter says "ready to arm" before GUIDED has the position that it needs."""
+        if self.kind is not AutopilotKind.ARDUPILOT:
+            return True
+        flags = self._estimator[1] if self._estimator is not None else 0
+        return bool(flags & _POSITION_ABSOLUTE) and not flags & _CONSTANT_POSITION
+
+    def _handle_heartbeat(self, fields: Fields, received_s: float) -> None:
+        try:
+            self.kind = AutopilotKind(fields["autopilot"])
+        except ValueError:
+            return  # a gimbal or camera that uses the autopilot's component id
+        self._heartbeats_t_s.append(received_s)
+        self._armed = bool(fields["base_mode"] & _ARMED_FLAG)
+        self._mode = flight_mode(self.kind, fields["custom_mode"])
+
+    def _handle_current_mode(self, fields: Fields, received_s: float) -> None:
+        if self.kind is not None:
+            self._mode = flight_mode(self.kind, fields["custom_mode"])
+
+    def _handle_attitude(self, fields: Fields, received_s: float) -> None:
+        boot_s = fields["time_boot_ms"] / 1e3
+        if self.clock.handle_stamp(boot_s, received_s):
+            self._attitudes.clear()
+        t_s = self.clock.to_monotonic(boot_s)
+        angles = (fields["roll"], fields["pitch"], fields["yaw"])
+        rates = (fields["rollspeed"], fields["pitchspeed"], fields["yawspeed"])
+        if t_s is None or any(value is None for value in (*angles, *rates)):
+            return  # NaN: the autopilot has no attitude yet
+        quat_wxyz = quat_from_rotation(rotation_from_euler(*angles))
+        self._attitudes.add(t_s, quat_wxyz, np.array(rates))
+
+    def _handle_sys_status(self, fields: Fields, received_s: float) -> None:
+        self._sensors = (
+            fields["onboard_control_sensors_present"],
+            fields["onboard_control_sensors_health"],
+        )
+        remaining = fields["battery_remaining"]
+        self._battery_ratio = remaining / 100.0 if remaining >= 0 else None
+
+    def _handle_landed_state(self, fields: Fields, received_s: float) -> None:
+        self._landed_state = fields["landed_state"]
+
+    def _handle_estimator(self, fields: Fields, received_s: float) -> None:
+        self._estimator = (received_s, fields["flags"])
+
+    def _handle_local_position(self, fields: Fields, received_s: float) -> None:
+        x_m, y_m = fields["x"], fields["y"]
+        self._insane_position = (
+            x_m is None or y_m is None or math.hypot(x_m, y_m) > _INSANE_POSITION_M
+        )
+
+    def _handle_scaled_pressure(self, fields: Fields, received_s: float) -> None:
+        boot_s = fields["time_boot_ms"] / 1e3
+        self._handle_pressure("SCALED_PRESSURE", boot_s, fields["press_abs"])
+
+    def _handle_highres_imu(self, fields: Fields, received_s: float) -> None:
+        if fields["abs_pressure"] is not None:
+            pressure_hpa = hectopascal(fields["abs_pressure"])
+            self._handle_pressure("HIGHRES_IMU", fields["time_usec"] / 1e6, pressure_hpa)
+
+    def _handle_pressure(self, source: str, boot_s: float, pressure_hpa: float | None) -> None:
+        t_s = self.clock.to_monotonic(boot_s)
+        if t_s is None or pressure_hpa is None or pressure_hpa <= 0.0:
+            return
+        height_m = self._barometers[source].height_m(pressure_hpa)
+        if height_m is not None:
+            self._heights[source] = _Stamped(t_s, height_m)
+
+    def _handle_distance(self, fields: Fields, received_s: float) -> None:
+        distance_cm = fields["current_distance"]
+        in_range = fields["min_distance"] <= distance_cm <= fields["max_distance"]
+        # signal_quality: 0 unknown, 1 invalid, though PX4's simulator says 1 for good ones too.
+        if fields["orientation"] == _DOWNWARD and in_range and distance_cm > 0:
+            self._range = _Stamped(received_s, distance_cm / 100.0)
+
+    def _handle_origin(self, fields: Fields, received_s: float) -> None:
+        lat_deg, lon_deg = fields["latitude"] / 1e7, fields["longitude"] / 1e7
+        self.origin = (lat_deg, lon_deg, fields["altitude"] / 1e3)
+
+    def _handle_text(self, fields: Fields, received_s: float) -> None:
+        self.texts.handle(fields, received_s)
