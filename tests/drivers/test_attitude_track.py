@@ -1,0 +1,59 @@
+"""Attitudes at exposure times."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.drivers.attitude_track import AttitudeTrack
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    quat_from_rotation,
+    rotation_from_euler,
+    rotation_from_quat,
+)
+
+
+def quat(yaw_rad: float, roll_rad: float = 0.0):
+    return quat_from_rotation(rotation_from_euler(roll_rad, 0.0, yaw_rad))
+
+
+def yaw_of(attitude) -> float:
+    return euler_from_rotation(rotation_from_quat(attitude.quat_wxyz))[2]
+
+
+@given(st.floats(0.0, 0.98))
+def test_a_steady_turn_is_interpolated_through_south(t_s):
+    track = AttitudeTrack(max_gap_s=0.1)
+    for i in range(50):
+        track.add(i * 0.02, quat(3.0 + i * 0.02))
+    expected = math.remainder(3.0 + t_s, math.tau)
+    assert math.remainder(yaw_of(track.at(t_s)) - expected, math.tau) == pytest.approx(0, abs=1e-6)
+
+
+def test_gaps_and_both_ends_are_unknown():
+    track = AttitudeTrack(max_gap_s=0.1)
+    track.add(1.0, quat(0.0))
+    track.add(2.0, quat(1.0))
+    assert track.at(0.9) is None
+    assert track.at(1.5) is None
+    assert track.at(2.1) is None
+    assert track.at(2.0) is not None
+
+
+def test_the_newest_is_carried_forward_by_its_body_rates():
+    track = AttitudeTrack(max_gap_s=0.1)
+    track.add(1.0, quat(0.5), np.array([0.0, 0.0, 2.0]))
+    assert yaw_of(track.at(1.05, ahead_s=0.1)) == pytest.approx(0.6)
+    assert track.at(1.2, ahead_s=0.1) is None
+
+
+def test_what_is_not_newer_is_dropped_and_what_is_old_forgotten():
+    track = AttitudeTrack(max_gap_s=0.1, keep=10)
+    for t_s in (*np.arange(100) * 0.01, 0.5):
+        track.add(t_s, quat(0.0))
+    assert track.newest.t_s == pytest.approx(0.99)
+    assert 10 <= len(track) <= 20
+    assert track.at(0.1) is None

@@ -1,0 +1,160 @@
+"""Recorded autopilots, message by message, through the state that the flight loop reads."""
+
+import gzip
+import struct
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from vwnav.drivers.telemetry_state import TelemetryState
+from vwnav.safety.flight_modes import AutopilotKind
+from vwnav.safety.mavlink_framing import packet_at
+from vwnav.types import FlightMode, VehicleState
+
+MAV = mavlink.MAVLink(None)
+# CURRENT_MODE is not in this dialect.
+UNDERSTOOD = {
+    number
+    for number, kind in mavlink.mavlink_map.items()
+    if kind.msgname in TelemetryState().messages
+}
+
+
+def messages(path):
+    """(seconds since the start, message) of what the autopilot said in a recording."""
+    data, at, start_s = gzip.decompress(path.read_bytes()), 0, None
+    while at + 8 < len(data):
+        t_s = struct.unpack_from(">Q", data, at)[0] / 1e6
+        packet = packet_at(data, at + 8)
+        at += 8 + len(packet.data)
+        start_s = t_s if start_s is None else start_s
+        if packet.component_id == 1 and packet.message_id in UNDERSTOOD:
+            yield t_s - start_s, MAV.decode(bytearray(packet.data))
+
+
+def replay(path) -> list[tuple[float, VehicleState, bool | None]]:
+    """States ten times a second; NaN comes as None, as MAVSDK hands it over."""
+    telemetry, states, next_s = TelemetryState(), [], 0.0
+    for t_s, message in messages(path):
+        values = {name: getattr(message, name) for name in message.fieldnames}
+        fields = {name: None if value != value else value for name, value in values.items()}
+        telemetry.handle(message.get_type(), fields, t_s)
+        if t_s >= next_s and telemetry.kind is not None:
+            states.append((t_s, telemetry.state(t_s), telemetry.aiding(t_s)))
+            next_s = t_s + 0.1
+    return states
+
+
+def modes(states) -> list[FlightMode]:
+    seen = [state.mode for _, state, _ in states]
+    return [mode for i, mode in enumerate(seen) if i == 0 or mode is not seen[i - 1]]
+
+
+@pytest.fixture(scope="module")
+def vision_flight(data):
+    return replay(data / "mavlink/px4-1.18_vpe_nogps_from_boot.tlog.gz")
+
+
+@pytest.fixture(scope="module")
+def copter_flight(data):
+    return replay(data / "mavlink/arducopter-4.7dev_extnav_nogps.tlog.gz")
+
+
+def at(states, t_s: float):
+    return next((state, aiding) for t, state, aiding in states if t >= t_s)
+
+
+def test_px4_modes_are_named_descend_included(vision_flight):
+    assert modes(vision_flight) == [
+        FlightMode.HOLD,
+        FlightMode.TAKEOFF,
+        FlightMode.HOLD,
+        FlightMode.OFFBOARD,
+        FlightMode.DESCEND,
+        FlightMode.OFFBOARD,
+        FlightMode.LAND,
+        FlightMode.OFFBOARD,
+    ]
+
+
+def test_copter_modes_are_named(copter_flight):
+    wanted = [FlightMode.MANUAL, FlightMode.OFFBOARD, FlightMode.LAND]
+    assert modes(copter_flight) == [*wanted, FlightMode.OFFBOARD, FlightMode.LAND]
+
+
+def test_readiness_flickers_as_recorded_and_position_follows_vision(vision_flight):
+    assert not at(vision_flight, 5.0)[0].local_position_ok
+    assert at(vision_flight, 13.5)[0].armable
+    assert not at(vision_flight, 18.0)[0].armable
+    state = at(vision_flight, 23.0)[0]
+    assert state.armable
+    assert state.local_position_ok
+
+
+def test_the_loss_of_vision_shows_in_aiding_before_the_position_goes(vision_flight):
+    assert at(vision_flight, 58.0)[1] is True  # vision stops at 59.8 s
+    state, aiding = at(vision_flight, 61.0)
+    assert aiding is False
+    assert state.local_position_ok
+    assert state.mode is FlightMode.OFFBOARD
+    assert not at(vision_flight, 65.0)[0].local_position_ok
+
+
+def test_height_comes_from_pressure_and_agrees_with_the_rangefinder(vision_flight):
+    for t_s in (35.0, 45.0, 55.0):
+        state = at(vision_flight, t_s)[0]
+        assert state.height_m == pytest.approx(state.rangefinder_m, abs=1.0)
+        assert 0.0 <= state.t_s - state.height_t_s < 0.6
+
+
+def test_arming_flight_and_battery_are_told(vision_flight):
+    ground, air, end = (at(vision_flight, t_s)[0] for t_s in (10.0, 40.0, 94.0))
+    assert (ground.armed, ground.in_air) == (False, False)
+    assert (air.armed, air.in_air) == (True, True)
+    assert (end.armed, end.in_air) == (False, False)
+    assert air.battery_ratio == pytest.approx(0.75, abs=0.02)
+    assert not air.rc_available
+
+
+def test_copter_is_ready_only_with_flag_0x10(copter_flight):
+    first = next(t_s for t_s, state, _ in copter_flight if state.armable)
+    assert first == pytest.approx(26.7, abs=0.5)
+    assert at(copter_flight, 60.0)[0].local_position_ok
+    assert not at(copter_flight, 73.5)[0].local_position_ok
+    assert at(copter_flight, 60.0)[0].rc_available
+
+
+def test_px4_1_16_pressure_in_pascal_is_a_height_too(data):
+    states = replay(data / "mavlink/px4-1.16dev_vpe_gps_lost.tlog.gz")
+    assert max(state.height_m or 0.0 for _, state, _ in states) == pytest.approx(10.5, abs=0.5)
+
+
+def test_a_late_origin_is_no_position(data):
+    states = replay(data / "mavlink/px4-1.18_late_origin.tlog.gz")
+    assert not at(states, 20.0)[0].local_position_ok
+
+
+def test_a_pilots_takeover_is_seen_in_the_first_heartbeat(data):
+    for name in ("px4-1.16dev_pilot_sticks", "px4-1.18_pilot_rcswitch"):
+        states = replay(data / f"mavlink/{name}.tlog.gz")
+        assert FlightMode.MANUAL in modes(states)
+        assert any(state.rc_available for _, state, _ in states)
+
+
+def test_flights_of_every_kind_are_taken_in_whole(data):
+    for name in ("px4-1.18_battery", "px4-1.16dev_offboard_loss", "arducopter-4.7dev_battery"):
+        states = replay(data / f"mavlink/{name}.tlog.gz")
+        assert len(states) > 100
+        assert states[-1][1].attitude is not None
+        assert all(state.mode is not FlightMode.UNKNOWN for _, state, _ in states)
+
+
+def test_another_component_with_the_autopilots_id_changes_nothing():
+    telemetry = TelemetryState()
+    beat = {"autopilot": 12, "base_mode": 128, "custom_mode": 6 << 16}
+    telemetry.handle("HEARTBEAT", beat, 1.0)
+    telemetry.handle("HEARTBEAT", {"autopilot": 8, "base_mode": 0, "custom_mode": 0}, 1.1)
+    state = telemetry.state(1.2)
+    assert telemetry.kind is AutopilotKind.PX4
+    assert state.armed
+    assert state.mode is FlightMode.OFFBOARD

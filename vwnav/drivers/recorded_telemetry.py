@@ -1,0 +1,39 @@
+"""Telemetry of vwnav's own recordings, for replaying a flight from one file."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vwnav.drivers.recording import CAMERA_TOPIC, VEHICLE_TOPIC, read_recording
+from vwnav.drivers.telemetry_files import Telemetry
+
+_TOPICS = frozenset({CAMERA_TOPIC, VEHICLE_TOPIC})
+
+
+def read_recorded_telemetry(path: Path) -> Telemetry:
+    """Attitude, height, range and arming; time starts at the recording's first picture.
+
+    Raises:
+        SourceError: it is no recording.
+    """
+    telemetry = Telemetry()
+    first_picture_s: float | None = None
+    for record in read_recording(path, _TOPICS):
+        if record.topic == VEHICLE_TOPIC:
+            _add(telemetry, record.t_s, record.content)
+        elif first_picture_s is None:
+            first_picture_s = record.t_s
+    telemetry.start_s = first_picture_s or 0.0
+    return telemetry
+
+
+def _add(telemetry: Telemetry, t_s: float, vehicle: dict[str, Any]) -> None:
+    attitude = vehicle["attitude"]
+    if attitude is not None:
+        telemetry.attitudes.add(attitude["t_s"], np.array(attitude["quat_wxyz"]))
+    if vehicle["height_m"] is not None:
+        telemetry.height_m.add(vehicle["height_t_s"], vehicle["height_m"])
+    if vehicle["rangefinder_m"] is not None:
+        telemetry.range_m.add(t_s, vehicle["rangefinder_m"])
+    telemetry.armed.add(t_s, float(vehicle["armed"]))

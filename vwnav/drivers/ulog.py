@@ -1,0 +1,73 @@
+"""PX4's own logs (ULog), read with pyulog of the `eval` extra."""
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vwnav.drivers.telemetry_files import Series, Telemetry
+from vwnav.errors import SourceError
+
+_DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270, PX4's ROTATION_DOWNWARD_FACING
+_ARMED = 2  # vehicle_status.arming_state
+_TOPICS = ["vehicle_attitude", "vehicle_air_data", "distance_sensor", "vehicle_status"]
+
+
+def read_ulog(path: Path) -> Telemetry:
+    """Attitude, barometric height, downward range and arming of a ULog.
+
+    Raises:
+        SourceError: pyulog is not installed, or the file is damaged.
+    """
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise SourceError(
+            "reading ULog needs pyulog: pip install 'vwnav[eval]', or give the telemetry as CSV"
+        ) from error
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
+            log = ULog(str(path), _TOPICS)
+    except Exception as error:  # pyulog raises whatever a damaged file leads it to
+        raise SourceError(f"{path} is not a ULog, or it is damaged: {error}") from error
+    topics = {data.name: data.data for data in reversed(log.data_list)}
+    telemetry = Telemetry()
+    if "vehicle_attitude" in topics:
+        _add_attitudes(telemetry, topics["vehicle_attitude"])
+    if "vehicle_air_data" in topics:
+        air = topics["vehicle_air_data"]
+        heights = air["baro_alt_meter"] - np.median(air["baro_alt_meter"][:20])
+        _fill(telemetry.height_m, air["timestamp"], heights)
+    if "distance_sensor" in topics:
+        _add_ranges(telemetry, topics["distance_sensor"])
+    if "vehicle_status" in topics:
+        status = topics["vehicle_status"]
+        _fill(telemetry.armed, status["timestamp"], status["arming_state"] == _ARMED)
+    if len(telemetry.attitudes):
+        telemetry.start_s = float(topics["vehicle_attitude"]["timestamp"][0]) / 1e6
+    return telemetry
+
+
+def _add_attitudes(telemetry: Telemetry, topic: Any) -> None:
+    quats = np.stack([topic[f"q[{i}]"] for i in range(4)], axis=1).astype(np.float64)
+    # The estimate belongs to the inertial sample it was made from.
+    stamps = topic.get("timestamp_sample", topic["timestamp"])
+    for t_us, quat in zip(stamps, quats, strict=True):
+        norm = float(np.linalg.norm(quat))
+        if np.isfinite(norm) and norm > 0.5:
+            telemetry.attitudes.add(float(t_us) / 1e6, quat / norm)
+
+
+def _add_ranges(telemetry: Telemetry, topic: Any) -> None:
+    down = topic["orientation"] == _DOWNWARD
+    valid = (topic["current_distance"] >= topic["min_distance"]) & (topic["signal_quality"] != 0)
+    valid &= (topic["current_distance"] <= topic["max_distance"]) & down
+    _fill(telemetry.range_m, topic["timestamp"][valid], topic["current_distance"][valid])
+
+
+def _fill(series: Series, stamps_us: Any, values: Any) -> None:
+    for t_us, value in zip(stamps_us, values, strict=True):
+        if np.isfinite(value):
+            series.add(float(t_us) / 1e6, float(value))
