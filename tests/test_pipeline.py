@@ -1,0 +1,153 @@
+"""The one path: what is tried when, what is fused, and which features stand in."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from vwnav.estimation.ekf import Ekf, EkfConfig, Start
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.pipeline import (
+    FeatureChoice,
+    InlineExecutor,
+    Pipeline,
+    PipelineConfig,
+    Sensors,
+    to_gray,
+)
+from vwnav.types import Attitude, Frame, MapFix, Prior, Rejected, RejectReason
+
+HOME = LocalFrame(60.4, 22.5, 0.0)
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+PICTURE = np.zeros((48, 64, 3), np.uint8)
+
+
+@dataclass
+class FakeLocalizer:
+    """Answers with a fix at (north, east) metres, or a rejection."""
+
+    north_east_m: tuple[float, float] | None = (0.0, 0.0)
+    reason: RejectReason = RejectReason.FEW_INLIERS
+    priors: list[Prior] = field(default_factory=list)
+
+    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
+        self.priors.append(prior)
+        if self.north_east_m is None:
+            return Rejected(frame.t_s, self.reason, features="learned")
+        lat_deg, lon_deg, _ = HOME.to_geodetic(np.array([*self.north_east_m, -50.0]))
+        return MapFix(
+            t_s=frame.t_s,
+            lat_deg=float(lat_deg),
+            lon_deg=float(lon_deg),
+            covariance_ne_m2=np.eye(2) * 0.5,
+            yaw_rad=0.0,
+            sigma_yaw_rad=0.02,
+            agl_m=50.0,
+            sigma_agl_m=1.0,
+            point="nadir",
+            features="learned",
+        )
+
+
+class NoOdometry:
+    attitude = None
+
+    def step(self, frame, R_ned_body, agl_m):
+        return Rejected(frame.t_s, RejectReason.FEW_KEYPOINTS)
+
+
+def make_pipeline(primary, fallback=None, start=None, executor=None, said=None):
+    config = PipelineConfig(fallback_after=3, primary_retry_every=2)
+    choice = FeatureChoice(primary, fallback, config, (said if said is not None else []).append)
+    ekf = Ekf(EkfConfig())
+    if start is not None:
+        ekf.initialise(start)
+    executor = executor or InlineExecutor()
+    return Pipeline(choice, NoOdometry(), ekf, HOME, 0.02, config, executor)
+
+
+def airborne(t_s: float) -> Sensors:
+    return Sensors(attitude=Attitude(t_s, LEVEL), height_m=50.0, height_t_s=t_s)
+
+
+def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0):
+    times = t0_s + np.arange(1, round(seconds * rate_hz) + 1) / rate_hz
+    return [pipeline.step(Frame(t, PICTURE, i), airborne(t)) for i, t in enumerate(times)]
+
+
+def above_home(sigma_m: float = 5.0) -> Start:
+    return Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), sigma_m=sigma_m, agl_m=50.0)
+
+
+def test_a_fix_moves_the_estimate_and_the_next_prior_is_tighter():
+    localizer = FakeLocalizer((4.0, -3.0))
+    steps = fly(make_pipeline(localizer, start=above_home()), 5.0)
+    assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([4.0, -3.0], abs=0.7)
+    assert localizer.priors[-1].sigma_m < localizer.priors[0].sigma_m
+
+
+def test_without_a_start_the_whole_map_is_searched_and_the_first_fix_begins():
+    localizer = FakeLocalizer((100.0, 50.0))
+    steps = fly(make_pipeline(localizer), 1.0)
+    assert localizer.priors[0].lat_deg is None
+    assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([100.0, 50.0], abs=1.0)
+
+
+def test_a_start_of_unknown_position_searches_but_knows_the_height():
+    localizer = FakeLocalizer(None)
+    start = Start(t_s=0.0, position_ned_m=None, agl_m=50.0)
+    fly(make_pipeline(localizer, start=start), 1.0)
+    assert localizer.priors[0].lat_deg is None
+    assert localizer.priors[0].agl_m == pytest.approx(50.0, abs=2.0)
+
+
+def test_a_fix_that_the_filter_refuses_counts_as_rejected():
+    localizer = FakeLocalizer((0.0, 0.0))
+    pipeline = make_pipeline(localizer, start=above_home(1.0))
+    fly(pipeline, 3.0)
+    accepted = pipeline.accepted
+    localizer.north_east_m = (150.0, 0.0)
+    steps = fly(pipeline, 1.0, t0_s=3.0)
+    assert pipeline.accepted == accepted
+    assert RejectReason.PRIOR in {
+        s.outcome.reason for s in steps if isinstance(s.outcome, Rejected)
+    }
+    assert np.hypot(*steps[-1].estimate.position_ned_m[:2]) < 2.0
+
+
+def test_a_picture_too_low_for_the_map_is_no_attempt():
+    pipeline = make_pipeline(FakeLocalizer(None, RejectReason.TOO_LOW), start=above_home())
+    fly(pipeline, 2.0)
+    assert pipeline.attempts == 0
+
+
+def test_the_fallback_stands_in_and_the_primary_comes_back_by_itself():
+    primary, fallback, said = FakeLocalizer(None), FakeLocalizer(), []
+    pipeline = make_pipeline(primary, fallback, above_home(), said=said)
+    fly(pipeline, 3.0)
+    assert fallback.priors
+    assert "SIFT stands in" in said[0]
+    primary.north_east_m = (0.0, 0.0)
+    fly(pipeline, 2.0, t0_s=3.0)
+    seen = len(fallback.priors)
+    fly(pipeline, 2.0, t0_s=5.0)
+    assert len(fallback.priors) == seen
+    assert said[-1] == "learned features work again"
+
+
+def test_the_same_pictures_give_the_same_estimates():
+    runs = [fly(make_pipeline(FakeLocalizer((2.0, 1.0)), start=above_home()), 3.0) for _ in "ab"]
+    first, second = ([s.estimate.position_ned_m for s in run] for run in runs)
+    assert np.array_equal(first, second)
+
+
+def test_matching_in_a_thread_fuses_at_the_exposure():
+    with ThreadPoolExecutor(1) as executor:
+        pipeline = make_pipeline(FakeLocalizer((4.0, 0.0)), start=above_home(), executor=executor)
+        fly(pipeline, 5.0)
+    assert pipeline.estimate(5.0).position_ned_m[0] == pytest.approx(4.0, abs=1.0)
+
+
+def test_gray_and_colour_pictures_are_taken():
+    assert to_gray(PICTURE).shape == to_gray(PICTURE[..., 0]).shape == (48, 64)

@@ -1,0 +1,103 @@
+"""All settings in one schema: defaults, a TOML file over them, and the resolved result."""
+
+import difflib
+import tomllib
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from vwnav.errors import ConfigError
+from vwnav.estimation.states import EkfConfig
+from vwnav.flight import FlightConfig
+from vwnav.guidance.controller import LimitsConfig
+from vwnav.pipeline import PipelineConfig
+from vwnav.safety.monitor import SafetyConfig
+from vwnav.vision.localizer import LocalizerConfig
+from vwnav.vision.odometry import OdometryConfig
+
+
+class Config(BaseSettings):
+    """Every setting; each table of the TOML file is one of these fields."""
+
+    model_config = SettingsConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    pipeline: PipelineConfig = PipelineConfig()
+    localizer: LocalizerConfig = LocalizerConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    ekf: EkfConfig = EkfConfig()
+    flight: FlightConfig = FlightConfig()
+    limits: LimitsConfig = LimitsConfig()
+    safety: SafetyConfig = SafetyConfig()
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Only what is handed in: a stray environment variable must not change a flight."""
+        return (init_settings,)
+
+
+def load_config(path: Path | None) -> Config:
+    """Defaults, overridden by the file where one is given.
+
+    Raises:
+        ConfigError: unreadable, not TOML, an unknown key or a value that does not fit.
+    """
+    if path is None:
+        return Config()
+    try:
+        content = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"cannot read the settings {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"the settings {path} are not TOML: {error}") from error
+    try:
+        return Config(**content)
+    except ValidationError as error:
+        raise ConfigError(f"settings {path}: {_explain(error)}") from error
+
+
+def save_config(config: Config, path: Path) -> None:
+    """Write every setting as TOML that `load_config` reads."""
+    lines = ["# Every setting of this run; usable as --config."]
+    for name in Config.model_fields:
+        lines += ["", f"[{name}]"]
+        lines += [f"{key} = {_toml(value)}" for key, value in asdict(getattr(config, name)).items()]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    raise TypeError(f"no setting may be a {type(value).__name__}")
+
+
+def _explain(error: ValidationError) -> str:
+    """The first fault, and the nearest known name of an unknown key."""
+    fault = error.errors()[0]
+    where = [str(part) for part in fault["loc"]]
+    if fault["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        near = difflib.get_close_matches(where[-1], _known_names(where[:-1]), n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        return f"there is no setting {'.'.join(where)!r}{hint}"
+    return f"{'.'.join(where)}: {fault['msg'].lower()}"
+
+
+def _known_names(table: list[str]) -> list[str]:
+    if not table:
+        return list(Config.model_fields)
+    field = Config.model_fields.get(table[0])
+    default = field.default if field else None
+    return [f.name for f in fields(default)] if is_dataclass(default) else []

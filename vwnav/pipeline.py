@@ -1,0 +1,335 @@
+"""The one path, read this first.
+
+    frame -> undistort -> rectify -> features -> match -> homography -> fix -> EKF -> guidance
+
+`Pipeline.step` takes a picture and the autopilot's sensors to an `Estimate`; `fly`, `replay`
+and the tests all run it. Guidance and safety (`vwnav.flight`) turn estimates into setpoints.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.estimation.ekf import Ekf, NedFix, Start
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
+from vwnav.types import (
+    Array,
+    Attitude,
+    Estimate,
+    Frame,
+    Gray,
+    MapFix,
+    OdometryMotion,
+    Prior,
+    Rejected,
+    RejectReason,
+)
+
+MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
+MIN_AGL_SIGMA_RATIO = 0.03
+MIN_PRIOR_SIGMA_M = 3.0
+UNKNOWN_AGL_M = 50.0
+AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
+LEVEL_QUAT_WXYZ: Array = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineConfig:
+    """How often the map is asked, and when SIFT stands in for the learned features."""
+
+    fix_interval_s: float = 0.2  # a picture is matched to the map this often
+    search_interval_s: float = 1.0  # the same while the position is unknown: a search is slow
+    max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
+    fallback_after: int = 8  # rejections in a row before the fallback is tried
+    primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensors:
+    """What the autopilot says at a picture's exposure; every field may be unknown.
+
+    Attributes:
+        attitude: at exposure; None when there is no telemetry: level is then assumed.
+        height_m: barometric, above the start, up positive, taken at `height_t_s`.
+        rangefinder_m: along the body's down axis.
+        on_ground: the vehicle stands still.
+    """
+
+    attitude: Attitude | None = None
+    height_m: float | None = None
+    height_t_s: float | None = None
+    rangefinder_m: float | None = None
+    on_ground: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepResult:
+    """What one picture brought. `outcome` may belong to an earlier picture (see its `t_s`)."""
+
+    t_s: float
+    motion: OdometryMotion | Rejected
+    outcome: MapFix | Rejected
+    estimate: Estimate | None
+
+
+class Localizing(Protocol):
+    """What the pipeline needs of `vwnav.vision.localizer.Localizer`."""
+
+    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
+        """Where a picture was taken."""
+        ...
+
+
+class Tracking(Protocol):
+    """What the pipeline needs of `vwnav.vision.odometry.Odometry`."""
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """Level, with the heading counted from pictures, where none was handed in."""
+        ...
+
+    def step(
+        self, frame: Frame, R_ned_body: Array | None, agl_m: float
+    ) -> OdometryMotion | Rejected:
+        """Motion since the keyframe."""
+        ...
+
+
+class InlineExecutor(Executor):
+    """Runs a call at once in the calling thread: replay is deterministic with it."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call `fn` now; its result, or what it raised, waits in the returned future."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class FeatureChoice:
+    """Which localizer comes next: the primary, or the fallback while the primary fails."""
+
+    def __init__(
+        self,
+        primary: Localizing,
+        fallback: Localizing | None,
+        config: PipelineConfig,
+        say: Callable[[str], None],
+    ) -> None:
+        self._primary = primary
+        self._fallback = fallback
+        self._config = config
+        self._say = say
+        self._failures = 0
+        self._on_fallback = False
+        self._fallback_attempts = 0
+
+    def next(self) -> Localizing:
+        """The localizer to try now."""
+        if not self._on_fallback or self._fallback is None:
+            return self._primary
+        self._fallback_attempts += 1
+        if self._fallback_attempts % self._config.primary_retry_every == 0:
+            return self._primary
+        return self._fallback
+
+    def report(self, used: Localizing, succeeded: bool) -> None:
+        """Learn from an attempt: enough failures switch to the fallback, one success back."""
+        if used is not self._primary or self._fallback is None:
+            return
+        self._failures = 0 if succeeded else self._failures + 1
+        if succeeded and self._on_fallback:
+            self._on_fallback = False
+            self._say("learned features work again")
+        elif not self._on_fallback and self._failures >= self._config.fallback_after:
+            self._on_fallback, self._fallback_attempts = True, 0
+            self._say(f"no fix from learned features in {self._failures} attempts: SIFT stands in")
+
+
+class Pipeline:
+    """From pictures and sensors to the estimate of position, velocity and heading.
+
+    `estimate` may be called from another thread at any time; `step` from one thread only.
+    """
+
+    def __init__(
+        self,
+        features: FeatureChoice,
+        odometry: Tracking,
+        ekf: Ekf,
+        local_frame: LocalFrame,
+        sigma_tilt_rad: float,
+        config: PipelineConfig,
+        executor: Executor,
+    ) -> None:
+        """Put the parts together.
+
+        Args:
+            features: chooses the localizer of each attempt.
+            odometry: measures motion between pictures.
+            ekf: the filter; `initialise` it first where the start is known.
+            local_frame: the run's NED origin.
+            sigma_tilt_rad: attitude error that the localizer puts into a fix's covariance.
+            config: rates and limits.
+            executor: runs the matching: in a thread on board, inline in replay.
+        """
+        self.local_frame = local_frame
+        self._features = features
+        self._odometry = odometry
+        self._ekf = ekf
+        self._config = config
+        self._executor = executor
+        self._sigma_tilt_rad = sigma_tilt_rad
+        self._lock = threading.Lock()
+        self._pending: tuple[Localizing, Future[MapFix | Rejected]] | None = None
+        self._next_attempt_s = -np.inf
+        self.attempts = 0
+        self.accepted = 0
+
+    def estimate(self, t_s: float) -> Estimate | None:
+        """The estimate predicted to `t_s`; None while there is nothing to predict from."""
+        with self._lock:
+            return self._ekf.estimate(t_s) if self._ekf.initialised else None
+
+    def step(self, frame: Frame, sensors: Sensors) -> StepResult:
+        """Take one picture through the whole path."""
+        picture = replace(frame, image=to_gray(frame.image))
+        self._fuse_sensors(frame.t_s, sensors)
+        motion = self._track(picture, sensors)
+        finished = self._collect()
+        started = self._attempt_if_due(picture, sensors)
+        outcome = started or finished or Rejected(frame.t_s, RejectReason.NOT_TRIED)
+        return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
+
+    def _fuse_sensors(self, t_s: float, sensors: Sensors) -> None:
+        with self._lock:
+            if sensors.attitude is not None:
+                self._ekf.handle_attitude(sensors.attitude)
+            if sensors.height_m is not None and sensors.height_t_s is not None:
+                self._ekf.handle_height(sensors.height_t_s, sensors.height_m)
+            if sensors.rangefinder_m is not None:
+                self._ekf.handle_rangefinder(t_s, sensors.rangefinder_m)
+            if sensors.on_ground:
+                self._ekf.handle_stationary(t_s)
+
+    def _track(self, frame: Frame, sensors: Sensors) -> OdometryMotion | Rejected:
+        """Motion since the keyframe. Without telemetry the pictures' own turning is the gyro."""
+        now = self.estimate(frame.t_s)
+        if now is None:
+            with self._lock:
+                self._ekf.handle_attitude(sensors.attitude or Attitude(frame.t_s, LEVEL_QUAT_WXYZ))
+            return Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground not known yet")
+        known = sensors.attitude
+        R_ned_body = rotation_from_quat(known.quat_wxyz) if known else None
+        motion = self._odometry.step(frame, R_ned_body, now.agl_m)
+        with self._lock:
+            if known is None:
+                turned = self._odometry.attitude or Attitude(frame.t_s, LEVEL_QUAT_WXYZ)
+                self._ekf.handle_attitude(turned)
+            if isinstance(motion, OdometryMotion):
+                self._ekf.handle_odometry(motion)
+        return motion
+
+    def _attempt_if_due(self, frame: Frame, sensors: Sensors) -> MapFix | Rejected | None:
+        """Start matching this picture when it is time to; the outcome if it is there at once."""
+        if self._pending is not None or frame.t_s < self._next_attempt_s:
+            return None
+        prior = self._prior(self.estimate(frame.t_s), sensors)
+        searching = prior.lat_deg is None
+        interval = self._config.search_interval_s if searching else self._config.fix_interval_s
+        self._next_attempt_s = frame.t_s + interval
+        localizer = self._features.next()
+        future = self._executor.submit(localizer.localize, frame, prior, frame.index)
+        self._pending = (localizer, future)
+        return self._collect()
+
+    def _collect(self) -> MapFix | Rejected | None:
+        """Fuse the attempt that is under way, if it has ended."""
+        if self._pending is None or not self._pending[1].done():
+            return None
+        localizer, future = self._pending
+        self._pending = None
+        outcome = future.result()
+        if isinstance(outcome, Rejected) and outcome.reason is RejectReason.TOO_LOW:
+            return outcome  # nothing was tried: the map shows nothing that small
+        if isinstance(outcome, MapFix):
+            outcome = self._fuse_fix(outcome)
+        self.attempts += 1
+        self.accepted += isinstance(outcome, MapFix)
+        self._features.report(localizer, isinstance(outcome, MapFix))
+        return outcome
+
+    def _prior(self, now: Estimate | None, sensors: Sensors) -> Prior:
+        """What the filter knows, as the localizer wants it."""
+        if now is None:
+            return Prior()
+        yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
+        # Tilt as the autopilot says it: the filter itself carries the error of that, and would
+        # count it twice if the picture were rectified with its corrected attitude.
+        measured = sensors.attitude
+        tilt = euler_from_rotation(rotation_from_quat(measured.quat_wxyz)) if measured else None
+        prior = Prior(
+            yaw_rad=yaw_rad if now.sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
+            sigma_yaw_rad=now.sigma_yaw_rad,
+            agl_m=now.agl_m,
+            sigma_agl_ratio=max(now.sigma_agl_m / max(now.agl_m, 1.0), MIN_AGL_SIGMA_RATIO),
+            roll_rad=tilt[0] if tilt else None,
+            pitch_rad=tilt[1] if tilt else None,
+        )
+        if now.sigma_horizontal_m > self._config.max_prior_sigma_m:
+            return prior
+        lat_deg, lon_deg, _ = self.local_frame.to_geodetic(now.position_ned_m)
+        sigma_m = max(now.sigma_horizontal_m, MIN_PRIOR_SIGMA_M)
+        return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
+
+    def _fuse_fix(self, fix: MapFix) -> MapFix | Rejected:
+        """Hand a fix to the filter; what its gate refuses is no fix."""
+        ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
+        with self._lock:
+            if not self._ekf.initialised:
+                self._begin_at(fix, ned_m)
+            innovation = self._ekf.handle_fix(
+                NedFix(
+                    t_s=fix.t_s,
+                    position_ne_m=ned_m[:2],
+                    covariance_ne_m2=fix.covariance_ne_m2,
+                    yaw_rad=fix.yaw_rad,
+                    sigma_yaw_rad=fix.sigma_yaw_rad,
+                    agl_m=fix.agl_m,
+                    sigma_agl_m=fix.sigma_agl_m,
+                    sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
+                )
+            )
+        if innovation.accepted:
+            return fix
+        reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
+        return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
+
+    def _begin_at(self, fix: MapFix, ned_m: Array) -> None:
+        """A recording begins in the air: its first fix is where the filter starts."""
+        agl_m = fix.agl_m if fix.agl_m is not None else UNKNOWN_AGL_M
+        start = Start(
+            t_s=fix.t_s,
+            position_ned_m=np.array([ned_m[0], ned_m[1], -agl_m]),
+            sigma_m=max(fix.sigma_m, 1.0),
+            agl_m=agl_m,
+            sigma_agl_m=fix.sigma_agl_m or 0.3 * agl_m,
+            sigma_velocity_m_s=AIRBORNE_VELOCITY_SIGMA_M_S,
+        )
+        self._ekf.initialise(start)
+
+
+def to_gray(image: NDArray[np.uint8]) -> Gray:
+    """(h, w) of a gray or BGR picture."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
