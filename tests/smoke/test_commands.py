@@ -1,0 +1,111 @@
+"""The real commands on good input, with the workstation's libraries out of reach."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+from smoke_place import FRAMES, read_run
+
+from vwnav.drivers.run_folder import COLUMNS
+from vwnav.geometry.geodesy import horizontal_distance_m
+
+
+def read_rows(folder):
+    with (folder / "trajectory.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def errors_m(rows, place):
+    return [
+        horizontal_distance_m(float(r["lat_deg"]), float(r["lon_deg"]), *truth)
+        for r, truth in zip(rows, place.truth_lat_lon_deg, strict=True)
+        if r["lat_deg"]
+    ]
+
+
+@pytest.fixture(scope="module")
+def replayed(vwnav, place, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("replay") / "run"
+    done = vwnav("replay", place.video, "--map", place.pack, "--camera", place.camera, "-o", folder)
+    return done, folder
+
+
+def test_replay_without_telemetry_finds_the_place_and_follows_it(replayed, place):
+    done, folder = replayed
+    assert done.code == 0, done.err
+    rows = read_rows(folder)
+    assert len(rows) == FRAMES
+    errors = errors_m(rows, place)
+    assert len(errors) >= FRAMES - 12
+    assert np.median(errors) < 1.5
+
+
+def test_replay_leaves_a_run_folder_that_explains_itself(replayed):
+    _, folder = replayed
+    run = read_run(folder)
+    assert run["point"] == "center"
+    assert set(run["origin"]) == {"lat_deg", "lon_deg", "alt_amsl_m"}
+    assert list(read_rows(folder)[0]) == COLUMNS
+    assert read_rows(folder)[0]["t_s"] == "0.0000"
+    assert cv2.imread(str(folder / "track.png")) is not None
+    assert "[ekf]" in (folder / "config.toml").read_text()
+
+
+def test_the_same_recording_gives_the_same_trajectory(vwnav, place, replayed, tmp_path):
+    vwnav(
+        "replay", place.video, "--map", place.pack, "--camera", place.camera, "-o", tmp_path / "b"
+    )
+    first, second = ((f / "trajectory.csv").read_bytes() for f in (replayed[1], tmp_path / "b"))
+    assert first == second
+
+
+@pytest.mark.parametrize("features", ["learned", "sift"])
+def test_replay_with_telemetry_gives_the_nadir(vwnav, place, tmp_path, features):
+    done = vwnav(
+        "replay", place.video, "--map", place.pack, "--camera", place.camera,
+        "--telemetry", place.telemetry, "--features", features, "-o", tmp_path / "r",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert read_run(tmp_path / "r")["point"] == "nadir"
+    assert np.median(errors_m(read_rows(tmp_path / "r"), place)) < 1.5
+
+
+def test_localize_prints_one_json_object_with_the_agreed_fields(vwnav, place):
+    lat, lon = place.truth_lat_lon_deg[0]
+    done = vwnav(
+        "localize", place.picture, "--map", place.pack, "--camera", place.camera, "--json",
+        "--lat", lat + 0.0002, "--lon", lon, "--sigma-m", 40, "--agl-m", 66, "--yaw-deg", 30,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    (found,) = (json.loads(line) for line in done.out.splitlines())
+    assert found["status"] == "fix"
+    assert horizontal_distance_m(found["lat_deg"], found["lon_deg"], lat, lon) < 3.0
+    assert set(found) >= {"reason", "sigma_m", "yaw_deg", "agl_m", "inliers", "features", "point"}
+    assert set(found["time_ms"]) == {"rectify", "extract", "match", "verify", "total"}
+
+
+def test_a_rejected_picture_is_a_result(vwnav, place, tmp_path):
+    cv2.imwrite(str(tmp_path / "black.png"), np.zeros((480, 640), np.uint8))
+    done = vwnav(
+        "localize", tmp_path / "black.png", "--map", place.pack, "--hfov-deg", 70, "--json"
+    )
+    found = json.loads(done.out)
+    assert done.code == 0
+    assert found["status"] == "rejected"
+    assert found["reason"]
+    assert found["lat_deg"] is None
+
+
+def test_doctor_and_map_info_speak_json(vwnav, place):
+    checks = json.loads(vwnav("doctor", "--map", place.pack, "--json").out)["checks"]
+    assert {"PASS", "WARN"} >= {check["verdict"] for check in checks}
+    info = json.loads(vwnav("map", "info", place.pack, "--json").out)
+    assert {each["name"] for each in info["features"]} == {"learned", "sift"}
+
+
+def test_version_and_help_work_everywhere(vwnav):
+    assert vwnav("--version").out.startswith("vwnav ")
+    for command in ("fly", "replay", "localize", "map", "doctor"):
+        assert vwnav(command, "--help").code == 0

@@ -1,0 +1,86 @@
+"""The rooms import one way, and what flies needs no workstation library."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "vwnav"
+
+# Each room with the rooms it may import. `cli` may import all of them.
+BASE = {"errors", "types"}
+ALLOWED = {
+    "errors": set(),
+    "types": set(),
+    "geometry": BASE,
+    "maps": BASE | {"geometry"},
+    "vision": BASE | {"geometry", "maps"},
+    "estimation": BASE | {"geometry"},
+    "guidance": BASE | {"geometry"},
+    "safety": BASE | {"geometry"},
+    "pipeline": BASE | {"geometry", "estimation"},
+    "flight": BASE | {"geometry", "guidance", "safety"},
+    "runtime": BASE | {"pipeline", "flight"},
+    "drivers": BASE | {"geometry", "maps", "pipeline", "safety"},
+    "sim": BASE | {"geometry", "maps"},
+    "config": BASE
+    | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "drivers"},
+}
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported_modules(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text())
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def imported_rooms(path: Path) -> set[str]:
+    parts = (name.split(".") for name in imported_modules(path))
+    return {p[1] for p in parts if p[0] == "vwnav" and len(p) > 1}
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.name))
+def test_a_room_imports_only_the_rooms_below_it(path: Path):
+    room = room_of(path)
+    if room in ("cli", "__init__", "__main__"):
+        return
+    known = {p.stem for p in PACKAGE.glob("*.py")} | {p.name for p in PACKAGE.iterdir()}
+    wrong = (imported_rooms(path) & known) - ALLOWED[room] - {room, "__init__", "__version__"}
+    assert not wrong, f"{path.relative_to(ROOT)} may not import {sorted(wrong)}"
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.name))
+def test_the_package_never_imports_the_training_side(path: Path):
+    roots = {name.split(".")[0] for name in imported_modules(path)}
+    assert not roots & {"torch", "kornia", "scipy", "models", "training", "export"}
+
+
+def test_training_code_imports_only_geometry_and_sim_of_the_package():
+    for folder in ("models", "training", "export"):
+        for path in (ROOT / folder).rglob("*.py"):
+            assert imported_rooms(path) <= {"geometry", "sim", "errors", "types", "__version__"}, (
+                path
+            )
+
+
+def test_help_does_not_load_opencv():
+    script = (
+        "import sys; sys.argv = ['vwnav', '--help']\n"
+        "from vwnav.cli.main import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "sys.exit('cv2' in sys.modules or 'onnxruntime' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, cwd=ROOT)
+    assert done.returncode == 0

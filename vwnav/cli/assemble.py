@@ -1,0 +1,78 @@
+"""Puts the pipeline together: the one place that chooses implementations."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+
+from vwnav.config import Config
+from vwnav.errors import ModelError
+from vwnav.estimation.ekf import Ekf
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.types import FeatureExtractor
+from vwnav.vision.features import load_features
+from vwnav.vision.localizer import Localizer
+from vwnav.vision.odometry import Odometry
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """A pipeline, and what its parts are."""
+
+    pipeline: Pipeline
+    ekf: Ekf
+    pack: MapPack
+    feature_set_id: str
+
+
+def choose_features(
+    name: str, model: Path | None, say: Callable[[str], None]
+) -> tuple[FeatureExtractor, FeatureExtractor | None]:
+    """The wanted extractor, and the one that stands in for it when it fails in flight.
+
+    Learned features that cannot be loaded are replaced by SIFT, and it is said.
+    """
+    if name != "learned":
+        return load_features(name), None
+    sift = load_features("sift")
+    try:
+        return load_features("learned", model), sift
+    except ModelError as error:
+        say(f"learned features are not available, flying on SIFT: {error}")
+        return sift, None
+
+
+def assemble(
+    pack: MapPack,
+    camera: Camera,
+    features: str,
+    model: Path | None,
+    local_frame: LocalFrame,
+    config: Config,
+    executor: Executor,
+    say: Callable[[str], None],
+) -> Assembled:
+    """Build the pipeline.
+
+    Raises:
+        ModelError: the pack's features were made by another model.
+    """
+    primary, fallback = choose_features(features, model, say)
+    pack.check_features(primary)
+
+    def localizer(extractor: FeatureExtractor) -> Localizer:
+        return Localizer(pack, extractor, camera, config.localizer)
+
+    choice = FeatureChoice(
+        localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
+    )
+    ekf = Ekf(config.ekf)
+    odometry = Odometry(camera, config.odometry)
+    pipeline = Pipeline(
+        choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
+        executor,
+    )  # fmt: skip
+    return Assembled(pipeline, ekf, pack, primary.feature_set_id)

@@ -1,0 +1,206 @@
+"""`vwnav doctor`: is this machine, and the drone on the link, ready?"""
+
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from vwnav.errors import PreflightError, VwnavError
+
+Verdict = Literal["PASS", "WARN", "FAIL"]
+FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
+FREE_DISK_GB = 1.0
+CAMERA_FPS = 8.0
+CLOCK_NOT_SET_S = 1_700_000_000.0  # 2023: a board without a clock battery starts earlier
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the report."""
+
+    name: str
+    verdict: Verdict
+    detail: str
+
+
+def doctor(
+    map_path: Path | None = typer.Option(None, "--map", help="Map pack to check."),
+    route: Path | None = typer.Option(None, help="Route to check against the map."),
+    camera: Path | None = typer.Option(None, help="Camera calibration to check."),
+    video: str | None = typer.Option(None, help="Camera to open: /dev/video0, rtsp://, a file."),
+    connection: str | None = typer.Option(None, help="Autopilot link, e.g. udpin://0.0.0.0:14540."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON object on stdout."),
+) -> None:
+    """Check machine, model, and whatever is named: map, route, camera, autopilot."""
+    checks = list(_machine())
+    checks.append(_learned_model())
+    if map_path:
+        checks.append(_guarded("map", lambda: _map(map_path, route)))
+    elif route:
+        checks.append(_guarded("route", lambda: _route(route)))
+    if camera:
+        checks.append(_guarded("calibration", lambda: _calibration(camera)))
+    if video:
+        checks.append(_guarded("camera", lambda: _camera(video)))
+    if connection:
+        checks += _autopilot(connection)
+    _print(checks, as_json)
+    failed = [check.name for check in checks if check.verdict == "FAIL"]
+    if failed:
+        raise PreflightError(f"not ready: {', '.join(failed)} (see the table above)")
+
+
+def _guarded(name: str, check: Callable[[], Check]) -> Check:
+    try:
+        return check()
+    except VwnavError as error:
+        return Check(name, "FAIL", str(error))
+
+
+def _machine() -> Iterator[Check]:
+    import cv2
+    import numpy as np
+    import onnxruntime
+
+    yield Check(
+        "libraries",
+        "PASS",
+        f"Python {sys.version.split()[0]}, numpy {np.__version__}, OpenCV {cv2.__version__}, "
+        f"onnxruntime {onnxruntime.__version__}",
+    )
+    free_gb = shutil.disk_usage(".").free / 1e9
+    verdict: Verdict = "PASS" if free_gb >= FREE_DISK_GB else "WARN"
+    yield Check("disk", verdict, f"{free_gb:.1f} GB free here; recording takes 1 GB an hour")
+    clock_set = time.time() > CLOCK_NOT_SET_S
+    yield Check("clock", "PASS" if clock_set else "WARN", time.strftime("%Y-%m-%d %H:%M:%S"))
+    yield from _temperature()
+
+
+def _temperature() -> Iterator[Check]:
+    zone = Path("/sys/class/thermal/thermal_zone0/temp")
+    try:
+        celsius = int(zone.read_text()) / 1000.0
+    except (OSError, ValueError):
+        return
+    throttles = celsius >= 80.0  # a Raspberry Pi slows itself down from here
+    yield Check("temperature", "WARN" if throttles else "PASS", f"{celsius:.0f} degrees C")
+
+
+def _learned_model() -> Check:
+    import numpy as np
+
+    from vwnav.vision.features import load_features
+
+    try:
+        extractor = load_features("learned")
+    except VwnavError as error:
+        return Check("learned features", "WARN", f"{error}; flights fall back to SIFT")
+    picture = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+    times_ms = []
+    for _ in range(6):
+        start_s = time.perf_counter()
+        extractor.extract(picture, 1000)
+        times_ms.append((time.perf_counter() - start_s) * 1e3)
+    spent_ms = sorted(times_ms)[len(times_ms) // 2]
+    return Check(
+        "learned features",
+        "PASS" if spent_ms <= FRAME_BUDGET_MS else "WARN",
+        f"{extractor.feature_set_id}: {spent_ms:.0f} ms for 640x480 "
+        f"(budget {FRAME_BUDGET_MS:.0f} ms)",
+    )
+
+
+def _map(path: Path, route: Path | None) -> Check:
+    from vwnav.cli.map import route_places
+    from vwnav.maps.coverage import check_route
+    from vwnav.maps.pack import MapPack
+
+    with MapPack.open(path) as pack:
+        sets = ", ".join(each.name for each in pack.feature_sets) or "no features"
+        finest = min(level.m_per_px for level in pack.levels)
+        detail = f"{pack.name}: {len(pack.levels)} levels from {finest:.2f} m/px, {sets}"
+        if route is None:
+            return Check("map", "PASS", detail)
+        covered = check_route(pack, route_places(route, "local", None))
+        return Check("map", "PASS" if covered.ok else "FAIL", f"{detail}; {covered.summary()}")
+
+
+def _route(path: Path) -> Check:
+    from vwnav.guidance.missions import load_route
+
+    return Check("route", "PASS", f"{len(load_route(path).waypoints)} waypoints")
+
+
+def _calibration(path: Path) -> Check:
+    import math
+
+    from vwnav.geometry.calibration import load_camera
+
+    camera = load_camera(path)
+    hfov_deg = math.degrees(2.0 * math.atan(camera.width_px / 2.0 / float(camera.K[0, 0])))
+    plausible = 20.0 <= hfov_deg <= 150.0
+    detail = f"{camera.model}, {camera.width_px}x{camera.height_px}, {hfov_deg:.0f} degrees wide"
+    return Check("calibration", "PASS" if plausible else "WARN", detail)
+
+
+def _camera(video: str) -> Check:
+    from vwnav.drivers.cameras import open_source
+
+    source = open_source(video)
+    try:
+        start_s, frames = time.monotonic(), 0
+        while frames < 30 and time.monotonic() - start_s < 5.0:
+            if source.next_frame() is None:
+                break
+            frames += 1
+        spent_s = max(time.monotonic() - start_s, 1e-3)
+    finally:
+        source.close()
+    verdict: Verdict = "PASS" if frames / spent_s >= CAMERA_FPS else "WARN"
+    return Check("camera", verdict if frames else "FAIL", f"{frames / spent_s:.1f} frames/s")
+
+
+def _autopilot(url: str) -> list[Check]:
+    from vwnav.drivers.autopilot import MavsdkAutopilot
+
+    try:
+        autopilot = MavsdkAutopilot(url)
+    except VwnavError as error:
+        return [Check("autopilot", "FAIL", str(error))]
+    try:
+        findings = autopilot.preflight()
+        checks = [Check("autopilot", "PASS", f"{autopilot.kind.value} on {url}")]
+        checks += [
+            Check(
+                finding.parameter,
+                "FAIL" if finding.severity == "fail" else "WARN",
+                f"is {finding.present}, should be {finding.wanted}: {finding.why}",
+            )
+            for finding in findings
+        ]
+        return checks
+    except VwnavError as error:
+        return [Check("autopilot", "FAIL", str(error))]
+    finally:
+        autopilot.close()
+
+
+def _print(checks: list[Check], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"checks": [asdict(check) for check in checks]}))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False)
+    colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
+    for check in checks:
+        verdict = f"[{colours[check.verdict]}]{check.verdict}[/]"
+        table.add_row(verdict, check.name, check.detail)
+    Console().print(table)

@@ -1,0 +1,192 @@
+"""What remains of a flight, and what is seen of it meanwhile: files, live line, table."""
+
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+from vwnav import __version__
+from vwnav.cli.assemble import Assembled
+from vwnav.cli.fly import FlyOptions
+from vwnav.cli.screen import LiveLine, print_table, say
+from vwnav.config import Config
+from vwnav.drivers.recorder import Recorder, plain
+from vwnav.drivers.run_folder import TrajectoryWriter, write_json
+from vwnav.drivers.track_picture import TrackPicture
+from vwnav.flight import Flight
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import Pipeline, StepResult
+from vwnav.sim.score import Score, summarise
+from vwnav.sim.truth import TruthReader
+from vwnav.types import Estimate, Frame, MapFix, Rejected, RejectReason, VehicleState
+
+SCORE_PERIOD_S = 0.2
+
+
+class FlightRecord:
+    """A `vwnav.runtime.Watcher` that keeps and shows everything."""
+
+    def __init__(
+        self,
+        folder: Path,
+        local_frame: LocalFrame,
+        pack: MapPack,
+        config: Config,
+        truth: TruthReader | None,
+    ) -> None:
+        self._folder = folder
+        self._truth = truth
+        self._started_s = time.monotonic()
+        self._trajectory: TrajectoryWriter | None = None
+        self._local_frame = local_frame
+        self._recorder = Recorder(folder / "flight.mcap", config.model_dump(mode="json"))
+        self._picture = TrackPicture(pack, local_frame)
+        self._score = Score(local_frame) if truth is not None else None
+        self._line = LiveLine()
+        self._line.__enter__()
+        self._lock = threading.Lock()
+        self._rejected: Counter[str] = Counter()
+        self._frames = 0
+        self._next_score_s = 0.0
+        self._last: MapFix | Rejected | None = None
+        self._flight: Flight | None = None
+        self._pipeline: Pipeline | None = None
+
+    def follow(self, flight: Flight, pipeline: Pipeline) -> None:
+        """The flight to be recorded."""
+        self._flight, self._pipeline = flight, pipeline
+
+    def event(self, text: str) -> None:
+        """Something worth a line."""
+        now_s = time.monotonic()
+        self._recorder.event(now_s, text)
+        say(f"{now_s - self._started_s:7.1f} s  {text}")
+
+    def saw_frame(self, frame: Frame, step: StepResult) -> None:
+        """A picture went through the pipeline."""
+        if self._trajectory is None:
+            path = self._folder / "trajectory.csv"
+            self._trajectory = TrajectoryWriter(path, self._local_frame, frame.t_s)
+        setpoint = self._flight.setpoint if self._flight else None
+        self._trajectory.write(step, setpoint.yaw_rad if setpoint else None)
+        self._recorder.frame(frame)
+        self._picture.add(step)
+        with self._lock:
+            self._frames += 1
+        self._saw_outcome(step.outcome)
+
+    def _saw_outcome(self, outcome: MapFix | Rejected) -> None:
+        if isinstance(outcome, Rejected) and outcome.reason is RejectReason.NOT_TRIED:
+            return
+        self._recorder.outcome(outcome)
+        self._last = outcome
+        if isinstance(outcome, Rejected):
+            self._rejected[outcome.reason.name.lower()] += 1
+        elif self._score is not None and self._truth is not None:
+            truth = self._truth.at(outcome.t_s)
+            if truth is not None:
+                self._score.add_fix(outcome, truth)
+
+    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
+        """The control loop ticked."""
+        if t_s < self._next_score_s:
+            return
+        self._next_score_s = t_s + SCORE_PERIOD_S
+        self._recorder.vehicle(vehicle)
+        if self._flight and self._flight.setpoint:
+            self._recorder.setpoint(t_s, self._flight.setpoint)
+        if estimate is None:
+            return
+        self._recorder.estimate(estimate)
+        truth = self._truth.at(estimate.t_s) if self._truth else None
+        if truth is not None and self._score is not None and vehicle.armed:
+            self._score.add_estimate(estimate, truth)
+            self._picture.add_truth(self._score.truth_ned_m[-1])
+        self._line.show(t_s, self._status(t_s, estimate, vehicle))
+
+    def _status(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> str:
+        north_m, east_m, down_m = estimate.position_ned_m
+        phase = self._flight.phase.value if self._flight else ""
+        age = "none"
+        if estimate.t_last_fix_s is not None:
+            age = f"{t_s - estimate.t_last_fix_s:.1f} s ago"
+        inliers = self._last.stats.inliers if self._last else 0
+        battery = "?" if vehicle.battery_ratio is None else f"{100 * vehicle.battery_ratio:.0f} %"
+        error = ""
+        if self._score is not None and self._score.last_error_m is not None:
+            error = f"  error {self._score.last_error_m:.2f} m"
+        return (
+            f"{t_s - self._started_s:7.1f} s  {phase:17} N {north_m:7.1f} E {east_m:7.1f} "
+            f"up {-down_m:5.1f} m  sigma {estimate.sigma_horizontal_m:4.1f} m  fix {age} "
+            f"({inliers} inliers)  {vehicle.mode.value}  battery {battery}{error}"
+        )
+
+    def close(self, options: FlyOptions, assembled: Assembled) -> None:
+        """Finish the files and print the table."""
+        self._line.__exit__(None, None, None)
+        if self._trajectory is not None:
+            self._trajectory.close()
+        self._recorder.close()
+        self._picture.save(self._folder / "track.png")
+        write_json(self._folder / "run.json", self._summary(options, assembled))
+        print_table("flight", self._rows(assembled))
+
+    def _summary(self, options: FlyOptions, assembled: Assembled) -> dict[str, object]:
+        pipeline, frame = assembled.pipeline, self._local_frame
+        end = self._flight.end if self._flight else None
+        summary: dict[str, object] = {
+            "command": "fly",
+            "version": __version__,
+            "simulated": options.sim,
+            "features": options.features,
+            "feature_set_id": assembled.feature_set_id,
+            "map": assembled.pack.name,
+            "point": "nadir",
+            "origin": {
+                "lat_deg": frame.lat_deg,
+                "lon_deg": frame.lon_deg,
+                "alt_amsl_m": frame.alt_amsl_m,
+            },
+            "completed": end is not None and end.reason is None,
+            "reason": end.reason if end else "the flight loop broke off",
+            "frames": self._frames,
+            "attempts": pipeline.attempts,
+            "fixes": pipeline.accepted,
+            "rejected": dict(self._rejected),
+            "duration_s": round(time.monotonic() - self._started_s, 1),
+        }
+        if self._score is not None:
+            summary["score"] = {
+                "true_path_m": round(self._score.path_m(), 1),
+                "estimate_error_m": plain(summarise(self._score.estimate_errors_m)),
+                "fix_error_m": plain(summarise(self._score.fix_errors_m)),
+                "error_at_landing_m": self._score.last_error_m,
+                "max_distance_from_home_m": round(self._score.max_distance_from_home_m(), 1),
+            }
+        return summary
+
+    def _rows(self, assembled: Assembled) -> list[tuple[str, str]]:
+        pipeline = assembled.pipeline
+        rate = 100.0 * pipeline.accepted / pipeline.attempts if pipeline.attempts else 0.0
+        end = self._flight.end if self._flight else None
+        done = "whole route flown" if end and end.reason is None else "not completed"
+        rows = [
+            ("result", done),
+            ("fixes of attempts", f"{pipeline.accepted} of {pipeline.attempts} ({rate:.1f} %)"),
+        ]
+        rows += [(f"rejected: {reason}", str(n)) for reason, n in self._rejected.most_common(4)]
+        if self._score is not None:
+            rows.append(("true path", f"{self._score.path_m():.0f} m"))
+            for name, errors in (
+                ("estimate error", self._score.estimate_errors_m),
+                ("fix error", self._score.fix_errors_m),
+            ):
+                found = summarise(errors)
+                if found:
+                    text = f"{found.mean_m:.2f} / {found.p95_m:.2f} / {found.max_m:.2f} m"
+                    rows.append((f"{name} mean / 95 % / max", text))
+            if self._score.last_error_m is not None:
+                rows.append(("error at landing", f"{self._score.last_error_m:.2f} m"))
+        rows.append(("results in", str(self._folder)))
+        return rows

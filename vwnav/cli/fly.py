@@ -1,0 +1,93 @@
+"""`vwnav fly`: the flight itself, on a drone or in simulation."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+
+@dataclass(frozen=True, slots=True)
+class FlyOptions:
+    """The command line of `vwnav fly`."""
+
+    sim: bool
+    features: str
+    map_source: str | None
+    route: Path | None
+    route_frame: str
+    camera: Path | None
+    video: str | None
+    connection: str | None
+    truth: str | None
+    home: str | None
+    home_sigma_m: float
+    wind_m_s: float
+    seed: int
+    model: Path | None
+    config_path: Path | None
+    output: Path | None
+
+
+def fly(
+    sim: bool = typer.Option(False, "--sim", help="Everything embedded: site, vehicle, camera."),
+    features: str = typer.Option("learned", help="learned, sift or orb."),
+    map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
+    route: Path | None = typer.Option(None, help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text."),
+    route_frame: str = typer.Option(
+        "local", help="Text routes: local (north, east, height in m) or global (lat, lon, height)."
+    ),
+    camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
+    video: str | None = typer.Option(
+        None, help="/dev/video0, picamera2, rtsp://..., or sim:SITE drawn from --truth."
+    ),
+    connection: str | None = typer.Option(
+        None, help="udpin://0.0.0.0:14540, tcpout://HOST:PORT, serial:///dev/ttyAMA0:921600."
+    ),
+    truth: str | None = typer.Option(
+        None, help="Simulators only: MAVLink URL of the ground truth that the camera is drawn from."
+    ),
+    home: str | None = typer.Option(None, help="LAT,LON of the take-off; the route's home if not."),
+    home_sigma_m: float = typer.Option(5.0, min=0.5, help="How well home is known."),
+    wind_m_s: float = typer.Option(5.0, min=0.0, max=15.0, help="With --sim: mean wind, gusty."),
+    seed: int = typer.Option(1, help="With --sim: of wind and sensor noise."),
+    model: Path | None = typer.Option(None, help="Another ONNX model for the learned features."),
+    config_path: Path | None = typer.Option(None, "--config", help="Settings (TOML)."),
+    output: Path | None = typer.Option(None, "-o", "--output", help="Folder of the results."),
+) -> None:
+    """Fly a route without GPS and come home.
+
+    The pilot's mode switch always wins: after it, nothing more is asked of the autopilot.
+
+    Examples:
+    vwnav fly --sim
+    vwnav fly --map field.mbtiles --route field.plan --camera cam.toml --video /dev/video0
+    --connection serial:///dev/ttyAMA0:921600
+    """
+    needed = {"--map": map_source, "--route": route, "--video": video, "--connection": connection}
+    missing = [name for name, value in needed.items() if not value]
+    if missing and not sim:
+        raise typer.BadParameter(f"without --sim a flight needs {', '.join(missing)}")
+    if route_frame not in ("local", "global"):
+        raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
+    from vwnav.cli.flying import fly_route
+
+    fly_route(
+        FlyOptions(
+            sim,
+            features,
+            map_source,
+            route,
+            route_frame,
+            camera,
+            video,
+            connection,
+            truth,
+            home,
+            home_sigma_m,
+            wind_m_s,
+            seed,
+            model,
+            config_path,
+            output,
+        )
+    )

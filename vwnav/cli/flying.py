@@ -1,0 +1,219 @@
+"""What `vwnav fly` does, once its options are read."""
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vwnav.cli.assemble import Assembled, assemble, choose_features
+from vwnav.cli.flight_record import FlightRecord
+from vwnav.cli.fly import FlyOptions
+from vwnav.cli.screen import say
+from vwnav.cli.simulation import (
+    DEFAULT_ROUTE,
+    DEFAULT_SITE,
+    map_pack_of,
+    open_simulated_camera,
+    start_embedded_vehicle,
+)
+from vwnav.config import Config, load_config, save_config
+from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.cameras import open_source
+from vwnav.drivers.run_folder import make_run_folder
+from vwnav.errors import ConfigError, PreflightError, RouteError, VwnavError
+from vwnav.estimation.ekf import Start
+from vwnav.flight import Flight
+from vwnav.geometry.calibration import load_camera
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.guidance.missions import load_route
+from vwnav.maps.coverage import check_route
+from vwnav.maps.pack import MapPack
+from vwnav.runtime import FlightRuntime
+from vwnav.safety.monitor import SafetyMonitor
+from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
+from vwnav.sim.renderer import default_camera
+from vwnav.sim.sites import is_site, parse_site
+from vwnav.sim.truth import TruthReader
+from vwnav.types import Array, FrameSource
+
+DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightPlan:
+    """All that is known before the link is opened.
+
+    Attributes:
+        local_frame: NED origin of the run: home, on the ground.
+        route_ned_m: (n, 3) waypoints.
+        home_known: False when the take-off may be anywhere on the map.
+    """
+
+    config: Config
+    pack: MapPack
+    camera: Camera
+    local_frame: LocalFrame
+    route_ned_m: Array
+    home_known: bool
+
+    @property
+    def route_lat_lon_deg(self) -> Array:
+        """(n + 2, 2): from home over the waypoints and back."""
+        home = np.zeros((1, 3))
+        lat_deg, lon_deg, _ = self.local_frame.to_geodetic(
+            np.vstack([home, self.route_ned_m, home])
+        )
+        return np.stack([lat_deg, lon_deg], axis=-1)
+
+
+def fly_route(options: FlyOptions) -> None:
+    """Fly, and write the run folder.
+
+    Raises:
+        VwnavError: anything that kept the route from being flown to its end.
+        PreflightError: not safe to fly: the map does not cover the route.
+    """
+    cv2.setNumThreads(1)
+    options = _with_simulated_defaults(options)
+    with ExitStack() as stack:
+        plan = _plan(options, stack)
+        folder = make_run_folder(options.output, "fly")
+        save_config(plan.config, folder / "config.toml")
+        link, truth_url = options.connection, options.truth
+        if options.sim:
+            site = parse_site(options.video or DEFAULT_SITE)
+            link, truth_url = start_embedded_vehicle(site, options.wind_m_s, options.seed, stack)
+        assert link is not None
+        truth = TruthReader(truth_url) if truth_url else None
+        if truth is not None:
+            stack.callback(truth.close)
+        source = _open_camera(options, plan, truth, stack)
+        watchdog = stack.enter_context(start_watchdog(link, folder / "watchdog.log"))
+        autopilot = MavsdkAutopilot(watchdog.navigator_url)
+        stack.callback(autopilot.close)
+        _fly(options, plan, folder, watchdog, autopilot, source, truth, stack)
+
+
+def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
+    """`--sim` fills in what was not said; a real flight wants a calibrated camera."""
+    if options.sim:
+        return replace(
+            options,
+            map_source=options.map_source or options.video or DEFAULT_SITE,
+            route=options.route or DEFAULT_ROUTE,
+            video=options.video or DEFAULT_SITE,
+        )
+    if is_site(str(options.video)) and options.truth is None:
+        raise ConfigError("--video sim:SITE is drawn from ground truth: give its URL with --truth")
+    if not is_site(str(options.video)) and options.camera is None:
+        raise ConfigError("fly needs --camera: a flight wants a calibrated camera")
+    return options
+
+
+def _plan(options: FlyOptions, stack: ExitStack) -> FlightPlan:
+    config = load_config(options.config_path)
+    assert options.route is not None
+    route = load_route(options.route, "global" if options.route_frame == "global" else "local")
+    camera = load_camera(options.camera) if options.camera else default_camera()
+    pack = stack.enter_context(MapPack.open(_map_path(options)))
+    home = _home(options.home) or route.home
+    if home is None and options.sim:
+        site = parse_site(options.video or DEFAULT_SITE)
+        home = (site.home_lat_deg, site.home_lon_deg)
+    home_lat, home_lon = home or _middle(pack)
+    local_frame = LocalFrame(home_lat, home_lon, pack.elevation_m(home_lat, home_lon) or 0.0)
+    route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M)
+    plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None)
+    covered = check_route(pack, plan.route_lat_lon_deg)
+    if not covered.ok:
+        raise PreflightError(covered.summary())
+    return plan
+
+
+def _map_path(options: FlyOptions) -> Path:
+    text = str(options.map_source)
+    if not is_site(text):
+        return Path(text)
+    primary, fallback = choose_features(options.features, options.model, say)
+    return map_pack_of(text, [primary, *([fallback] if fallback else [])])
+
+
+def _home(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        lat_deg, lon_deg = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"--home {text!r}: expected LAT,LON in degrees") from error
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
+        raise RouteError(f"--home {text!r} is not on the globe")
+    return lat_deg, lon_deg
+
+
+def _middle(pack: MapPack) -> tuple[float, float]:
+    south, west, north, east = pack.bounds
+    return (south + north) / 2.0, (west + east) / 2.0
+
+
+def _open_camera(
+    options: FlyOptions, plan: FlightPlan, truth: TruthReader | None, stack: ExitStack
+) -> FrameSource:
+    video = str(options.video)
+    if not is_site(video):
+        source = open_source(video)
+    else:
+        assert truth is not None
+        height_m = -float(plan.route_ned_m[0, 2])
+        source = open_simulated_camera(
+            video, plan.camera, truth, plan.route_lat_lon_deg, height_m, options.seed, stack
+        )
+    stack.callback(source.close)
+    return source
+
+
+def _fly(
+    options: FlyOptions,
+    plan: FlightPlan,
+    folder: Path,
+    watchdog: WatchdogProcess,
+    autopilot: MavsdkAutopilot,
+    source: FrameSource,
+    truth: TruthReader | None,
+    stack: ExitStack,
+) -> None:
+    executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+    assembled = assemble(
+        plan.pack, plan.camera, options.features, options.model, plan.local_frame, plan.config,
+        executor, say,
+    )  # fmt: skip
+    _begin(options, plan, autopilot, assembled)
+    record = FlightRecord(folder, plan.local_frame, plan.pack, plan.config, truth)
+    flight = Flight(
+        autopilot, plan.route_ned_m, SafetyMonitor(plan.config.safety), watchdog.keepalive,
+        plan.config.flight, plan.config.limits, record.event,
+    )  # fmt: skip
+    record.follow(flight, assembled.pipeline)
+    try:
+        end = FlightRuntime(assembled.pipeline, flight, autopilot, source, record).run()
+    finally:
+        record.close(options, assembled)
+    if end.reason is not None:
+        raise VwnavError(f"{end.reason} (record in {folder})")
+
+
+def _begin(
+    options: FlyOptions, plan: FlightPlan, autopilot: MavsdkAutopilot, assembled: Assembled
+) -> None:
+    """The autopilot's origin first (before any vision message), then the filter on the ground."""
+    frame = plan.local_frame
+    autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
+    start = Start(
+        t_s=autopilot.state().t_s,
+        position_ned_m=np.zeros(3) if plan.home_known else None,
+        sigma_m=options.home_sigma_m,
+    )
+    assembled.ekf.initialise(start)

@@ -1,0 +1,316 @@
+"""`vwnav map`: make a map pack, describe it, check it against a route."""
+
+import json
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from vwnav.maps.builder import BuildOptions
+    from vwnav.maps.coverage import RouteCoverage
+    from vwnav.maps.heights import HeightGrid
+    from vwnav.maps.pack import MapPack
+    from vwnav.maps.raster import RasterSource
+    from vwnav.types import Array
+
+app = typer.Typer(no_args_is_help=True, help="Make a map pack, describe it, check it.")
+
+
+@app.command()
+def build(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...", help="GeoTIFFs, pictures with world files, map.csv, folders."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="PACK", help="The .mbtiles file.")
+    ],
+    features: Annotated[
+        str, typer.Option(help="Feature sets: learned, sift, orb.")
+    ] = "learned,sift",
+    levels: Annotated[str | None, typer.Option(help="Zoom levels, such as 19,18,17.")] = None,
+    name: Annotated[str | None, typer.Option(help="Of the map, for people.")] = None,
+    attribution: Annotated[
+        str | None, typer.Option(help="Whom the imagery's terms want named.")
+    ] = None,
+    georeference_sigma_m: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="One sigma of the imagery's position; 1 m if not said."),
+    ] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="Of rasters that name none, such as EPSG:32643.")
+    ] = None,
+    heights: Annotated[
+        Path | None, typer.Option(help="Elevation raster, metres above sea level.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Another ONNX model for the learned features.")
+    ] = None,
+) -> None:
+    """Make a map pack: tiles of several levels, and the features to find pictures in them.
+
+    Example: vwnav map build field.tif -o field.mbtiles --attribution "(c) survey office"
+    """
+    from vwnav.cli.screen import progress_bar
+    from vwnav.maps.builder import build_pack
+    from vwnav.maps.pack import MapPack
+    from vwnav.maps.sources import default_options, open_sources
+    from vwnav.vision.features import load_features
+
+    zooms = _zooms(levels)
+    extractors = [load_features(feature, model) for feature in _names(features)]
+    rasters = open_sources(sources, crs)
+    said: dict[str, Any] = {
+        "levels": zooms,
+        "name": name,
+        "attribution": attribution,
+        "georeference_sigma_m": georeference_sigma_m,
+        "created_utc": _now_utc(),
+        "heights": None if heights is None else _heights(heights, rasters),
+    }
+    # What is not said stays as it is in a pack that is rebuilt.
+    said = {key: value for key, value in said.items() if value is not None}
+    options: BuildOptions = replace(default_options(sources, rasters), **said)
+    with _terminated_as_interrupted(), progress_bar() as progress:
+        build_pack(rasters, output, extractors, options, progress)
+    with MapPack.open(output) as pack:
+        _print_description(pack)
+
+
+@app.command()
+def info(
+    pack: Annotated[Path, typer.Argument(metavar="PACK")],
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Describe a map pack."""
+    from vwnav.maps.pack import MapPack
+
+    with MapPack.open(pack) as opened:
+        if as_json:
+            typer.echo(json.dumps(_description(opened)))
+        else:
+            _print_description(opened)
+
+
+@app.command()
+def check(
+    pack: Annotated[Path, typer.Argument(metavar="PACK")],
+    route: Annotated[Path, typer.Option(help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text.")],
+    route_frame: Annotated[
+        str,
+        typer.Option(help="Text routes: local (north, east, height in m) or global (lat, lon)."),
+    ] = "local",
+    home: Annotated[
+        str | None, typer.Option(help="LAT,LON of the take-off; the route's home if not.")
+    ] = None,
+    margin_m: Annotated[
+        float, typer.Option(min=0.0, help="Imagery is wanted so far around.")
+    ] = 50.0,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Say whether the map covers a route, and where it does not; then the exit code is 3."""
+    from vwnav.errors import PreflightError
+    from vwnav.maps.coverage import check_route
+    from vwnav.maps.pack import MapPack
+
+    places = route_places(route, route_frame, home)
+    with MapPack.open(pack) as opened:
+        coverage = check_route(opened, places, margin_m)
+    if as_json:
+        typer.echo(json.dumps(_coverage_values(coverage)))
+    elif coverage.ok:
+        typer.echo(coverage.summary())
+    if not coverage.ok:
+        raise PreflightError(f"{pack}: {coverage.summary()}")
+
+
+def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
+    """The places (n, 2), latitude and longitude in degrees, that a flight of the route passes.
+
+    Args:
+        route: its file.
+        route_frame: "local" or "global", for text routes.
+        home: LAT,LON of the take-off; the route's own home if not given.
+
+    Raises:
+        RouteError: the route cannot be read, or counts from a home that nobody knows.
+        ConfigError: one of the other arguments makes no sense.
+    """
+    import numpy as np
+
+    from vwnav.errors import ConfigError, RouteError
+    from vwnav.geometry.geodesy import LocalFrame
+    from vwnav.guidance.missions import LocalWaypoint, load_route
+
+    if route_frame not in ("local", "global"):
+        raise ConfigError(f"--route-frame {route_frame!r}: choose local or global")
+    loaded = load_route(route, "global" if route_frame == "global" else "local")
+    start = _lat_lon(home) if home is not None else loaded.home
+    places = [] if start is None else [start]
+    for point in loaded.waypoints:
+        if not isinstance(point, LocalWaypoint):
+            places.append((point.lat_deg, point.lon_deg))
+            continue
+        if start is None:
+            raise RouteError(f"{route}: counts in metres from home; say where with --home LAT,LON")
+        lat_deg, lon_deg, _ = LocalFrame(*start, 0.0).to_geodetic(
+            [point.north_m, point.east_m, 0.0]
+        )
+        places.append((float(lat_deg), float(lon_deg)))
+    return np.array(places)
+
+
+def _lat_lon(text: str) -> tuple[float, float]:
+    from vwnav.errors import ConfigError
+
+    try:
+        lat_deg, lon_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--home {text!r}: expected LAT,LON in degrees") from None
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
+        raise ConfigError(f"--home {text!r}: not on the globe")
+    return lat_deg, lon_deg
+
+
+def _names(features: str) -> list[str]:
+    names = [name.strip() for name in features.split(",") if name.strip()]
+    return list(dict.fromkeys(names))
+
+
+def _zooms(levels: str | None) -> tuple[int, ...] | None:
+    if levels is None:
+        return None
+    try:
+        return tuple(int(level) for level in levels.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"expected zoom levels such as 19,18,17, got {levels}") from None
+
+
+def _now_utc() -> str:
+    from datetime import UTC, datetime
+
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _description(pack: "MapPack") -> dict[str, Any]:
+    south, west, north, east = pack.bounds
+    return {
+        "path": str(pack.path),
+        "name": pack.name,
+        "attribution": pack.attribution,
+        "bytes": pack.path.stat().st_size,
+        "south_deg": south,
+        "west_deg": west,
+        "north_deg": north,
+        "east_deg": east,
+        "levels": [
+            {
+                "zoom": level.zoom,
+                "m_per_px": round(level.m_per_px, 4),
+                "tiles": pack.tile_count(level.zoom),
+            }
+            for level in pack.levels
+        ],
+        "features": [
+            {
+                "name": info.name,
+                "feature_set_id": info.feature_set_id,
+                "keypoints": pack.keypoint_count(info.name),
+            }
+            for info in pack.feature_sets
+        ],
+        "georeference_sigma_m": pack.georeference_sigma_m,
+        "heights": pack.heights is not None,
+        "sources": list(pack.sources),
+        "created_utc": pack.created_utc,
+    }
+
+
+def _print_description(pack: "MapPack") -> None:
+    from vwnav.geometry.geodesy import horizontal_distance_m
+
+    south, west, north, east = pack.bounds
+    height_m = horizontal_distance_m(south, west, north, west)
+    width_m = horizontal_distance_m(south, west, south, east)
+    lines = [
+        f"{pack.path}: {pack.name}, {pack.path.stat().st_size / 1e6:.1f} MB",
+        f"  covers    {south:.6f} to {north:.6f} N, {west:.6f} to {east:.6f} E "
+        f"({width_m:.0f} x {height_m:.0f} m), good to {pack.georeference_sigma_m:g} m (1 sigma)",
+    ]
+    lines += [
+        f"  level {level.zoom}  {level.m_per_px:.3f} m/px, {pack.tile_count(level.zoom)} tiles"
+        for level in pack.levels
+    ]
+    lines += [
+        f"  {info.name:8}  {pack.keypoint_count(info.name)} keypoints ({info.feature_set_id})"
+        for info in pack.feature_sets
+    ]
+    lines.append(f"  heights   {'yes' if pack.heights is not None else 'none'}")
+    lines.append(f"  made      {pack.created_utc or 'at an unknown time'} of {_few(pack.sources)}")
+    if pack.attribution:
+        lines.append(f"  imagery   {pack.attribution}")
+    typer.echo("\n".join(lines))
+
+
+def _few(names: tuple[str, ...]) -> str:
+    shown = ", ".join(names[:3])
+    return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
+
+
+def _coverage_values(coverage: "RouteCoverage") -> dict[str, Any]:
+    return {
+        "ok": coverage.ok,
+        "length_m": round(coverage.length_m, 1),
+        "margin_m": coverage.margin_m,
+        "uncovered_m": round(coverage.uncovered_m, 1),
+        "uncovered": [
+            {
+                "start_m": round(stretch.start_m, 1),
+                "end_m": round(stretch.end_m, 1),
+                "start_lat_deg": stretch.start_lat_lon_deg[0],
+                "start_lon_deg": stretch.start_lat_lon_deg[1],
+                "end_lat_deg": stretch.end_lat_lon_deg[0],
+                "end_lon_deg": stretch.end_lat_lon_deg[1],
+            }
+            for stretch in coverage.uncovered
+        ],
+    }
+
+
+def _heights(path: Path, rasters: "list[RasterSource]") -> "HeightGrid":
+    from vwnav.errors import MapError
+    from vwnav.maps.builder import sources_bounds
+
+    try:
+        from vwnav.maps.geotiff import read_heights
+    except ImportError as error:
+        raise MapError(
+            f"{path}: reading it needs rasterio; install it: pip install 'vwnav[maps]' ({error})"
+        ) from error
+    return read_heights(path, sources_bounds(rasters))
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """A plain `kill` ends the build like Ctrl-C does: with nothing left behind."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,86 @@
+"""What a person sees while a command runs: a live line on stderr, a table on stdout at the end."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+talk = Console(stderr=True, highlight=False)
+
+
+def say(line: str) -> None:
+    """One event, on stderr, above the live line."""
+    talk.print(line, markup=False)
+
+
+class LiveLine:
+    """One line that is rewritten in place on a terminal, and printed now and then elsewhere."""
+
+    def __init__(self, every_s: float = 10.0) -> None:
+        self._live = Live(console=talk, refresh_per_second=4, transient=True)
+        self._every_s = every_s
+        self._last_s = -every_s
+
+    def __enter__(self) -> "LiveLine":
+        if talk.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._live.stop()
+
+    def show(self, t_s: float, line: str) -> None:
+        """Show `line`; `t_s` is the time it is about."""
+        if talk.is_terminal:
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
+        elif t_s - self._last_s >= self._every_s:
+            self._last_s = t_s
+            say(line)
+
+
+def print_table(title: str, rows: list[tuple[str, str]]) -> None:
+    """The table at the end of a run, on stdout."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    for name, value in rows:
+        table.add_row(name, value)
+    Console(file=sys.stdout, highlight=False).print(table)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Bars on stderr, one for each kind of work: call with what, done, total."""
+    columns = (
+        TextColumn("{task.description:16}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=talk) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done)
+
+        yield report

@@ -1,0 +1,154 @@
+"""A picture of the flight over the map: estimate, fixes, one-sigma ellipses, and truth if known."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.errors import VwnavError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.mercator import mercator_px, mercator_px_per_m
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import StepResult
+from vwnav.types import Array, Estimate, MapFix
+
+MARGIN_M = 60.0
+MAX_SIDE_PX = 1600
+ELLIPSE_EVERY_S = 2.0
+_ESTIMATE_BGR = (0, 200, 255)
+_FIX_BGR = (90, 220, 60)
+_TRUTH_BGR = (255, 255, 255)
+_SUBPIXEL_BITS = 4
+
+
+class TrackPicture:
+    """Collects a track and draws it at the end."""
+
+    def __init__(self, pack: MapPack, local_frame: LocalFrame) -> None:
+        self._pack = pack
+        self._local_frame = local_frame
+        self._estimates: list[Estimate] = []
+        self._fixes: list[tuple[float, float]] = []
+        self._truth_ned_m: list[Array] = []
+
+    def add(self, step: StepResult) -> None:
+        """One picture of the flight."""
+        if step.estimate is not None and step.estimate.t_last_fix_s is not None:
+            self._estimates.append(step.estimate)
+        if isinstance(step.outcome, MapFix):
+            self._fixes.append((step.outcome.lat_deg, step.outcome.lon_deg))
+
+    def add_truth(self, ned_m: Array) -> None:
+        """The true position (3,), from a simulator."""
+        self._truth_ned_m.append(ned_m)
+
+    def save(self, path: Path) -> None:
+        """Draw and write a PNG.
+
+        Raises:
+            VwnavError: the file cannot be written.
+        """
+        if not cv2.imwrite(str(path), self.draw()):
+            raise VwnavError(f"cannot write {path}")
+
+    def draw(self) -> NDArray[np.uint8]:
+        """The picture, BGR. Without any position: the whole map."""
+        track = self._lat_lon([e.position_ned_m for e in self._estimates])
+        fixes = np.array(self._fixes).reshape(-1, 2)
+        truth = self._lat_lon(self._truth_ned_m)
+        south, west, north, east = self._bounds(np.vstack([track, fixes, truth]))
+        zoom = self._zoom(south, west, north, east)
+        x0, y0 = (int(v) for v in mercator_px(north, west, zoom))
+        x1, y1 = (int(v) + 1 for v in mercator_px(south, east, zoom))
+        gray, _ = self._pack.image(zoom, x0, y0, x1, y1)
+        # Darker and without colour, so that the lines stand out.
+        canvas = cv2.cvtColor((gray * 0.6).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+
+        def pixels(lat_lon: Array) -> Array:
+            x, y = mercator_px(lat_lon[:, 0], lat_lon[:, 1], zoom)
+            return np.stack([np.asarray(x) - x0 - 0.5, np.asarray(y) - y0 - 0.5], axis=-1)
+
+        _line(canvas, pixels(truth), _TRUTH_BGR, 1)
+        _line(canvas, pixels(track), _ESTIMATE_BGR, 2)
+        for uv in pixels(fixes):
+            _dot(canvas, uv, 2.5, _FIX_BGR)
+        self._draw_ellipses(canvas, pixels(track), zoom)
+        _legend(canvas, north, zoom, bool(len(truth)))
+        return canvas
+
+    def _lat_lon(self, ned_m: list[Array]) -> Array:
+        if not ned_m:
+            return np.zeros((0, 2))
+        lat_deg, lon_deg, _ = self._local_frame.to_geodetic(np.array(ned_m))
+        return np.stack([lat_deg, lon_deg], axis=-1)
+
+    def _bounds(self, lat_lon: Array) -> tuple[float, float, float, float]:
+        if not len(lat_lon):
+            return self._pack.bounds
+        low, high = lat_lon.min(axis=0), lat_lon.max(axis=0)
+        margin_lat = MARGIN_M / 111_000.0
+        margin_lon = margin_lat / max(0.01, np.cos(np.radians(low[0])))
+        return (
+            float(low[0] - margin_lat),
+            float(low[1] - margin_lon),
+            float(high[0] + margin_lat),
+            float(high[1] + margin_lon),
+        )
+
+    def _zoom(self, south: float, west: float, north: float, east: float) -> int:
+        """The finest level at which the picture is not too large."""
+        zooms = sorted(level.zoom for level in self._pack.levels)
+        fitting = [z for z in zooms if _side_px(south, west, north, east, z) <= MAX_SIDE_PX]
+        return fitting[-1] if fitting else zooms[0]
+
+    def _draw_ellipses(self, canvas: NDArray[np.uint8], uv: Array, zoom: int) -> None:
+        last_s = -np.inf
+        for estimate, at in zip(self._estimates, uv, strict=True):
+            if estimate.t_s - last_s < ELLIPSE_EVERY_S:
+                continue
+            last_s = estimate.t_s
+            variances, axes = np.linalg.eigh(estimate.covariance[:2, :2])
+            px_per_m = mercator_px_per_m(self._local_frame.lat_deg, zoom)[0]
+            semi_px = np.sqrt(np.maximum(variances, 0.0)) * px_per_m
+            # Columns are (north, east): on the picture east is right and north is up.
+            angle_deg = float(np.degrees(np.arctan2(-axes[0, 1], axes[1, 1])))
+            scale = 1 << _SUBPIXEL_BITS
+            centre = tuple(int(round(v * scale)) for v in at)
+            size = tuple(max(scale, int(round(v * scale))) for v in semi_px[::-1])
+            cv2.ellipse(
+                canvas, centre, size, angle_deg, 0, 360, _ESTIMATE_BGR, 1, cv2.LINE_AA,
+                _SUBPIXEL_BITS,
+            )  # fmt: skip
+
+
+def _side_px(south: float, west: float, north: float, east: float, zoom: int) -> float:
+    x0, y0 = mercator_px(north, west, zoom)
+    x1, y1 = mercator_px(south, east, zoom)
+    return float(max(x1 - x0, y1 - y0))
+
+
+def _line(canvas: NDArray[np.uint8], uv: Array, bgr: tuple[int, int, int], width: int) -> None:
+    if len(uv) > 1:
+        points = np.round(uv * (1 << _SUBPIXEL_BITS)).astype(np.int32)[:, None]
+        cv2.polylines(canvas, [points], False, bgr, width, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def _dot(canvas: NDArray[np.uint8], uv: Array, radius: float, bgr: tuple[int, int, int]) -> None:
+    scale = 1 << _SUBPIXEL_BITS
+    centre = (int(round(uv[0] * scale)), int(round(uv[1] * scale)))
+    cv2.circle(canvas, centre, int(radius * scale), bgr, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def _legend(canvas: NDArray[np.uint8], lat_deg: float, zoom: int, with_truth: bool) -> None:
+    """Scale bar of 100 m, and what the colours mean."""
+    bar_px = int(round(100.0 * mercator_px_per_m(lat_deg, zoom)[0]))
+    y = canvas.shape[0] - 16
+    cv2.line(canvas, (16, y), (16 + bar_px, y), (255, 255, 255), 3)
+    entries = [("100 m", (255, 255, 255)), ("estimate, 1 sigma", _ESTIMATE_BGR), ("fix", _FIX_BGR)]
+    if with_truth:
+        entries.append(("truth", _TRUTH_BGR))
+    x = 24 + bar_px
+    for text, bgr in entries:
+        cv2.putText(canvas, text, (x, y + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.5, bgr, 1, cv2.LINE_AA)
+        x += cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)[0][0] + 18

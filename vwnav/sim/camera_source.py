@@ -1,0 +1,93 @@
+"""A simulated camera: pictures rendered from the ground truth that any simulator sends by MAVLink."""
+
+import threading
+import time
+
+import numpy as np
+
+from vwnav.errors import SourceError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.truth import TruthReader, TruthState
+from vwnav.types import Frame
+
+FRAME_HZ = 15.0
+FIRST_TRUTH_TIMEOUT_S = 20.0
+TRUTH_LAG_S = 0.03  # a picture shows a moment this old, so that truth around it can be interpolated
+
+
+class SimulatedCamera:
+    """A `FrameSource` that behaves like a real camera: the newest picture wins.
+
+    Args:
+        ground_alt_amsl_m: height of the site's ground; that of the first truth when None, which
+            is right for a vehicle that stands on it.
+    """
+
+    def __init__(
+        self,
+        renderer: CameraRenderer,
+        truth: TruthReader,
+        site_home: tuple[float, float],
+        ground_alt_amsl_m: float | None = None,
+        rate_hz: float = FRAME_HZ,
+    ) -> None:
+        first = _wait_for(truth)
+        ground_m = first.alt_amsl_m if ground_alt_amsl_m is None else ground_alt_amsl_m
+        self._site_frame = LocalFrame(*site_home, ground_m)
+        self._renderer = renderer
+        self._truth = truth
+        self._period_s = 1.0 / rate_hz
+        self._newest: Frame | None = None
+        self._arrived = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._expose, name="simulated camera", daemon=True)
+        self._thread.start()
+
+    def next_frame(self) -> Frame | None:
+        """The newest picture that was not handed out yet; waits for one. None once closed."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._newest is not None or self._closed)
+            frame, self._newest = self._newest, None
+            return frame
+
+    def close(self) -> None:
+        """Stop rendering."""
+        with self._arrived:
+            self._closed = True
+            self._arrived.notify_all()
+        self._thread.join(timeout=2.0)
+
+    def _expose(self) -> None:
+        index, next_s = 0, time.monotonic()
+        while not self._closed:
+            t_s = time.monotonic() - TRUTH_LAG_S
+            state = self._truth.at(t_s)
+            if state is not None:
+                frame = Frame(t_s, self._render(state, t_s), index)
+                index += 1
+                with self._arrived:
+                    self._newest = frame
+                    self._arrived.notify_all()
+            next_s = max(next_s + self._period_s, time.monotonic())
+            time.sleep(max(0.0, next_s - time.monotonic()))
+
+    def _render(self, state: TruthState, t_s: float) -> np.ndarray:
+        return self._renderer.render(
+            self._site_frame.to_ned(state.lat_deg, state.lon_deg, state.alt_amsl_m),
+            rotation_from_quat(np.array(state.quat_wxyz)),
+            t_s,
+            np.array(state.velocity_ned_m_s),
+            np.array(state.rates_rad_s),
+        )
+
+
+def _wait_for(truth: TruthReader) -> TruthState:
+    state = truth.wait(FIRST_TRUTH_TIMEOUT_S)
+    if state is not None:
+        return state
+    raise SourceError(
+        f"no ground truth within {FIRST_TRUTH_TIMEOUT_S:.0f} s: does the simulator send "
+        "HIL_STATE_QUATERNION or SIM_STATE to the URL of --truth?"
+    )

@@ -1,0 +1,73 @@
+"""Sites by name, as commands take them (`sim:SITE`), and their map look as a raster."""
+
+import math
+import re
+
+import numpy as np
+
+from vwnav.errors import ConfigError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.picture import Picture, Window
+from vwnav.maps.raster import DrawnSource, local_georeference
+from vwnav.sim.site import Site
+
+SITE_PREFIX = "sim:"
+DEFAULT_SEED = 1
+UNRELATED_SEED = 2  # another place: what the camera sees is not on its map
+NAMED_SEEDS = {"default": DEFAULT_SEED, "unrelated": UNRELATED_SEED}
+MAP_NORTH_M = 1200.0  # size of the map, home in the middle
+MAP_EAST_M = 1600.0
+MAP_M_PER_PX = 0.3
+MAP_SIGMA_M = 0.5
+_PATTERN = re.compile(r"sim:(\w+)(?:@(-?[\d.]+),(-?[\d.]+))?")
+
+
+def is_site(text: str) -> bool:
+    """Whether a command's argument names a generated site."""
+    return text.startswith(SITE_PREFIX)
+
+
+def parse_site(text: str) -> Site:
+    """The site of `sim:default`, `sim:unrelated` or `sim:SEED`, each with `@LAT,LON` of its home.
+
+    Raises:
+        ConfigError: it is none of these.
+    """
+    found = _PATTERN.fullmatch(text)
+    name = found[1] if found else ""
+    if found is None or not (name in NAMED_SEEDS or name.isdecimal()):
+        raise ConfigError(
+            f"no site {text!r}: expected sim:default, sim:unrelated or sim:SEED, "
+            "with @LAT,LON after it to put it elsewhere"
+        )
+    seed = NAMED_SEEDS[name] if name in NAMED_SEEDS else int(name)
+    if found[2] is None:
+        return Site(seed)
+    try:
+        lat_deg, lon_deg = float(found[2]), float(found[3])
+    except ValueError as error:
+        raise ConfigError(f"{text!r}: LAT,LON are not numbers") from error
+    if not (abs(lat_deg) < 80.0 and abs(lon_deg) <= 180.0):
+        raise ConfigError(f"{text!r}: latitude within 80, longitude within 180 degrees")
+    return Site(seed, lat_deg, lon_deg)
+
+
+def map_raster(site: Site) -> DrawnSource:
+    """The map look of a site as a raster; drawn window by window when it is read."""
+    frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
+    north0_m, east0_m = MAP_NORTH_M / 2.0, -MAP_EAST_M / 2.0
+    size_wh = (math.ceil(MAP_EAST_M / MAP_M_PER_PX), math.ceil(MAP_NORTH_M / MAP_M_PER_PX))
+
+    def draw(window: Window) -> Picture:
+        height, width = window.shape
+        bgr = site.render(
+            "map",
+            north0_m - window.y0 * MAP_M_PER_PX,
+            east0_m + window.x0 * MAP_M_PER_PX,
+            (width, height),
+            MAP_M_PER_PX,
+        )
+        return Picture(bgr, np.ones((height, width), np.bool_))
+
+    georeference = local_georeference(frame, (north0_m, east0_m), MAP_M_PER_PX)
+    return DrawnSource(f"sim:{site.seed}", size_wh, georeference, draw)
