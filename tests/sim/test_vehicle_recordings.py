@@ -1,0 +1,211 @@
+"""Conformance of the simulated vehicle with recordings of the real PX4 1.18."""
+
+import gzip
+import os
+import struct
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from px4_bench import Bench
+from pymavlink.dialects.v20 import development as mavlink
+from test_vehicle_session import Talk
+
+from vwnav.sim.px4 import messages
+from vwnav.sim.px4.modes import NavState
+from vwnav.sim.px4.streams import COMPANION_RATES
+
+DATA = Path(os.environ.get("VWNAV_DATA", Path(__file__).parents[3] / "shared" / "data"))
+RECORDS = DATA / "mavlink"
+NOMINAL, VISION = "px4-1.18_nominal", "px4-1.18_vpe_nogps_from_boot"
+pytestmark = pytest.mark.skipif(
+    not (RECORDS / f"{NOMINAL}.tlog.gz").exists(), reason="needs the recordings of VWNAV_DATA"
+)
+# What the simulated vehicle leaves out: nothing in it feeds a navigator.
+LEFT_OUT = {
+    "OPEN_DRONE_ID_LOCATION",
+    "OPEN_DRONE_ID_SYSTEM",
+    "GNSS_INTEGRITY",
+    "POSITION_TARGET_GLOBAL_INT",
+    "COMMAND_LONG",  # to gimbals and grippers
+    "UNKNOWN_8",  # LINK_NODE_STATUS
+    "UNKNOWN_290",  # ESC_INFO
+    "UNKNOWN_291",  # ESC_STATUS
+    "UNKNOWN_380",  # TIME_ESTIMATE_TO_TARGET
+    "UNKNOWN_410",  # EVENT
+    "UNKNOWN_411",  # CURRENT_EVENT_SEQUENCE
+    "UNKNOWN_514",  # ESTIMATOR_SENSOR_FUSION_STATUS
+}
+ON_REQUEST = {"DISTANCE_SENSOR", "GPS_RAW_INT", "HIL_STATE_QUATERNION"}
+
+
+@cache
+def packets(name: str) -> tuple[tuple[float, int, bytes], ...]:
+    """(seconds, message number, packet) of everything the autopilot sent."""
+    data = gzip.decompress((RECORDS / f"{name}.tlog.gz").read_bytes())
+    found, at = [], 0
+    while at + 20 < len(data):
+        stamp_s = struct.unpack(">Q", data[at : at + 8])[0] * 1e-6
+        packet = data[at + 8 : at + 20 + data[at + 9]]
+        at += 8 + len(packet)
+        if packet[6] == 1:
+            found.append((stamp_s, int.from_bytes(packet[7:10], "little"), packet))
+    return tuple((stamp_s - found[0][0], number, packet) for stamp_s, number, packet in found)
+
+
+def recorded(name: str, number: int) -> list[tuple[float, Any]]:
+    """(seconds, message) of one kind."""
+    parser = mavlink.MAVLink(None)
+    ours = [(t_s, packet) for t_s, kind, packet in packets(name) if kind == number]
+    return [(t_s, parser.parse_buffer(packet)[0]) for t_s, packet in ours]
+
+
+def kind_of(number: int) -> str:
+    known = mavlink.mavlink_map.get(number)
+    return f"UNKNOWN_{number}" if known is None else str(known.msgname)
+
+
+@pytest.fixture(scope="module")
+def sent() -> Counter[str]:
+    """How often each message is sent in 20 s of standing with a position."""
+    talk = Talk()
+    talk.run(1.0)
+    talk.vehicle.estimator.set_origin(41.1, 29.0, 40.0)
+    bench = Bench()
+    bench.vehicle, bench.vision = talk.vehicle, True
+    bench.run(3.0)
+    counter: Counter[str] = Counter()
+    for _ in range(600):
+        bench.see()
+        counter.update(message.get_type() for message in talk.run(20.0 / 600))
+    return counter
+
+
+def test_default_rates_are_the_recorded_ones(sent: Counter[str]) -> None:
+    stream = packets(NOMINAL)
+    seconds = stream[-1][0]
+    theirs = Counter(kind_of(number) for _, number, _ in stream)
+    changed = {"EXTENDED_SYS_STATE"}  # MAVSDK asked for another rate
+    for number in COMPANION_RATES.keys() - {24, 65, 436}:
+        kind = kind_of(number)
+        if kind not in changed:
+            rate = theirs[kind] / seconds
+            assert sent[kind] / 20.0 == pytest.approx(rate, rel=0.22 if rate < 2 else 0.05), kind
+
+
+def test_the_message_set_is_the_recorded_one_but_for_a_known_rest(sent: Counter[str]) -> None:
+    streams = {kind_of(number) for name in (NOMINAL, VISION) for _, number, _ in packets(name)}
+    answers = {"COMMAND_ACK", "PARAM_VALUE", "AUTOPILOT_VERSION", "STATUSTEXT", "GPS_GLOBAL_ORIGIN"}
+    assert streams - sent.keys() - answers - ON_REQUEST - LEFT_OUT == set()
+    assert sent.keys() - streams == set()
+
+
+@pytest.mark.parametrize("name", sorted(path.name[:-8] for path in RECORDS.glob("px4-1.18*.gz")))
+def test_mode_numbers_are_the_recorded_ones(name: str) -> None:
+    ours = {(s.base_mode | armed, s.custom_mode) for s in NavState for armed in (0, 128)}
+    mission = 4 << 16 | 4 << 24
+    for _, message in recorded(name, 0):
+        if message.custom_mode != mission:
+            assert (message.base_mode, message.custom_mode) in ours
+
+
+def test_the_version_is_the_recorded_one() -> None:
+    theirs = recorded(NOMINAL, 148)[0][1]
+    ours = messages.autopilot_version(Bench().vehicle)
+    for field in ("capabilities", "flight_sw_version", "vendor_id", "product_id", "board_version"):
+        assert getattr(ours, field) == getattr(theirs, field)
+
+
+def flags_of(bench: Bench) -> int:
+    return int(messages.estimator_status(bench.vehicle).flags)
+
+
+def gps_hoped_for() -> Bench:
+    """As in the recording: PX4's defaults, but vision on and the barometer for height."""
+    return Bench(px4_defaults=True, parameters=(("EKF2_EV_CTRL", 1), ("EKF2_HGT_REF", 0)))
+
+
+def test_estimator_flags_go_through_the_recorded_values() -> None:
+    theirs = [m.flags for t_s, m in recorded(VISION, 230) if t_s > 1.5]
+    bench = gps_hoped_for()
+    bench.run(1.0)
+    ours = [flags_of(bench)]
+    bench.get_ready()
+    ours.append(flags_of(bench))
+    bench.hover()
+    ours.append(flags_of(bench))
+    bench.vision = False
+    for seconds in (1.0, 6.0):
+        bench.run(seconds)
+        ours.append(flags_of(bench))
+    assert ours == list(dict.fromkeys(theirs))
+
+
+def sensor_bits(bench: Bench) -> tuple[int, int]:
+    m = messages.sys_status(bench.vehicle)
+    return m.onboard_control_sensors_present, m.onboard_control_sensors_health
+
+
+def test_sensor_bits_are_recorded_ones() -> None:
+    theirs = {
+        (m.onboard_control_sensors_present, m.onboard_control_sensors_health)
+        for t_s, m in recorded(VISION, 1)
+        if t_s > 2.0
+    }
+    bench = gps_hoped_for()
+    bench.run(0.5)
+    ours = {sensor_bits(bench)}
+    bench.hover()
+    ours.add(sensor_bits(bench))
+    bench.vision = False
+    bench.run(6.0)
+    ours.add(sensor_bits(bench))
+    assert ours <= theirs
+
+
+def modes_from(name: str, start_s: float) -> list[tuple[int, int, int]]:
+    """(main, sub, system status) one after the other, without repeats."""
+    found = []
+    for t_s, m in recorded(name, 0):
+        if t_s >= start_s:
+            mode = (m.custom_mode >> 16 & 255, m.custom_mode >> 24, m.system_status)
+            if not found or found[-1] != mode:
+                found.append(mode)
+    return found
+
+
+def mode_now(bench: Bench) -> tuple[int, int, int]:
+    m = messages.heartbeat(bench.vehicle)
+    return (m.custom_mode >> 16 & 255, m.custom_mode >> 24, m.system_status)
+
+
+def test_vision_lost_and_back_goes_through_the_recorded_modes() -> None:
+    bench = Bench().hover().offboard((0.5, 0.0, 0.0))
+    ours = [mode_now(bench)]
+    bench.vision = False
+    bench.run(7.0)
+    ours.append(mode_now(bench))
+    bench.vision = True
+    bench.run(3.0)
+    ours.append(mode_now(bench))
+    bench.ask(NavState.LAND)
+    bench.run(1.0)
+    ours.append(mode_now(bench))
+    bench.run(20.0)
+    ours.append(mode_now(bench))
+    assert ours == modes_from(VISION, 37.0)[: len(ours)]
+
+
+def test_an_empty_battery_goes_through_the_recorded_modes() -> None:
+    name = "px4-1.18_battery"
+    limits = (("COM_LOW_BAT_ACT", 3), ("BAT_CRIT_THR", 0.3), ("BAT_EMERGEN_THR", 0.12))
+    bench = Bench(parameters=(*limits, ("BAT_LOW_THR", 0.5)), battery_drain_s=75.0)
+    bench.hover().offboard()
+    ours = [mode_now(bench)]
+    for _ in range(3500):
+        bench.run(0.02)
+        if mode_now(bench) != ours[-1]:
+            ours.append(mode_now(bench))
+    assert ours[:4] == modes_from(name, 21.0)[:4]

@@ -1,0 +1,189 @@
+"""The truth reader, against a sender of either kind, and garbage between the messages."""
+
+import math
+import random
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from px4_client import free_port
+from pymavlink.dialects.v20 import development as mavlink
+
+from vwnav.errors import ConfigError, LinkError
+from vwnav.sim.truth import TruthReader, TruthState, _between
+
+PACKER = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+
+
+def hil(north_deg: float = 41.0, usec: int = 0, w: float = -1.0, x: float = 0.0) -> bytes:
+    place = (round(north_deg * 1e7), 290000000, 50000)
+    message = mavlink.MAVLink_hil_state_quaternion_message(
+        usec, [w, x, 0.0, 0.0], 0.1, 0.2, 0.3, *place, 100, -200, 50, 0, 0, 0, 0, 0
+    )
+    return bytes(message.pack(PACKER))
+
+
+def sim_state() -> bytes:
+    message = mavlink.MAVLink_sim_state_message(
+        *(1.0, 0.0, 0.0, 0.0), *([0.0] * 3), *([0.0] * 3), *([0.0] * 3),
+        41.0, 29.0, 50.0, 0.0, 0.0, 1.0, 2.0, 3.0, 410000001, 290000002,
+    )  # fmt: skip
+    return bytes(message.pack(PACKER))
+
+
+class Sender:
+    """A simulator on UDP that sends to the reader's port."""
+
+    def __init__(self) -> None:
+        self.port = free_port()
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(3.0)
+        self.reader = TruthReader(f"udpin:127.0.0.1:{self.port}")
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendto(data, ("127.0.0.1", self.port))
+
+    def heard(self, kind: str) -> Any:
+        parser = mavlink.MAVLink(None)
+        for _ in range(20):
+            for message in parser.parse_buffer(self.socket.recv(1000)) or []:
+                if message.get_type() == kind:
+                    return message
+        return None
+
+
+@pytest.fixture
+def sender() -> Iterator[Sender]:
+    sender = Sender()
+    yield sender
+    sender.reader.close()
+    sender.socket.close()
+
+
+def test_it_reads_hil_state_quaternion_with_a_negative_w(sender: Sender) -> None:
+    sender.send(hil())
+    state = sender.reader.wait(2.0)
+    assert state is not None
+    assert (state.lat_deg, state.lon_deg, state.alt_amsl_m) == pytest.approx((41.0, 29.0, 50.0))
+    assert state.velocity_ned_m_s == pytest.approx((1.0, -2.0, 0.5))
+    assert state.quat_wxyz[0] == -1.0
+    assert time.monotonic() - state.t_s < 1.0
+
+
+def test_it_reads_the_integer_place_of_sim_state(sender: Sender) -> None:
+    sender.send(sim_state())
+    state = sender.reader.wait(2.0)
+    assert state is not None
+    assert state.lat_deg == pytest.approx(41.0000001, abs=1e-9)
+    assert state.velocity_ned_m_s == (1.0, 2.0, 3.0)
+
+
+def test_it_asks_for_both_messages_when_it_hears_a_vehicle(sender: Sender) -> None:
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+    sender.send(bytes(heartbeat.pack(PACKER)))
+    asked = [sender.heard("COMMAND_LONG") for _ in range(2)]
+    assert {ask.param1 for ask in asked} == {115, 108}
+    assert {(ask.target_system, ask.command, ask.param2) for ask in asked} == {(3, 511, 10000.0)}
+
+
+def test_garbage_between_and_around_the_messages_does_not_matter(sender: Sender) -> None:
+    rng = random.Random(1)
+    for _ in range(50):
+        sender.send(rng.randbytes(rng.randrange(1, 300)))
+    sender.send(rng.randbytes(40) + hil() + rng.randbytes(40) + hil(42.0))
+    sender.send(hil(43.0))
+    sender.send(hil(43.0))
+    end = time.monotonic() + 3.0
+    while time.monotonic() < end:
+        state = sender.reader.latest()
+        if state is not None and state.lat_deg > 42.9:
+            return
+        sender.send(hil(43.0))
+        time.sleep(0.02)
+    pytest.fail("the last state did not come through")
+
+
+def test_states_that_cannot_be_are_dropped(sender: Sender) -> None:
+    sender.send(hil(w=math.nan))
+    sender.send(hil(w=0.1))
+    sender.send(hil(44.0))
+    state = sender.reader.wait(2.0)
+    assert state is not None
+    assert state.lat_deg == pytest.approx(44.0)
+
+
+def test_it_interpolates_between_two_states(sender: Sender) -> None:
+    sender.send(hil(41.0))
+    sender.reader.wait(2.0)
+    time.sleep(0.1)
+    sender.send(hil(42.0))
+    time.sleep(0.1)
+    first, last = sender.reader.at(0.0), sender.reader.at(math.inf)
+    assert first is not None
+    assert last is not None
+    middle = sender.reader.at(0.5 * (first.t_s + last.t_s))
+    assert middle is not None
+    assert middle.lat_deg == pytest.approx(41.5, abs=1e-6)
+
+
+def test_a_burst_after_a_stall_is_spread_by_the_senders_stamps(sender: Sender) -> None:
+    sender.send(hil(41.0, usec=1_000_000))
+    sender.reader.wait(2.0)
+    time.sleep(0.2)
+    for i in range(1, 11):
+        sender.send(hil(41.0 + i, usec=1_000_000 + 20_000 * i))
+    time.sleep(0.2)
+    first, last = sender.reader.at(0.0), sender.reader.latest()
+    assert first is not None
+    assert last is not None
+    assert last.t_s - first.t_s == pytest.approx(0.2, abs=0.05)
+    middle = sender.reader.at(first.t_s + 0.1)
+    assert middle is not None
+    assert middle.lat_deg == pytest.approx(46.0, abs=2.5)
+
+
+def state_at(t_s: float, w: float = 1.0, lon_deg: float = 0.0) -> TruthState:
+    return TruthState(t_s, 0.0, lon_deg, 0.0, (w, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
+
+
+def test_the_longer_way_round_is_not_interpolated() -> None:
+    middle = _between(state_at(0.0), state_at(1.0, w=-1.0), 0.5)
+    assert abs(middle.quat_wxyz[0]) == 1.0
+
+
+def test_the_antimeridian_is_not_crossed_the_long_way() -> None:
+    middle = _between(state_at(0.0, lon_deg=179.9999), state_at(1.0, lon_deg=-179.9999), 0.4)
+    assert middle.lon_deg == 179.9999
+
+
+def test_it_reads_over_tcp() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+        def serve() -> None:
+            stream, _ = server.accept()
+            with stream:
+                stream.sendall(b"noise" + hil())
+                stream.sendall(hil())
+                time.sleep(0.5)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        reader = TruthReader(f"tcpout://127.0.0.1:{port}")
+        assert reader.wait(2.0) is not None
+        thread.join()
+        reader.close()
+
+
+@pytest.mark.parametrize("url", ["", "udp", "serial:///dev/ttyACM0", "udpin:nowhere", "udpin:h:x"])
+def test_a_url_that_is_none_says_so(url: str) -> None:
+    with pytest.raises(ConfigError, match="udpout:HOST:PORT"):
+        TruthReader(url)
+
+
+def test_a_tcp_server_that_is_not_there_says_so() -> None:
+    with pytest.raises(LinkError, match="cannot open tcpout"):
+        TruthReader("tcpout:127.0.0.1:1")

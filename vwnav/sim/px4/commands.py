@@ -1,0 +1,177 @@
+"""COMMAND_LONG and COMMAND_INT: what the simulated PX4 does with each, and its answer."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from vwnav.sim.px4.commander import FORCE_MAGIC
+from vwnav.sim.px4.modes import NavState, Result, state_of_custom_mode
+from vwnav.sim.px4.px4 import SimulatedPx4
+from vwnav.sim.px4.streams import Schedule
+
+MESSAGE_INTERVAL = 244
+_CUSTOM_MODE_ENABLED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One command; x and y are degrees when they are a place, NaN is not given."""
+
+    number: int
+    p1: float
+    p2: float
+    p3: float
+    p4: float
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(slots=True)
+class Context:
+    """What a command may touch besides the vehicle: its link's streams, and a message to send."""
+
+    vehicle: SimulatedPx4
+    schedule: Schedule
+    send_now: list[int]
+    reboot: bool = False
+
+
+Handler = Callable[[Command, Context], Result]
+
+
+def execute(command: Command, context: Context) -> Result:
+    """Do a command and say how it went, in PX4's result codes."""
+    handler = _HANDLERS.get(command.number)
+    context.vehicle.look()
+    return Result.UNSUPPORTED if handler is None else handler(command, context)
+
+
+def _arm(command: Command, context: Context) -> Result:
+    v = context.vehicle
+    forced = command.p2 == FORCE_MAGIC
+    if command.p1 == 1.0:
+        result = v.commander.arm(v.health, forced, v.t_s)
+        if result is Result.ACCEPTED:
+            v.set_home_here()
+        return result
+    if command.p1 == 0.0:
+        return v.commander.disarm(v.health, forced)
+    return Result.UNSUPPORTED
+
+
+def _takeoff(command: Command, context: Context) -> Result:
+    v = context.vehicle
+    result = v.commander.ask(NavState.TAKEOFF, v.health)
+    if result is Result.ACCEPTED:
+        v.plan_takeoff(command.z if math.isfinite(command.z) and command.z != 0.0 else None)
+    return result
+
+
+def _state(wanted: NavState) -> Handler:
+    def ask(_: Command, context: Context) -> Result:
+        return context.vehicle.commander.ask(wanted, context.vehicle.health)
+
+    return ask
+
+
+def _set_mode(command: Command, context: Context) -> Result:
+    if not all(map(math.isfinite, (command.p1, command.p2))):
+        return Result.DENIED
+    if not int(command.p1) & _CUSTOM_MODE_ENABLED:
+        return Result.UNSUPPORTED
+    sub = int(command.p3) if math.isfinite(command.p3) else 0
+    wanted = state_of_custom_mode(int(command.p2), sub)
+    if wanted is None:
+        return Result.TEMPORARILY_REJECTED
+    if wanted is NavState.TAKEOFF:
+        return _takeoff(command, context)
+    return context.vehicle.commander.ask(wanted, context.vehicle.health)
+
+
+def is_place(lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bool:
+    """Whether these can be a place on earth; False for NaN."""
+    return abs(lat_deg) < 90.0 and abs(lon_deg) <= 180.0 and abs(alt_amsl_m) < 1e5
+
+
+def _message_id(value: float) -> int | None:
+    """A message number as MESSAGE_INTERVAL can carry it."""
+    return int(value) if 0.0 <= value < 65536.0 else None
+
+
+def _set_interval(command: Command, context: Context) -> Result:
+    number = _message_id(command.p1)
+    known = number is not None and context.schedule.set_interval(
+        number, command.p2, context.vehicle.t_s
+    )
+    return Result.ACCEPTED if known else Result.FAILED
+
+
+def _request(command: Command, context: Context) -> Result:
+    number = _message_id(command.p1)
+    if number is None:
+        return Result.DENIED
+    context.send_now.append(number)
+    return Result.ACCEPTED
+
+
+def _request_version(_: Command, context: Context) -> Result:
+    context.send_now.append(148)
+    return Result.ACCEPTED
+
+
+def _get_interval(command: Command, context: Context) -> Result:
+    if _message_id(command.p1) is None:
+        return Result.DENIED
+    context.send_now.append(MESSAGE_INTERVAL)
+    return Result.ACCEPTED
+
+
+def _set_home(command: Command, context: Context) -> Result:
+    v = context.vehicle
+    if command.p1 == 1.0:
+        done = v.set_home_here()
+    elif is_place(command.x, command.y, command.z):
+        done = v.set_home(command.x, command.y, command.z)
+    else:
+        return Result.DENIED
+    return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
+
+
+def _set_origin(command: Command, context: Context) -> Result:
+    if not is_place(command.x, command.y, command.z):
+        return Result.DENIED
+    context.vehicle.estimator.set_origin(command.x, command.y, command.z)
+    context.send_now.append(49)
+    return Result.ACCEPTED
+
+
+def _reboot(command: Command, context: Context) -> Result:
+    if context.vehicle.commander.armed:
+        return Result.TEMPORARILY_REJECTED
+    if command.p1 != 1.0:
+        return Result.DENIED
+    context.reboot = True
+    return Result.ACCEPTED
+
+
+def _accept(_: Command, __: Context) -> Result:
+    return Result.ACCEPTED
+
+
+_HANDLERS: dict[int, Handler] = {
+    17: _state(NavState.HOLD),  # NAV_LOITER_UNLIM
+    20: _state(NavState.RETURN),
+    21: _state(NavState.LAND),
+    22: _takeoff,
+    176: _set_mode,
+    178: _accept,  # DO_CHANGE_SPEED
+    179: _set_home,
+    246: _reboot,
+    400: _arm,
+    510: _get_interval,
+    511: _set_interval,
+    512: _request,
+    520: _request_version,
+    611: _set_origin,
+}

@@ -1,0 +1,291 @@
+"""The vehicle's own estimator: inertial, barometer, compass and external vision, as EKF2 behaves.
+
+What is EKF2's (and measured, see docs/simulation.md) is kept: vision must come faster than 5 Hz to
+be fused, the position dies after EKF2_NOAID_TOUT without it, a changed reset_counter resets, a
+steady disagreement resets after 2.5 s, and an origin set while vision is fused wrecks the position.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.sim.px4.airframe import GRAVITY_M_S2
+from vwnav.sim.px4.attitude_filter import AttitudeFilter
+from vwnav.sim.px4.axis_filter import AxisFilter
+from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.sensors import Imu
+
+EV_HORIZONTAL, EV_HEIGHT, EV_VELOCITY, EV_YAW = 1, 2, 4, 8
+HEIGHT_FROM_VISION = 3
+_MAX_GAP_S = 0.2  # EKF2's EV_MAX_INTERVAL
+_RESTART_S = 0.6  # of steady vision after the position was lost
+_RESET_AFTER_S = 2.5  # of refused vision: a silent 5 m jump was followed in 3 s
+_HISTORY_STEP_S = 0.02
+_HISTORY = 40
+_TILT_TIME_S = 10.0
+_SPHERE_RADIUS_M = 6371000.0
+
+
+@dataclass(frozen=True, slots=True)
+class VisionSample:
+    """External vision in NED about the estimator's origin; None is not measured.
+
+    `t_s` is the vehicle's time of the measurement, variances in m^2 and (m/s)^2.
+    """
+
+    t_s: float
+    north_m: float
+    east_m: float
+    down_m: float
+    variance_m2: float
+    yaw_rad: float | None
+    velocity_ned_m_s: tuple[float, float, float] | None
+    velocity_variance: float
+    reset_counter: int
+    turned_frame: bool  # LOCAL_FRD: its north is the vehicle's nose at start, not north
+
+
+class Estimator:
+    """Position, velocity and attitude of the vehicle as it believes them, NED about its origin."""
+
+    def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: Parameters) -> None:
+        self._parameters = parameters
+        self.attitude = AttitudeFilter(heading_rad)
+        self.north, self.east, self.down = AxisFilter(14.0), AxisFilter(14.0), AxisFilter(2.6)
+        self.alt_amsl_m = alt_amsl_m  # of the local frame's zero
+        self.start_alt_amsl_m = alt_amsl_m
+        self.origin: LocalFrame | None = None
+        self.origin_t_s = -math.inf
+        self._wrecked_m = (0.0, 0.0)
+        self.fusing = False
+        self.reset_counter = 0
+        self.t_s = 0.0
+        self.test_ratio = 0.0
+        self._last_fused_s = -math.inf
+        self._last_sample_s = -math.inf
+        self._steady_since_s = 0.0
+        self._last_vision_yaw_s = -math.inf
+        self._refused_since_s: float | None = None
+        self._vision_reset_counter: int | None = None
+        self._baro_bias_m = 0.0
+        self._history: deque[tuple[float, float, float, float]] = deque(maxlen=_HISTORY)
+        self._grow_s = 0.0
+
+    @property
+    def local_position_ok(self) -> bool:
+        """Horizontal position is valid: aided within EKF2_NOAID_TOUT."""
+        return self.t_s - self._last_fused_s < self._parameters["EKF2_NOAID_TOUT"] * 1e-6
+
+    @property
+    def lost_in_flight(self) -> bool:
+        """There was a position, and it is gone."""
+        return self.ever_aided and not self.local_position_ok
+
+    @property
+    def ever_aided(self) -> bool:
+        """A horizontal position was fused at some time."""
+        return self._last_fused_s > -math.inf
+
+    @property
+    def global_position_ok(self) -> bool:
+        """A valid position and an origin to place it by."""
+        return self.origin is not None and self.local_position_ok
+
+    @property
+    def origin_broken(self) -> bool:
+        """The origin came while vision was fused: the position is thousands of km off."""
+        return self._wrecked_m != (0.0, 0.0)
+
+    @property
+    def sigma_horizontal_m(self) -> float:
+        """One sigma of the horizontal position (eph)."""
+        return math.hypot(self.north.sigma_m, self.east.sigma_m)
+
+    def propagate(self, imu: Imu, t_s: float, dt_s: float, on_ground: bool) -> None:
+        """Advance by one inertial sample that ends at `t_s`."""
+        self.t_s = t_s
+        self.attitude.step(imu, on_ground, self.fusing, dt_s)
+        fn, fe, fd = self.attitude.specific_force_ned(imu)
+        self.north.predict(fn, dt_s)
+        self.east.predict(fe, dt_s)
+        self.down.predict(fd + GRAVITY_M_S2, dt_s)
+        self._grow_s += dt_s
+        if self._grow_s >= _HISTORY_STEP_S:
+            self._maintain(self._grow_s, on_ground)
+            self._grow_s = 0.0
+
+    def _maintain(self, dt_s: float, on_ground: bool) -> None:
+        north, east, down = self.north, self.east, self.down
+        for axis in (north, east, down):
+            axis.grow(dt_s)
+        self._history.append((self.t_s, north.x, east.x, down.x))
+        if self.fusing and self.t_s - self._last_sample_s > _MAX_GAP_S:
+            self.fusing = False
+        if on_ground:
+            for axis in (north, east, down):
+                axis.fuse_velocity(-axis.v, 0.1**2)  # zero velocity update
+            if not self.local_position_ok:
+                north.fuse_position(-north.x, 0.5**2)  # EKF2's fake position
+                east.fuse_position(-east.x, 0.5**2)
+        elif self.local_position_ok:
+            self._level(dt_s)
+        else:
+            north.fuse_velocity(-north.v, 3.0**2)
+            east.fuse_velocity(-east.v, 3.0**2)
+
+    def _level(self, dt_s: float) -> None:
+        """Move the steady error of horizontal acceleration into the tilt it comes from."""
+        share = dt_s / _TILT_TIME_S
+        self.attitude.tilt(share * self.east.b / GRAVITY_M_S2, -share * self.north.b / GRAVITY_M_S2)
+        self.north.b -= share * self.north.b
+        self.east.b -= share * self.east.b
+
+    def handle_baro(self, height_m: float) -> None:
+        """Fuse a barometric height over the start place."""
+        down_m = self.alt_amsl_m - self.start_alt_amsl_m - height_m
+        innovation_m = down_m - self._baro_bias_m - self.down.x
+        if self._vision_height:
+            self._baro_bias_m += 0.01 * innovation_m
+        else:
+            noise_m = max(0.01, self._parameters["EKF2_BARO_NOISE"])
+            self.down.fuse_position(innovation_m, noise_m**2)
+
+    @property
+    def _vision_height(self) -> bool:
+        wanted = int(self._parameters["EKF2_EV_CTRL"]) & EV_HEIGHT
+        return (
+            bool(wanted)
+            and self.fusing
+            and int(self._parameters["EKF2_HGT_REF"]) == HEIGHT_FROM_VISION
+        )
+
+    def handle_compass(self, heading_rad: float, dt_s: float) -> None:
+        """Fuse a compass heading, unless vision gives one."""
+        if self.t_s - self._last_vision_yaw_s > 1.0:
+            self.attitude.correct_heading(heading_rad, False, dt_s)
+
+    def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
+        """Place the local frame on the earth; too late, while vision is fused, it goes wrong."""
+        late = self.origin is None and self.fusing
+        if self.origin is not None and self.local_position_ok:
+            self._keep_place(LocalFrame(lat_deg, lon_deg, alt_amsl_m))
+        elif late:
+            self._wrecked_m = _from_zero_island(lat_deg, lon_deg)
+            self.north.x += self._wrecked_m[0]
+            self.east.x += self._wrecked_m[1]
+            self.reset_counter += 1
+        self.origin = LocalFrame(lat_deg, lon_deg, alt_amsl_m)
+        self.down.x += alt_amsl_m - self.alt_amsl_m
+        self.alt_amsl_m = alt_amsl_m
+        self.origin_t_s = self.t_s
+        self._history.clear()
+
+    def _keep_place(self, new: LocalFrame) -> None:
+        """A second origin moves the numbers, not the place."""
+        old = self.origin
+        if old is not None:
+            lat, lon, alt = old.to_geodetic([self.north.x, self.east.x, self.down.x])
+            self.north.x, self.east.x, _ = (float(v) for v in new.to_ned(lat, lon, alt))
+
+    def handle_vision(self, sample: VisionSample) -> None:
+        """Fuse external vision as EKF2_EV_CTRL tells; called when it arrives."""
+        control = int(self._parameters["EKF2_EV_CTRL"])
+        gap_s = self.t_s - self._last_sample_s
+        self._last_sample_s = self.t_s
+        delay_s = max(0.0, self.t_s - sample.t_s) + self._parameters["EKF2_EV_DELAY"] * 1e-3
+        if control == 0 or delay_s > self._parameters["EKF2_DELAY_MAX"] * 1e-3 + 0.1:
+            return
+        if control & EV_YAW and sample.yaw_rad is not None:
+            self._last_vision_yaw_s = self.t_s
+            self.attitude.correct_heading(sample.yaw_rad, True, min(gap_s, 0.1))
+        if control & EV_HORIZONTAL:
+            north_m, east_m = self._in_north(sample, control)
+            self._handle_position(north_m, east_m, sample, delay_s, gap_s)
+        if control & EV_VELOCITY and self.fusing and sample.velocity_ned_m_s is not None:
+            vn, ve, vd = sample.velocity_ned_m_s
+            variance = sample.velocity_variance
+            self.north.fuse_velocity(vn - self.north.v, variance)
+            self.east.fuse_velocity(ve - self.east.v, variance)
+            self.down.fuse_velocity(vd - self.down.v, variance)
+
+    def _in_north(self, sample: VisionSample, control: int) -> tuple[float, float]:
+        """Turn a LOCAL_FRD position to north, when its yaw is measured but not fused."""
+        if not sample.turned_frame or sample.yaw_rad is None or control & EV_YAW:
+            return sample.north_m, sample.east_m
+        turn_rad = self.attitude.yaw_rad - sample.yaw_rad
+        cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+        return (
+            cos * sample.north_m - sin * sample.east_m,
+            sin * sample.north_m + cos * sample.east_m,
+        )
+
+    def _handle_position(
+        self, north_m: float, east_m: float, sample: VisionSample, delay_s: float, gap_s: float
+    ) -> None:
+        moved_n, moved_e, moved_d = self._moved_since(self.t_s - delay_s)
+        dn = north_m + self._wrecked_m[0] + moved_n - self.north.x
+        de = east_m + self._wrecked_m[1] + moved_e - self.east.x
+        gate = self._parameters["EKF2_EVP_GATE"]
+        ratio_n = self.north.test_ratio(dn, sample.variance_m2, gate)
+        self.test_ratio = max(ratio_n, self.east.test_ratio(de, sample.variance_m2, gate))
+        if gap_s > _MAX_GAP_S:
+            self.fusing = False
+            self._steady_since_s = self.t_s
+            return
+        if self.lost_in_flight and self.t_s - self._steady_since_s < _RESTART_S:
+            return
+        jumped = self._vision_reset_counter not in (None, sample.reset_counter)
+        self._vision_reset_counter = sample.reset_counter
+        if jumped or not self.local_position_ok or self._refused_too_long():
+            self._reset_to(self.north.x + dn, self.east.x + de, sample.variance_m2)
+        elif self.test_ratio < 1.0:
+            self._refused_since_s = None
+            self.north.fuse_position(dn, sample.variance_m2)
+            self.east.fuse_position(de, sample.variance_m2)
+        else:
+            self._refused_since_s = self._refused_since_s or self.t_s
+            return
+        self.fusing = True
+        self._last_fused_s = self.t_s
+        if self._vision_height:
+            self.down.fuse_position(sample.down_m + moved_d - self.down.x, sample.variance_m2)
+
+    def _refused_too_long(self) -> bool:
+        since_s = self._refused_since_s
+        return since_s is not None and self.t_s - since_s > _RESET_AFTER_S
+
+    def _reset_to(self, north_m: float, east_m: float, variance_m2: float) -> None:
+        self.north.reset_position(north_m, variance_m2)
+        self.east.reset_position(east_m, variance_m2)
+        self._refused_since_s = None
+        self.reset_counter += 1
+        self._history.clear()
+
+    def _moved_since(self, t_s: float) -> tuple[float, float, float]:
+        """How far the state went from `t_s` until now."""
+        for past_s, north, east, down in reversed(self._history):
+            if past_s <= t_s:
+                return self.north.x - north, self.east.x - east, self.down.x - down
+        return 0.0, 0.0, 0.0
+
+    def geodetic(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (deg) and altitude (m AMSL), None without an origin."""
+        if self.origin is None:
+            return None
+        lat, lon, alt = self.origin.to_geodetic([self.north.x, self.east.x, self.down.x])
+        return float(lat), float(lon), float(alt)
+
+
+def _from_zero_island(lat_deg: float, lon_deg: float) -> tuple[float, float]:
+    """Metres north and east from (0, 0) to an origin, azimuthal equidistant about the origin.
+
+    Setting the origin while the filter runs about latitude 0, longitude 0 moves PX4 1.18's local
+    position by this (recorded: 6310841, 3000509 for 60.403 N 22.461 E).
+    """
+    lat, lon = math.radians(lat_deg), math.radians(lon_deg)
+    angle = math.acos(math.cos(lat) * math.cos(lon))
+    scale = angle / math.sin(angle) if angle > 1e-9 else 1.0
+    north = scale * math.sin(lat) * math.cos(lon)
+    east = scale * math.sin(lon)
+    return _SPHERE_RADIUS_M * north, _SPHERE_RADIUS_M * east

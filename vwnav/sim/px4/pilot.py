@@ -1,0 +1,160 @@
+"""The pilot: sticks by MANUAL_CONTROL or by radio, the mode switch, and a scripted pilot."""
+
+from collections.abc import Sequence
+
+from vwnav.sim.px4.config import PilotPlan
+from vwnav.sim.px4.flight_tasks import Sticks
+from vwnav.sim.px4.modes import NavState
+from vwnav.sim.px4.parameters import Parameters
+
+RC_CHANNELS = 8
+_MOVING_SAMPLES = 3  # a step within one frame does not take over, a 0.4 s ramp does
+_RAMP_S, _PUSH_S, _PUSH = 0.4, 3.0, 0.4
+_JOYSTICK_MODES, _RADIO_MODES = (1, 2, 3), (0, 2, 3)  # COM_RC_IN_MODE
+_SWITCH_POSITION_US, _SWITCH_FREE_US = 1000, 2000  # the sixth slot has no mode
+# COM_FLTMODE1..6
+_FLIGHT_MODES = {
+    0: NavState.MANUAL,
+    1: NavState.ALTITUDE,
+    2: NavState.POSITION,
+    4: NavState.HOLD,
+    5: NavState.RETURN,
+    7: NavState.OFFBOARD,
+    8: NavState.STABILIZED,
+    10: NavState.TAKEOFF,
+    11: NavState.LAND,
+}
+# What a pilot with a bound radio has set up (as in the recording px4-1.18_pilot_rcswitch).
+RADIO_SETUP: tuple[tuple[str, float], ...] = (
+    ("RC_MAP_ROLL", 1),
+    ("RC_MAP_PITCH", 2),
+    ("RC_MAP_THROTTLE", 3),
+    ("RC_MAP_YAW", 4),
+    ("RC_MAP_FLTMODE", 5),
+    ("COM_FLTMODE1", 2),
+    ("COM_FLTMODE2", 2),
+    ("COM_FLTMODE3", 2),
+    ("COM_FLTMODE4", 7),
+    ("COM_FLTMODE5", 7),
+)
+
+
+class ManualInput:
+    """What arrives from the pilot, and what it means.
+
+    Attributes:
+        sticks: as last heard.
+        channels: microseconds of the radio, () without one.
+        took_over: the sticks moved on purpose since `clear`.
+        wanted: state the mode switch was turned to since `clear`, None when untouched.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._parameters = parameters
+        self.sticks = Sticks()
+        self.channels: tuple[int, ...] = ()
+        self.took_over = False
+        self.wanted: NavState | None = None
+        self._heard_s: float | None = None
+        self._rc_heard_s: float | None = None
+        self._slot: int | None = None
+        self._moving = 0
+
+    def clear(self) -> None:
+        """The commander has seen what the pilot wanted."""
+        self.took_over, self.wanted = False, None
+
+    def available(self, t_s: float) -> bool:
+        """Sticks were heard within COM_RC_LOSS_T."""
+        return self._fresh(self._heard_s, t_s)
+
+    def radio_available(self, t_s: float) -> bool:
+        """The radio was heard within COM_RC_LOSS_T."""
+        return self._fresh(self._rc_heard_s, t_s)
+
+    def _fresh(self, heard_s: float | None, t_s: float) -> bool:
+        return heard_s is not None and t_s - heard_s < self._parameters["COM_RC_LOSS_T"]
+
+    def handle_joystick(self, x: int, y: int, z: int, r: int, t_s: float) -> None:
+        """MANUAL_CONTROL: x pitch, y roll, r yaw in -1000..1000, z throttle in 0..1000."""
+        if int(self._parameters["COM_RC_IN_MODE"]) in _JOYSTICK_MODES:
+            self._take(Sticks(y / 1000.0, x / 1000.0, r / 1000.0, z / 1000.0), t_s)
+
+    def handle_radio(self, channels_us: Sequence[int], t_s: float) -> None:
+        """The receiver's channels in microseconds; 0 and 65535 are not driven."""
+        if int(self._parameters["COM_RC_IN_MODE"]) not in _RADIO_MODES:
+            return
+        values = tuple(us if 800 <= us <= 2200 else 1500 for us in channels_us[:RC_CHANNELS])
+        if len(values) < RC_CHANNELS:
+            return
+        self.channels, self._rc_heard_s = values, t_s
+        roll, pitch = self._stick("RC_MAP_ROLL"), self._stick("RC_MAP_PITCH")
+        throttle, yaw = self._stick("RC_MAP_THROTTLE"), self._stick("RC_MAP_YAW")
+        self._take(Sticks(roll, pitch, yaw, 0.5 + 0.5 * throttle), t_s)
+        self._read_switch()
+
+    def _stick(self, name: str) -> float:
+        channel = int(self._parameters[name])
+        if not 1 <= channel <= RC_CHANNELS:
+            return 0.0
+        return min(1.0, max(-1.0, (self.channels[channel - 1] - 1500) / 500.0))
+
+    def _read_switch(self) -> None:
+        if not 1 <= int(self._parameters["RC_MAP_FLTMODE"]) <= RC_CHANNELS:
+            return
+        # PX4's rc_update: six slots over a range widened by 0.05 at each end
+        value = self._stick("RC_MAP_FLTMODE") + 1.05
+        slot = int((value * 6.0 + 1.0 / 6.0) / 2.1 + 1.0 / 6.0 + 1.0)
+        if slot != self._slot:
+            self._slot = slot
+            self.wanted = _FLIGHT_MODES.get(int(self._parameters[f"COM_FLTMODE{min(slot, 6)}"]))
+
+    def _take(self, sticks: Sticks, t_s: float) -> None:
+        """Note the sticks; several samples that move faster than MAN_OVERRIDE_SPD take over."""
+        threshold = self._parameters["MAN_OVERRIDE_SPD"]
+        dt_s = t_s - (self._heard_s if self._heard_s is not None else t_s)
+        old, self.sticks, self._heard_s = self.sticks, sticks, t_s
+        if dt_s == 0.0:  # two samples within one step
+            return
+        if threshold <= 0.0 or not 0.0 < dt_s < 0.5:
+            self._moving = 0
+            return
+        moved = max(
+            abs(sticks.roll - old.roll),
+            abs(sticks.pitch - old.pitch),
+            abs(sticks.yaw - old.yaw),
+            2.0 * abs(sticks.throttle - old.throttle),
+        )
+        self._moving = self._moving + 1 if moved / dt_s > threshold else 0
+        if self._moving >= _MOVING_SAMPLES:
+            self.took_over = True
+
+
+class ScriptedPilot:
+    """Plays a PilotPlan into a ManualInput at 50 Hz."""
+
+    def __init__(self, plan: PilotPlan, manual: ManualInput) -> None:
+        self._plan = plan
+        self._manual = manual
+
+    def step(self, t_s: float) -> None:
+        """Send the channels of `t_s`, nothing while the radio is off."""
+        plan = self._plan
+        if not plan.rc_on or self._off(t_s):
+            return
+        push = _push(t_s, plan.takes_over_at_s)
+        switched = plan.switch_at_s is not None and t_s >= plan.switch_at_s
+        switch_us = _SWITCH_POSITION_US if switched else _SWITCH_FREE_US
+        pitch_us = 1500 + round(500 * push)
+        self._manual.handle_radio((1500, pitch_us, 1500, 1500, switch_us, 1000, 1500, 1500), t_s)
+
+    def _off(self, t_s: float) -> bool:
+        lost, back = self._plan.rc_lost_at_s, self._plan.rc_back_at_s
+        return lost is not None and t_s >= lost and (back is None or t_s < back)
+
+
+def _push(t_s: float, start_s: float | None) -> float:
+    """The pitch stick of a pilot who pushes it forward for a while."""
+    if start_s is None or not start_s <= t_s < start_s + _PUSH_S:
+        return 0.0
+    return _PUSH * min(1.0, (t_s - start_s) / _RAMP_S)

@@ -1,0 +1,262 @@
+"""The simulated PX4 as a whole: one `step` is 4 ms of airframe, sensors, estimator and control."""
+
+import math
+import random
+from collections import deque
+from dataclasses import dataclass
+
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.sim.px4.airframe import Airframe
+from vwnav.sim.px4.battery import Battery
+from vwnav.sim.px4.commander import Commander
+from vwnav.sim.px4.config import VehicleConfig
+from vwnav.sim.px4.controller import Controller
+from vwnav.sim.px4.estimator import Estimator
+from vwnav.sim.px4.failsafe import Health
+from vwnav.sim.px4.flight_tasks import FlightTasks
+from vwnav.sim.px4.modes import NavState, Setpoint, Severity
+from vwnav.sim.px4.parameters import NO_GPS, Parameters
+from vwnav.sim.px4.pilot import RADIO_SETUP, ManualInput, ScriptedPilot
+from vwnav.sim.px4.sensors import Imu, Sensors
+from vwnav.sim.px4.wind import Wind
+
+STEP_S = 0.004
+_SLOW_EVERY = 5  # 50 Hz: commander, flight tasks, barometer, compass, wind
+_LANDED_AFTER_S = 1.0
+_PROBATION_S = 1.0  # of a position that came back: Offboard returns 1 to 2 s after the vision
+_TEXTS = 32
+# After an origin the declination is looked up and the heading settles (recorded on PX4 1.18: the
+# prearm bit is set 5 s after the origin, gone 2 s later, and steady 13 s after it).
+_HEADING_UNSETTLED_S = ((0.0, 5.0), (7.0, 13.0))
+
+
+@dataclass(slots=True)
+class Home:
+    """Where RTL goes: geodetic and local (north, east, down in m)."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    local_m: tuple[float, float, float]
+    t_s: float
+
+
+class SimulatedPx4:
+    """State of the vehicle; `step` advances it, MAVLink reads and commands it.
+
+    Args:
+        config: where it stands and what goes wrong.
+        parameters: kept over a reboot, fresh ones when None.
+    """
+
+    def __init__(self, config: VehicleConfig, parameters: Parameters | None = None) -> None:
+        self.config = config
+        self.parameters = parameters or _parameters(config)
+        rng = random.Random(config.seed)
+        heading_rad = math.radians(config.heading_deg)
+        bias_rad = math.radians(config.heading_bias_deg)
+        self.t_s = 0.0
+        self.start_frame = LocalFrame(
+            config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
+        )
+        self.body = Airframe(heading_rad)
+        self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
+        self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
+        self.estimator = Estimator(heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters)
+        self.controller = Controller(self.parameters, heading_rad + bias_rad)
+        self.battery = Battery(config.battery_start, self.parameters)
+        self.tasks = FlightTasks(self.parameters)
+        self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
+        self._texts_said = 0
+        self.commander = Commander(self.parameters, self.say)
+        self.manual = ManualInput(self.parameters)
+        self.pilot = ScriptedPilot(config.pilot, self.manual)
+        self.home: Home | None = None
+        self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+        self.baro_height_m = 0.0
+        self.landed = True
+        self.offboard: Setpoint | None = None
+        self.offboard_s = -math.inf
+        self.gcs_heard_s: float | None = None
+        self._contact_s = _LANDED_AFTER_S
+        self._position_lost_s = 0.0
+        self._count = 0
+        self._state = NavState.HOLD
+        self.health = self._health()
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Queue a STATUSTEXT for the ground stations."""
+        self._texts_said += 1
+        self.texts.append((self._texts_said, severity, text))
+
+    def step(self) -> None:
+        """Advance by STEP_S."""
+        self.t_s = self._count * STEP_S
+        self._count += 1
+        if self._count % _SLOW_EVERY == 0:
+            self._slow(STEP_S * _SLOW_EVERY)
+        if self._count % 2 == 0:
+            self.controller.step_position(self.estimator, 2.0 * STEP_S, self.landed)
+        commands = self.controller.step_attitude(self.estimator, STEP_S)
+        if not self.commander.armed:
+            commands = (0.0, 0.0, 0.0, 0.0)
+        wind = self.wind
+        self.body.step(commands, (wind.n_m_s, wind.e_m_s, wind.d_m_s), STEP_S)
+        self.imu = self.sensors.imu(self.body)
+        self.estimator.propagate(self.imu, self.t_s, STEP_S, self.landed)
+
+    def _slow(self, dt_s: float) -> None:
+        body, estimator = self.body, self.estimator
+        wind = self.wind
+        wind.step(-body.d, math.hypot(body.vn - wind.n_m_s, body.ve - wind.e_m_s), dt_s)
+        self.baro_height_m = self.sensors.baro_height_m(body, dt_s)
+        estimator.handle_baro(self.baro_height_m)
+        estimator.handle_compass(self.sensors.compass_rad(body), dt_s)
+        self.battery.step(self.commander.armed, dt_s)
+        self.pilot.step(self.t_s)
+        self._detect_landing(dt_s)
+        self.look()
+        self._hear_pilot()
+        self._decide(dt_s)
+
+    def _hear_pilot(self) -> None:
+        manual = self.manual
+        if manual.wanted is not None:
+            self.commander.ask(manual.wanted, self.health)
+        elif manual.took_over:
+            self.commander.take_over(self.health)
+        manual.clear()
+
+    def _decide(self, dt_s: float) -> None:
+        was_armed = self.commander.armed
+        state = self.commander.step(self.health, self.t_s)
+        if state is not self._state:
+            self._state = state
+            self.tasks.enter(state, self.estimator)
+            self._report_entry(state)
+        if not self.commander.armed:
+            if was_armed:
+                self.tasks.enter(state, self.estimator)
+            self._place_home()
+            self.controller.setpoint = Setpoint(idle=True)
+            return
+        self.controller.setpoint = self.tasks.step(
+            self.estimator, self.manual.sticks, self.offboard, self.landed, dt_s
+        )
+        if self.tasks.finished:
+            self.commander.finish_takeoff()
+
+    def _report_entry(self, state: NavState) -> None:
+        if not self.commander.armed:
+            return
+        if state is NavState.LAND:
+            self.say(Severity.INFO, "Landing at current position\t")
+        elif state is NavState.RETURN and self.home is not None:
+            here = self.estimator
+            away_m = math.hypot(
+                here.north.x - self.home.local_m[0], here.east.x - self.home.local_m[1]
+            )
+            present_m = self.home.local_m[2] - here.down.x
+            height_m = max(present_m, self.tasks.return_height_m(away_m))
+            top_m = self.home.alt_amsl_m + height_m
+            self.say(
+                Severity.INFO,
+                f"RTL: start return at {top_m:.0f} m ({height_m:.0f} m above destination)\t",
+            )
+
+    def look(self) -> None:
+        """Take stock now: a command right behind the first setpoint counts on it."""
+        self.health = self._health()
+
+    def _health(self) -> Health:
+        estimator, t_s = self.estimator, self.t_s
+        get = self.parameters
+        if not estimator.local_position_ok:
+            self._position_lost_s = t_s
+        position_ok = t_s - self._position_lost_s >= _PROBATION_S
+        fresh = t_s - self.offboard_s < get["COM_OF_LOSS_T"]
+        heard = self.gcs_heard_s
+        since_origin_s = t_s - estimator.origin_t_s
+        settling = any(a <= since_origin_s < b for a, b in _HEADING_UNSETTLED_S)
+        return Health(
+            local_position_ok=position_ok,
+            global_position_ok=position_ok and estimator.origin is not None,
+            heading_ok=not settling,
+            position_stable=not estimator.origin_broken,
+            offboard_ok=fresh and position_ok,
+            manual_ok=self.manual.available(t_s),
+            gcs_lost=heard is not None and t_s - heard > get["COM_DL_LOSS_T"],
+            battery_warning=self.battery.warning,
+            landed=self.landed,
+            fence_breached=self._outside_fence(),
+        )
+
+    def _outside_fence(self) -> bool:
+        home, estimator = self.home, self.estimator
+        reach, top = self.parameters["GF_MAX_HOR_DIST"], self.parameters["GF_MAX_VER_DIST"]
+        if home is None or not estimator.local_position_ok:
+            return False
+        north, east, down = home.local_m
+        far = math.hypot(estimator.north.x - north, estimator.east.x - east)
+        return 0.0 < reach < far or 0.0 < top < down - estimator.down.x
+
+    def _detect_landing(self, dt_s: float) -> None:
+        """Landed after a second on the ground without a push to leave it."""
+        controller = self.controller
+        leaving = not controller.setpoint.idle and controller.velocity_sp[2] < -0.1
+        if not self.body.on_ground:
+            self._contact_s = 0.0
+        elif not leaving:
+            self._contact_s += dt_s
+        landed = self.body.on_ground and self._contact_s >= _LANDED_AFTER_S
+        if landed and not self.landed:
+            self.say(Severity.INFO, "Landing detected\t")
+        self.landed = landed
+
+    def _place_home(self) -> None:
+        """While disarmed, home is where it stands, once a second and as soon as it is known."""
+        known = self.home is not None and self.t_s - self.home.t_s < 1.0
+        if not known and self.health.global_position_ok and self.landed:
+            self.set_home_here()
+
+    def set_home_here(self) -> bool:
+        """Home becomes the present position; False without a global one."""
+        place = self.estimator.geodetic()
+        if place is None or not self.health.global_position_ok:
+            return False
+        estimator = self.estimator
+        local_m = (estimator.north.x, estimator.east.x, estimator.down.x)
+        self.home = Home(*place, local_m, self.t_s)
+        self.tasks.home = local_m
+        return True
+
+    def set_home(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bool:
+        """Home becomes a geodetic place; False without an origin."""
+        origin = self.estimator.origin
+        if origin is None:
+            return False
+        north, east, down = (float(v) for v in origin.to_ned(lat_deg, lon_deg, alt_amsl_m))
+        self.home = Home(lat_deg, lon_deg, alt_amsl_m, (north, east, down), self.t_s)
+        self.tasks.home = (north, east, down)
+        return True
+
+    def plan_takeoff(self, alt_amsl_m: float | None) -> None:
+        """Where a take-off ends: an altitude, or MIS_TAKEOFF_ALT above here."""
+        estimator = self.estimator
+        if alt_amsl_m is not None:
+            self.tasks.takeoff_down_m = estimator.alt_amsl_m - alt_amsl_m
+            return
+        height_m = self.parameters["MIS_TAKEOFF_ALT"]
+        self.tasks.takeoff_down_m = estimator.down.x - height_m
+        self.say(Severity.INFO, f"Using default takeoff altitude: {height_m:.1f} m\t")
+
+    def set_offboard(self, setpoint: Setpoint) -> None:
+        """An offboard setpoint arrived."""
+        self.offboard, self.offboard_s = setpoint, self.t_s
+
+
+def _parameters(config: VehicleConfig) -> Parameters:
+    preset = () if config.px4_defaults else NO_GPS
+    radio = RADIO_SETUP if config.pilot.rc_on else ()
+    own = (("MAV_SYS_ID", float(config.system_id)), ("SIM_BAT_DRAIN", config.battery_drain_s))
+    return Parameters((*preset, *radio, *own, *config.parameters))

@@ -1,0 +1,86 @@
+"""Inertial sensors, barometer, compass and rangefinder: the airframe's state with their errors."""
+
+import math
+import random
+from dataclasses import dataclass
+
+from vwnav.sim.px4.airframe import Airframe
+
+_GYRO_NOISE_RAD_S = 0.004
+_GYRO_BIAS_RAD_S = 0.003
+_ACCEL_NOISE_M_S2 = 0.06
+_ACCEL_BIAS_M_S2 = 0.04
+_BARO_NOISE_M = 0.12
+_COMPASS_NOISE_RAD = 0.015
+_TEN_MINUTES_S = 600.0
+FIELD_GAUSS = (0.25, 0.42)  # horizontal and down part of the magnetic field
+
+
+@dataclass(slots=True)
+class Imu:
+    """One inertial sample: body rates (rad/s) and specific force (m/s^2), forward-right-down."""
+
+    p: float
+    q: float
+    r: float
+    ax: float
+    ay: float
+    az: float
+
+
+class Sensors:
+    """Draws measurements from the airframe; one object per vehicle, seeded.
+
+    Args:
+        noise: scale of inertial, barometer and compass noise and of the inertial biases.
+        baro_drift_m: one sigma of the barometer's random walk after ten minutes.
+        heading_bias_rad: constant error of the compass.
+    """
+
+    def __init__(
+        self, rng: random.Random, noise: float, baro_drift_m: float, heading_bias_rad: float
+    ) -> None:
+        self._gauss = rng.gauss
+        self._noise = noise
+        self._walk_m = baro_drift_m / math.sqrt(_TEN_MINUTES_S)
+        self._heading_bias_rad = heading_bias_rad
+        self._gyro_bias = [rng.gauss(0.0, _GYRO_BIAS_RAD_S * noise) for _ in range(3)]
+        self._accel_bias = [rng.gauss(0.0, _ACCEL_BIAS_M_S2 * noise) for _ in range(3)]
+        self._baro_drift_m = 0.0
+
+    def imu(self, body: Airframe) -> Imu:
+        """Gyroscope and accelerometer now."""
+        gauss, gyro, accel = self._gauss, self._gyro_bias, self._accel_bias
+        gyro_noise = _GYRO_NOISE_RAD_S * self._noise
+        accel_noise = _ACCEL_NOISE_M_S2 * self._noise
+        return Imu(
+            body.p + gyro[0] + gauss(0.0, gyro_noise),
+            body.q + gyro[1] + gauss(0.0, gyro_noise),
+            body.r + gyro[2] + gauss(0.0, gyro_noise),
+            body.axb + accel[0] + gauss(0.0, accel_noise),
+            body.ayb + accel[1] + gauss(0.0, accel_noise),
+            body.azb + accel[2] + gauss(0.0, accel_noise),
+        )
+
+    def baro_height_m(self, body: Airframe, dt_s: float) -> float:
+        """Height over the start place as the barometer shows it; `dt_s` since the last call."""
+        self._baro_drift_m += self._gauss(0.0, self._walk_m * math.sqrt(dt_s))
+        return -body.d + self._baro_drift_m + self._gauss(0.0, _BARO_NOISE_M * self._noise)
+
+    def compass_rad(self, body: Airframe) -> float:
+        """True heading as the compass shows it."""
+        r00, r10 = body.rotation[0], body.rotation[3]
+        noise = self._gauss(0.0, _COMPASS_NOISE_RAD * self._noise)
+        return math.atan2(r10, r00) + self._heading_bias_rad + noise
+
+    def range_m(self, body: Airframe) -> float | None:
+        """Distance to the level ground along body down; None beyond 60 degrees of tilt."""
+        down = body.rotation[8]
+        if down < 0.5:
+            return None
+        return max(0.0, -body.d / down + self._gauss(0.0, 0.02 * self._noise))
+
+
+def pressure_hpa(alt_amsl_m: float) -> float:
+    """Standard atmosphere (ISO 2533): pressure at an altitude."""
+    return float(1013.25 * (1.0 - 2.25577e-5 * alt_amsl_m) ** 5.25588)

@@ -1,0 +1,260 @@
+"""What the simulated PX4 hears and says on one link."""
+
+import heapq
+import math
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import development as mavlink
+
+from vwnav.sim.px4 import vision_input
+from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Command, Context, execute, is_place
+from vwnav.sim.px4.link import UdpLink
+from vwnav.sim.px4.modes import Result, Severity
+from vwnav.sim.px4.offboard import setpoint_of
+from vwnav.sim.px4.parameters import HASH_CHECK
+from vwnav.sim.px4.px4 import SimulatedPx4
+from vwnav.sim.px4.streams import BUILDERS, Schedule
+from vwnav.sim.px4.timesync import Timesync
+
+ACK_DELAY_S = 0.008
+_TIMESYNC_EVERY_S = 0.1
+_TEXT_CHARS = 50
+_PARAMETERS_AT_ONCE = 4
+_DEGE7_COMMANDS = frozenset({179, 611})  # x and y of COMMAND_INT are degrees * 1e7 here
+_GCS_SILENT_S = 5.0
+
+Clock = Callable[[], float]
+
+
+class Session:
+    """A link's conversation with the vehicle.
+
+    Args:
+        clock: the vehicle's time now, finer than its steps, for TIMESYNC.
+        asks_time: whether it sends TIMESYNC requests itself (PX4 does so to companions).
+    """
+
+    def __init__(
+        self,
+        link: UdpLink,
+        vehicle: SimulatedPx4,
+        schedule: Schedule,
+        clock: Clock,
+        asks_time: bool,
+    ) -> None:
+        self.link = link
+        self._vehicle = vehicle
+        self._schedule = schedule
+        self._clock = clock
+        self._timesync = Timesync()
+        self._timesync_due_s = 0.0 if asks_time else math.inf
+        self._answers: list[tuple[float, int, Any]] = []
+        self._answer_count = 0
+        self._parameter_queue: list[int] = []
+        self._text_seen = 0
+        self._chunk_id = 0
+        self._reboot_wanted = False
+        self._handlers: dict[str, Callable[[Any], None]] = {
+            "COMMAND_LONG": self._command_long,
+            "COMMAND_INT": self._command_int,
+            "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
+            "VISION_POSITION_ESTIMATE": self._vision_position,
+            "ODOMETRY": self._odometry,
+            "SET_GPS_GLOBAL_ORIGIN": self._origin,
+            "SET_MODE": self._set_mode,
+            "MANUAL_CONTROL": self._manual_control,
+            "RC_CHANNELS_OVERRIDE": self._radio,
+            "PARAM_REQUEST_LIST": self._parameter_list,
+            "PARAM_REQUEST_READ": self._parameter_read,
+            "PARAM_SET": self._parameter_set,
+            "TIMESYNC": self._time,
+            "PING": self._ping,
+            "MISSION_REQUEST_LIST": self._mission_list,
+        }
+
+    def hear(self) -> None:
+        """Handle everything that has arrived."""
+        for message in self.link.receive(self._vehicle.t_s):
+            handler = self._handlers.get(message.get_type())
+            if handler is not None and self._is_for_us(message):
+                handler(message)
+
+    def _is_for_us(self, message: Any) -> bool:
+        system = getattr(message, "target_system", getattr(message, "target", 0))
+        component = getattr(message, "target_component", 0)
+        return system in (0, self._vehicle.config.system_id) and component in (0, 1)
+
+    @property
+    def reboot_wanted(self) -> bool:
+        """A reboot was commanded and acknowledged."""
+        return self._reboot_wanted and not self._answers
+
+    def say(self) -> None:
+        """Send what is due."""
+        v = self._vehicle
+        t_s = v.t_s
+        for message_id in self._schedule.due(t_s):
+            self._send(BUILDERS[message_id](v))
+        while self._answers and self._answers[0][0] <= t_s:
+            self._send(heapq.heappop(self._answers)[2])
+        if t_s >= self._timesync_due_s:
+            self._timesync_due_s = t_s + _TIMESYNC_EVERY_S
+            self._send(mavlink.MAVLink_timesync_message(0, round(self._clock() * 1e9)))
+        for _ in range(min(_PARAMETERS_AT_ONCE, len(self._parameter_queue))):
+            self._send_parameter(self._parameter_queue.pop(0))
+        if v.texts:
+            self._say_texts()
+
+    def _send(self, message: Any) -> None:
+        if message is not None:
+            self.link.send(message)
+
+    def _say_texts(self) -> None:
+        """Texts go only where a ground station is heard; they wait for it."""
+        v = self._vehicle
+        if v.t_s - self.link.gcs_heard_s > _GCS_SILENT_S:
+            return
+        for number, severity, text in v.texts:
+            if number > self._text_seen:
+                self._text_seen = number
+                self._say_text(severity, text)
+
+    def _say_text(self, severity: Severity, text: str) -> None:
+        """Long texts go in chunks of 50 characters under one id."""
+        chunks = [text[i : i + _TEXT_CHARS] for i in range(0, len(text), _TEXT_CHARS)]
+        self._chunk_id = (self._chunk_id + 1) % 65536
+        number = self._chunk_id if len(chunks) > 1 else 0
+        for sequence, chunk in enumerate(chunks):
+            self._send(
+                mavlink.MAVLink_statustext_message(severity, chunk.encode(), number, sequence)
+            )
+
+    def _answer(self, message: Any) -> None:
+        """Send after the time PX4 takes to acknowledge."""
+        self._answer_count += 1
+        due_s = self._vehicle.t_s + ACK_DELAY_S * self._vehicle.config.speed
+        heapq.heappush(self._answers, (due_s, self._answer_count, message))
+
+    def _command_long(self, m: Any) -> None:
+        place = (m.param5, m.param6, m.param7)
+        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
+
+    def _command_int(self, m: Any) -> None:
+        scale = 1e-7 if m.command in _DEGE7_COMMANDS else 1.0
+        place = (m.x * scale, m.y * scale, m.z)
+        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
+
+    def _execute(self, message: Any, command: Command) -> None:
+        context = Context(self._vehicle, self._schedule, [])
+        result = execute(command, context)
+        wanted = [self._requested(number, command) for number in context.send_now]
+        if any(built is None for built in wanted) and command.number == 512:
+            result = Result.DENIED
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        self._answer(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *source))
+        for built in wanted:
+            if built is not None:
+                self._answer(built)
+        self._reboot_wanted = self._reboot_wanted or context.reboot
+
+    def _requested(self, message_id: int, command: Command) -> Any:
+        if message_id == MESSAGE_INTERVAL and command.number == 510:
+            asked = int(command.p1)
+            interval_us = self._schedule.interval_us(asked)
+            return mavlink.MAVLink_message_interval_message(asked, interval_us)
+        builder = BUILDERS.get(message_id)
+        return None if builder is None else builder(self._vehicle)
+
+    def _set_mode(self, m: Any) -> None:
+        main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
+        nothing = (math.nan, math.nan, math.nan)
+        execute(
+            Command(176, float(m.base_mode), float(main), float(sub), math.nan, *nothing),
+            Context(self._vehicle, self._schedule, []),
+        )
+
+    def _setpoint(self, m: Any) -> None:
+        setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)
+        if setpoint is not None:
+            self._vehicle.set_offboard(setpoint)
+
+    def _vision_position(self, m: Any) -> None:
+        v = self._vehicle
+        sample = vision_input.from_vision_position(m, self._stamp(m.usec), v.parameters)
+        if sample is not None:
+            v.estimator.handle_vision(sample)
+
+    def _odometry(self, m: Any) -> None:
+        v = self._vehicle
+        sample = vision_input.from_odometry(m, self._stamp(m.time_usec), v.parameters)
+        if sample is not None:
+            v.estimator.handle_vision(sample)
+
+    def _stamp(self, usec: int) -> float:
+        """When a companion's message was measured, in the vehicle's time."""
+        v = self._vehicle
+        return v.t_s if v.config.speed != 1.0 else self._timesync.own_s(usec, v.t_s)
+
+    def _origin(self, m: Any) -> None:
+        place = (m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
+        if is_place(*place):
+            self._vehicle.estimator.set_origin(*place)
+            self._answer(BUILDERS[49](self._vehicle))
+
+    def _manual_control(self, m: Any) -> None:
+        v = self._vehicle
+        if all(abs(value) <= 1000 for value in (m.x, m.y, m.z, m.r)):
+            v.manual.handle_joystick(m.x, m.y, m.z, m.r, v.t_s)
+
+    def _radio(self, m: Any) -> None:
+        channels = [getattr(m, f"chan{i}_raw") for i in range(1, 9)]
+        self._vehicle.manual.handle_radio(channels, self._vehicle.t_s)
+
+    def _parameter_list(self, _: Any) -> None:
+        self._parameter_queue = [*range(len(self._vehicle.parameters)), -1]
+
+    def _parameter_read(self, m: Any) -> None:
+        names = self._vehicle.parameters.names
+        if m.param_index >= 0:
+            if m.param_index < len(names):
+                self._send_parameter(m.param_index)
+        elif m.param_id == HASH_CHECK:
+            self._send_parameter(-1)
+        elif m.param_id in self._vehicle.parameters:
+            self._send_parameter(names.index(m.param_id))
+
+    def _parameter_set(self, m: Any) -> None:
+        parameters = self._vehicle.parameters
+        if m.param_id not in parameters:
+            return
+        parameters.set_wire(m.param_id, m.param_value, m.param_type)
+        self._vehicle.controller.refresh()
+        self._send_parameter(parameters.names.index(m.param_id))
+
+    def _send_parameter(self, index: int) -> None:
+        """PARAM_VALUE of one parameter; -1 is the hash of all, as PX4 ends its list."""
+        parameters = self._vehicle.parameters
+        count = len(parameters)
+        if index < 0:
+            name, value, kind, index = HASH_CHECK, parameters.hash_wire_value(), 5, 65535
+        else:
+            name = parameters.names[index]
+            value, kind = parameters.wire_value(name), parameters.type_of(name)
+        self._send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, count, index))
+
+    def _time(self, m: Any) -> None:
+        now_ns = round(self._clock() * 1e9)
+        if m.tc1 == 0:
+            self._send(mavlink.MAVLink_timesync_message(now_ns, m.ts1))
+        else:
+            self._timesync.handle_answer(m.ts1, m.tc1, now_ns)
+
+    def _ping(self, m: Any) -> None:
+        if m.target_system == 0:
+            source = (m.get_srcSystem(), m.get_srcComponent())
+            self._send(mavlink.MAVLink_ping_message(m.time_usec, m.seq, *source))
+
+    def _mission_list(self, m: Any) -> None:
+        source = (m.get_srcSystem(), m.get_srcComponent())
+        self._send(mavlink.MAVLink_mission_count_message(*source, 0, m.mission_type))

@@ -1,0 +1,291 @@
+"""Ground truth of any simulator that sends HIL_STATE_QUATERNION or SIM_STATE over MAVLink.
+
+For the renderer and the score only: nothing that navigates may read it.
+"""
+
+import logging
+import math
+import socket
+import threading
+import time
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import development as mavlink
+
+from vwnav.errors import ConfigError, LinkError
+from vwnav.sim.px4.link import datagram_parser
+
+_log = logging.getLogger(__name__)
+_HISTORY_S = 5.0
+_SOURCE_SYSTEM, _SOURCE_COMPONENT = 245, 191
+_HIL_STATE_QUATERNION, _SIM_STATE = 115, 108
+_ASK_EVERY_S = 1.0
+_WAIT_S = 0.2
+_LEAK = 0.005  # seconds per second by which the sender's clock may fall behind ours
+_MAX_SMOOTHING_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class TruthState:
+    """Where the vehicle really is.
+
+    Attributes:
+        t_s: when it was so, on this machine's monotonic clock: the arrival, smoothed by the
+            sender's time stamps where it has any.
+        quat_wxyz: of R_ned_body, w may be negative.
+        rates_rad_s: of the body, forward-right-down.
+    """
+
+    t_s: float
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    quat_wxyz: tuple[float, float, float, float]
+    velocity_ned_m_s: tuple[float, float, float]
+    rates_rad_s: tuple[float, float, float]
+
+
+class TruthReader:
+    """Reads truth in a thread of its own, until `close`.
+
+    Args:
+        url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT ("//" after the colon is fine).
+        rate_hz: the rate it asks the simulator for.
+
+    Raises:
+        ConfigError: the URL is none of these.
+        LinkError: the port is taken, or nobody listens at a tcpout URL.
+    """
+
+    def __init__(self, url: str, rate_hz: float = 100.0) -> None:
+        self._rate_hz = rate_hz
+        self._socket, self._peer = _open(url)
+        self._stream = self._socket.type == socket.SOCK_STREAM
+        self._parsers: dict[object, Any] = {}
+        self._packer = mavlink.MAVLink(
+            None, srcSystem=_SOURCE_SYSTEM, srcComponent=_SOURCE_COMPONENT
+        )
+        self._states: deque[TruthState] = deque()
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._vehicle: tuple[int, int] | None = None
+        self._offset_s: float | None = None
+        self._stamp_s = 0.0
+        self._thread = threading.Thread(target=self._run, name="truth", daemon=True)
+        self._thread.start()
+
+    def latest(self) -> TruthState | None:
+        """The newest state, None before the first."""
+        with self._lock:
+            return self._states[-1] if self._states else None
+
+    def at(self, t_s: float) -> TruthState | None:
+        """The state at a time of the last five seconds, interpolated; the nearest one outside.
+
+        None before the first state.
+        """
+        with self._lock:
+            states = list(self._states)
+        if not states:
+            return None
+        i = bisect_left(states, t_s, key=lambda state: state.t_s)
+        if i == 0:
+            return states[0]
+        if i == len(states):
+            return states[-1]
+        return _between(states[i - 1], states[i], t_s)
+
+    def wait(self, timeout_s: float) -> TruthState | None:
+        """The newest state as soon as there is one, None after `timeout_s`."""
+        end_s = time.monotonic() + timeout_s
+        while (state := self.latest()) is None and time.monotonic() < end_s:
+            time.sleep(0.01)
+        return state
+
+    def close(self) -> None:
+        """Stop reading and free the port."""
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        asked_s = -math.inf
+        while not self._stop.is_set():
+            now_s = time.monotonic()
+            if now_s - asked_s >= _ASK_EVERY_S:
+                asked_s = now_s
+                self._ask(now_s)
+            data, peer = self._read()
+            if data:
+                self._handle(data, peer, time.monotonic())
+
+    def _read(self) -> tuple[bytes, Any]:
+        """What arrived within 0.2 s, and from whom."""
+        try:
+            if self._stream:
+                data = self._socket.recv(65536)
+                if not data:
+                    self._stop.wait(_WAIT_S)
+                return data, None
+            return self._socket.recvfrom(65536)
+        except TimeoutError:
+            return b"", None
+        except OSError as error:  # a UDP peer that is not there yet, a reset TCP connection
+            _log.debug("truth: %s", error)
+            self._stop.wait(_WAIT_S)
+            return b"", None
+
+    def _handle(self, data: bytes, peer: Any, now_s: float) -> None:
+        parser = self._parsers.get(peer)
+        if parser is None or not self._stream:
+            parser = datagram_parser(parser, data)
+        for message in parser.parse_buffer(data) or []:
+            kind = message.get_type()
+            if kind == "BAD_DATA":
+                continue
+            self._parsers[peer] = parser
+            self._peer = peer or self._peer
+            if kind == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+                self._vehicle = (message.get_srcSystem(), message.get_srcComponent())
+            elif kind == "HIL_STATE_QUATERNION":
+                self._add(_from_hil(message, self._time(message.time_usec, now_s)))
+            elif kind == "SIM_STATE":
+                self._add(_from_sim_state(message, now_s))
+
+    def _add(self, state: TruthState | None) -> None:
+        if state is None:
+            return
+        with self._lock:
+            if self._states and state.t_s <= self._states[-1].t_s:
+                self._states.pop()
+            self._states.append(state)
+            while self._states[0].t_s < state.t_s - _HISTORY_S:
+                self._states.popleft()
+
+    def _time(self, time_usec: int, now_s: float) -> float:
+        """Arrival with its jitter taken out: no message can arrive before it is sent."""
+        if time_usec == 0:
+            return now_s
+        stamp_s = time_usec * 1e-6
+        offset_s = now_s - stamp_s
+        if self._offset_s is not None:
+            offset_s = min(offset_s, self._offset_s + _LEAK * max(0.0, stamp_s - self._stamp_s))
+        if not 0.0 <= now_s - stamp_s - offset_s < _MAX_SMOOTHING_S:
+            offset_s = now_s - stamp_s
+        self._offset_s, self._stamp_s = offset_s, stamp_s
+        return stamp_s + offset_s
+
+    def _ask(self, now_s: float) -> None:
+        """A heartbeat, and requests while the truth is missing or slow."""
+        self._send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3
+            )
+        )
+        with self._lock:
+            recent = sum(state.t_s > now_s - _ASK_EVERY_S for state in self._states)
+        if self._vehicle is None or recent > 0.7 * self._rate_hz:
+            return
+        for number in (_HIL_STATE_QUATERNION, _SIM_STATE):
+            self._send(
+                mavlink.MAVLink_command_long_message(
+                    *self._vehicle,
+                    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                    0,
+                    number,
+                    1e6 / self._rate_hz,
+                    *([0.0] * 5),
+                )
+            )
+
+    def _send(self, message: Any) -> None:
+        packet = message.pack(self._packer)
+        self._packer.seq = (self._packer.seq + 1) % 256
+        try:
+            if self._stream:
+                self._socket.sendall(packet)
+            elif self._peer is not None:
+                self._socket.sendto(packet, self._peer)
+        except OSError as error:
+            _log.debug("truth: %s", error)
+
+
+def _open(url: str) -> tuple[socket.socket, tuple[str, int] | None]:
+    """A socket, and whom to talk to on it."""
+    kind, _, rest = url.partition(":")
+    host, _, port = rest.removeprefix("//").rpartition(":")
+    if kind not in ("udpin", "udpout", "tcpout", "tcp") or not host or not port.isdigit():
+        raise ConfigError(f"{url!r} is no link to the truth: write udpout:HOST:PORT or tcpout:...")
+    address = (host, int(port))
+    try:
+        if kind.startswith("tcp"):
+            stream = socket.create_connection(address, timeout=5.0)
+            stream.settimeout(_WAIT_S)
+            return stream, None
+        datagram = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        datagram.settimeout(_WAIT_S)
+        datagram.bind(address if kind == "udpin" else ("0.0.0.0", 0))
+    except OSError as error:
+        raise LinkError(f"cannot open {url} for the truth: {error}") from error
+    return datagram, None if kind == "udpin" else address
+
+
+def _from_hil(m: Any, t_s: float) -> TruthState | None:
+    return _state(
+        t_s,
+        (m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3),
+        tuple(m.attitude_quaternion),
+        (m.vx * 0.01, m.vy * 0.01, m.vz * 0.01),
+        (m.rollspeed, m.pitchspeed, m.yawspeed),
+    )
+
+
+def _from_sim_state(m: Any, t_s: float) -> TruthState | None:
+    """ArduPilot's truth; its float latitude is good to a metre only, hence the integers."""
+    exact = m.lat_int != 0 or m.lon_int != 0
+    place = (m.lat_int * 1e-7, m.lon_int * 1e-7) if exact else (m.lat, m.lon)
+    return _state(
+        t_s,
+        (*place, m.alt),
+        (m.q1, m.q2, m.q3, m.q4),
+        (m.vn, m.ve, m.vd),
+        (m.xgyro, m.ygyro, m.zgyro),
+    )
+
+
+def _state(
+    t_s: float,
+    place: tuple[float, float, float],
+    quat_wxyz: tuple[float, ...],
+    velocity_ned_m_s: tuple[float, float, float],
+    rates_rad_s: tuple[float, float, float],
+) -> TruthState | None:
+    """None for numbers that cannot be a state."""
+    numbers = (*place, *quat_wxyz, *velocity_ned_m_s, *rates_rad_s)
+    norm = math.sqrt(sum(value * value for value in quat_wxyz))
+    if not all(map(math.isfinite, numbers)) or abs(norm - 1.0) > 0.05:
+        return None
+    w, x, y, z = (value / norm for value in quat_wxyz)
+    return TruthState(t_s, *place, (w, x, y, z), velocity_ned_m_s, rates_rad_s)
+
+
+def _between(a: TruthState, b: TruthState, t_s: float) -> TruthState:
+    """Linear in position, velocity and rates; the attitude along the shorter arc."""
+    share = (t_s - a.t_s) / max(b.t_s - a.t_s, 1e-9)
+    if abs(b.lon_deg - a.lon_deg) > 180.0:  # over the antimeridian: the nearer state will do
+        return a if share < 0.5 else b
+
+    def mix(p: tuple[float, ...], q: tuple[float, ...], sign: float = 1.0) -> tuple[float, ...]:
+        return tuple(u + share * (sign * v - u) for u, v in zip(p, q, strict=True))
+
+    dot = sum(u * v for u, v in zip(a.quat_wxyz, b.quat_wxyz, strict=True))
+    w, x, y, z = mix(a.quat_wxyz, b.quat_wxyz, -1.0 if dot < 0.0 else 1.0)
+    norm = math.sqrt(w * w + x * x + y * y + z * z)  # states are 10 ms apart: nlerp is slerp
+    lat, lon, alt = mix((a.lat_deg, a.lon_deg, a.alt_amsl_m), (b.lat_deg, b.lon_deg, b.alt_amsl_m))
+    vn, ve, vd = mix(a.velocity_ned_m_s, b.velocity_ned_m_s)
+    p, q, r = mix(a.rates_rad_s, b.rates_rad_s)
+    quat_wxyz = (w / norm, x / norm, y / norm, z / norm)
+    return TruthState(t_s, lat, lon, alt, quat_wxyz, (vn, ve, vd), (p, q, r))

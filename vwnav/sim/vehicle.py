@@ -1,0 +1,288 @@
+"""The simulated vehicle as a process that speaks MAVLink 2 over UDP as PX4 does.
+
+`python -m vwnav.sim.vehicle --help`, or `start_vehicle(config)` from a program.
+"""
+
+import argparse
+import dataclasses
+import logging
+import math
+import multiprocessing
+import os
+import select
+import signal
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Self
+
+from vwnav.errors import LinkError, VwnavError
+from vwnav.sim.px4.config import PilotPlan, VehicleConfig
+from vwnav.sim.px4.link import UdpLink
+from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
+from vwnav.sim.px4.session import Session
+from vwnav.sim.px4.streams import COMPANION_RATES, GROUND_RATES, Schedule, truth_rates
+
+__all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start_vehicle"]
+
+_log = logging.getLogger(__name__)
+_STEPS_AT_ONCE = 50
+_MAX_LAG_S = 0.5  # a longer stall shifts the clock instead of flying it blind
+_READY_TIMEOUT_S = 20.0
+_STOP_TIMEOUT_S = 5.0
+
+
+_HELP = {
+    "home_lat_deg": "where it stands",
+    "home_lon_deg": "where it stands",
+    "home_alt_amsl_m": "height of the ground above mean sea level",
+    "heading_deg": "true heading on the ground, 0 = north",
+    "companion_url": "link of the navigator, udpout:HOST:PORT or udpin:HOST:PORT",
+    "ground_url": "link of a ground station, '' for none",
+    "truth_url": "link that carries the truth, '' for none",
+    "truth_rate_hz": "truth states per simulated second",
+    "system_id": "MAVLink system",
+    "speed": "simulated seconds per second",
+    "seed": "of noise, biases and gusts",
+    "wind_m_s": "mean wind at 10 m and above",
+    "wind_from_deg": "where the wind comes from",
+    "gust_m_s": "one sigma of the gusts; by default a tenth of the wind",
+    "baro_drift_m": "one sigma of the barometer after ten minutes",
+    "heading_bias_deg": "error of the compass",
+    "imu_noise": "scale of the sensors' noise and biases",
+    "battery_start": "charge at start, 0..1",
+    "battery_drain_s": "seconds in flight from full to empty",
+    "px4_defaults": "start with PX4's own parameters: GPS expected, vision ignored",
+}
+_PILOT_HELP = {
+    "takes_over_at_s": "pushes the stick forward at T",
+    "switch_at_s": "flips the mode switch to Position at T",
+    "rc_lost_at_s": "switches the transmitter off at T",
+    "rc_back_at_s": "switches it on again at T",
+}
+
+
+class VehicleServer:
+    """The vehicle with its links, run in real time (times `config.speed`)."""
+
+    def __init__(self, config: VehicleConfig) -> None:
+        self._config = config
+        self._epoch_s = time.monotonic()
+        self.vehicle = SimulatedPx4(config)
+        self._links: list[tuple[UdpLink, dict[int, float], bool]] = []
+        for url, rates, asks_time in (
+            (config.companion_url, COMPANION_RATES, True),
+            (config.ground_url, GROUND_RATES, False),
+            (config.truth_url, truth_rates(config.truth_rate_hz), False),
+        ):
+            if url:
+                self._links.append((UdpLink(url, config.system_id), rates, asks_time))
+        self._sessions = self._open_sessions()
+
+    def _open_sessions(self) -> list[Session]:
+        return [
+            Session(link, self.vehicle, Schedule(rates), self._now_s, asks_time)
+            for link, rates, asks_time in self._links
+        ]
+
+    def _now_s(self) -> float:
+        return (time.monotonic() - self._epoch_s) * self._config.speed
+
+    def run(self, keep_on: Callable[[], bool]) -> None:
+        """Fly until `keep_on` says no."""
+        sockets = [session.link.socket for session in self._sessions]
+        self._epoch_s = time.monotonic()
+        while keep_on():
+            vehicle = self.vehicle
+            self._catch_up()
+            wait_s = (vehicle.t_s + STEP_S - self._now_s()) / self._config.speed
+            readable, _, _ = select.select(sockets, [], [], max(0.0, wait_s))
+            if readable:
+                self._hear()
+
+    def _catch_up(self) -> None:
+        """Step until the vehicle's time is now."""
+        lag_s = self._now_s() - self.vehicle.t_s
+        if lag_s > _MAX_LAG_S * self._config.speed:
+            _log.info("stood still for %.2f s; the clock waits", lag_s / self._config.speed)
+            self._epoch_s += lag_s / self._config.speed
+        for _ in range(_STEPS_AT_ONCE):
+            if self.vehicle.t_s + STEP_S > self._now_s():
+                return
+            self.vehicle.step()
+            self._hear()
+            for session in self._sessions:
+                session.say()
+
+    def _hear(self) -> None:
+        for session in self._sessions:
+            session.hear()
+        heard_s = max(session.link.gcs_heard_s for session in self._sessions)
+        self.vehicle.gcs_heard_s = heard_s if heard_s >= 0.0 else None
+        if any(session.reboot_wanted for session in self._sessions):
+            self._reboot()
+
+    def _reboot(self) -> None:
+        """Start again with the parameters as they are."""
+        _log.info("rebooting")
+        self.vehicle = SimulatedPx4(self._config, self.vehicle.parameters)
+        self._sessions = self._open_sessions()
+        for session in self._sessions:
+            session.link.gcs_heard_s = -math.inf
+        self._epoch_s = time.monotonic()
+
+    def close(self) -> None:
+        """Free the ports."""
+        for link, _, _ in self._links:
+            link.close()
+
+
+def run_vehicle(config: VehicleConfig, ready: Callable[[], None]) -> None:
+    """Run a vehicle in this process until SIGTERM or the death of the parent.
+
+    Raises:
+        LinkError: a port is taken.
+    """
+    parent = os.getppid()
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    signal.signal(signal.SIGTERM, stop)
+    server = VehicleServer(config)
+    ready()
+    try:
+        server.run(lambda: not stopped and os.getppid() == parent)
+    finally:
+        server.close()
+
+
+def _child(config: VehicleConfig, pipe: Connection) -> None:
+    # Ctrl-C is for the navigator: it still has to land this vehicle
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        run_vehicle(config, lambda: pipe.send(""))
+    except VwnavError as error:
+        pipe.send(str(error))
+
+
+class VehicleProcess:
+    """A running vehicle; a context manager that stops it."""
+
+    def __init__(self, process: multiprocessing.process.BaseProcess) -> None:
+        self._process = process
+
+    @property
+    def pid(self) -> int | None:
+        """Of the vehicle's process."""
+        return self._process.pid
+
+    def is_alive(self) -> bool:
+        """Whether it still runs."""
+        return self._process.is_alive()
+
+    def stop(self) -> None:
+        """End it, by force if it does not listen."""
+        self._process.terminate()
+        self._process.join(_STOP_TIMEOUT_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(_STOP_TIMEOUT_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+
+def start_vehicle(config: VehicleConfig) -> VehicleProcess:
+    """Start a vehicle in its own process and wait until its ports are open.
+
+    Raises:
+        LinkError: a port is taken, or the process did not start.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(config, theirs), daemon=True, name="vehicle")
+    process.start()
+    theirs.close()
+    vehicle = VehicleProcess(process)
+    try:
+        problem = ours.recv() if ours.poll(_READY_TIMEOUT_S) else "it did not start in time"
+    except EOFError:
+        problem = f"it ended at once with code {process.exitcode}"
+    if problem:
+        vehicle.stop()
+        raise LinkError(f"simulated vehicle: {problem}")
+    return vehicle
+
+
+def _parser() -> argparse.ArgumentParser:
+    """One option per field of VehicleConfig and PilotPlan."""
+    parser = argparse.ArgumentParser(
+        prog="python -m vwnav.sim.vehicle",
+        description="A simulated quadrotor that speaks MAVLink 2 over UDP as PX4 does.",
+        epilog="Example: python -m vwnav.sim.vehicle --wind-m-s 5 --param COM_OBL_RC_ACT=5",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    for field in dataclasses.fields(VehicleConfig):
+        if field.name in ("parameters", "pilot"):
+            continue
+        option, text = "--" + field.name.replace("_", "-"), _HELP[field.name]
+        if field.type is bool:
+            parser.add_argument(option, action="store_true", help=text)
+        else:
+            kind = field.type if field.type in (int, str) else float
+            metavar = "URL" if field.name.endswith("_url") else "X"
+            parser.add_argument(
+                option, type=kind, default=field.default, help=text, metavar=metavar
+            )
+    parser.add_argument("--rc-on", action="store_true", help="a radio is bound and on")
+    for name, text in _PILOT_HELP.items():
+        option = "--pilot-" + name.replace("_", "-")
+        parser.add_argument(option, type=float, metavar="T", help=text)
+    parser.add_argument(
+        "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter"
+    )
+    return parser
+
+
+def main() -> None:
+    """Run a vehicle from the command line."""
+    parser = _parser()
+    options = vars(parser.parse_args())
+    pilot = {
+        name.removeprefix("pilot_"): options.pop(name)
+        for name in list(options)
+        if name.startswith("pilot_")
+    }
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    try:
+        pairs = tuple(_pair(text) for text in options.pop("param"))
+        plan = PilotPlan(rc_on=options.pop("rc_on"), **pilot)
+        config = VehicleConfig(parameters=pairs, pilot=plan, **options)
+        run_vehicle(config, lambda: _log.info("vehicle ready, companion %s", config.companion_url))
+    except KeyboardInterrupt:
+        _log.info("stopped")
+    except VwnavError as error:
+        parser.exit(1, f"{error}\n")
+    except ValueError as error:
+        parser.error(str(error))
+
+
+def _pair(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    return name, float(value)
+
+
+if __name__ == "__main__":
+    main()
