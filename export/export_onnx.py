@@ -1,0 +1,195 @@
+"""Export a checkpoint to the one graph that flies: picture in; keypoints, descriptors out.
+
+python export/export_onnx.py runs/default/last.pt -o models/vwnav_default.onnx
+python export/export_onnx.py runs/default/last.pt -o models/vwnav_default.onnx --checkpoint
+models/vwnav_default.ckpt
+
+Inputs: `image` uint8 (1, 1, H, W), H and W divisible by 32; `max_keypoints` int64 (1,).
+Outputs: `keypoints` float32 (n, 2) as (u, v), pixel centres at integers; `scores` float32 (n,),
+    descending;
+`descriptors` float32 (n, D), unit length; n <= max_keypoints.
+The graph is compared with PyTorch first; if they differ, nothing is written.
+"""
+
+import argparse
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+import onnx
+import torch
+from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python export/...` works
+
+import vwnav
+from export import parity
+from models.extractor import Extractor
+from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
+
+OPSET = 18
+
+
+class ExportError(Exception):
+    """A model could not be exported; the message says why."""
+
+
+def load_network(checkpoint: Path) -> FeatureNetwork:
+    """Rebuild the averaged network of a checkpoint, in evaluation mode.
+
+    Raises:
+        ExportError: The file is missing, damaged, or holds something else.
+    """
+    try:
+        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        network = FeatureNetwork(NetworkConfig(**state["config"]["network"]))
+        prefix = "module."
+        average = {
+            k.removeprefix(prefix): v for k, v in state["average"].items() if k.startswith(prefix)
+        }
+        network.load_state_dict(average)
+    except FileNotFoundError as error:
+        raise ExportError(
+            f"no checkpoint at {checkpoint}; train one with `python training/train.py`"
+        ) from error
+    except Exception as error:  # torch.load raises whatever a damaged file makes it stumble over
+        reason = str(error).splitlines()[0]
+        raise ExportError(
+            f"{checkpoint} is not a whole vwnav checkpoint ({type(error).__name__}: {reason})"
+        ) from error
+    if not all(torch.isfinite(p).all() for p in network.state_dict().values()):
+        raise ExportError(
+            f"{checkpoint} holds weights that are not finite; the training has diverged"
+        )
+    return network.eval()
+
+
+def feature_set_id(network: FeatureNetwork) -> str:
+    """Name the features by their weights; a map pack made by others is refused by this name."""
+    digest = hashlib.sha256()
+    for name, value in sorted(network.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(value.to(torch.float32).contiguous().numpy().tobytes())
+    return f"vwnav-learned-{network.config.name}-{digest.hexdigest()[:8]}"
+
+
+def fold_batch_norm(module: nn.Module) -> None:
+    """Merge every batch norm into the convolution before it, in place."""
+    for name, child in module.named_children():
+        if (
+            isinstance(child, nn.Sequential)
+            and len(child) > 1
+            and isinstance(child[1], nn.BatchNorm2d)
+        ):
+            setattr(module, name, nn.Sequential(fuse_conv_bn_eval(child[0], child[1]), *child[2:]))
+        else:
+            fold_batch_norm(child)
+
+
+def to_onnx(network: FeatureNetwork) -> onnx.ModelProto:
+    """Trace the whole extraction into one graph for pictures of any multiple of 32 pixels."""
+    identity = feature_set_id(network)
+    folded = FeatureNetwork(network.config).eval()
+    folded.load_state_dict(network.state_dict())
+    fold_batch_norm(folded)
+    height, width = (
+        SIZE_MULTIPLE_PX * torch.export.Dim(name, min=1, max=512) for name in ("rows", "columns")
+    )
+    program = torch.onnx.export(
+        Extractor(folded).eval(),
+        (torch.from_numpy(parity.drawn_pictures(1)[0])[None, None], torch.tensor([300])),
+        input_names=["image", "max_keypoints"],
+        output_names=["keypoints", "scores", "descriptors"],
+        dynamic_shapes={"image": {2: height, 3: width}, "max_keypoints": None},
+        opset_version=OPSET,
+        dynamo=True,
+        verbose=False,
+    )
+    assert program is not None
+    model = program.model_proto
+    metadata = {
+        "feature_set_id": identity,
+        "model_name": f"vwnav_{network.config.name}",
+        "descriptor_dim": str(network.config.descriptor_dim),
+        "vwnav_version": vwnav.__version__,
+    }
+    del model.metadata_props[:]
+    for key, value in metadata.items():
+        model.metadata_props.add(key=key, value=value)
+    for node in model.graph.node:
+        # The exporter notes its sources, with the paths of this machine: they have no place in a
+        # release.
+        del node.metadata_props[:]
+        node.doc_string = ""
+    onnx.checker.check_model(model)
+    return model
+
+
+def check(model: onnx.ModelProto, network: FeatureNetwork) -> None:
+    """Compare graph and network on drawn pictures of five sizes and several budgets.
+
+    Raises:
+        ExportError: They differ.
+    """
+    session = parity.open_session(model.SerializeToString())
+    extractor = Extractor(network)
+    for index, picture in enumerate(parity.drawn_pictures(10)):
+        result = parity.compare(
+            session, extractor, picture, max_keypoints=(1, 100, 1000, 5000)[index % 4]
+        )
+        if not result.ok:
+            raise ExportError(
+                f"the exported graph differs from PyTorch on drawn picture {index}: {result}"
+            )
+
+
+def export(checkpoint: Path, output: Path) -> str:
+    """Export, check and write; returns the feature set id.
+
+    Raises:
+        ExportError: Nothing was written.
+    """
+    network = load_network(checkpoint)
+    model = to_onnx(network)
+    check(model, network)
+    partial = output.with_suffix(".partial")
+    partial.write_bytes(model.SerializeToString())
+    os.replace(partial, output)
+    return feature_set_id(network)
+
+
+def slim_checkpoint(checkpoint: Path, output: Path) -> None:
+    """Copy a checkpoint for release: all that `train.py --resume` needs, but no path of here."""
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state["config"] |= {"data": ""}
+    partial = output.with_suffix(".partial")
+    torch.save(state, partial)
+    os.replace(partial, output)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 done, 1 refused with one line on stderr."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="the .onnx file")
+    parser.add_argument(
+        "--checkpoint", dest="release", type=Path, help="also leave a resumable checkpoint here"
+    )
+    given = parser.parse_args(arguments)
+    try:
+        identity = export(given.checkpoint, given.output)
+        if given.release:
+            slim_checkpoint(given.checkpoint, given.release)
+    except ExportError as error:
+        print(f"export: {error}", file=sys.stderr)
+        return 1
+    print(f"wrote {given.output}: {identity}, {given.output.stat().st_size / 1e6:.2f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

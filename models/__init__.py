@@ -1,0 +1,1 @@
+"""Network definitions (PyTorch) and the released weights with their model cards."""

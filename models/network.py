@@ -1,0 +1,169 @@
+"""The feature network: one grey picture in; descriptors, keypoint heat and reliability out.
+
+Made for pictures that are already rectified (north-up, nadir, known resolution), so it can be
+small: a pixel-unshuffle stem works at a quarter of the resolution at once, two coarser levels
+add context, and everything is fused at one eighth. All layers are plain convolution + batch
+norm + ReLU, which fold into one operation at export.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+CELL_PX = 8  # one descriptor and one keypoint cell per 8 x 8 pixels
+SIZE_MULTIPLE_PX = 32  # the coarsest level is at 1/32
+NOISE_FLOOR_GREY = 4.0  # contrast below about 4 of 255 grey levels is noise: do not amplify it
+
+Size = Literal["nano", "default"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkConfig:
+    """Widths of the network; saved in each checkpoint, so that a checkpoint alone rebuilds it."""
+
+    name: str = "default"
+    stem_channels: int = 32  # at 1/4
+    channels: int = 80  # at 1/8 and coarser
+    keypoint_channels: int = 80  # hidden width of the keypoint head
+    descriptor_dim: int = 64
+
+
+NETWORK_SIZES: dict[Size, NetworkConfig] = {
+    "nano": NetworkConfig(name="nano", stem_channels=16, channels=40, keypoint_channels=40),
+    "default": NetworkConfig(),
+}
+
+
+class DenseFeatures(NamedTuple):
+    """What the network says about every 8 x 8 cell; h = H / 8, w = W / 8."""
+
+    descriptors: Tensor  # (B, D, h, w), not yet normalised: interpolate first, then normalise
+    keypoint_logits: (
+        Tensor  # (B, 65, h, w): the 64 pixels of the cell, row by row, and "no keypoint"
+    )
+    reliability_logits: Tensor  # (B, 1, h, w): will a descriptor taken here be matched rightly?
+
+
+def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    """Convolution, batch norm, ReLU: the only building block."""
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
+
+
+def normalise_contrast(image: Tensor) -> Tensor:
+    """Remove local brightness and contrast, and fold 4 x 4 pixels into channels.
+
+    The statistics are taken over about 72 px (8 px blocks, averaged twice over 5 x 5), so a cloud's
+    shadow or a darker map changes little, and dull grass speaks as loudly as a runway.
+
+    Args:
+        image: (B, 1, H, W) float32, grey levels 0 to 255.
+
+    Returns:
+        (B, 16, H / 4, W / 4), about zero mean and unit variance.
+    """
+    image = image - 128.0
+    block_mean = F.avg_pool2d(image, CELL_PX)
+    block_square = F.avg_pool2d(image * image, CELL_PX)
+    moments = torch.cat([block_mean, block_square], dim=1)
+    for _ in range(2):
+        moments = F.avg_pool2d(moments, 5, stride=1, padding=2, count_include_pad=False)
+    mean, square = moments[:, :1], moments[:, 1:]
+    gain = torch.rsqrt((square - mean * mean).clamp_min(0.0) + NOISE_FLOOR_GREY**2)
+    affine = torch.cat([gain, -mean * gain], dim=1)
+    affine = F.interpolate(affine, scale_factor=2.0, mode="bilinear", align_corners=False)
+    return F.pixel_unshuffle(image, 4) * affine[:, :1] + affine[:, 1:]
+
+
+class FeatureNetwork(nn.Module):
+    """Grey picture -> `DenseFeatures`. 0.42 million parameters in the default size."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        """Build the layers; weights are random until a checkpoint is loaded."""
+        super().__init__()
+        self.config = config
+        c1, c2 = config.stem_channels, config.channels
+        self.level4 = nn.Sequential(conv(16, c1), conv(c1, c1))
+        self.level8 = nn.Sequential(conv(c1, c2, stride=2), conv(c2, c2))
+        self.level16 = nn.Sequential(conv(c2, c2, stride=2), conv(c2, c2))
+        self.level32 = nn.Sequential(conv(c2, c2, stride=2), conv(c2, c2), conv(c2, c2, kernel=1))
+        self.fuse16 = conv(c2, c2, kernel=1)
+        self.fuse8 = nn.Sequential(conv(c2, c2), nn.Conv2d(c2, config.descriptor_dim, 1))
+        self.reliability = nn.Conv2d(config.descriptor_dim, 1, 1)
+        # The keypoint head reads the 1/4 level, 2 x 2 folded into channels: it sees 24 px, and
+        # stays sharp.
+        self.keypoints = nn.Sequential(
+            conv(4 * c1, config.keypoint_channels, kernel=1),
+            nn.Conv2d(config.keypoint_channels, CELL_PX**2 + 1, 1),
+        )
+
+    def forward(self, image: Tensor) -> DenseFeatures:
+        """Compute dense features.
+
+        Args:
+            image: (B, 1, H, W) float32, grey levels 0 to 255; H and W divisible by 32.
+        """
+        x4 = self.level4(normalise_contrast(image))
+        x8 = self.level8(x4)
+        x16 = self.level16(x8)
+        x16 = self.fuse16(x16 + upsample2(self.level32(x16)))
+        descriptors = self.fuse8(x8 + upsample2(x16))
+        return DenseFeatures(
+            descriptors=descriptors,
+            keypoint_logits=self.keypoints(F.pixel_unshuffle(x4, 2)),
+            reliability_logits=self.reliability(descriptors),
+        )
+
+
+def upsample2(features: Tensor) -> Tensor:
+    """Double the resolution, (B, C, h, w) -> (B, C, 2 h, 2 w), by the half-pixel rule."""
+    return F.interpolate(features, scale_factor=2.0, mode="bilinear", align_corners=False)
+
+
+def sampling_grid(uv: Tensor, cells: Tensor) -> Tensor:
+    """Pixels -> the coordinates of `grid_sample(..., align_corners=False)` on a map of 8 x 8 cells.
+
+    The centre of cell 0 is pixel 3.5 (pixel centres at integers), which is what (2 u + 1) / W - 1
+    means. Width and height enter as plain numbers: put into a tensor, the exporter would freeze
+    them.
+
+    Args:
+        uv: (..., 2) float32, pixels.
+        cells: (B, C, h, w), the map to be sampled.
+    """
+    h, w = cells.shape[-2:]
+    return torch.stack(
+        [
+            (2.0 * uv[..., 0] + 1.0) / (w * CELL_PX) - 1.0,
+            (2.0 * uv[..., 1] + 1.0) / (h * CELL_PX) - 1.0,
+        ],
+        dim=-1,
+    )
+
+
+def sample_descriptors(descriptors: Tensor, uv: Tensor) -> Tensor:
+    """Interpolate descriptors at pixel positions and normalise them.
+
+    Args:
+        descriptors: (B, D, h, w), one per 8 x 8 cell.
+        uv: (B, n, 2) float32, pixels of the full picture.
+
+    Returns:
+        (B, n, D), unit length.
+    """
+    grid = sampling_grid(uv, descriptors).unsqueeze(1)
+    sampled = F.grid_sample(
+        descriptors, grid, mode="bilinear", padding_mode="border", align_corners=False
+    )
+    return F.normalize(sampled.squeeze(2).transpose(1, 2), dim=-1)
+
+
+def heat_cells(keypoint_logits: Tensor) -> Tensor:
+    """Probability of each pixel of each cell to be a keypoint, (B, 65, h, w) -> (B, 64, h, w)."""
+    return keypoint_logits.softmax(dim=1)[:, :-1]

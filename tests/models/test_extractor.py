@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+import torch
+
+from export.parity import drawn_pictures
+from models.extractor import BORDER_PX, Extractor, cell_peaks
+from models.network import FeatureNetwork, NetworkConfig, heat_cells
+from training.losses import keypoint_targets
+
+
+@pytest.fixture(scope="module")
+def extractor():
+    torch.manual_seed(7)
+    return Extractor(FeatureNetwork(NetworkConfig()).eval())
+
+
+def extract(extractor, image, max_keypoints):
+    with torch.inference_mode():
+        outputs = extractor(torch.from_numpy(image)[None, None], torch.tensor([max_keypoints]))
+    return [x.numpy() for x in outputs]
+
+
+@pytest.mark.parametrize("max_keypoints", [1, 100, 5000])
+def test_never_more_keypoints_than_asked_for_and_the_best_first(extractor, max_keypoints):
+    uv, scores, descriptors = extract(extractor, drawn_pictures(1)[0], max_keypoints)
+    assert 0 < len(uv) <= max_keypoints
+    assert len(uv) == len(scores) == len(descriptors)
+    assert (np.diff(scores) <= 0).all()
+    assert np.linalg.norm(descriptors, axis=1) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_keypoints_keep_away_from_the_border_and_from_each_other(extractor):
+    image = drawn_pictures(1)[0]
+    uv, _, _ = extract(extractor, image, 5000)
+    limit = np.array(image.shape[::-1]) - 1 - BORDER_PX
+    assert (uv > BORDER_PX - 1).all()
+    assert (uv < limit + 1).all()
+    distance = np.abs(uv[:, None] - uv[None]).max(axis=2) + 99 * np.eye(len(uv))
+    assert distance.min() > 1.0
+
+
+def test_a_scene_moved_by_whole_cells_moves_its_features_exactly(extractor):
+    scene = np.random.default_rng(1).integers(0, 255, (96, 96)).astype(np.uint8)
+    found = []
+    for shift in (0, 32):
+        image = np.full((544, 544), 90, np.uint8)
+        image[224 + shift : 320 + shift, 224:320] = scene
+        uv, _, descriptors = extract(extractor, image, 3000)
+        inside = (np.abs(uv - [271.5, 271.5 + shift]) < 48).all(axis=1)
+        order = np.lexsort(np.round(uv[inside], 2).T)
+        found.append((uv[inside][order], descriptors[inside][order]))
+    (uv0, descriptors0), (uv1, descriptors1) = found
+    assert len(uv0) == len(uv1) > 50
+    np.testing.assert_allclose(uv0 + np.array([0, 32]), uv1, atol=1e-3)
+    np.testing.assert_allclose(descriptors0, descriptors1, atol=1e-4)
+
+
+def test_sub_pixel_positions_are_read_back_from_the_heat():
+    # Half a pixel to the right and a quarter down, well inside of their cells.
+    true_uv = torch.tensor([[[11.5, 12.25], [28.0, 19.75], [35.3, 35.6]]])
+    targets = keypoint_targets(true_uv, torch.ones(1, 3), (6, 6))
+    uv, heat, keep = cell_peaks(heat_cells(targets.clamp_min(1e-9).log()))
+    found = uv[0][(keep[0] > 0) & (heat[0] > 0.2)]
+    torch.testing.assert_close(found, true_uv[0], atol=1e-3, rtol=0)
+
+
+def test_refinement_can_be_trained():
+    logits = torch.randn(1, 65, 4, 4, requires_grad=True)
+    uv, _, _ = cell_peaks(heat_cells(logits))
+    uv.sum().backward()
+    assert logits.grad is not None
+    assert logits.grad.abs().sum() > 0

@@ -1,0 +1,67 @@
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models.network import (
+    NETWORK_SIZES,
+    FeatureNetwork,
+    NetworkConfig,
+    heat_cells,
+    normalise_contrast,
+    sample_descriptors,
+)
+
+
+@pytest.mark.parametrize("size", list(NETWORK_SIZES))
+@pytest.mark.parametrize("height_width", [(32, 64), (96, 160), (256, 448)])
+def test_every_cell_gets_a_descriptor_65_logits_and_a_reliability(size, height_width):
+    config = NETWORK_SIZES[size]
+    height, width = height_width
+    with torch.inference_mode():
+        dense = FeatureNetwork(config).eval()(torch.rand(2, 1, height, width) * 255)
+    cells = (height // 8, width // 8)
+    assert dense.descriptors.shape == (2, config.descriptor_dim, *cells)
+    assert dense.keypoint_logits.shape == (2, 65, *cells)
+    assert dense.reliability_logits.shape == (2, 1, *cells)
+
+
+def test_the_default_network_stays_small():
+    parameters = sum(p.numel() for p in FeatureNetwork(NetworkConfig()).parameters())
+    assert parameters < 450_000
+
+
+@settings(max_examples=10, deadline=None)
+@given(gain=st.floats(0.5, 1.5), offset=st.floats(-60, 60))
+def test_brightness_and_contrast_hardly_change_what_the_network_sees(gain, offset):
+    image = 128 + 40 * torch.randn(1, 1, 96, 96, generator=torch.Generator().manual_seed(3))
+    changed = gain * image + offset
+    difference = normalise_contrast(changed) - normalise_contrast(image)
+    assert difference.abs().mean() < 0.05
+
+
+def test_a_flat_picture_is_seen_as_nothing_not_as_noise():
+    assert normalise_contrast(torch.full((1, 1, 64, 64), 200.0)).abs().max() < 1e-3
+
+
+def test_the_descriptor_of_cell_zero_sits_at_pixel_three_and_a_half():
+    descriptors = torch.randn(1, 64, 4, 6, generator=torch.Generator().manual_seed(0))
+    uv = torch.tensor([[[3.5, 3.5], [3.5 + 8 * 5, 3.5 + 8 * 2]]])
+    sampled = sample_descriptors(descriptors, uv)[0]
+    expected = torch.nn.functional.normalize(
+        torch.stack([descriptors[0, :, 0, 0], descriptors[0, :, 2, 5]]), dim=-1
+    )
+    torch.testing.assert_close(sampled, expected)
+
+
+def test_between_two_cells_descriptors_are_mixed_by_distance():
+    descriptors = torch.zeros(1, 2, 1, 2)
+    descriptors[0, 0, 0, 0] = 1.0  # left cell says (1, 0)
+    descriptors[0, 1, 0, 1] = 1.0  # right cell says (0, 1)
+    sampled = sample_descriptors(descriptors, torch.tensor([[[3.5 + 2.0, 3.5]]]))[0, 0]
+    assert (sampled[0] / sampled[1]).item() == pytest.approx(3.0)  # 6 px from one, 2 from the other
+
+
+def test_the_heat_of_a_cell_leaves_room_for_no_keypoint():
+    heat = heat_cells(torch.zeros(1, 65, 2, 2))
+    torch.testing.assert_close(heat.sum(dim=1), torch.full((1, 2, 2), 64 / 65))

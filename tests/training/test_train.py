@@ -1,0 +1,89 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from models.network import FeatureNetwork
+from training import train, validate
+from training.config import PRESETS, config_from_saved, load_checkpoint, parse
+from training.journal import Journal
+
+SHORT = replace(
+    PRESETS["smoke"],
+    minutes=0.0,
+    max_steps=8,
+    batch_pairs=2,
+    log_every_steps=2,
+    loader_processes=0,
+    validation_pairs=1,
+    bfloat16=False,  # so that two runs agree to the last bit
+    threads=1,
+    agreement_start=0.5,
+)
+
+
+@pytest.fixture(autouse=True)
+def two_threads_again():
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def test_the_learning_rate_warms_up_and_ends_cooled():
+    rates = [train.learning_rate(p, PRESETS["default"]) for p in np.linspace(0, 1, 101)]
+    assert rates[0] < rates[1] == pytest.approx(1e-3, rel=0.01)
+    assert rates[-1] == pytest.approx(1e-5)
+    assert (np.diff(rates[1:]) <= 0).all()
+
+
+def test_the_command_line_changes_the_preset():
+    config, resume = parse("", ["--preset", "nano", "--minutes", "3", "--seed", "9"])
+    assert (config.network.name, config.minutes, config.seed, resume) == ("nano", 3.0, 9, "")
+
+
+def test_a_checkpoint_rebuilds_its_configuration(drawn_scenes, tmp_path):
+    config = replace(SHORT, out=str(tmp_path), max_steps=1)
+    path = train.main(config, scenes=(drawn_scenes, []))
+    assert config_from_saved(load_checkpoint(path)["config"]) == config
+
+
+def test_an_interrupted_run_resumes_to_the_same_weights(drawn_scenes, tmp_path, monkeypatch):
+    whole = train.main(replace(SHORT, out=str(tmp_path / "whole")), scenes=(drawn_scenes, []))
+    broken = replace(SHORT, out=str(tmp_path / "broken"), save_every_minutes=0.0)
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    tell = Journal.tell
+    monkeypatch.setattr(Journal, "tell", lambda s, n, *a: stop() if n == 6 else tell(s, n, *a))
+    with pytest.raises(KeyboardInterrupt):
+        train.main(broken, scenes=(drawn_scenes, []))
+    monkeypatch.undo()
+    resumed = train.main(broken, str(tmp_path / "broken/last.pt"), scenes=(drawn_scenes, []))
+    states = [load_checkpoint(p)["network"] for p in (whole, resumed)]
+    for name, value in states[0].items():
+        torch.testing.assert_close(states[1][name], value, atol=1e-6, rtol=1e-5)
+
+
+def test_without_pictures_training_says_what_to_do(tmp_path):
+    with pytest.raises(SystemExit, match="no training pictures"):
+        train.main(replace(SHORT, out=str(tmp_path)), scenes=([], []))
+
+
+def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(
+    drawn_scenes, tmp_path
+):
+    config = replace(SHORT, out=str(tmp_path), max_steps=100, batch_pairs=4, bfloat16=True)
+    config = replace(config, threads=2, loader_processes=1, log_every_steps=10)
+    path = train.main(config, scenes=(drawn_scenes, []))
+    log = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True, usecols=range(8))
+    totals = log["total"][~np.isnan(log["total"])]
+    assert totals[-1] < 0.75 * totals[0]
+    views = validate.calm_views(drawn_scenes, config.samples, 8)
+    network = FeatureNetwork(config.network)
+    before = validate.score_matches(validate.learned(network), views)
+    network.load_state_dict(load_checkpoint(path)["network"])
+    after = validate.score_matches(validate.learned(network), views)
+    assert after.inliers > 1.5 * before.inliers
+    assert after.precision > before.precision

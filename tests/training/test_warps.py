@@ -1,0 +1,92 @@
+import cv2
+import kornia
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from training import warps
+
+SIZE = 64
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_view(seed):
+    return warps.random_relative_view(np.random.default_rng(seed), warps.WarpConfig(), SIZE)
+
+
+def smooth_picture(seed=0, size=96):
+    noise = np.random.default_rng(seed).normal(size=(size, size))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3)
+    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds)
+def test_points_carried_there_and_back_are_where_they_were(seed):
+    H = random_view(seed)
+    points = np.random.default_rng(seed).uniform(0, SIZE, (20, 2))
+    back = warps.warp_points(np.linalg.inv(H), warps.warp_points(H, points))
+    np.testing.assert_allclose(back, points, atol=1e-6)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds)
+def test_points_are_carried_as_kornia_carries_them(seed):
+    H = random_view(seed)
+    points = np.random.default_rng(seed).uniform(0, SIZE, (20, 2))
+    expected = kornia.geometry.transform_points(
+        torch.from_numpy(H)[None], torch.from_numpy(points)[None]
+    )
+    np.testing.assert_allclose(warps.warp_points(H, points), expected[0].numpy(), atol=1e-6)
+
+
+def test_a_view_shows_what_kornia_shows():
+    picture = smooth_picture()
+    H_source_view = warps.centred(warps.similarity(0.3, 0.8), np.full(2, 47.5), np.full(2, 31.5))
+    ours = warps.view(picture, H_source_view, SIZE).astype(np.float32)
+    source = torch.from_numpy(picture).float()[None, None]
+    H_view_source = torch.from_numpy(np.linalg.inv(H_source_view)).float()[None]
+    theirs = kornia.geometry.warp_perspective(
+        source, H_view_source, (SIZE, SIZE), align_corners=True
+    )
+    np.testing.assert_allclose(ours, theirs[0, 0].numpy(), atol=1.5)
+
+
+def test_a_shrunk_view_stays_in_its_place():
+    # A bright square, seen three times smaller, keeps its centre: the half-pixel rule.
+    picture = np.zeros((300, 300), np.uint8)
+    picture[120:180, 90:150] = 255
+    H_source_view = warps.centred(warps.similarity(0.0, 3.0), np.full(2, 149.5), np.full(2, 31.5))
+    seen = warps.view(picture, H_source_view, SIZE)
+    moments = cv2.moments(seen)
+    centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+    expected = warps.warp_points(np.linalg.inv(H_source_view), np.array([[119.5, 149.5]]))[0]
+    np.testing.assert_allclose(centre, expected, atol=0.02)
+
+
+@given(angle=st.floats(-3, 3), scale=st.floats(0.3, 3))
+def test_local_scale_of_a_similarity_is_its_scale(angle, scale):
+    H = warps.similarity(angle, scale)
+    assert warps.local_scale(H, np.array([5.0, 7.0])) == pytest.approx(scale, rel=1e-6)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds)
+def test_a_crop_lies_inside_of_its_source(seed):
+    rng = np.random.default_rng(seed)
+    H = warps.random_crop_frame(rng, (200, 150), SIZE, (0.7, 2.0))
+    centre = warps.warp_points(H, np.full((1, 2), (SIZE - 1) / 2))[0]
+    assert warps.local_scale(H, np.full(2, (SIZE - 1) / 2)) <= 2.0 + 1e-6
+    assert (centre > 0).all()
+    assert (centre < [200, 150]).all()
+
+
+def test_relative_views_turn_and_scale_as_configured():
+    views = [random_view(seed) for seed in range(400)]
+    angles = [np.degrees(np.arctan2(H[1, 0], H[0, 0])) for H in views]
+    scales = [warps.local_scale(H, np.full(2, (SIZE - 1) / 2)) for H in views]
+    assert 9 < np.std(angles) < 17
+    assert 0.65 < min(scales) < 0.8
+    assert 1.25 < max(scales) < 1.5

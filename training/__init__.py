@@ -1,0 +1,1 @@
+"""Training of the learned features: plain PyTorch, one linear script."""

@@ -1,0 +1,120 @@
+"""A quick look at how well kept-aside pairs are matched, beside SIFT, while training goes on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from models.extractor import Extractor
+from models.network import FeatureNetwork
+from training.data import Scene
+from training.sampling import Sample, SampleConfig, ViewPairs
+from training.warps import FloatArray, Image, warp_points
+
+Features = tuple[NDArray[np.float32], NDArray[np.float32]]  # (n, 2) pixels, (n, D)
+Extract = Callable[[Image], Features]
+RIGHT_PX = 3.0  # a match nearer than this to the truth counts as an inlier
+PLACE_PX = 8.0  # a pair counts as located when its centre is found this near to the truth
+KEYPOINTS = 500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchScore:
+    """Mean over the validation pairs."""
+
+    inliers: float
+    precision: float
+    located: float  # share of pairs whose place a similarity through the matches finds
+    error_px: float  # median distance of the inliers from the truth
+
+    def __str__(self) -> str:
+        """One line for the log."""
+        right = f"{100 * self.precision:5.1f} % right"
+        place = f"{100 * self.located:5.1f} % located"
+        return f"{self.inliers:6.1f} inliers, {right}, {place}, {self.error_px:.2f} px"
+
+
+def calm_views(scenes: list[Scene], config: SampleConfig, count: int) -> list[Sample]:
+    """Draw the same views every time: 320 px, turned less than in training."""
+    warp = replace(config.warp, rotation_sigma_deg=8.0, wide_rotation_share=0.0)
+    pairs = ViewPairs(scenes, replace(config, size_px=320, warp=warp), seed=99)
+    return [pairs[i] for i in range(count)]
+
+
+def learned(network: FeatureNetwork) -> Extract:
+    """Wrap a copy of a network as an extractor function."""
+    on_cpu = FeatureNetwork(network.config)
+    on_cpu.load_state_dict(network.state_dict())
+    extractor = Extractor(on_cpu.eval())
+
+    def extract(image: Image) -> Features:
+        with torch.inference_mode():
+            uv, _, descriptors = extractor(
+                torch.from_numpy(image)[None, None], torch.tensor([KEYPOINTS])
+            )
+        return uv.numpy(), descriptors.numpy()
+
+    return extract
+
+
+def root_sift(image: Image, upright: bool = True) -> Features:
+    """Upright RootSIFT (Arandjelovic and Zisserman 2012), the classical rival."""
+    sift = cv2.SIFT_create(KEYPOINTS)
+    keypoints = sift.detect(image, None)
+    if upright:
+        for keypoint in keypoints:
+            keypoint.angle = 0.0
+    keypoints, descriptors = sift.compute(image, keypoints)
+    if descriptors is None:
+        return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
+    return np.array([k.pt for k in keypoints], np.float32), root
+
+
+def mutual_matches(features0: Features, features1: Features) -> tuple[FloatArray, FloatArray]:
+    """Match by mutual nearest neighbours; returns the matched positions (n, 2) in both."""
+    (uv0, descriptors0), (uv1, descriptors1) = features0, features1
+    if len(uv0) == 0 or len(uv1) == 0:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    similarity = descriptors0 @ descriptors1.T
+    best1, best0 = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    mutual = best0[best1] == np.arange(len(uv0))
+    return uv0[mutual].astype(np.float64), uv1[best1[mutual]].astype(np.float64)
+
+
+def finds_its_place(uv0: FloatArray, uv1: FloatArray, H_1_0: FloatArray, size_px: int) -> bool:
+    """Does a similarity through the matches put the picture's centre where it belongs?"""
+    if len(uv0) < 4:
+        return False
+    cv2.setRNGSeed(0)
+    found, _ = cv2.estimateAffinePartial2D(uv0, uv1, ransacReprojThreshold=3.0, maxIters=5000)
+    if found is None:
+        return False
+    centre = np.full((1, 2), (size_px - 1) / 2)
+    expected = warp_points(H_1_0, centre)
+    return bool(np.linalg.norm(centre @ found[:, :2].T + found[:, 2] - expected) < PLACE_PX)
+
+
+def score_matches(extract: Extract, views: list[Sample]) -> MatchScore:
+    """Match each pair and compare with the true homography."""
+    inliers, precisions, places = [], [], []
+    errors: list[float] = []
+    for view in views:
+        image0, image1 = (view[f"image{k}"][0].numpy() for k in (0, 1))
+        uv0, uv1 = mutual_matches(extract(image0), extract(image1))
+        H_1_0 = view["H_1_0"].numpy().astype(np.float64)
+        distance = np.linalg.norm(warp_points(H_1_0, uv0) - uv1, axis=1)
+        right = distance < RIGHT_PX
+        inliers.append(right.sum())
+        precisions.append(right.sum() / max(len(right), 1))
+        places.append(finds_its_place(uv0, uv1, H_1_0, image0.shape[0]))
+        errors.extend(distance[right])
+    return MatchScore(
+        inliers=float(np.mean(inliers)),
+        precision=float(np.mean(precisions)),
+        located=float(np.mean(places)),
+        error_px=float(np.median(errors)) if errors else float("nan"),
+    )

@@ -1,0 +1,131 @@
+"""Random views of the ground: homographies, the pictures they give, and points carried along.
+
+Everything maps pixels with centres at integers. `H_b_a` takes points of picture a to picture b.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarpConfig:
+    """What rectification leaves uncorrected, per view pair."""
+
+    rotation_sigma_deg: float = 12.0
+    wide_rotation_share: float = 0.1  # of pairs turn by up to +-25 degrees instead
+    wide_rotation_deg: float = 25.0
+    scale_min: float = 0.7
+    scale_max: float = 1.4
+    tilt_sigma: float = 0.06  # perspective: relative change of scale from the centre to an edge
+    shift_sigma: float = 0.08  # of the picture's width
+    aspect_sigma: float = 0.03
+
+
+def translation(u_px: float, v_px: float) -> FloatArray:
+    """Homography (3, 3) that moves points by (u_px, v_px)."""
+    return np.array([[1.0, 0.0, u_px], [0.0, 1.0, v_px], [0.0, 0.0, 1.0]])
+
+
+def similarity(rotation_rad: float, scale: float) -> FloatArray:
+    """Homography (3, 3) that rotates and scales about the origin."""
+    c, s = scale * np.cos(rotation_rad), scale * np.sin(rotation_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def centred(H: FloatArray, centre_to: FloatArray, centre_from: FloatArray) -> FloatArray:
+    """Apply `H` about `centre_from` and put that point at `centre_to`."""
+    return translation(*centre_to) @ H @ translation(*-centre_from)
+
+
+def warp_points(H_b_a: FloatArray, points_a_uv: FloatArray) -> FloatArray:
+    """Carry points (n, 2) of picture a to picture b."""
+    homogeneous = points_a_uv @ H_b_a[:, :2].T + H_b_a[:, 2]
+    return homogeneous[:, :2] / homogeneous[:, 2:]
+
+
+def local_scale(H: FloatArray, point_uv: FloatArray) -> float:
+    """How many pixels one pixel becomes at a point (square root of the Jacobian's determinant)."""
+    around = point_uv + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    p, pu, pv = warp_points(H, around)
+    jacobian = np.stack([pu - p, pv - p])
+    return float(np.sqrt(abs(np.linalg.det(jacobian))))
+
+
+def random_relative_view(rng: np.random.Generator, config: WarpConfig, size_px: int) -> FloatArray:
+    """Draw how the second view differs from the first: H_1_0 (3, 3), about the centre."""
+    if rng.random() < config.wide_rotation_share:
+        rotation_rad = np.deg2rad(rng.uniform(-config.wide_rotation_deg, config.wide_rotation_deg))
+    else:
+        rotation_rad = np.deg2rad(rng.normal(0.0, config.rotation_sigma_deg))
+    scale = float(np.exp(rng.normal(0.0, 0.17)))
+    scale = float(np.clip(scale, config.scale_min, config.scale_max))
+    stretch = np.exp(rng.normal(0.0, config.aspect_sigma))
+    H = similarity(rotation_rad, scale) @ np.diag([stretch, 1.0 / stretch, 1.0])
+    H[2, :2] = rng.normal(0.0, config.tilt_sigma, 2) / (size_px / 2)
+    centre = np.full(2, (size_px - 1) / 2)
+    return centred(H, centre + rng.normal(0.0, config.shift_sigma * size_px, 2), centre)
+
+
+def random_crop_frame(
+    rng: np.random.Generator,
+    source_wh: tuple[int, int],
+    size_px: int,
+    zoom_range: tuple[float, float],
+) -> FloatArray:
+    """Draw where in a source picture the crop lies: any heading, mirrored half of the time.
+
+    Args:
+        rng: Random generator.
+        source_wh: Size of the source picture.
+        size_px: Side of the square crop.
+        zoom_range: Source pixels per crop pixel, least and most; less where the source is too
+            small.
+
+    Returns:
+        H_source_crop (3, 3).
+    """
+    width, height = source_wh
+    zoom = np.exp(rng.uniform(np.log(zoom_range[0]), np.log(zoom_range[1])))
+    zoom = min(zoom, min(width, height) / size_px)
+    margin = 0.5 * zoom * size_px
+    centre = (
+        np.array([rng.uniform(margin, width - margin), rng.uniform(margin, height - margin)]) - 0.5
+    )
+    # Quarter turns keep a crop inside of its picture; a free angle would leave black corners.
+    angle_rad = rng.integers(4) * np.pi / 2 + (
+        rng.uniform(-0.8, 0.8) if min(width, height) > 1.3 * zoom * size_px else 0.0
+    )
+    mirror = np.diag([rng.choice([-1.0, 1.0]), 1.0, 1.0])
+    return centred(similarity(angle_rad, zoom) @ mirror, centre, np.full(2, (size_px - 1) / 2))
+
+
+def view(source: Image, H_source_view: FloatArray, size_px: int) -> Image:
+    """Look at a source picture through a homography, without aliasing; outside of it is zero.
+
+    Args:
+        source: (H, W) or (H, W, C) uint8.
+        H_source_view: Takes pixels of the view to pixels of the source.
+        size_px: Side of the square view.
+
+    Returns:
+        (size_px, size_px) or (size_px, size_px, C) uint8.
+    """
+    shrink = local_scale(H_source_view, np.full(2, (size_px - 1) / 2))
+    if shrink > 1.3:
+        size = (round(source.shape[1] / shrink), round(source.shape[0] / shrink))
+        sx, sy = size[0] / source.shape[1], size[1] / source.shape[0]
+        source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
+        # Half-pixel rule: (u + 0.5) s - 0.5.
+        H_small_source = np.array(
+            [[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]]
+        )
+        H_source_view = H_small_source @ H_source_view
+    return cv2.warpPerspective(
+        source, H_source_view, (size_px, size_px), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    )
