@@ -261,7 +261,7 @@ class Flight:
         height_m = -float(estimate.position_ned_m[2])
         if not vehicle.armed and self._in_phase_s(t_s) > 3.0:
             self._finish("the autopilot disarmed during take-off")
-        elif height_m >= 0.85 * self._config.takeoff_height_m:
+        elif height_m >= 0.85 * self._config.takeoff_height_m or self._hovers(vehicle, height_m):
             self._hold_ne_m = estimate.position_ned_m[:2].copy()
             self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
             refused = self._autopilot.start_offboard()
@@ -271,6 +271,10 @@ class Flight:
                 self._enter(Phase.CLIMB, t_s)
         elif self._in_phase_s(t_s) > self._config.takeoff_timeout_s:
             self._begin_landing(t_s, "the take-off did not reach its height")
+
+    def _hovers(self, vehicle: VehicleState, height_m: float) -> bool:
+        """The autopilot's take-off is over, at what it takes for the height."""
+        return vehicle.mode is FlightMode.HOLD and height_m > 0.3 * self._config.takeoff_height_m
 
     def _climb(self, t_s: float, estimate: Estimate) -> None:
         """Straight up over the start, wherever that is."""

@@ -15,8 +15,15 @@ from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.px4.config import VehicleConfig
 from vwnav.sim.renderer import CameraRenderer
-from vwnav.sim.site import GENERATOR_VERSION, Site
-from vwnav.sim.sites import MAP_SIGMA_M, map_raster, parse_site
+from vwnav.sim.site import Site, generator_fingerprint
+from vwnav.sim.sites import (
+    MAP_EAST_M,
+    MAP_M_PER_PX,
+    MAP_NORTH_M,
+    MAP_SIGMA_M,
+    map_raster,
+    parse_site,
+)
 from vwnav.sim.tiles import default_cache_dir
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
@@ -37,7 +44,8 @@ def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:
     site = parse_site(text)
     sets = "_".join(sorted(extractor.feature_set_id for extractor in extractors))
     place = f"{site.home_lat_deg:.6f}_{site.home_lon_deg:.6f}"
-    path = _cache_folder() / f"site{site.seed}_{place}_v{GENERATOR_VERSION}_{sets}.mbtiles"
+    drawn = f"v{generator_fingerprint()}_{MAP_NORTH_M:.0f}x{MAP_EAST_M:.0f}m_{MAP_M_PER_PX}"
+    path = _cache_folder() / f"site{site.seed}_{place}_{drawn}_{sets}.mbtiles"
     if not path.exists():
         say(f"drawing the map of {text}")
         path.parent.mkdir(parents=True, exist_ok=True)

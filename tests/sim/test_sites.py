@@ -1,0 +1,52 @@
+"""Sites by name, and their map look as a raster with a true georeference."""
+
+import numpy as np
+import pytest
+
+from vwnav.errors import ConfigError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.picture import Window
+from vwnav.sim.sites import MAP_M_PER_PX, MAP_NORTH_M, is_site, map_raster, parse_site
+
+
+def test_the_default_and_the_unrelated_site_are_different_places_at_the_same_home():
+    default, unrelated = parse_site("sim:default"), parse_site("sim:unrelated")
+    assert default.seed != unrelated.seed
+    assert default.home_lat_deg == unrelated.home_lat_deg
+
+
+def test_a_site_can_be_put_where_another_simulator_flies():
+    site = parse_site("sim:7@60.403,-22.461")
+    assert (site.seed, site.home_lat_deg, site.home_lon_deg) == (7, 60.403, -22.461)
+
+
+@pytest.mark.parametrize("text", ["sim:", "sim:nowhere", "sim:1@95,0", "sim:1@1", "sim:1@1.2.3,4"])
+def test_anything_else_is_refused_with_what_is_expected(text):
+    with pytest.raises(ConfigError):
+        parse_site(text)
+
+
+def test_only_names_with_the_prefix_are_sites():
+    assert is_site("sim:default")
+    assert not is_site("/dev/video0")
+
+
+def test_the_raster_lies_about_home():
+    site = parse_site("sim:default")
+    raster = map_raster(site)
+    u, v = raster.georeference.pixel_from_lat_lon(
+        np.array([site.home_lat_deg]), np.array([site.home_lon_deg])
+    )
+    assert np.allclose([u[0], v[0]], np.array(raster.size_wh) / 2.0, atol=1.0)
+
+
+def test_the_raster_draws_what_the_site_shows_there():
+    site = parse_site("sim:default")
+    frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
+    raster = map_raster(site)
+    drawn = raster.window(Window(1000, 1000, 1064, 1064))
+    lat, lon = raster.georeference.lat_lon_from_pixel(np.array([1000.0]), np.array([1000.0]))
+    corner = frame.to_ned(lat, lon, 0.0)[0]
+    assert corner[0] == pytest.approx(MAP_NORTH_M / 2.0 - 1000 * MAP_M_PER_PX, abs=0.05)
+    assert drawn.bgr.shape == (64, 64, 3)
+    assert drawn.mask.all()
