@@ -1,0 +1,195 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from geotiff_samples import (
+    TRANSFORM,
+    found_mark,
+    marked_rgb,
+    marks_lat_lon,
+    texture_rgb,
+    write_palette_tiff,
+    write_tiff,
+)
+from map_samples import SiftStub
+from rasterio.transform import Affine
+from rasterio.warp import Resampling, reproject, transform_bounds
+
+from vwnav.errors import MapError
+from vwnav.geometry.mercator import mercator_px
+from vwnav.maps.builder import build_pack
+from vwnav.maps.geotiff import RasterFile, read_heights
+from vwnav.maps.pack import MapPack
+from vwnav.maps.picture import Window
+
+
+def pack_of(path: Path, extractors=(), crs: str | None = None) -> MapPack:
+    output = path.with_suffix(".mbtiles")
+    build_pack([RasterFile(path, crs)], output, extractors)
+    return MapPack.open(output)
+
+
+def worst_mark_error_px(pack: MapPack, level: int = 0) -> float:
+    zoom = pack.levels[level].zoom
+    window = pack.window(zoom)
+    gray, _ = pack.image(zoom, *window)
+    errors = []
+    for lat_deg, lon_deg in marks_lat_lon():
+        x, y = mercator_px(lat_deg, lon_deg, zoom)
+        expected = np.array([x - window.x0, y - window.y0]) - 0.5
+        errors.append(np.linalg.norm(found_mark(gray, expected) - expected))
+    return max(errors)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_marks_in_utm_lie_in_the_pack_where_pyproj_puts_them(tmp_path: Path, level: int):
+    with pack_of(write_tiff(tmp_path / "marks.tif", marked_rgb())) as pack:
+        assert worst_mark_error_px(pack, level) < 0.2
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857", "EPSG:3413"])
+def test_marks_survive_a_change_of_coordinate_system(tmp_path: Path, crs: str):
+    with rasterio.open(write_tiff(tmp_path / "utm.tif", marked_rgb())) as utm:
+        left, bottom, right, top = transform_bounds(utm.crs, crs, *utm.bounds)
+        size = 450
+        transform = Affine((right - left) / size, 0, left, 0, (bottom - top) / size, top)
+        bands = np.zeros((3, size, size), np.uint8)
+        reproject(
+            rasterio.band(utm, (1, 2, 3)),
+            bands,
+            dst_transform=transform,
+            dst_crs=crs,
+            resampling=Resampling.cubic,
+        )
+    with pack_of(write_tiff(tmp_path / "o.tif", bands, crs=crs, transform=transform)) as pack:
+        assert worst_mark_error_px(pack) < 0.25
+
+
+def test_a_rotated_raster_lies_where_its_transform_says(tmp_path: Path):
+    transform = TRANSFORM @ Affine.rotation(30.0)
+    path = write_tiff(tmp_path / "rotated.tif", texture_rgb(), transform=transform)
+    u, v = np.array([0.0, 320.0, 100.0]), np.array([0.0, 300.0, 20.5])
+    georeference = RasterFile(path).georeference
+    back = georeference.pixel_from_lat_lon(*georeference.lat_lon_from_pixel(u, v))
+    assert np.allclose(back, (u, v), atol=1e-3)
+
+
+def test_a_palette_is_expanded_through_its_colours(tmp_path: Path):
+    rgb = texture_rgb()
+    picture = RasterFile(write_palette_tiff(tmp_path / "p.tif", rgb)).window(Window(0, 0, 320, 300))
+    expected = np.moveaxis((rgb // 64) * 64 + 32, 0, -1)[..., ::-1]
+    assert np.array_equal(picture.bgr, expected)
+    assert picture.mask.all()
+
+
+def test_a_hole_in_a_palette_has_no_data(tmp_path: Path):
+    raster = RasterFile(write_palette_tiff(tmp_path / "p.tif", texture_rgb(), transparent=5))
+    mask = raster.window(Window(0, 0, 320, 300)).mask
+    assert not mask[100:160, 100:180].any()
+    assert mask.sum() == 320 * 300 - 60 * 80
+
+
+def test_alpha_and_declared_no_data_become_the_mask(tmp_path: Path):
+    rgb = texture_rgb()
+    alpha = np.full((1, 300, 320), 255, np.uint8)
+    alpha[:, :, :40] = 0
+    holed = np.where(alpha > 0, rgb, 7).astype(np.uint8)
+    files = [
+        write_tiff(tmp_path / "a.tif", np.concatenate([rgb, alpha]), alpha=True),
+        write_tiff(tmp_path / "n.tif", holed, nodata=7),
+    ]
+    for path in files:
+        assert np.array_equal(RasterFile(path).window(Window(0, 0, 320, 300)).mask, alpha[0] > 0)
+
+
+def test_black_corners_without_any_declaration_make_no_features(tmp_path: Path):
+    rgb = texture_rgb(600, 600)
+    v, u = np.mgrid[:600, :600]
+    corner = u + v < 400
+    with pack_of(
+        write_tiff(tmp_path / "c.tif", np.where(corner, 0, rgb).astype(np.uint8)), [SiftStub()]
+    ) as pack:
+        zoom = pack.levels[0].zoom
+        window = pack.window(zoom)
+        found = pack.features_in(zoom, *window, SiftStub()).features.uv
+        mask = np.pad(pack.picture(zoom, window).mask, 20)
+    near = [mask[int(v) + 5 : int(v) + 36, int(u) + 5 : int(u) + 36].all() for u, v in found]
+    assert len(found) > 500
+    assert all(near)
+
+
+def test_sixteen_bits_are_stretched_and_gray_becomes_colour(tmp_path: Path):
+    ramp = np.linspace(200, 3000, 320)[None, None].repeat(300, axis=1).astype(np.uint16)
+    picture = RasterFile(write_tiff(tmp_path / "d.tif", ramp)).window(Window(0, 0, 320, 300))
+    assert picture.bgr[0, 10, 0] < 20 < 235 < picture.bgr[0, -10, 0]
+    assert (np.diff(picture.bgr[0, :, 0].astype(int)) >= 0).all()
+    assert np.array_equal(picture.bgr[..., 0], picture.bgr[..., 2])
+
+
+@pytest.mark.parametrize("photometric", ["rgb", "minisblack"])
+def test_infrared_in_a_fourth_band_is_left_out(tmp_path: Path, photometric: str):
+    bands = np.concatenate([texture_rgb(), np.full((1, 300, 320), 255, np.uint8)])
+    path = write_tiff(tmp_path / "nir.tif", bands, photometric=photometric, ALPHA="NO")
+    picture = RasterFile(path).window(Window(0, 0, 320, 300))
+    assert np.array_equal(picture.bgr[..., ::-1], np.moveaxis(bands[:3], 0, -1))
+    assert picture.mask.all()
+
+
+def test_a_raster_that_lies_nowhere_is_refused(tmp_path: Path):
+    path = write_tiff(tmp_path / "none.tif", texture_rgb(), crs=None, transform=None)
+    with pytest.raises(MapError, match="not georeferenced"):
+        RasterFile(path)
+
+
+def test_a_missing_coordinate_system_can_be_said(tmp_path: Path):
+    path = write_tiff(tmp_path / "marks.tif", marked_rgb(), crs=None)
+    with pytest.raises(MapError, match="--crs EPSG"):
+        RasterFile(path)
+    with pack_of(path, crs="EPSG:32643") as pack:
+        assert worst_mark_error_px(pack) < 0.2
+    with pytest.raises(MapError, match="--crs nonsense"):
+        RasterFile(path, "nonsense")
+
+
+def test_a_cut_off_raster_is_one_error_and_leaves_nothing(tmp_path: Path):
+    path = write_tiff(tmp_path / "cut.tif", texture_rgb(), alpha=False)
+    path.write_bytes(path.read_bytes()[:150_000])
+    with pytest.raises(MapError, match="damaged or cut off"):
+        pack_of(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["cut.tif"]
+
+
+@pytest.mark.parametrize("content", [b"", b"II*\0 no raster", b"hello"])
+def test_what_is_no_raster_is_refused(tmp_path: Path, content: bytes):
+    (tmp_path / "x.tif").write_bytes(content)
+    with pytest.raises(MapError, match="not a raster"):
+        RasterFile(tmp_path / "x.tif")
+
+
+def test_heights_are_read_where_the_map_lies(tmp_path: Path):
+    slope = (300.0 + 0.1 * (np.arange(200)[None, :] + 0.5)).repeat(180, axis=0)[None]
+    path = write_tiff(tmp_path / "dem.tif", slope.astype(np.float32))
+    lat, lon = RasterFile(path).georeference.lat_lon_from_pixel(
+        np.array([20.0, 160.0]), np.array([150.0, 20.0])
+    )
+    heights = read_heights(path, (lat[0], lon[0], lat[1], lon[1]))
+    assert heights.at((lat[0] + lat[1]) / 2, (lon[0] + lon[1]) / 2) == pytest.approx(309.0, abs=0.1)
+    assert heights.at(lat[0] - 0.01, lon[0]) is None
+
+
+def test_heights_elsewhere_are_refused(tmp_path: Path):
+    path = write_tiff(tmp_path / "dem.tif", np.ones((1, 50, 50), np.float32))
+    with pytest.raises(MapError, match="no heights under the map"):
+        read_heights(path, (10.0, 10.0, 10.1, 10.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [("islamabad/1.tif", 0.65), ("brighton_beach/map_even_frames.tif", 0.58)],
+)
+def test_the_black_surroundings_of_real_orthophotos_are_holes(data_folder: Path, name, share):
+    raster = RasterFile(data_folder / "flights" / name)
+    picture = raster.window(Window(0, 0, *raster.size_wh))
+    assert picture.mask.mean() == pytest.approx(share, abs=0.01)
+    assert picture.bgr[picture.mask].min(axis=1).mean() > 40

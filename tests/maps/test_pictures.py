@@ -1,0 +1,123 @@
+import logging
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from map_samples import textured
+
+from vwnav.errors import MapError
+from vwnav.maps.builder import build_pack
+from vwnav.maps.pack import MapPack
+from vwnav.maps.pictures import corner_pictures, is_corner_table, read_corners
+from vwnav.maps.warp import PlacedRaster
+
+WILD = """Filename, Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_long
+"a.png",   60.403962,    22.460441,   60.402409,    22.464059
+"b.png",  60.403963,  22.464054,  60.402409,  22.467672
+"""
+
+
+def write_table(folder: Path, text: str = WILD, pictures: str = "ab") -> Path:
+    for name in pictures:
+        cv2.imwrite(str(folder / f"{name}.png"), textured(160, 184, ord(name)))
+    (folder / "map.csv").write_text(text)
+    return folder / "map.csv"
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Filename, Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_long",
+        "file;top left latitude;top left longitude;bottom right latitude;bottom right longitude",
+        "\ufeffIMAGE\tTL_Lat (deg)\tTL_Lon (deg)\tBR_Lat (deg)\tBR_Lng (deg)",
+        "name,north,west,south,east",
+    ],
+)
+def test_any_usual_spelling_of_the_header_is_understood(tmp_path: Path, header: str):
+    mark = next(sign for sign in (";", "\t", ",") if sign in header)
+    line = mark.join(["'x.jpg'", "60.2", " 22.1 ", '"60.1"', "22.3"])
+    (tmp_path / "map.csv").write_text(f"{header}\n\n{line}\n", encoding="utf-8")
+    (row,) = read_corners(tmp_path / "map.csv")
+    assert (row.file, row.bounds) == ("x.jpg", (60.1, 22.1, 60.2, 22.3))
+
+
+def test_columns_may_come_in_any_order(tmp_path: Path):
+    (tmp_path / "m.csv").write_text("east,note,south,file,west,north\n22.3,x,60.1,a.png,22.1,60.2")
+    (row,) = read_corners(tmp_path / "m.csv")
+    assert row.bounds == (60.1, 22.1, 60.2, 22.3)
+
+
+def test_missing_pictures_are_passed_over_with_a_warning(tmp_path: Path, caplog):
+    table = write_table(tmp_path, pictures="b")
+    with caplog.at_level(logging.WARNING):
+        found = corner_pictures(table)
+    assert [source.name for source in found] == ["b.png"]
+    assert "a.png" in caplog.text
+
+
+def test_pictures_listed_elsewhere_are_found_by_their_name(tmp_path: Path):
+    table = write_table(tmp_path, pictures="")
+    elsewhere = tmp_path / "pictures"
+    elsewhere.mkdir()
+    cv2.imwrite(str(elsewhere / "a.png"), textured(20, 20))
+    assert [source.name for source in corner_pictures(table, [elsewhere / "a.png"])] == ["a.png"]
+
+
+def test_pictures_meet_in_the_pack_without_a_gap(tmp_path: Path):
+    sources = corner_pictures(write_table(tmp_path))
+    build_pack(sources, tmp_path / "a.mbtiles", [])
+    with MapPack.open(tmp_path / "a.mbtiles") as pack:
+        zoom = pack.levels[0].zoom
+        rows, columns = np.nonzero(pack.picture(zoom, pack.window(zoom)).mask)
+        area = (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
+        assert len(rows) > 0.99 * area
+        assert pack.covers(60.4032, 22.4640565)
+
+
+def test_a_picture_lies_between_its_corners(tmp_path: Path):
+    source = corner_pictures(write_table(tmp_path))[0]
+    placed = PlacedRaster.of(source)
+    assert placed.bounds == pytest.approx((60.402409, 22.460441, 60.403962, 22.464059), abs=1e-9)
+    assert placed.m_per_px == pytest.approx(1.08, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no column for file"),
+        ("file,north,west,south\n", "no column for east"),
+        ("file,north,west,south,east\na.png,60,22,59\n", "line 2: has 4 columns of 5"),
+        ("file,north,west,south,east\na.png,60,22,59,x\n", "line 2: a corner is no number"),
+        ("file,north,west,south,east\na.png,59,22,60,23\n", "line 2: the top left corner"),
+        ("file,north,west,south,east\na.png,nan,22,59,23\n", "line 2"),
+        ("file,north,west,south,east\n,60,22,59,23\n", "line 2: a file name"),
+        ("file,north,west,south,east\nq.png,60,22,59,23\n", "none of its 1 pictures"),
+        ("file,north,west,south,east\n", "none of its 0 pictures"),
+    ],
+)
+def test_a_table_that_makes_no_sense_is_one_clear_error(tmp_path: Path, text: str, message: str):
+    with pytest.raises(MapError, match=message):
+        corner_pictures(write_table(tmp_path, text))
+
+
+def test_a_damaged_picture_is_one_clear_error(tmp_path: Path):
+    table = write_table(tmp_path)
+    (tmp_path / "a.png").write_bytes(b"no picture")
+    with pytest.raises(MapError, match=r"a\.png"):
+        corner_pictures(table)
+
+
+def test_other_tables_are_not_taken_for_corner_tables(tmp_path: Path):
+    (tmp_path / "photos.csv").write_text("Filename,Latitude,Longitude\na.jpg,60,22\n")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x80")
+    assert is_corner_table(write_table(tmp_path))
+    assert not is_corner_table(tmp_path / "photos.csv")
+    assert not is_corner_table(tmp_path / "binary.csv")
+
+
+def test_the_wildnav_table_is_read_as_it_is(data_folder: Path):
+    rows = read_corners(data_folder / "maps" / "wildnav" / "map.csv")
+    assert len(rows) == 12
+    assert rows[0].file == "sat_map_00.jpg"
+    assert rows[0].bounds == (60.402409, 22.460441, 60.403962, 22.464059)

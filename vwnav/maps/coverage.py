@@ -1,0 +1,125 @@
+"""Where a map covers a route, with margin."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.maps.pack import MapPack
+from vwnav.types import Array
+
+STEP_M = 10.0
+_DIRECTIONS = 8
+_M_PER_DEG = 111_320.0  # of latitude, to a per cent: only places the margin's ring
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of a route that the map does not cover.
+
+    Attributes:
+        start_m, end_m: distances along the route.
+        start_lat_lon_deg, end_lat_lon_deg: where that is.
+    """
+
+    start_m: float
+    end_m: float
+    start_lat_lon_deg: tuple[float, float]
+    end_lat_lon_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class RouteCoverage:
+    """Whether a map covers a route.
+
+    Attributes:
+        length_m: of the route.
+        margin_m: how far around the route imagery was asked for.
+        uncovered: stretches that lack it, in the order of flight.
+    """
+
+    length_m: float
+    margin_m: float
+    uncovered: tuple[Stretch, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether all of it is covered."""
+        return not self.uncovered
+
+    @property
+    def uncovered_m(self) -> float:
+        """Length of what is not covered; a single point counts nothing."""
+        return sum(stretch.end_m - stretch.start_m for stretch in self.uncovered)
+
+    def summary(self) -> str:
+        """One line for a person."""
+        if self.ok:
+            return f"the map covers all {self.length_m:.0f} m of the route"
+        first = self.uncovered[0]
+        lat_deg, lon_deg = first.start_lat_lon_deg
+        return (
+            f"the map does not cover the route with {self.margin_m:.0f} m to spare: "
+            f"first from {first.start_m:.0f} to {first.end_m:.0f} m of {self.length_m:.0f} m "
+            f"({lat_deg:.6f}, {lon_deg:.6f}), {self.uncovered_m:.0f} m in all"
+        )
+
+
+def check_route(pack: MapPack, lat_lon_deg: Array, margin_m: float = 50.0) -> RouteCoverage:
+    """Check that imagery lies under a route and around it.
+
+    Args:
+        pack: the map.
+        lat_lon_deg: (n, 2) places flown through, degrees, in order, n >= 1.
+        margin_m: imagery is asked for on a ring of this radius as well.
+
+    Raises:
+        ValueError: no places, or one that is not finite.
+    """
+    if lat_lon_deg.ndim != 2 or lat_lon_deg.shape[1] != 2 or not len(lat_lon_deg):
+        raise ValueError(f"expected places (n, 2), got {lat_lon_deg.shape}")
+    if not np.isfinite(lat_lon_deg).all():
+        raise ValueError("expected finite places")
+    uncovered: list[Stretch] = []
+    open_stretch: Stretch | None = None
+    along_m = 0.0
+    for along_m, lat_deg, lon_deg in _samples(lat_lon_deg):
+        here = (lat_deg, lon_deg)
+        if _covered(pack, lat_deg, lon_deg, margin_m):
+            uncovered += [open_stretch] if open_stretch else []
+            open_stretch = None
+        elif open_stretch is None:
+            open_stretch = Stretch(along_m, along_m, here, here)
+        else:
+            start = open_stretch
+            open_stretch = Stretch(start.start_m, along_m, start.start_lat_lon_deg, here)
+    uncovered += [open_stretch] if open_stretch else []
+    return RouteCoverage(along_m, margin_m, tuple(uncovered))
+
+
+def _samples(lat_lon_deg: Array) -> Iterator[tuple[float, float, float]]:
+    """(distance along the route, latitude, longitude), every `STEP_M` and at each waypoint."""
+    along_m = 0.0
+    yield along_m, float(lat_lon_deg[0, 0]), float(lat_lon_deg[0, 1])
+    for start, end in pairwise(lat_lon_deg):
+        leg_m = horizontal_distance_m(*map(float, start), *map(float, end))
+        steps = max(1, math.ceil(leg_m / STEP_M))
+        for fraction in np.arange(1, steps + 1) / steps:
+            lat_deg, lon_deg = start + fraction * (end - start)
+            yield along_m + fraction * leg_m, float(lat_deg), float(lon_deg)
+        along_m += leg_m
+
+
+def _covered(pack: MapPack, lat_deg: float, lon_deg: float, margin_m: float) -> bool:
+    if not pack.covers(lat_deg, lon_deg):
+        return False
+    north_deg = margin_m / _M_PER_DEG
+    east_deg = north_deg / max(math.cos(math.radians(lat_deg)), 0.05)
+    angles = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
+    return all(
+        pack.covers(lat_deg + north_deg * math.cos(angle), lon_deg + east_deg * math.sin(angle))
+        for angle in angles
+    )

@@ -1,0 +1,348 @@
+"""The map as it is read in flight: sqlite3, numpy and OpenCV, only the tiles that are asked for."""
+
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.errors import ModelError
+from vwnav.geometry.mercator import TILE_PX, mercator_px
+from vwnav.maps.keypoints import block_of, block_tiles, extract_block
+from vwnav.maps.packfile import (
+    DAMAGE,
+    FeatureSetInfo,
+    Level,
+    damaged,
+    open_database,
+    read_description,
+    read_features,
+    read_heights,
+    read_picture,
+    read_tile_window,
+)
+from vwnav.maps.picture import Mask, Picture, Tile, Window, assemble
+from vwnav.types import FEATURE_NAMES, FeatureExtractor, FeatureName, Features, Gray
+
+__all__ = ["FeatureSetInfo", "Level", "MapFeatures", "MapPack"]
+
+_LOG = logging.getLogger(__name__)
+_CACHED_PICTURES = 64  # tiles; 0.25 MB each
+_CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
+MAX_WINDOW_PX = 64_000_000
+MAX_KEYPOINTS = 20_000
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapFeatures:
+    """Features of a window of the map.
+
+    Attributes:
+        zoom: their level.
+        origin_px: (2,) int64, global pixel (corner convention) that `features.uv` counts from:
+            the global position of a keypoint is `origin_px + uv + 0.5`.
+        features: centre convention as everywhere.
+    """
+
+    zoom: int
+    origin_px: NDArray[np.int64]
+    features: Features
+
+
+class _Lru(Generic[Key, Value]):
+    """The values used last, at most `size` of them."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._values
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        if key not in self._values:
+            self.put(key, make())
+        self._values.move_to_end(key)
+        return self._values[key]
+
+    def put(self, key: Key, value: Value) -> None:
+        self._values[key] = value
+        while len(self._values) > self._size:
+            self._values.popitem(last=False)
+
+
+class MapPack:
+    """An open map pack. Safe to use from several threads: one at a time is served.
+
+    Damage that shows only in flight costs the damaged tile, with one warning, never the flight.
+
+    Attributes:
+        path: the file.
+        name, attribution: shown to people.
+        bounds: south, west, north, east of the imagery, degrees.
+        levels: zoom levels, finest first.
+        feature_sets: the precomputed ones.
+        georeference_sigma_m: one sigma of the imagery's position, per horizontal axis.
+        sources: names of the files it was built from.
+        created_utc: when, ISO 8601, empty if not said.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a pack for reading.
+
+        Raises:
+            MapError: it is missing, damaged, cut off, of another version, or no pack at all.
+        """
+        self.path = path
+        self._lock = threading.RLock()
+        self._connection = open_database(path)
+        try:
+            description = read_description(self._connection)
+            self._windows = {
+                level.zoom: read_tile_window(self._connection, level.zoom)
+                for level in description.levels
+            }
+            self.heights = read_heights(self._connection)
+        except (*DAMAGE, KeyError) as error:
+            self._connection.close()
+            raise damaged(path, str(error)) from error
+        self.name, self.attribution = description.name, description.attribution
+        self.bounds, self.levels = description.bounds, description.levels
+        self.feature_sets = description.feature_sets
+        self.georeference_sigma_m = description.georeference_sigma_m
+        self.sources, self.created_utc = description.sources, description.created_utc
+        self._pictures: _Lru[Tile, Picture | None] = _Lru(_CACHED_PICTURES)
+        self._features: _Lru[tuple[str, Tile], Features | None] = _Lru(_CACHED_FEATURES)
+        self._warned: set[object] = set()
+
+    @classmethod
+    def open(cls, path: Path | str) -> "MapPack":
+        """Open a pack for reading.
+
+        Raises:
+            MapError: it is missing, damaged, cut off, of another version, or no pack at all.
+        """
+        return cls(Path(path))
+
+    def close(self) -> None:
+        """Close the file; the pack cannot be used afterwards."""
+        with self._lock:
+            self._connection.close()
+
+    def __enter__(self) -> "MapPack":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def window(self, zoom: int) -> Window:
+        """The rectangle of a level's tiles in its global pixels.
+
+        Raises:
+            ValueError: not one of the pack's levels.
+        """
+        if zoom not in self._windows:
+            raise ValueError(f"expected one of the levels {sorted(self._windows)}, got {zoom}")
+        return self._windows[zoom]
+
+    def covers(self, lat_deg: float, lon_deg: float) -> bool:
+        """Whether there is imagery at a place, to a pixel of the coarsest level."""
+        zoom = self.levels[-1].zoom
+        x, y = mercator_px(lat_deg, lon_deg, zoom)
+        if not (np.isfinite(x) and np.isfinite(y)):
+            return False
+        column, row = int(np.floor(x)), int(np.floor(y))
+        picture = self._tile_picture(Tile(zoom, column // TILE_PX, row // TILE_PX))
+        return picture is not None and bool(picture.mask[row % TILE_PX, column % TILE_PX])
+
+    def image(self, zoom: int, x0: int, y0: int, x1: int, y1: int) -> tuple[Gray, Mask]:
+        """The gray picture (h, w) of a window of global pixels, and where it has data.
+
+        Raises:
+            ValueError: not a level of the pack, or not 1 to `MAX_WINDOW_PX` pixels.
+        """
+        picture = self.picture(zoom, Window(int(x0), int(y0), int(x1), int(y1)))
+        return picture.gray, picture.mask
+
+    def picture(self, zoom: int, window: Window) -> Picture:
+        """The colour picture of a window of global pixels, with its mask.
+
+        Raises:
+            ValueError: not a level of the pack, or not 1 to `MAX_WINDOW_PX` pixels.
+        """
+        h, w = window.shape
+        if not 0 < h * w <= MAX_WINDOW_PX:
+            raise ValueError(f"expected 1 to {MAX_WINDOW_PX} pixels, got {w} x {h}")
+        self.window(zoom)
+        return assemble(zoom, window, self._tile_picture)
+
+    def features_in(
+        self,
+        zoom: int,
+        x0: int,
+        y0: int,
+        x1: int,
+        y1: int,
+        extractor: FeatureExtractor,
+        *,
+        max_keypoints: int = MAX_KEYPOINTS,
+    ) -> MapFeatures:
+        """Map features inside a window of global pixels.
+
+        A set that is not in the pack is extracted from the tiles under the window: slowly, with
+        one warning, and kept for a while.
+
+        Args:
+            zoom: a level of the pack.
+            x0: the window's left edge; then its top, right and bottom, end exclusive.
+            y0: see `x0`.
+            x1: see `x0`.
+            y1: see `x0`.
+            extractor: whose features are wanted.
+            max_keypoints: at most so many; every tile gives its strongest ones.
+
+        Raises:
+            ValueError: not a level of the pack.
+            ModelError: the pack's set of that name was made by another model.
+        """
+        window = Window(int(x0), int(y0), int(x1), int(y1)).clipped(self.window(zoom))
+        stored = self._stored_set(extractor)
+        found = []
+        for tile in window.tiles(zoom):
+            features = self._tile_features(tile, extractor, stored)
+            if features is not None:
+                shift_px = np.array(tile.window[:2]) - np.array(window[:2])
+                found.append(_moved_into(features, shift_px.astype(np.float32), window.shape))
+        origin_px = np.array(window[:2], np.int64)
+        return MapFeatures(zoom, origin_px, _strongest(found, max_keypoints, extractor))
+
+    def check_features(self, extractor: FeatureExtractor) -> None:
+        """Check before a flight that the pack's features can be compared with an extractor's.
+
+        Raises:
+            ModelError: they were made by another model; the message holds the repairing command.
+        """
+        self._stored_set(extractor)
+
+    def elevation_m(self, lat_deg: float, lon_deg: float) -> float | None:
+        """Height of the ground above mean sea level in metres, None where it is not known."""
+        return None if self.heights is None else self.heights.at(lat_deg, lon_deg)
+
+    def tile_count(self, zoom: int) -> int:
+        """Number of tiles of a level.
+
+        Raises:
+            MapError: the pack is damaged.
+        """
+        return self._count("SELECT COUNT(*) FROM vwnav_tiles WHERE zoom_level = ?", zoom)
+
+    def keypoint_count(self, name: FeatureName) -> int:
+        """Number of keypoints of a set over all levels.
+
+        Raises:
+            MapError: the pack is damaged.
+        """
+        return self._count("SELECT SUM(keypoints) FROM vwnav_features WHERE set_name = ?", name)
+
+    def _count(self, query: str, parameter: object) -> int:
+        try:
+            with self._lock:
+                (count,) = self._connection.execute(query, (parameter,)).fetchone()
+        except DAMAGE as error:
+            raise damaged(self.path, str(error)) from error
+        return int(count or 0)
+
+    def _stored_set(self, extractor: FeatureExtractor) -> FeatureSetInfo | None:
+        stored = next((info for info in self.feature_sets if info.name == extractor.name), None)
+        if stored is None:
+            self._warn_once(
+                extractor.name,
+                f"{self.path}: holds no {extractor.name} features, they are extracted as they are "
+                f"needed, slowly; `{self._repair_command(extractor)}` puts them in",
+            )
+        elif stored.feature_set_id != extractor.feature_set_id:
+            raise ModelError(
+                f"{self.path}: its {extractor.name} features are of {stored.feature_set_id}, "
+                f"this program's are of {extractor.feature_set_id}; "
+                f"run `{self._repair_command(extractor)}`"
+            )
+        return stored
+
+    def _repair_command(self, extractor: FeatureExtractor) -> str:
+        names = {info.name for info in self.feature_sets} | {extractor.name}
+        ordered = ",".join(name for name in FEATURE_NAMES if name in names)
+        return f"vwnav map build {self.path} -o {self.path} --features {ordered}"
+
+    def _tile_picture(self, tile: Tile) -> Picture | None:
+        with self._lock:
+            return self._pictures.get(tile, partial(self._read_picture, tile))
+
+    def _read_picture(self, tile: Tile) -> Picture | None:
+        try:
+            return read_picture(self._connection, tile)
+        except DAMAGE as error:
+            self._warn_once(tile, f"{self.path}: imagery of {tile} is damaged, unused ({error})")
+            return None
+
+    def _tile_features(
+        self, tile: Tile, extractor: FeatureExtractor, stored: FeatureSetInfo | None
+    ) -> Features | None:
+        key = (extractor.feature_set_id, tile)
+        with self._lock:
+            if stored is None and key not in self._features:
+                self._extract(block_of(tile), extractor)
+            read = partial(self._read_features, tile, stored) if stored else lambda: None
+            return self._features.get(key, read)
+
+    def _extract(self, block: Tile, extractor: FeatureExtractor) -> None:
+        found = extract_block(partial(self.picture, block.zoom), block, extractor)
+        for tile in block_tiles(block):
+            self._features.put((extractor.feature_set_id, tile), found.get(tile))
+
+    def _read_features(self, tile: Tile, stored: FeatureSetInfo) -> Features | None:
+        try:
+            return read_features(self._connection, tile, stored)
+        except DAMAGE as error:
+            self._warn_once(
+                (stored.name, tile),
+                f"{self.path}: {stored.name} features of {tile} are damaged, unused ({error})",
+            )
+            return None
+
+    def _warn_once(self, what: object, message: str) -> None:
+        if what not in self._warned:
+            self._warned.add(what)
+            _LOG.warning(message)
+
+
+def _moved_into(
+    features: Features, shift_px: NDArray[np.float32], shape: tuple[int, int]
+) -> Features:
+    """A tile's features relative to the window, those outside of it dropped."""
+    uv = features.uv + shift_px
+    h, w = shape
+    corner = uv + np.float32(0.5)
+    inside = ((corner >= 0.0) & (corner < np.array([w, h], np.float32))).all(axis=1)
+    return Features(uv[inside], features.descriptors[inside], features.scores[inside])
+
+
+def _strongest(found: list[Features], count: int, extractor: FeatureExtractor) -> Features:
+    """All features, strongest first; where they are too many, the first ones of every tile."""
+    if not found:
+        return extractor.extract(np.zeros((64, 64), np.uint8), 1)
+    uv = np.concatenate([features.uv for features in found])
+    descriptors = np.concatenate([features.descriptors for features in found])
+    scores = np.concatenate([features.scores for features in found])
+    rank = np.concatenate([np.arange(len(features)) for features in found])
+    kept = np.argsort(rank, kind="stable")[:count]
+    kept = kept[np.argsort(-scores[kept], kind="stable")]
+    return Features(uv[kept], descriptors[kept], scores[kept])

@@ -1,0 +1,137 @@
+"""Pieces of a map: tiles of the web-mercator grid, windows over it, pictures with a mask."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.geometry.mercator import TILE_PX
+from vwnav.types import Gray
+
+Mask = NDArray[np.bool_]
+
+
+class Tile(NamedTuple):
+    """A tile of a level: `x` counts from 180 degrees west, `y` from the northern edge."""
+
+    zoom: int
+    x: int
+    y: int
+
+    @property
+    def row(self) -> int:
+        """The tile's row as MBTiles counts it: from the southern edge (TMS)."""
+        return int(2**self.zoom - 1 - self.y)
+
+    @property
+    def window(self) -> "Window":
+        """The tile's pixels in global pixels of its level."""
+        x0, y0 = self.x * TILE_PX, self.y * TILE_PX
+        return Window(x0, y0, x0 + TILE_PX, y0 + TILE_PX)
+
+
+class Window(NamedTuple):
+    """A rectangle of global pixels of one level, corner convention, end exclusive."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) in pixels, never negative."""
+        return max(self.y1 - self.y0, 0), max(self.x1 - self.x0, 0)
+
+    def grown(self, margin_px: int) -> "Window":
+        """The window with a margin on each side."""
+        return Window(
+            self.x0 - margin_px, self.y0 - margin_px, self.x1 + margin_px, self.y1 + margin_px
+        )
+
+    def clipped(self, other: "Window") -> "Window":
+        """What this window shares with another; of zero size when that is nothing."""
+        x0, y0 = max(self.x0, other.x0), max(self.y0, other.y0)
+        return Window(x0, y0, max(x0, min(self.x1, other.x1)), max(y0, min(self.y1, other.y1)))
+
+    def parts(self, size_px: int) -> Iterator["Window"]:
+        """The window cut into squares of at most that size."""
+        for y0 in range(self.y0, self.y1, size_px):
+            for x0 in range(self.x0, self.x1, size_px):
+                yield Window(x0, y0, min(x0 + size_px, self.x1), min(y0 + size_px, self.y1))
+
+    def tiles(self, zoom: int) -> Iterator[Tile]:
+        """The tiles that have a pixel in the window, row by row; the grid's own edges are kept."""
+        if 0 in self.shape:
+            return
+        last = 2**zoom - 1
+        for y in range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1):
+            for x in range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1):
+                yield Tile(zoom, x, y)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A piece of map.
+
+    Attributes:
+        bgr: (h, w, 3) uint8, zero where there is no data.
+        mask: (h, w) bool, true where there is data.
+    """
+
+    bgr: NDArray[np.uint8]
+    mask: Mask
+
+    def __post_init__(self) -> None:
+        if self.bgr.shape != (*self.mask.shape, 3) or self.mask.ndim != 2:
+            raise ValueError(
+                f"expected bgr (h, w, 3) and mask (h, w), got {self.bgr.shape}, {self.mask.shape}"
+            )
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> "Picture":
+        """A picture (height, width) without data."""
+        return cls(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_))
+
+    @property
+    def gray(self) -> Gray:
+        """(h, w) uint8."""
+        return np.asarray(cv2.cvtColor(self.bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+
+    def crop(self, window: Window) -> "Picture":
+        """The part in a window of the picture's own pixels."""
+        part = window_slices(window, 0, 0)
+        return Picture(self.bgr[part], self.mask[part])
+
+    def halved(self) -> "Picture":
+        """Half the size: the mean of each 2 x 2 pixels that have data, where two or more do."""
+        h, w = self.mask.shape
+        weight = self.mask.reshape(h // 2, 2, w // 2, 2).sum(axis=(1, 3))
+        masked = np.where(self.mask[..., None], self.bgr, 0)
+        total = masked.reshape(h // 2, 2, w // 2, 2, 3).sum(axis=(1, 3), dtype=np.uint16)
+        mask = weight >= 2
+        mean = (total + weight[..., None] // 2) // np.maximum(weight, 1)[..., None]
+        return Picture(np.where(mask[..., None], mean, 0).astype(np.uint8), mask)
+
+
+def assemble(zoom: int, window: Window, fetch: Callable[[Tile], Picture | None]) -> Picture:
+    """Put the tiles under a window together; a tile that is None has no data."""
+    out = Picture.empty(window.shape)
+    for tile in window.tiles(zoom):
+        picture = fetch(tile)
+        if picture is None:
+            continue
+        part = tile.window.clipped(window)
+        into = window_slices(part, window.x0, window.y0)
+        out_of = window_slices(part, tile.window.x0, tile.window.y0)
+        out.bgr[into] = picture.bgr[out_of]
+        out.mask[into] = picture.mask[out_of]
+    return out
+
+
+def window_slices(window: Window, x0: int, y0: int) -> tuple[slice, slice]:
+    """(rows, columns) of a window in an array whose first pixel is (x0, y0)."""
+    return slice(window.y0 - y0, window.y1 - y0), slice(window.x0 - x0, window.x1 - x0)

@@ -1,0 +1,44 @@
+"""The tables of a pack: MBTiles 1.3 and, beside it in the same file, what is vwnav's own."""
+
+import hashlib
+import sqlite3
+
+SCHEMA_VERSION = 1
+SQLITE_MAGIC = b"SQLite format 3\0"
+APPLICATION_ID = 0x4D504258  # "MPBX": MBTiles, for those who look at the file's header
+
+TABLES = """
+CREATE TABLE metadata (name TEXT, value TEXT);
+CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB);
+CREATE UNIQUE INDEX tile_index ON tiles (zoom_level, tile_column, tile_row);
+CREATE TABLE vwnav_metadata (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE vwnav_tiles (
+    zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, crc32 INTEGER NOT NULL,
+    PRIMARY KEY (zoom_level, tile_column, tile_row)
+);
+CREATE TABLE vwnav_feature_sets (
+    name TEXT PRIMARY KEY, feature_set_id TEXT NOT NULL,
+    descriptor_kind TEXT NOT NULL, dimension INTEGER NOT NULL
+);
+CREATE TABLE vwnav_features (
+    set_name TEXT, zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER,
+    keypoints INTEGER NOT NULL, crc32 INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (set_name, zoom_level, tile_column, tile_row)
+);
+CREATE TABLE vwnav_heights (rows INTEGER, columns INTEGER, bounds TEXT, crc32 INTEGER, data BLOB);
+"""
+
+_DESCRIPTIONS = (
+    "SELECT name, value FROM metadata ORDER BY name",
+    "SELECT name, value FROM vwnav_metadata WHERE name != 'checksum' ORDER BY name",
+    "SELECT name, feature_set_id, descriptor_kind, dimension FROM vwnav_feature_sets ORDER BY name",
+)
+
+
+def metadata_checksum(connection: sqlite3.Connection) -> str:
+    """SHA-256 over everything that describes the pack, without its tiles and features."""
+    digest = hashlib.sha256()
+    for query in _DESCRIPTIONS:
+        for row in connection.execute(query):
+            digest.update(repr(row).encode())
+    return digest.hexdigest()
