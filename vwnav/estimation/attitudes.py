@@ -1,0 +1,101 @@
+"""The autopilot's attitude over the last seconds, and what is read from it."""
+
+import bisect
+import math
+
+import numpy as np
+
+from vwnav.types import Array, Attitude
+
+GRAVITY_M_S2 = 9.80665
+_TURN_ON_S = 0.1
+_TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
+_LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
+
+
+class AttitudeHistory:
+    """Attitudes in order of time, looked up by time."""
+
+    def __init__(self, length_s: float) -> None:
+        self._length_s = length_s
+        self._times_s: list[float] = []
+        self._quats: list[Array] = []
+
+    @property
+    def newest_s(self) -> float | None:
+        """Time of the newest attitude."""
+        return self._times_s[-1] if self._times_s else None
+
+    def add(self, attitude: Attitude) -> None:
+        """Keep an attitude, whatever its order; a second one of the same time is dropped."""
+        i = bisect.bisect_left(self._times_s, attitude.t_s)
+        if i < len(self._times_s) and self._times_s[i] == attitude.t_s:
+            return
+        quat = np.asarray(attitude.quat_wxyz, dtype=np.float64)
+        self._times_s.insert(i, attitude.t_s)
+        self._quats.insert(i, quat / np.linalg.norm(quat))
+        # The newest before the window stays: it holds until the next one.
+        old = bisect.bisect_left(self._times_s, self._times_s[-1] - self._length_s) - 1
+        if old > 0:
+            del self._times_s[:old]
+            del self._quats[:old]
+
+    def forget_after(self, t_s: float) -> None:
+        """Drop attitudes later than a time."""
+        i = bisect.bisect_right(self._times_s, t_s)
+        del self._times_s[i:]
+        del self._quats[i:]
+
+    def quat_at(self, t_s: float) -> Array:
+        """quat_wxyz (4,) at a time: interpolated, held before the first one.
+
+        After the last one it turns on at the last rate for a tenth of a second, then holds: in a
+        turn of 90 deg/s an attitude 30 ms old is 3 degrees wrong. Level and facing north when no
+        attitude ever came. Neighbours are some 20 ms apart, where normalised linear interpolation
+        differs from slerp by less than 1e-5 rad.
+        """
+        if not self._times_s:
+            return np.array([1.0, 0.0, 0.0, 0.0])
+        i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
+        if i == 0:
+            return self._quats[0]
+        t0_s, t1_s = self._times_s[i - 1], self._times_s[i]
+        span_s = t1_s - t0_s
+        ahead_s = min(t_s - t1_s, _TURN_ON_S, span_s * _TURN_ON_SPANS)
+        fraction = (t_s - t0_s) / span_s if ahead_s <= 0.0 else 1.0 + ahead_s / span_s
+        quat0, quat1 = self._quats[i - 1], self._quats[i]
+        if quat0 @ quat1 < 0.0:
+            quat1 = -quat1
+        quat = (1.0 - fraction) * quat0 + fraction * quat1
+        return np.asarray(quat / math.sqrt(quat @ quat))
+
+    def yaw_at(self, t_s: float) -> float:
+        """Heading as the autopilot has it, radians."""
+        return yaw_of(self.quat_at(t_s))
+
+
+def yaw_of(quat_wxyz: Array) -> float:
+    """Heading of a unit quaternion of R_ned_body, radians."""
+    w, x, y, z = quat_wxyz.tolist()
+    return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+
+
+def thrust_acceleration(quat_wxyz: Array) -> tuple[float, float]:
+    """(north, east) m/s^2 of a multirotor that keeps its height: thrust balances gravity.
+
+    Thrust acts along minus the body's down axis d, so the acceleration is -g d_ne / d_down.
+    """
+    w, x, y, z = quat_wxyz.tolist()
+    down = 1.0 - 2.0 * (x * x + y * y)
+    north, east = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x)
+    tangent = math.hypot(north, east) / max(down, 1e-6)
+    if tangent == 0.0:
+        return 0.0, 0.0
+    size_m_s2 = GRAVITY_M_S2 * min(tangent, _LARGEST_TILT_TANGENT)
+    return -size_m_s2 * north / math.hypot(north, east), -size_m_s2 * east / math.hypot(north, east)
+
+
+def cos_tilt(quat_wxyz: Array) -> float:
+    """Cosine of the angle between the body's down axis and the vertical."""
+    _, x, y, _ = quat_wxyz.tolist()
+    return float(1.0 - 2.0 * (x * x + y * y))

@@ -1,0 +1,187 @@
+"""The estimator: every measurement at its own time, in any order; the estimate at any time.
+
+Read `states.py` first (what is estimated, with all noises), then `process.py` (how it moves),
+`fusion.py` and `fixes.py` (what each measurement says), `timeline.py` (late ones).
+"""
+
+import math
+from functools import partial
+
+import numpy as np
+
+from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.events import (
+    Displacement,
+    Event,
+    Height,
+    Keyframe,
+    NedFix,
+    Range,
+    Stationary,
+)
+from vwnav.estimation.fusion import apply
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
+from vwnav.estimation.timeline import Timeline
+from vwnav.estimation.updates import Innovation, Verdict
+from vwnav.geometry.rotations import (
+    quat_from_rotation,
+    rotation_from_quat,
+    rotation_from_vector,
+)
+from vwnav.types import Array, Attitude, Estimate, OdometryMotion
+
+__all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
+
+_ATTITUDE_MARGIN_S = 1.0
+
+
+class Ekf:
+    """Error-state filter over the autopilot's attitude, barometer and rangefinder, odometry, fixes.
+
+    Not thread-safe: one thread, or a lock around it. `estimate` tells it the time; a measurement
+    far ahead of the newest time known is refused. No measurement ever raises: what is not sensible
+    is refused and said so.
+    """
+
+    def __init__(self, config: EkfConfig) -> None:
+        self._config = config
+        self._attitudes = AttitudeHistory(config.history_s + _ATTITUDE_MARGIN_S)
+        self._timeline: Timeline | None = None
+        self._asked_s = -math.inf
+
+    @property
+    def initialised(self) -> bool:
+        """Whether there is a state."""
+        return self._timeline is not None
+
+    @property
+    def state(self) -> FilterState | None:
+        """The state after the newest event, for recordings and tests."""
+        return None if self._timeline is None else self._timeline.head
+
+    def initialise(self, start: Start) -> None:
+        """Begin, or begin anew; attitudes that came before are kept, those from the future not.
+
+        Raises:
+            ValueError: the start is not finite or a sigma is not positive.
+        """
+        step = partial(_apply, attitudes=self._attitudes, config=self._config)
+        self._timeline = Timeline(first_state(start, self._config), step, self._config.history_s)
+        self._asked_s = start.t_s
+        self._attitudes.forget_after(start.t_s + self._config.ahead_s)
+
+    def handle_attitude(self, attitude: Attitude) -> Innovation:
+        """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
+        quat = np.asarray(attitude.quat_wxyz)
+        finite = math.isfinite(attitude.t_s) and quat.shape == (4,) and np.all(np.isfinite(quat))
+        if not finite or not 0.5 < float(np.linalg.norm(quat)) < 2.0:
+            return Innovation(Verdict.NOT_FINITE)
+        if self._timeline is not None and self._ahead(attitude.t_s):
+            return Innovation(Verdict.AHEAD)
+        self._attitudes.add(attitude)
+        return Innovation(Verdict.FUSED)
+
+    def handle_height(self, t_s: float, height_m: float) -> Innovation:
+        """Take the barometric height above the start, up positive."""
+        return self._handle(Height(t_s, height_m))
+
+    def handle_rangefinder(self, t_s: float, distance_m: float) -> Innovation:
+        """Take the distance to the ground along the body's down axis."""
+        return self._handle(Range(t_s, distance_m))
+
+    def handle_stationary(self, t_s: float) -> Innovation:
+        """Take that the aircraft stands on the ground."""
+        return self._handle(Stationary(t_s))
+
+    def handle_fix(self, fix: NedFix) -> Innovation:
+        """Take a map fix; the heading and AGL in it are judged one by one (`parts`)."""
+        return self._handle(fix)
+
+    def handle_odometry(self, motion: OdometryMotion) -> Innovation:
+        """Take the motion since a keyframe, in NED as the autopilot's own heading has it."""
+        event = Displacement(motion)
+        refusal = self._refusal(event)
+        if refusal is not None or self._timeline is None:
+            return Innovation(refusal or Verdict.NOT_STARTED)
+        if not self._timeline.keyframe_known(motion.t0_s):
+            share = self._config.anchor_share
+            covariance = share * motion.covariance_ned_m2
+            sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
+            keyframe = self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad))
+            if not keyframe.accepted:
+                return Innovation(Verdict.NO_ANCHOR)
+        return self._timeline.insert(event)
+
+    def estimate(self, t_s: float) -> Estimate:
+        """The estimate at `t_s` by prediction (at the newest event if that is later).
+
+        Raises:
+            RuntimeError: the filter is not initialised.
+        """
+        if self._timeline is None:
+            raise RuntimeError("the filter is not initialised")
+        if math.isfinite(t_s):
+            self._asked_s = t_s
+        state = predict(self._timeline.head, t_s, self._attitudes, self._config)
+        return _estimate(state, self._attitudes.quat_at(state.t_s))
+
+    def _handle(self, event: Event) -> Innovation:
+        refusal = self._refusal(event)
+        if refusal is not None or self._timeline is None:
+            return Innovation(refusal or Verdict.NOT_STARTED)
+        return self._timeline.insert(event)
+
+    def _refusal(self, event: Event) -> Verdict | None:
+        if not event.sensible():
+            return Verdict.NOT_FINITE
+        if self._timeline is None:
+            return Verdict.NOT_STARTED
+        if self._ahead(event.t_s):
+            return Verdict.AHEAD
+        return None
+
+    def _ahead(self, t_s: float) -> bool:
+        newest_s = self._asked_s
+        if self._timeline is not None:
+            newest_s = max(newest_s, self._timeline.head.t_s)
+        attitude_s = self._attitudes.newest_s
+        if attitude_s is not None:
+            newest_s = max(newest_s, attitude_s)
+        return t_s > newest_s + self._config.ahead_s
+
+
+def _apply(
+    state: FilterState, event: Event, attitudes: AttitudeHistory, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    return apply(state, event, attitudes, config)
+
+
+def _estimate(state: FilterState, quat_measured_wxyz: Array) -> Estimate:
+    x, P = state.x, state.P
+    kept = np.r_[0:6]
+    yaw, down, terrain = States.HEADING_BIAS.start, 2, States.TERRAIN.start
+    variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
+    return Estimate(
+        t_s=state.t_s,
+        position_ned_m=x[States.POSITION].copy(),
+        velocity_ned_m_s=x[States.VELOCITY].copy(),
+        covariance=P[np.ix_(kept, kept)],
+        quat_wxyz=_true_attitude(x, quat_measured_wxyz),
+        sigma_yaw_rad=math.sqrt(P[yaw, yaw]),
+        agl_m=max(state.agl_m, 0.0),
+        sigma_agl_m=math.sqrt(variance_agl),
+        t_last_fix_s=state.t_last_fix_s,
+        reset_counter=state.reset_counter,
+    )
+
+
+def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
+    """quat_wxyz (4,) with heading bias and tilt removed: R = Rz(-b) exp(-tilt) R_measured."""
+    R_measured = rotation_from_quat(quat_measured_wxyz)
+    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    forward, right = x[States.TILT]
+    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
+    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS.start])])
+    return quat_from_rotation(unturn @ untilt @ R_measured)

@@ -1,0 +1,182 @@
+"""What may happen to the filter, each at its own time."""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from vwnav.types import Array, OdometryMotion
+
+
+class Rank(IntEnum):
+    """Order of events at the same time; the anchor is last, so that it clones what they left."""
+
+    STATIONARY = 0
+    HEIGHT = 1
+    RANGE = 2
+    FIX = 3
+    ODOMETRY = 4
+    ANCHOR = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NedFix:
+    """A map fix in the filter's own frame.
+
+    Attributes:
+        t_s: exposure of the picture.
+        position_ne_m: (2,) north and east of the camera. covariance_ne_m2: (2, 2).
+        yaw_rad: true heading; None when the fix has none. agl_m: likewise.
+        sigma_tilt_rad: the attitude error that `covariance_ne_m2` contains. It moves the fix by
+            AGL times tilt, slowly: the filter carries it as a state, so it is taken out.
+    """
+
+    t_s: float
+    position_ne_m: Array
+    covariance_ne_m2: Array
+    yaw_rad: float | None = None
+    sigma_yaw_rad: float | None = None
+    agl_m: float | None = None
+    sigma_agl_m: float | None = None
+    sigma_tilt_rad: float = 0.0
+
+    @property
+    def rank(self) -> Rank:
+        """Its place among events of the same time."""
+        return Rank.FIX
+
+    def sensible(self) -> bool:
+        """Whether every number is finite and every covariance positive."""
+        return (
+            math.isfinite(self.t_s)
+            and np.shape(self.position_ne_m) == (2,)
+            and bool(np.all(np.isfinite(self.position_ne_m)))
+            and is_covariance(self.covariance_ne_m2, 2)
+            and _pair_sensible(self.yaw_rad, self.sigma_yaw_rad)
+            and _pair_sensible(self.agl_m, self.sigma_agl_m)
+            and math.isfinite(self.sigma_tilt_rad)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Height:
+    """Barometric height above the place where the link came up."""
+
+    t_s: float
+    height_m: float
+
+    @property
+    def rank(self) -> Rank:
+        """Its place among events of the same time."""
+        return Rank.HEIGHT
+
+    def sensible(self) -> bool:
+        """Whether the numbers are finite."""
+        return math.isfinite(self.t_s) and math.isfinite(self.height_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Distance to the ground along the body's down axis."""
+
+    t_s: float
+    distance_m: float
+
+    @property
+    def rank(self) -> Rank:
+        """Its place among events of the same time."""
+        return Rank.RANGE
+
+    def sensible(self) -> bool:
+        """Whether the numbers are finite and the distance is one."""
+        return math.isfinite(self.t_s) and math.isfinite(self.distance_m) and self.distance_m > 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stationary:
+    """The aircraft stands on the ground."""
+
+    t_s: float
+
+    @property
+    def rank(self) -> Rank:
+        """Its place among events of the same time."""
+        return Rank.STATIONARY
+
+    def sensible(self) -> bool:
+        """Whether the time is finite."""
+        return math.isfinite(self.t_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displacement:
+    """Odometry between its keyframe and a picture."""
+
+    motion: OdometryMotion
+
+    @property
+    def t_s(self) -> float:
+        """Exposure of the later picture."""
+        return self.motion.t1_s
+
+    @property
+    def rank(self) -> Rank:
+        """Its place among events of the same time."""
+        return Rank.ODOMETRY
+
+    def sensible(self) -> bool:
+        """Whether it is finite, forward in time, and its covariances are positive."""
+        m = self.motion
+        return (
+            math.isfinite(m.t0_s)
+            and math.isfinite(m.t1_s)
+            and m.t1_s > m.t0_s
+            and np.shape(m.displacement_ned_m) == (3,)
+            and bool(np.all(np.isfinite(m.displacement_ned_m)))
+            and is_covariance(m.covariance_ned_m2, 3)
+            and _pair_sensible(m.yaw_increment_rad, m.sigma_yaw_rad)
+            and math.isfinite(m.agl_m)
+            and m.agl_m > 0.0
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """Odometry starts a keyframe: the position is cloned.
+
+    The clone is where the keyframe *seems* to have been taken: `covariance_ned_m2` and
+    `sigma_yaw_rad` are what the keyframe itself adds to every displacement measured from it.
+    """
+
+    t_s: float
+    covariance_ned_m2: Array
+    sigma_yaw_rad: float
+
+    @property
+    def rank(self) -> Rank:
+        """Its place among events of the same time."""
+        return Rank.ANCHOR
+
+    def sensible(self) -> bool:
+        """Always: it is made of a sensible displacement."""
+        return True
+
+
+Event = NedFix | Height | Range | Stationary | Displacement | Keyframe
+
+
+def is_covariance(matrix: Array, n: int) -> bool:
+    """Whether it is a finite, symmetric, positive definite matrix (n, n)."""
+    if np.shape(matrix) != (n, n) or not np.all(np.isfinite(matrix)):
+        return False
+    scale = float(np.max(np.abs(matrix)))
+    if scale > 1e12 or np.max(np.abs(matrix - matrix.T)) > 1e-6 * scale:
+        return False
+    return bool(np.linalg.eigvalsh(matrix)[0] > 1e-12 * max(scale, 1e-6))
+
+
+def _pair_sensible(value: float | None, sigma: float | None) -> bool:
+    if value is None:
+        return True
+    return math.isfinite(value) and sigma is not None and 1e-9 < sigma < 1e6

@@ -1,0 +1,176 @@
+"""A map fix meets the state: position, then heading and height, and the jump when it must be."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.consensus import agreeing, convinces, remember
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
+from vwnav.estimation.updates import (
+    CHI_SQUARE_GATE,
+    Innovation,
+    Measurement,
+    Verdict,
+    correct,
+    freed,
+    fuse,
+    innovate,
+)
+from vwnav.geometry.rotations import wrap_pi
+from vwnav.types import Array
+
+_NE = slice(0, 2)
+_ANCHOR_NE = slice(States.ANCHOR_POSITION.start, States.ANCHOR_POSITION.start + 2)
+_DOWN = 2
+_YAW = States.HEADING_BIAS.start
+_ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
+_TERRAIN = States.TERRAIN.start
+_SMALLEST_SIGMA_M = 0.03
+
+
+def apply_fix(
+    state: FilterState, fix: NedFix, attitudes: AttitudeHistory, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
+    position = _position(state, fix, attitudes)
+    state, innovation = _apply_position(state, fix, position, config)
+    if not innovation.accepted:
+        return state, innovation
+    state = replace(state, t_last_fix_s=fix.t_s, disputed_fixes=())
+    parts = []
+    if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
+        bias_rad = wrap_pi(attitudes.yaw_at(fix.t_s) - fix.yaw_rad)
+        state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config)
+        parts.append(part)
+    if fix.agl_m is not None and fix.sigma_agl_m is not None:
+        state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config)
+        parts.append(part)
+    return state, replace(innovation, parts=tuple(parts))
+
+
+def apply_agl(
+    state: FilterState, agl_m: float, sigma_m: float, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse a height above ground, of a fix or a rangefinder.
+
+    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
+    """
+    H = np.zeros((1, States.SIZE))
+    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
+    measurement = Measurement(np.array([agl_m - state.agl_m]), H, np.array([[sigma_m**2]]))
+    fused, innovation = fuse(state, measurement)
+    if innovation.accepted:
+        return replace(fused, disputed_agls=()), innovation
+    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
+    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
+    state = replace(state, disputed_agls=disputes)
+    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
+        return state, innovation
+    state = freed(state, _TERRAIN, 2.0 * abs(float(measurement.residual[0])))
+    fused = correct(state, measurement)
+    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _position(state: FilterState, fix: NedFix, attitudes: AttitudeHistory) -> Measurement:
+    """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
+
+    With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
+    AGL (-d_e, d_n) from the true one.
+    """
+    yaw_rad = attitudes.yaw_at(fix.t_s) - state.x[_YAW]
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    lever = state.agl_m * np.array([[-s, -c], [c, -s]])  # R2(yaw) @ [[0, -1], [1, 0]]
+    H = np.zeros((2, States.SIZE))
+    H[:, _NE] = np.eye(2)
+    H[:, States.TILT] = lever
+    residual = fix.position_ne_m - H @ state.x
+    own_m2 = (max(state.agl_m, 0.0) * fix.sigma_tilt_rad) ** 2
+    variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
+    rest = np.maximum(variances - own_m2, np.maximum(0.1 * variances, _SMALLEST_SIGMA_M**2))
+    return Measurement(residual, H, axes @ np.diag(rest) @ axes.T)
+
+
+def _apply_position(
+    state: FilterState, fix: NedFix, measurement: Measurement, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    innovation = innovate(state, measurement)
+    if not state.position_known:
+        return _relocated(state, measurement), replace(innovation, verdict=Verdict.RELOCATED)
+    if innovation.accepted and not _sudden(measurement, config):
+        return correct(state, measurement, config.visual_weight), innovation
+    dispute = Dispute(fix.t_s, measurement.residual, measurement.R)
+    disputes = remember(state.disputed_fixes, dispute, config.dispute_window_s)
+    state = replace(state, disputed_fixes=disputes)
+    drift = config.relocation_drift_m_s
+    if innovation.accepted:
+        if len(agreeing(disputes, drift)) < config.sudden_fixes:
+            return state, replace(innovation, verdict=Verdict.UNCONFIRMED)
+        return correct(state, measurement, config.visual_weight), innovation
+    if not convinces(disputes, drift, config.relocation_fixes, config.relocation_span_s):
+        return state, innovation
+    jumped = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
+    return jumped, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _sudden(measurement: Measurement, config: EkfConfig) -> bool:
+    """Whether the pull is long, however wide the gate has become: one wrong fix must not do it."""
+    r = measurement.residual
+    short = measurement.R + config.sudden_sigma_m**2 * np.eye(2)
+    return float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
+
+
+def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
+    """Horizontal position from the fix alone; all that is known relative to it is kept.
+
+    The keyframe moves along, so displacements measured from it stay good.
+    """
+    jump = np.zeros((States.SIZE, 2))
+    jump[_NE] = jump[_ANCHOR_NE] = np.eye(2)
+    moved = _moved_along(state, measurement, jump)
+    return replace(moved, position_known=True)
+
+
+def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
+    """The measured states, and those tied to them, move so that the measurement fits.
+
+    `jump` (17, m) says which states move with the residual. The new error is
+    e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
+    """
+    A = np.eye(States.SIZE) - jump @ measurement.H
+    P = A @ state.P @ A.T + jump @ measurement.R @ jump.T
+    return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
+
+
+def _apply_heading(
+    state: FilterState, bias_rad: float, sigma_rad: float, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse the heading bias that a fix shows.
+
+    A compass that suddenly errs is refused at first; when several fixes agree, the bias is freed.
+    """
+    H = np.zeros((1, States.SIZE))
+    H[0, _YAW] = 1.0
+    residual = np.array([wrap_pi(bias_rad - state.x[_YAW])])
+    measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
+    jump = np.zeros((States.SIZE, 1))
+    jump[[_YAW, _ANCHOR_YAW]] = 1.0
+    if not state.heading_known:
+        found = replace(_moved_along(state, measurement, jump), heading_known=True)
+        return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)
+    fused, innovation = fuse(state, measurement)
+    if innovation.accepted:
+        return replace(fused, disputed_headings=()), innovation
+    dispute = Dispute(state.t_s, residual, measurement.R)
+    disputes = remember(state.disputed_headings, dispute, config.dispute_window_s)
+    state = replace(state, disputed_headings=disputes)
+    if not convinces(
+        disputes, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
+    ):
+        return state, innovation
+    turned = _moved_along(state, measurement, jump)
+    # Whether the step came before the keyframe or after it is not known: its own bias is open.
+    turned = freed(turned, _ANCHOR_YAW, 2.0 * abs(float(residual[0])))
+    return replace(turned, disputed_headings=()), replace(innovation, verdict=Verdict.RELOCATED)

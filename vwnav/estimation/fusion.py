@@ -1,0 +1,155 @@
+"""One event meets the state: predict to its time, then correct by what it measured."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.events import (
+    Displacement,
+    Event,
+    Height,
+    Keyframe,
+    NedFix,
+    Range,
+    Stationary,
+)
+from vwnav.estimation.fixes import apply_agl, apply_fix
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import Anchor, EkfConfig, FilterState, States
+from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
+from vwnav.geometry.rotations import skew, wrap_pi
+from vwnav.types import Array, OdometryMotion
+
+_DOWN = 2
+_YAW = States.HEADING_BIAS.start
+_ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
+_ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
+_LEAST_AGL_M = 0.1
+_LEAST_COS_TILT = 0.5
+
+
+def apply(
+    state: FilterState, event: Event, attitudes: AttitudeHistory, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """The state after an event, and what the event said. `event.t_s` is not before the state's."""
+    state = predict(state, event.t_s, attitudes, config)
+    match event:
+        case NedFix():
+            return apply_fix(state, event, attitudes, config)
+        case Displacement(motion):
+            return _apply_displacement(state, motion, attitudes, config)
+        case Keyframe():
+            return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
+        case Height():
+            return _apply_height(state, event, config)
+        case Range():
+            return _apply_range(state, event, attitudes, config)
+        case Stationary():
+            return _apply_stationary(state, config)
+
+
+def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
+    """Copy position and heading bias to the anchor, and what the keyframe's own error adds."""
+    copy = np.eye(States.SIZE)
+    copy[States.ANCHOR_POSITION] = copy[States.POSITION]
+    copy[States.ANCHOR_HEADING_BIAS] = copy[States.HEADING_BIAS]
+    P = copy @ state.P @ copy.T
+    P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += event.covariance_ned_m2
+    P[_ANCHOR_YAW, _ANCHOR_YAW] += event.sigma_yaw_rad**2
+    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
+    return replace(state, x=copy @ state.x, P=P, anchor=anchor)
+
+
+def _apply_displacement(
+    state: FilterState, motion: OdometryMotion, attitudes: AttitudeHistory, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
+    anchor = state.anchor
+    if anchor is None or anchor.t_s != motion.t0_s:
+        return state, Innovation(Verdict.NO_ANCHOR)
+    if not state.heading_known:
+        return state, Innovation(Verdict.HEADING_UNKNOWN)
+    parts: tuple[Innovation, ...] = ()
+    if not config.odometry_turns_attitude:
+        turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
+        state, heading = fuse(state, _turn(state, motion, turned_rad, config))
+        parts = (heading,)
+    state, innovation = fuse(state, _displacement(state, motion, anchor.yaw_rad, config))
+    return state, replace(innovation, parts=parts)
+
+
+def _turn(
+    state: FilterState, motion: OdometryMotion, turned_rad: float, config: EkfConfig
+) -> Measurement:
+    """What the autopilot turned more than the picture did is the change of its heading bias."""
+    H = np.zeros((1, States.SIZE))
+    H[0, _YAW], H[0, _ANCHOR_YAW] = 1.0, -1.0
+    change_rad = turned_rad - motion.yaw_increment_rad
+    residual = wrap_pi(float(change_rad - state.x[_YAW] + state.x[_ANCHOR_YAW]))
+    variance = (1.0 - config.anchor_share) * motion.sigma_yaw_rad**2
+    return Measurement(np.array([residual]), H, np.array([[variance]]))
+
+
+def _displacement(
+    state: FilterState, motion: OdometryMotion, yaw_rad: float, config: EkfConfig
+) -> Measurement:
+    """The way in units of the keyframe's AGL, scaled by the AGL believed now.
+
+    The way seen is u AGL0 with AGL0 = -(down0 + terrain); the true way d is seen turned by the
+    attitude's error at the keyframe, Rz(-b0) u AGL0 = d + tilt x d. So uncertainties of AGL and
+    attitude come in by the Jacobian, and what ways tell about them when fixes and barometer say
+    how far it was.
+    """
+    x = state.x
+    agl_m = max(float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0]), _LEAST_AGL_M)
+    c, s = math.cos(x[_ANCHOR_YAW]), math.sin(x[_ANCHOR_YAW])
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    way_per_agl: Array = turn @ motion.displacement_ned_m / motion.agl_m
+    way_m = agl_m * way_per_agl
+    H = np.zeros((3, States.SIZE))
+    H[:, States.POSITION] = np.eye(3)
+    H[:, States.ANCHOR_POSITION] = -np.eye(3)
+    H[:, _ANCHOR_DOWN] += way_per_agl
+    H[:, States.TERRAIN.start] = way_per_agl
+    H[:, _ANCHOR_YAW] = -way_m[1], way_m[0], 0.0
+    c, s = math.cos(yaw_rad - x[_ANCHOR_YAW]), math.sin(yaw_rad - x[_ANCHOR_YAW])
+    by_tilt = -skew(way_m)[:, :2] @ np.array([[c, -s], [s, c]])
+    H[:, States.TILT] = by_tilt
+    residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
+    scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
+    return Measurement(residual, H, scale * turn @ motion.covariance_ned_m2 @ turn.T)
+
+
+def _apply_height(
+    state: FilterState, event: Height, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    H = np.zeros((1, States.SIZE))
+    H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
+    R = np.array([[config.height_sigma_m**2]])
+    return fuse(state, Measurement(event.height_m - H @ state.x, H, R))
+
+
+def _apply_range(
+    state: FilterState, event: Range, attitudes: AttitudeHistory, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    cos = cos_tilt(attitudes.quat_at(event.t_s))
+    if cos < _LEAST_COS_TILT:
+        return state, Innovation(Verdict.NOT_FINITE)
+    sigma_m = math.hypot(
+        config.rangefinder_sigma_m, config.rangefinder_sigma_ratio * event.distance_m
+    )
+    return apply_agl(state, event.distance_m * cos, sigma_m, config)
+
+
+def _apply_stationary(state: FilterState, config: EkfConfig) -> tuple[FilterState, Innovation]:
+    """It does not move, and the ground is right below."""
+    H = np.zeros((3, States.SIZE))
+    H[:, States.VELOCITY] = np.eye(3)
+    R = config.stationary_sigma_m_s**2 * np.eye(3)
+    state, innovation = fuse(state, Measurement(-state.x[States.VELOCITY], H, R))
+    if not innovation.accepted:
+        return state, innovation
+    state, height = apply_agl(state, config.stationary_agl_m, config.stationary_agl_sigma_m, config)
+    return state, replace(innovation, parts=(height,))

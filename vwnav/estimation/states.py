@@ -1,0 +1,178 @@
+"""The filter as a table: what is estimated, how sure it is at first, and how fast it may change."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vwnav.types import Array
+
+
+class States:
+    """Where each state stands in the vector `x` and in its covariance `P`.
+
+    All errors add to their state, the heading bias modulo 2 pi. The attitude itself is the
+    autopilot's stream; its error is three of the states (heading bias and tilt).
+    """
+
+    POSITION = slice(0, 3)  # m, NED about the origin
+    VELOCITY = slice(3, 6)  # m/s, NED
+    ACCELERATION = slice(6, 8)  # m/s^2, north and east, beyond what thrust explains: drag, wind
+    HEADING_BIAS = slice(8, 9)  # rad, heading of the autopilot minus true heading
+    TILT = slice(9, 11)  # rad, error of the autopilot's attitude about the body's level fwd, right
+    BARO = slice(11, 12)  # m, barometric height minus height above the origin
+    TERRAIN = slice(12, 13)  # m, height above the origin of the ground below
+    ANCHOR_POSITION = slice(13, 16)  # m, NED, the position at the keyframe of odometry
+    ANCHOR_HEADING_BIAS = slice(16, 17)  # rad, the heading bias at the keyframe
+    SIZE = 17
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EkfConfig:
+    """Noises and limits. Sigmas are one standard deviation; densities are per root second."""
+
+    # How the states change
+    acceleration_noise_m_s2: float = 0.5  # per root hertz, horizontal, white
+    vertical_noise_m_s2: float = 1.0  # per root hertz, white
+    acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
+    acceleration_time_s: float = 5.0
+    heading_walk_rad: float = math.radians(0.15)  # per root second
+    tilt_sigma_rad: float = math.radians(1.0)  # first-order Gauss-Markov
+    tilt_time_s: float = 60.0
+    baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
+    terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
+    thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
+    # How sure the states are at first
+    heading_sigma_rad: float = math.radians(15.0)  # a compass near motors and steel
+    unknown_sigma_m: float = 2000.0  # stands for no idea of the position
+    baro_sigma_m: float = 1.0
+    # Measurements
+    height_sigma_m: float = 0.25  # barometer, white part
+    rangefinder_sigma_m: float = 0.05
+    rangefinder_sigma_ratio: float = 0.02  # of the distance
+    stationary_sigma_m_s: float = 0.05
+    stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
+    stationary_agl_sigma_m: float = 0.15
+    anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
+    odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
+    visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
+    # Time
+    history_s: float = 2.0  # how late a measurement may be
+    ahead_s: float = 2.0  # how far ahead of the newest time known one may be
+    # Re-localisation
+    relocation_fixes: int = 12  # refused fixes that must agree before the filter jumps to them
+    relocation_span_s: float = 4.0  # and the least time between first and last of them
+    relocation_drift_m_s: float = 0.5  # by which agreeing fixes may drift apart
+    dispute_window_s: float = 30.0  # refused measurements are remembered this long
+    sudden_sigma_m: float = 5.0  # a pull beyond what this explains needs ...
+    sudden_fixes: int = 2  # ... so many fixes that agree, however unsure the filter is
+    offset_count: int = 4  # refused headings or AGLs that must agree before their state is freed
+    offset_span_s: float = 0.5  # and the least time they span
+    heading_drift_rad_s: float = math.radians(2.0)  # by which agreeing headings may drift apart
+
+    def without_telemetry(self) -> "EkfConfig":
+        """For a video alone: the position is that of the picture's centre, and nothing is felt.
+
+        The centre swings with the camera, so accelerations are larger and unexplained; the heading
+        stream is the one odometry turns from pictures.
+        """
+        return replace(
+            self,
+            acceleration_noise_m_s2=1.5,
+            heading_walk_rad=math.radians(0.5),
+            tilt_sigma_rad=math.radians(0.01),
+            heading_sigma_rad=math.pi,
+            thrust_aided=False,
+            odometry_turns_attitude=True,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """The keyframe whose position is cloned in the state: its exposure and autopilot heading."""
+
+    t_s: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dispute:
+    """A measurement that the gate refused: what it wanted to change (n,), and its covariance."""
+
+    t_s: float
+    offset: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterState:
+    """Everything the filter believes at `t_s`. Never changed in place.
+
+    Attributes:
+        x: (17,) see `States`. P: (17, 17) its covariance.
+        position_known, heading_known: False until the first fix when they started unknown.
+        disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
+    """
+
+    t_s: float
+    x: Array
+    P: Array
+    position_known: bool
+    heading_known: bool
+    anchor: Anchor | None = None
+    t_last_fix_s: float | None = None
+    reset_counter: int = 0
+    disputed_fixes: tuple[Dispute, ...] = ()
+    disputed_headings: tuple[Dispute, ...] = ()
+    disputed_agls: tuple[Dispute, ...] = ()
+
+    @property
+    def agl_m(self) -> float:
+        """Height above the ground below."""
+        return float(-self.x[States.POSITION][2] - self.x[States.TERRAIN][0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """What is known at first. On the ground nothing moves; in the air nothing is sure.
+
+    Attributes:
+        position_ned_m: (3,), None when unknown; its sigma is per horizontal axis.
+        sigma_heading_rad: of the autopilot's heading; None takes the configured one.
+    """
+
+    t_s: float
+    position_ned_m: Array | None = None
+    sigma_m: float = 5.0
+    agl_m: float = 0.15
+    sigma_agl_m: float = 0.15
+    sigma_velocity_m_s: float = 0.1
+
+
+def first_state(start: Start, config: EkfConfig) -> FilterState:
+    """The state before any measurement.
+
+    Raises:
+        ValueError: a number that is not finite, or a sigma that is not positive.
+    """
+    known = start.position_ned_m is not None
+    position = np.zeros(3) if start.position_ned_m is None else np.array(start.position_ned_m)
+    sigmas = np.array([start.sigma_m, start.sigma_agl_m, start.sigma_velocity_m_s])
+    if position.shape != (3,) or not np.all(np.isfinite([*position, start.t_s, start.agl_m])):
+        raise ValueError(f"expected a finite position (3,), time and height, got {start}")
+    if not (np.all(np.isfinite(sigmas)) and np.all(sigmas > 0.0)):
+        raise ValueError(f"expected positive sigmas, got {sigmas}")
+    x = np.zeros(States.SIZE)
+    x[States.POSITION] = position
+    x[States.TERRAIN] = -position[2] - start.agl_m
+    variance = np.ones(States.SIZE)
+    variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
+    variance[2] = 0.1**2  # the height is counted from here
+    variance[States.VELOCITY] = start.sigma_velocity_m_s**2
+    variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
+    variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
+    variance[States.TILT] = config.tilt_sigma_rad**2
+    variance[States.BARO] = config.baro_sigma_m**2
+    variance[States.TERRAIN] = start.sigma_agl_m**2
+    heading_known = config.heading_sigma_rad < math.radians(45.0)
+    return FilterState(start.t_s, x, np.diag(variance), known, heading_known)

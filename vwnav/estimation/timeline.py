@@ -1,0 +1,80 @@
+"""Events in order of their own time, with the state after each; late ones go where they belong."""
+
+import bisect
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from vwnav.estimation.events import Event, Rank
+from vwnav.estimation.states import FilterState
+from vwnav.estimation.updates import Innovation, Verdict
+
+Apply = Callable[[FilterState, Event], tuple[FilterState, Innovation]]
+
+
+@dataclass(slots=True)
+class _Entry:
+    order: tuple[float, Rank]
+    event: Event
+    state: FilterState
+
+
+class Timeline:
+    """The last seconds of the filter.
+
+    The state is always what it would be had every event come in order: inserting one applies all
+    later ones again.
+    """
+
+    def __init__(self, start: FilterState, apply: Apply, length_s: float) -> None:
+        self._base = start
+        self._apply = apply
+        self._length_s = length_s
+        self._entries: list[_Entry] = []
+
+    @property
+    def head(self) -> FilterState:
+        """The state after the newest event."""
+        return self._entries[-1].state if self._entries else self._base
+
+    @property
+    def oldest_s(self) -> float:
+        """Events before this time are too late."""
+        return self._base.t_s
+
+    def holds(self, t_s: float, rank: Rank) -> bool:
+        """Whether there is an event of that kind at that time."""
+        i = self._place(t_s, rank)
+        return i < len(self._entries) and self._entries[i].order == (t_s, rank)
+
+    def keyframe_known(self, t_s: float) -> bool:
+        """Whether a keyframe of that time is in the history or in the state before it."""
+        anchor = self._base.anchor
+        return self.holds(t_s, Rank.ANCHOR) or (anchor is not None and anchor.t_s == t_s)
+
+    def insert(self, event: Event) -> Innovation:
+        """Apply an event at its time, and everything after it again."""
+        if event.t_s < self._base.t_s:
+            return Innovation(Verdict.TOO_LATE)
+        if self.holds(event.t_s, event.rank):
+            return Innovation(Verdict.DUPLICATE)
+        i = self._place(event.t_s, event.rank)
+        state, innovation = self._apply(self._before(i), event)
+        self._entries.insert(i, _Entry((event.t_s, event.rank), event, state))
+        for entry in self._entries[i + 1 :]:
+            state, _ = self._apply(state, entry.event)
+            entry.state = state
+        self._forget()
+        return innovation
+
+    def _place(self, t_s: float, rank: Rank) -> int:
+        return bisect.bisect_left(self._entries, (t_s, rank), key=lambda entry: entry.order)
+
+    def _before(self, i: int) -> FilterState:
+        return self._entries[i - 1].state if i > 0 else self._base
+
+    def _forget(self) -> None:
+        limit_s = self._entries[-1].state.t_s - self._length_s
+        count = bisect.bisect_left(self._entries, limit_s, key=lambda entry: entry.order[0])
+        if count > 0:
+            self._base = self._entries[count - 1].state
+            del self._entries[:count]

@@ -1,0 +1,108 @@
+"""The Kalman update: one function for every measurement, and what it says about it."""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from vwnav.estimation.states import FilterState, States
+from vwnav.geometry.rotations import wrap_pi
+from vwnav.types import Array
+
+# 99.9 % of chi-square by degrees of freedom (scipy.stats.chi2.ppf(0.999, dof)).
+CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
+
+
+class Verdict(Enum):
+    """What became of a measurement."""
+
+    FUSED = "fused"
+    GATED = "too far from the prediction"
+    RELOCATED = "the filter jumped to it"
+    UNCONFIRMED = "waits for a second one that agrees"
+    NOT_FINITE = "not a finite, sensible measurement"
+    TOO_LATE = "older than the history"
+    AHEAD = "from the future"
+    DUPLICATE = "already there"
+    NO_ANCHOR = "its keyframe is not known"
+    HEADING_UNKNOWN = "the heading is not known yet"
+    NOT_STARTED = "the filter is not initialised"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """What a measurement said against the prediction.
+
+    Attributes:
+        nis: normalised innovation squared, None when it was not compared.
+        dof: its degrees of freedom. residual: (dof,) measured minus predicted.
+        parts: the heading and AGL of a fix, the heading of odometry.
+    """
+
+    verdict: Verdict
+    nis: float | None = None
+    dof: int = 0
+    residual: Array | None = None
+    parts: tuple["Innovation", ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the state now contains it."""
+        return self.verdict in (Verdict.FUSED, Verdict.RELOCATED)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """A linearised measurement: residual (m,), its Jacobian H (m, 17) and noise R (m, m)."""
+
+    residual: Array
+    H: Array
+    R: Array
+
+
+def innovate(state: FilterState, measurement: Measurement) -> Innovation:
+    """Compare with the prediction, by the chi-square gate of its degrees of freedom."""
+    r, H = measurement.residual, measurement.H
+    S = H @ state.P @ H.T + measurement.R
+    nis = float(r @ np.linalg.solve(S, r))
+    verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
+    return Innovation(verdict, nis, len(r), r)
+
+
+def correct(
+    state: FilterState, measurement: Measurement, visual_weight: float = 0.0
+) -> FilterState:
+    """Apply a measurement.
+
+    The Joseph form keeps P symmetric and positive for any gain, also the one that eq. 3.30 of the
+    thesis makes: x + K r, then a part lambda of what is still missing. That part goes along the
+    least change of the measured states that explains it: K' = K + lambda H^+ (I - H K).
+    """
+    H, P = measurement.H, state.P
+    PHt = P @ H.T
+    K = np.linalg.solve(H @ PHt + measurement.R, PHt.T).T
+    if visual_weight > 0.0:
+        K = K + visual_weight * np.linalg.pinv(H) @ (np.eye(len(H)) - H @ K)
+    A = np.eye(States.SIZE) - K @ H
+    corrected = A @ P @ A.T + K @ measurement.R @ K.T
+    x = state.x + K @ measurement.residual
+    for i in (States.HEADING_BIAS.start, States.ANCHOR_HEADING_BIAS.start):
+        x[i] = wrap_pi(x[i])
+    return replace(state, x=x, P=0.5 * (corrected + corrected.T))
+
+
+def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
+    """Correct by a measurement unless its gate refuses it."""
+    innovation = innovate(state, measurement)
+    if not innovation.accepted:
+        return state, innovation
+    return correct(state, measurement), innovation
+
+
+def freed(state: FilterState, index: int, sigma: float) -> FilterState:
+    """Forget how sure one state was: its correlations go, its sigma is as given."""
+    P = state.P.copy()
+    P[index, :] = 0.0
+    P[:, index] = 0.0
+    P[index, index] = sigma**2
+    return replace(state, P=P)

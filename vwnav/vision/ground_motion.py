@@ -1,0 +1,197 @@
+"""The camera's motion over level ground from points seen twice, with what the attitude knows.
+
+A plane seen from two places: a ground point G (NED, from camera 0, in units of its height above
+ground, so that n . G = 1 with n = (a, b, 1)) is seen by camera 1 in direction
+    R_ned_camera1^T exp(-phi) (G - t)
+with t the way of the camera, phi the error of the rotation between the two attitudes, and (a, b)
+the slope of the ground (and the error of attitude 0). These eight numbers are the homography; the
+attitude comes in as prior on phi and (a, b). That chooses among the decompositions of the
+homography the physically right one, and tells tilting from moving as well as picture and autopilot
+together can.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.geometry.rotations import rotation_from_vector
+from vwnav.types import Array
+
+_T, _PHI, _SLOPE = slice(0, 3), slice(3, 6), slice(6, 8)
+_ITERATIONS = 5
+_TUKEY = 4.685  # 95 % efficiency for normal errors
+_RANSAC_STEPS = 300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """The same ground points in two pictures.
+
+    Attributes:
+        rays0: (n, 3) directions from camera 0 in NED, as its attitude has it.
+        rays1: (n, 3) directions in camera 1, camera axes, third component 1.
+        R_ned_camera1: (3, 3) as its attitude has it.
+        focal_px: what a direction's tangent is multiplied by to give pixels.
+    """
+
+    rays0: Array
+    rays1: Array
+    R_ned_camera1: Array
+    focal_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotionPrior:
+    """One-sigma of what the attitude leaves open, and of a track."""
+
+    tilt_increment_rad: float
+    slope: float
+    pixel: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Camera 0 to camera 1.
+
+    Attributes:
+        way: (3,) NED in units of the height of camera 0 above ground.
+        turn_rad: (3,) rotation vector, NED: `exp(turn) @ R_ned_camera1` is the true rotation.
+        slope: (2,) of the ground in the frame of attitude 0, down per north and east.
+        covariance: (8, 8) of the three.
+        inliers: (n,) bool. sigma_px: what the tracks that fit scatter by.
+    """
+
+    way: Array
+    turn_rad: Array
+    slope: Array
+    covariance: Array
+    inliers: NDArray[np.bool_]
+    sigma_px: float
+
+
+def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Motion | None:
+    """The motion that most points agree on; None when there is none.
+
+    A similarity on the ground by RANSAC, then all eight numbers by least squares with Tukey's
+    weights, whose scale is that of the residuals but never below `prior.pixel`.
+    """
+    parameters = _similarity(seen, threshold_px)
+    if parameters is None:
+        return None
+    scale_px = threshold_px
+    weights = np.ones(len(seen.rays1))
+    for _ in range(_ITERATIONS):
+        residuals, J = _linearise(seen, parameters)
+        size_px = np.hypot(residuals[:, 0], residuals[:, 1])
+        scale_px = min(scale_px, _scale(size_px[size_px < threshold_px], prior.pixel))
+        weights = np.clip(1.0 - (size_px / (_TUKEY * scale_px)) ** 2, 0.0, None) ** 2
+        step = _solve(residuals, J, weights / scale_px**2, parameters, prior)
+        if step is None:
+            return None
+        parameters = parameters + step
+    residuals, J = _linearise(seen, parameters)
+    size_px = np.hypot(residuals[:, 0], residuals[:, 1])
+    inliers = size_px < _TUKEY * scale_px
+    information = _information(J, inliers / scale_px**2, prior)
+    if not np.all(np.isfinite(information)) or np.count_nonzero(inliers) < 4:
+        return None
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return Motion(
+        parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px
+    )
+
+
+def _scale(size_px: Array, least_px: float) -> float:
+    """One sigma per axis of residual lengths, from their median (of a Rayleigh distribution)."""
+    if len(size_px) == 0:
+        return least_px
+    return max(float(np.median(size_px)) / 1.1774, least_px)
+
+
+def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
+    """First guess (8,): way and turn about down, level and with the attitude's word on tilt."""
+    rays1 = seen.rays1 @ seen.R_ned_camera1.T
+    front = (seen.rays0[:, 2] > 0.1) & (rays1[:, 2] > 0.1)
+    if np.count_nonzero(front) < 4:
+        return None
+    ground0 = seen.rays0[front, :2] / seen.rays0[front, 2:]
+    ground1 = rays1[front, :2] / rays1[front, 2:]
+    # OpenCV's RANSAC here has its own generator with a fixed seed: equal input, equal output.
+    M, _ = cv2.estimateAffinePartial2D(
+        ground0,
+        ground1,
+        method=cv2.RANSAC,
+        ransacReprojThreshold=threshold_px / seen.focal_px,
+        maxIters=_RANSAC_STEPS,
+        confidence=0.999,
+        refineIters=0,
+    )
+    if M is None or not np.all(np.isfinite(M)):
+        return None
+    scale = float(np.hypot(M[0, 0], M[1, 0]))
+    if not 0.2 < scale < 5.0:
+        return None
+    # ground1 = scale Rz(-turn) (ground0 - way)
+    turn_rad = -float(np.arctan2(M[1, 0], M[0, 0]))
+    way = -np.linalg.solve(M[:, :2], M[:, 2])
+    return np.array([way[0], way[1], 1.0 - 1.0 / scale, 0.0, 0.0, turn_rad, 0.0, 0.0])
+
+
+def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array]:
+    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 8)."""
+    x, y = seen.rays0[:, 0], seen.rays0[:, 1]
+    a, b = parameters[_SLOPE]
+    depth = seen.rays0[:, 2] + a * x + b * y
+    G = seen.rays0 / depth[:, None]
+    R_camera1_ned = (rotation_from_vector(parameters[_PHI]) @ seen.R_ned_camera1).T
+    away = G - parameters[_T]
+    q = away @ R_camera1_ned.T
+    predicted = q[:, :2] / q[:, 2:]
+    residuals = seen.focal_px * (seen.rays1[:, :2] - predicted)
+
+    dq = np.empty((len(q), 3, 8))
+    dq[:, :, _T] = -R_camera1_ned
+    # A further turn d of the rotation moves q by R (away x d).
+    dq[:, :, _PHI] = R_camera1_ned @ _cross_matrices(away)
+    per_slope = -(G @ R_camera1_ned.T) / depth[:, None]
+    dq[:, :, 6] = per_slope * x[:, None]
+    dq[:, :, 7] = per_slope * y[:, None]
+    J = seen.focal_px * (dq[:, :2] - predicted[:, :, None] * dq[:, 2:]) / q[:, 2, None, None]
+    return residuals, J
+
+
+def _cross_matrices(v: Array) -> Array:
+    """(n, 3, 3) with [i] @ d == cross(v[i], d)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2] = -v[:, 2], v[:, 1]
+    out[:, 1, 0], out[:, 1, 2] = v[:, 2], -v[:, 0]
+    out[:, 2, 0], out[:, 2, 1] = -v[:, 1], v[:, 0]
+    return out
+
+
+def _prior_information(prior: MotionPrior) -> Array:
+    """(8,) diagonal; the way and the turn about down are left to the picture."""
+    tilt, slope = prior.tilt_increment_rad**-2, prior.slope**-2
+    return np.array([0.0, 0.0, 0.0, tilt, tilt, 0.0, slope, slope])
+
+
+def _information(J: Array, weights: Array, prior: MotionPrior) -> Array:
+    flat = J.reshape(-1, 8)
+    weighted = flat * np.repeat(weights, 2)[:, None]
+    return np.asarray(flat.T @ weighted + np.diag(_prior_information(prior)))
+
+
+def _solve(
+    residuals: Array, J: Array, weights: Array, parameters: Array, prior: MotionPrior
+) -> Array | None:
+    """Gauss-Newton step (8,)."""
+    flat = J.reshape(-1, 8)
+    gradient = flat.T @ (np.repeat(weights, 2) * residuals.ravel())
+    gradient -= _prior_information(prior) * parameters
+    try:
+        step = np.linalg.solve(_information(J, weights, prior), gradient)
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(step, dtype=np.float64) if np.all(np.isfinite(step)) else None

@@ -1,0 +1,350 @@
+"""Visual odometry over the ground: how far the camera went since its keyframe.
+
+The keyframe stays until the view has changed too much, and every picture is compared with it
+directly: a hovering aircraft does not drift, and errors add up per keyframe, not per picture.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    quat_from_rotation,
+    rotation_from_euler,
+    rotation_from_vector,
+    wrap_pi,
+)
+from vwnav.types import (
+    Array,
+    Attitude,
+    Frame,
+    Gray,
+    MatchStats,
+    OdometryMotion,
+    Rejected,
+    RejectReason,
+)
+from vwnav.vision.ground_motion import Motion, MotionPrior, Sightings, fit_motion
+from vwnav.vision.tracking import (
+    Points,
+    find_corners,
+    reduced_gray,
+    reduction,
+    track,
+)
+
+_LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
+_LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
+_MOST_ZOOM = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryConfig:
+    """Sizes in pixels are of the reduced picture."""
+
+    widest_px: int = 480  # pictures are reduced to at most this width
+    cell_px: int = 20  # one corner from each cell
+    threshold_px: float = 2.5  # a track further off the ground plane is an outlier
+    sigma_px: float = 0.15  # of a track, at best
+    least_contrast: float = 2.0  # standard deviation of gray levels, of 255
+    least_corners: int = 20
+    least_inliers: int = 12
+    least_inlier_ratio: float = 0.3
+    most_sigma_ratio: float = 0.1  # of the way, in AGL: beyond it the points hang together badly
+    # When a keyframe has served
+    keep_ratio: float = 0.5  # of its corners still seen
+    keep_turn_rad: float = math.radians(8.0)  # Lucas-Kanade does not turn its windows
+    keep_zoom: float = 0.12  # nor does it scale them: relative change of height
+    # What attitudes leave open
+    tilt_increment_rad: float = math.radians(0.25)  # between keyframe and picture
+    tilt_increment_level_rad: float = math.radians(2.0)  # when level is assumed
+    yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
+    slope: float = 0.05  # of the ground, with the attitude's own error
+    slope_level: float = 0.09  # when level is assumed
+    least_agl_m: float = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A reduced picture and how it was taken. `level`: its attitude is assumed."""
+
+    t_s: float
+    gray: Gray
+    R_ned_camera: Array
+    agl_m: float
+    level: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Keyframe:
+    """A view with its corners uv (n, 2) and their directions rays (n, 3) in NED."""
+
+    view: _View
+    uv: Points
+    rays: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Course:
+    """Where the camera is since the keyframe, to know where to look in the next picture.
+
+    Attributes:
+        t_s: of the last picture that could be followed.
+        way: (3,) NED from the keyframe in units of its AGL. turn_rad: (3,) as `Motion` has it.
+        way_per_s: (3,) velocity in the same units.
+    """
+
+    t_s: float
+    way: Array
+    turn_rad: Array
+    way_per_s: Array
+
+
+class Odometry:
+    """Motion of the camera between a keyframe and each picture.
+
+    Attitudes are the autopilot's own, not corrected by an estimator that uses this odometry: the
+    displacement is in NED as they have it: its covariance leaves out the tilt and heading errors
+    that keyframe and picture share, which turn it whole. Without attitudes the camera is taken as
+    level, its heading is counted from the first picture (`attitude` tells it), and the displacement
+    is that of the ground point in the picture's centre.
+    """
+
+    def __init__(self, camera: Camera, config: OdometryConfig) -> None:
+        self._config = config
+        self._factor = reduction(camera.width_px, config.widest_px)
+        self._full_wh = (camera.width_px, camera.height_px)
+        width_px, height_px = (size // self._factor for size in self._full_wh)
+        whole = replace(
+            camera, width_px=width_px * self._factor, height_px=height_px * self._factor
+        )
+        self._camera = whole.scaled(width_px, height_px)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._keyframe: _Keyframe | None = None
+        self._last: _View | None = None
+        self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._heading_rad = 0.0
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """Attitude of the last picture: as it was handed in, or level with the heading counted."""
+        if self._last is None:
+            return None
+        R_ned_body = self._last.R_ned_camera @ self._camera.R_body_camera.T
+        if self._last.level:
+            R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
+        return Attitude(self._last.t_s, quat_from_rotation(R_ned_body))
+
+    def step(
+        self, frame: Frame, R_ned_body: Array | None, agl_m: float
+    ) -> OdometryMotion | Rejected:
+        """Take the next picture.
+
+        Args:
+            frame: later than the one before, of the camera's size.
+            R_ned_body: (3, 3) at its exposure; None when it is not known.
+            agl_m: height above ground at its exposure; the motion is proportional to it.
+
+        Returns:
+            The motion since the keyframe, or why there is none.
+        """
+        view = self._view(frame, R_ned_body, agl_m)
+        if isinstance(view, Rejected):
+            return view
+        last, self._last = self._last, view
+        if self._keyframe is None:
+            return self._begin(view)
+        result = self._follow(self._keyframe, view)
+        if isinstance(result, Rejected) and last is not None and last is not self._keyframe.view:
+            # The picture before sees more of what this one sees than the keyframe does.
+            keyframe = self._start(last)
+            result = self._follow(keyframe, view) if keyframe is not None else result
+        if isinstance(result, Rejected):
+            self._keyframe = None
+            self._start(view)
+        return result
+
+    def _view(self, frame: Frame, R_ned_body: Array | None, agl_m: float) -> _View | Rejected:
+        if frame.image.shape[1::-1] != self._full_wh:
+            return Rejected(
+                frame.t_s,
+                RejectReason.NO_FRAME,
+                f"picture of {frame.image.shape[1::-1]}, camera of {self._full_wh}",
+            )
+        if self._last is not None and frame.t_s <= self._last.t_s:
+            return Rejected(frame.t_s, RejectReason.NOT_TRIED, "not later than the one before")
+        if not (math.isfinite(agl_m) and agl_m >= self._config.least_agl_m):
+            return self._lost(frame.t_s, RejectReason.TOO_LOW, f"{agl_m:.2f} m above ground")
+        level = R_ned_body is None
+        R = rotation_from_euler(0.0, 0.0, self._heading_rad) if R_ned_body is None else R_ned_body
+        R_ned_camera = R @ self._camera.R_body_camera
+        if not np.all(np.isfinite(R_ned_camera)) or R_ned_camera[2, 2] < _LEAST_COS_TILT:
+            return self._lost(frame.t_s, RejectReason.TILTED, "the camera does not look down")
+        gray = reduced_gray(frame.image, self._factor)
+        contrast = float(cv2.meanStdDev(gray)[1][0, 0])
+        if contrast < self._config.least_contrast:
+            return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
+        return _View(frame.t_s, gray, R_ned_camera, agl_m, level)
+
+    def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
+        """A picture that shows nothing: what comes after it starts anew."""
+        self._keyframe = None
+        return Rejected(t_s, reason, detail)
+
+    def _begin(self, view: _View) -> Rejected:
+        keyframe = self._start(view)
+        if keyframe is None:
+            return Rejected(view.t_s, RejectReason.FEW_KEYPOINTS, "no corners on the ground")
+        stats = MatchStats(keypoints=len(keyframe.uv))
+        return Rejected(view.t_s, RejectReason.NOT_TRIED, "a first picture", stats=stats)
+
+    def _start(self, view: _View) -> _Keyframe | None:
+        """Make a view the keyframe; None, and no keyframe, when it has too few corners."""
+        uv = find_corners(view.gray, self._config.cell_px)
+        rays = self._camera.bearings(uv.astype(np.float64)) @ view.R_ned_camera.T
+        down = rays[:, 2] > _LEAST_COS_RAY
+        if np.count_nonzero(down) < self._config.least_corners:
+            self._keyframe = None
+            return None
+        self._keyframe = _Keyframe(view, uv[down], rays[down])
+        velocity = self._course.way_per_s
+        self._course = _Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
+        return self._keyframe
+
+    def _guess(self, keyframe: _Keyframe, view: _View) -> Points:
+        """Where the corners (n, 2) should be now if the camera flies on as it did."""
+        course = self._course
+        way = course.way + (view.t_s - course.t_s) * course.way_per_s
+        R_camera_ned = (rotation_from_vector(course.turn_rad) @ view.R_ned_camera).T
+        ground = keyframe.rays / keyframe.rays[:, 2:]
+        guess = self._camera.project((ground - way) @ R_camera_ned.T)
+        return np.nan_to_num(guess, nan=-1e3).astype(np.float32)
+
+    def _follow(self, keyframe: _Keyframe, view: _View) -> OdometryMotion | Rejected:
+        config = self._config
+        if keyframe.view.level != view.level:
+            return Rejected(view.t_s, RejectReason.NOT_TRIED, "attitude came or went")
+        uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
+        stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
+        if stats.matches < config.least_inliers:
+            return Rejected(view.t_s, RejectReason.FEW_MATCHES, "tracks lost", stats=stats)
+        rays1 = self._camera.bearings(uv1[kept].astype(np.float64))
+        seen = Sightings(
+            keyframe.rays[kept],
+            rays1 / rays1[:, 2:],
+            view.R_ned_camera,
+            float(self._camera.K[0, 0]),
+        )
+        motion = fit_motion(seen, self._prior(view.level), config.threshold_px)
+        count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
+        stats = replace(stats, inliers=count)
+        if motion is None or count < max(
+            config.least_inliers, config.least_inlier_ratio * stats.matches
+        ):
+            return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
+        if not _plausible(motion, config):
+            return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
+        return self._accept(keyframe, view, motion, count)
+
+    def _prior(self, level: bool) -> MotionPrior:
+        c = self._config
+        if level:
+            return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.sigma_px)
+        return MotionPrior(c.tilt_increment_rad, c.slope, c.sigma_px)
+
+    def _accept(
+        self, keyframe: _Keyframe, view: _View, motion: Motion, count: int
+    ) -> OdometryMotion:
+        turn = rotation_from_vector(motion.turn_rad)
+        heading0_rad = _heading(keyframe.view.R_ned_camera, self._camera)
+        heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
+        increment_rad = wrap_pi(heading1_rad - heading0_rad)
+        agl_m = keyframe.view.agl_m
+        if view.level:
+            axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
+            way, covariance = _centre_way(motion, *axes)
+            view = self._turned(view, heading1_rad)
+        else:
+            way, covariance = motion.way, motion.covariance[:3, :3]
+        self._remember(view, motion)
+        if self._served(keyframe, motion, increment_rad, count):
+            self._start(view)
+        return OdometryMotion(
+            t0_s=keyframe.view.t_s,
+            t1_s=view.t_s,
+            displacement_ned_m=way * agl_m,
+            covariance_ned_m2=covariance * agl_m**2,
+            yaw_increment_rad=increment_rad,
+            sigma_yaw_rad=math.hypot(
+                math.sqrt(motion.covariance[5, 5]), self._config.yaw_sigma_rad
+            ),
+            agl_m=agl_m,
+            tracks=count,
+        )
+
+    def _turned(self, view: _View, heading_rad: float) -> _View:
+        """A level view with the heading that its picture has shown."""
+        self._heading_rad = heading_rad
+        R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
+        return replace(view, R_ned_camera=R_ned_body @ self._camera.R_body_camera)
+
+    def _remember(self, view: _View, motion: Motion) -> None:
+        course = self._course
+        velocity = (motion.way - course.way) / (view.t_s - course.t_s)
+        turn_rad = motion.turn_rad * (0.0 if view.level else 1.0)
+        self._course = _Course(view.t_s, motion.way, turn_rad, velocity)
+        self._last = view
+
+    def _served(
+        self, keyframe: _Keyframe, motion: Motion, increment_rad: float, count: int
+    ) -> bool:
+        return (
+            count < self._config.keep_ratio * len(keyframe.uv)
+            or abs(increment_rad) > self._config.keep_turn_rad
+            or abs(motion.way[2]) > self._config.keep_zoom
+        )
+
+
+def _heading(R_ned_camera: Array, camera: Camera) -> float:
+    return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
+
+
+def _plausible(motion: Motion, config: OdometryConfig) -> bool:
+    sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
+    return sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM
+
+
+def _centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
+    """Way (3,) of the ground point in the picture's centre, with its covariance (3, 3).
+
+    Tilting moves it as flying does. It stays on the ground, which is turned to be level; the third
+    component is how much shorter the way from the camera to that point became.
+
+    Args:
+        motion: since the keyframe.
+        axis0: (3,) optical axis in NED of the keyframe.
+        axis1: (3,) the same of the picture, both as their attitudes have it.
+    """
+    parameters = np.concatenate([motion.way, motion.turn_rad, motion.slope])
+    way = _centre(parameters, axis0, axis1)
+    J = np.empty((3, 8))
+    for i, step in enumerate(1e-6 * np.eye(8)):
+        J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
+    return way, J @ motion.covariance @ J.T
+
+
+def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:
+    t, normal = parameters[:3], np.array([parameters[6], parameters[7], 1.0])
+    axis = rotation_from_vector(parameters[3:6]) @ axis1
+    range0 = 1.0 / (normal @ axis0)
+    range1 = (1.0 - normal @ t) / (normal @ axis)
+    along = t + range1 * axis - range0 * axis0
+    level = rotation_from_vector(np.cross(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0]))
+    return np.array([*(level @ along)[:2], range0 - range1])
