@@ -1,0 +1,58 @@
+import os
+from pathlib import Path
+
+import cv2
+import pytest
+from hypothesis import settings
+from vision_scenes import ground_pack, texture
+
+from vwnav.maps.pack import MapPack
+from vwnav.types import FeatureExtractor
+from vwnav.vision.features import load_features
+
+# Other work shares the cores: how long an example takes says nothing.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
+cv2.setNumThreads(1)
+
+
+@pytest.fixture(scope="session")
+def sift() -> FeatureExtractor:
+    return load_features("sift")
+
+
+@pytest.fixture(scope="session")
+def learned() -> FeatureExtractor:
+    return load_features("learned")
+
+
+@pytest.fixture(scope="session")
+def orb() -> FeatureExtractor:
+    return load_features("orb")
+
+
+@pytest.fixture(params=["learned", "sift", "orb"])
+def extractor(request: pytest.FixtureRequest) -> FeatureExtractor:
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(scope="session")
+def ground():
+    return texture(0)
+
+
+@pytest.fixture(scope="session")
+def pack(tmp_path_factory, ground, learned, sift, orb):
+    path = tmp_path_factory.mktemp("packs") / "ground.mbtiles"
+    with MapPack.open(ground_pack(path, ground, (learned, sift, orb))) as opened:
+        yield opened
+
+
+@pytest.fixture
+def data_folder() -> Path:
+    """The folder of real data; the test is skipped where it is absent."""
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    folder = Path(os.environ.get("VWNAV_DATA", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder}; set VWNAV_DATA")
+    return folder

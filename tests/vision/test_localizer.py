@@ -1,0 +1,239 @@
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from vision_scenes import CAMERA, HOME, M_PER_PX, ground_pack, picture, texture
+
+from vwnav.errors import CalibrationError, ModelError
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import wrap_pi
+from vwnav.maps.pack import MapPack
+from vwnav.types import Features, Frame, MapFix, Prior, Rejected, RejectReason
+from vwnav.vision.localizer import Localizer
+
+AGL_M = 60.0
+
+
+def prior_at(north_m: float, east_m: float, *, yaw_deg: float = 0.0, **known) -> Prior:
+    """A good prior at a place of the ground, changed as told."""
+    lat_deg, lon_deg, _ = HOME.to_geodetic(np.array([north_m, east_m, 0.0]))
+    sharp = {"sigma_m": 8.0, "sigma_yaw_rad": 0.05, "sigma_agl_ratio": 0.05}
+    level = {"roll_rad": 0.0, "pitch_rad": 0.0, "agl_m": AGL_M}
+    place = {"lat_deg": float(lat_deg), "lon_deg": float(lon_deg)}
+    return Prior(**{**place, "yaw_rad": math.radians(yaw_deg), **sharp, **level, **known})
+
+
+def error_ne_m(fix: MapFix, north_m: float, east_m: float) -> np.ndarray:
+    ned = HOME.to_ned(fix.lat_deg, fix.lon_deg, HOME.alt_amsl_m)
+    return np.array([ned[0] - north_m, ned[1] - east_m])
+
+
+def test_a_fix_is_where_the_picture_was_taken(pack, ground, extractor):
+    frame = picture(ground, 20.0, -15.0, AGL_M, rpy_deg=(0, 0, 35), rng=np.random.default_rng(0))
+    fix = Localizer(pack, extractor, CAMERA).localize(frame, prior_at(24, -10, yaw_deg=38), 0)
+    assert isinstance(fix, MapFix)
+    assert np.linalg.norm(error_ne_m(fix, 20.0, -15.0)) < 0.4
+    assert math.degrees(fix.yaw_rad) == pytest.approx(35.0, abs=0.6)
+    assert fix.agl_m == pytest.approx(AGL_M, rel=0.02)
+    assert (fix.point, fix.features) == ("nadir", extractor.name)
+    assert fix.stats.inliers > 30
+
+
+def test_the_errors_are_those_of_the_covariance(pack, ground, learned):
+    """Tilt that is not told makes most of the error; its share in the covariance is 1 degree."""
+    rng, squared = np.random.default_rng(1), []
+    localizer = Localizer(pack, learned, CAMERA)
+    for _ in range(25):
+        north_m, east_m = rng.uniform(-45, 45, 2)
+        true_deg = (*rng.normal(0, 1.0, 2), rng.uniform(-180, 180))
+        frame = picture(ground, north_m, east_m, AGL_M, rpy_deg=true_deg, rng=rng)
+        fix = localizer.localize(frame, prior_at(north_m, east_m, yaw_deg=true_deg[2]), 0)
+        error = error_ne_m(fix, north_m, east_m)
+        squared.append(error @ np.linalg.solve(fix.covariance_ne_m2, error))
+    assert 0.8 < np.mean(squared) < 3.6  # two degrees of freedom: 2, and 0.57 sigma of this mean
+    assert max(squared) < 20.0
+
+
+def test_a_known_tilt_is_taken_out(pack, ground, extractor):
+    frame = picture(ground, 0.0, 10.0, AGL_M, rpy_deg=(9, -7, 80))
+    tilted = {"roll_rad": math.radians(9), "pitch_rad": math.radians(-7)}
+    prior = prior_at(0.0, 10.0, yaw_deg=80.0, **tilted)
+    fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
+    assert np.linalg.norm(error_ne_m(fix, 0.0, 10.0)) < 0.6
+
+
+def test_without_attitude_the_fix_is_of_the_pictures_centre(pack, ground, extractor):
+    frame = picture(ground, 0.0, 0.0, AGL_M, rpy_deg=(0, 6, 0))
+    prior = replace(prior_at(0.0, 0.0), roll_rad=None, pitch_rad=None)
+    fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
+    assert fix.point == "center"
+    center_north_m = AGL_M * math.tan(math.radians(6))  # nose up: the picture looks ahead
+    assert np.linalg.norm(error_ne_m(fix, center_north_m, 0.0)) < 1.0
+
+
+@pytest.mark.parametrize("yaw_off_deg", [-15.0, 15.0])
+@pytest.mark.parametrize("agl_factor", [0.85, 1.15])
+@pytest.mark.parametrize("north_off_m", [-60.0, 60.0])
+def test_a_rough_prior_is_enough(pack, ground, learned, yaw_off_deg, agl_factor, north_off_m):
+    frame = picture(ground, 5.0, 30.0, AGL_M, rpy_deg=(0, 0, -70), rng=np.random.default_rng(2))
+    rough = {"sigma_m": 50.0, "sigma_yaw_rad": 0.26, "sigma_agl_ratio": 0.15}
+    place = prior_at(5.0 + north_off_m, 30.0, yaw_deg=-70 + yaw_off_deg, **rough)
+    fix = Localizer(pack, learned, CAMERA).localize(
+        frame, replace(place, agl_m=agl_factor * AGL_M), 0
+    )
+    assert isinstance(fix, MapFix)
+    assert np.linalg.norm(error_ne_m(fix, 5.0, 30.0)) < 0.5
+
+
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        ("yaw_rad",),
+        ("lat_deg", "lon_deg"),
+        ("lat_deg", "lon_deg", "yaw_rad"),
+        ("lat_deg", "lon_deg", "yaw_rad", "agl_m", "roll_rad", "pitch_rad"),
+    ],
+)
+def test_what_is_not_known_is_searched(pack, ground, extractor, unknown):
+    frame = picture(ground, -22.0, 31.0, 90.0, rpy_deg=(0, 0, 151), rng=np.random.default_rng(3))
+    prior = prior_at(-22.0, 31.0, yaw_deg=151.0, agl_m=90.0)
+    prior = replace(prior, **dict.fromkeys(unknown))
+    fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
+    assert isinstance(fix, MapFix)
+    assert np.linalg.norm(error_ne_m(fix, -22.0, 31.0)) < 0.6
+    assert abs(wrap_pi(fix.yaw_rad - math.radians(151.0))) < math.radians(1.0)
+    assert fix.agl_m == pytest.approx(90.0, rel=0.03)
+
+
+def test_an_unrelated_map_gives_no_fix(pack, extractor):
+    localizer = Localizer(pack, extractor, CAMERA)
+    seeds = {"learned": range(100, 160), "sift": range(200, 225), "orb": range(300, 415)}
+    for seed in seeds[extractor.name]:
+        scene = texture(seed, 320)
+        frame = picture(scene, 0.0, 0.0, 50.0, rng=np.random.default_rng(seed))
+        outcome = localizer.localize(frame, prior_at(0, 0, agl_m=50.0, sigma_m=20.0), seed)
+        assert isinstance(outcome, Rejected)
+        assert outcome.reason in (RejectReason.FEW_INLIERS, RejectReason.AMBIGUOUS)
+
+
+def test_an_unrelated_map_gives_no_fix_to_a_search_either(pack, learned):
+    frame = picture(texture(77), 0.0, 0.0, 80.0, rng=np.random.default_rng(0))
+    assert isinstance(Localizer(pack, learned, CAMERA).localize(frame, Prior(), 0), Rejected)
+
+
+@pytest.mark.parametrize("prior", [prior_at(0.0, 0.0), Prior()], ids=["prior", "none"])
+def test_black_and_white_pictures_are_too_dark(pack, extractor, prior):
+    for value in (0, 255):
+        frame = Frame(1.5, np.full((360, 480), value, np.uint8), 3)
+        outcome = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
+        assert (outcome.t_s, outcome.reason) == (1.5, RejectReason.TOO_DARK)
+
+
+def test_noise_gives_no_fix(pack, extractor):
+    noise = np.random.default_rng(0).integers(0, 256, (360, 480, 3), np.uint8)
+    outcome = Localizer(pack, extractor, CAMERA).localize(
+        Frame(0.0, noise, 0), prior_at(0.0, 0.0), 0
+    )
+    assert isinstance(outcome, Rejected)
+
+
+def test_a_tiny_picture_gives_no_fix(pack, ground, extractor):
+    camera = Camera.from_hfov(12, 9, 70.0)
+    frame = picture(ground, 0.0, 0.0, AGL_M, camera=camera)
+    outcome = Localizer(pack, extractor, camera).localize(frame, prior_at(0.0, 0.0), 0)
+    assert isinstance(outcome, Rejected)
+
+
+@pytest.mark.parametrize("name", ["lat_deg", "yaw_rad", "agl_m", "sigma_m", "roll_rad"])
+def test_a_prior_with_a_nan_is_refused_and_nothing_is_raised(pack, ground, orb, name):
+    prior = replace(prior_at(0.0, 0.0), **{name: math.nan})
+    outcome = Localizer(pack, orb, CAMERA).localize(picture(ground, 0, 0, AGL_M), prior, 0)
+    assert outcome.reason is RejectReason.PRIOR
+
+
+@pytest.mark.parametrize(
+    ("known", "reason"),
+    [
+        ({"lat_deg": 47.5}, RejectReason.NO_MAP),
+        ({"agl_m": 6.0}, RejectReason.TOO_LOW),
+        ({"pitch_rad": 1.4}, RejectReason.TILTED),
+    ],
+)
+def test_a_hopeless_prior_is_refused_with_its_reason(pack, ground, orb, known, reason):
+    frame = picture(ground, 0.0, 0.0, AGL_M)
+    outcome = Localizer(pack, orb, CAMERA).localize(frame, prior_at(0.0, 0.0, **known), 0)
+    assert outcome.reason is reason
+    assert outcome.detail
+
+
+def test_a_map_without_features_gives_no_fix(tmp_path, ground, orb):
+    flat = np.full((600, 600), 120, np.uint8)
+    with MapPack.open(ground_pack(tmp_path / "flat.mbtiles", flat, (orb,))) as flat_pack:
+        outcome = Localizer(flat_pack, orb, CAMERA).localize(
+            picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0
+        )
+    assert outcome.reason is RejectReason.FEW_KEYPOINTS
+
+
+def test_a_map_that_repeats_itself_is_ambiguous(tmp_path, orb):
+    tile = texture(5, 210)
+    ground = np.tile(tile, (4, 4))
+    with MapPack.open(ground_pack(tmp_path / "tiled.mbtiles", ground, (orb,))) as tiled:
+        outcome = Localizer(tiled, orb, CAMERA).localize(
+            picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0, sigma_m=30.0), 0
+        )
+    assert isinstance(outcome, Rejected)
+
+
+def test_the_same_picture_gives_the_same_fix(pack, ground, extractor):
+    frame = picture(ground, 3.0, 4.0, AGL_M, rng=np.random.default_rng(4))
+    first, second = (
+        Localizer(pack, extractor, CAMERA).localize(frame, prior_at(0.0, 0.0), 5) for _ in range(2)
+    )
+    assert (first.lat_deg, first.lon_deg, first.yaw_rad) == (
+        second.lat_deg,
+        second.lon_deg,
+        second.yaw_rad,
+    )
+    assert np.array_equal(first.covariance_ne_m2, second.covariance_ne_m2)
+
+
+def test_the_times_come_from_the_clock_that_is_handed_in(pack, ground, orb):
+    ticks = iter(range(100))
+    localizer = Localizer(pack, orb, CAMERA, clock=lambda: next(ticks) * 0.001)
+    fix = localizer.localize(picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0)
+    assert fix.stats.extract_ms == pytest.approx(1.0)
+
+
+def test_a_calibration_for_another_size_is_an_error(pack, orb):
+    frame = Frame(0.0, np.zeros((720, 1280), np.uint8), 0)
+    with pytest.raises(CalibrationError, match="480 x 360"):
+        Localizer(pack, orb, CAMERA).localize(frame, Prior(), 0)
+
+
+class OtherModel:
+    """Features of the pack's name but of another model."""
+
+    name, feature_set_id = "orb", "orb-of-someone-else"
+
+    def extract(self, gray: np.ndarray, max_keypoints: int) -> Features:
+        raise AssertionError("a pack of another model must be refused before")
+
+
+def test_a_pack_of_another_model_is_an_error(pack, ground):
+    with pytest.raises(ModelError, match="vwnav map build"):
+        Localizer(pack, OtherModel(), CAMERA).localize(
+            picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0
+        )
+
+
+def test_a_picture_covered_in_part_is_still_found(pack, ground, extractor):
+    """A logo, a propeller: what does not move with the ground is outvoted."""
+    frame = picture(ground, 12.0, 8.0, AGL_M, rng=np.random.default_rng(6))
+    logo = cv2.resize(texture(9, 320), (150, 110))
+    frame.image[:110, :150] = logo
+    fix = Localizer(pack, extractor, CAMERA).localize(frame, prior_at(10.0, 10.0), 0)
+    assert isinstance(fix, MapFix)
+    assert np.linalg.norm(error_ne_m(fix, 12.0, 8.0)) < 2 * M_PER_PX

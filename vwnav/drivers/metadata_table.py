@@ -1,0 +1,52 @@
+"""The table of what is known about pictures, as CSV: `image` and any of the columns below."""
+
+import csv
+import math
+from pathlib import Path
+
+from vwnav.errors import SourceError
+
+COLUMNS = ("lat_deg", "lon_deg", "sigma_m", "agl_m", "yaw_deg", "roll_deg", "pitch_deg")
+MAX_BYTES = 100_000_000
+
+
+def read_metadata_table(path: Path) -> dict[str, dict[str, float]]:
+    """What a CSV says of each picture: by file name, the values of `COLUMNS` that are given.
+
+    Raises:
+        SourceError: the file cannot be read, has no column `image` or an unknown one, or a value
+            is no finite number.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise SourceError(f"{path}: larger than 100 MB, no table of pictures")
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SourceError(f"{path}: cannot be read as CSV ({error})") from error
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    names = [name.strip() for name in reader.fieldnames or ()]
+    unknown = [name for name in names if name != "image" and name not in COLUMNS]
+    if "image" not in names or unknown:
+        raise SourceError(
+            f"{path}: expected the columns image and any of {', '.join(COLUMNS)}; "
+            f"got {', '.join(names) or 'none'}"
+        )
+    reader.fieldnames = names
+    return {row["image"].strip(): _values(path, reader.line_num, row) for row in reader}
+
+
+def _values(path: Path, line: int, row: dict[str, str | None]) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for name in COLUMNS:
+        text = (row.get(name) or "").strip()
+        if not text:
+            continue
+        try:
+            values[name] = float(text)
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
+            raise SourceError(f"{path}: line {line}: {name} is {text!r}, not a number")
+    if ("lat_deg" in values) != ("lon_deg" in values):
+        raise SourceError(f"{path}: line {line}: lat_deg and lon_deg belong together")
+    return values

@@ -1,0 +1,145 @@
+"""The learned features: one ONNX graph from the picture to keypoints, scores and descriptors."""
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+import vwnav
+from vwnav.errors import ModelError
+from vwnav.types import Features, Gray
+from vwnav.vision.checks import check_gray
+
+SIZE_MULTIPLE_PX = 32  # the graph halves the picture five times
+BORDER_PX = 4  # the graph finds nothing nearer to an edge; here the same at edges it cannot see
+RELEASED_NAME = "vwnav_default.onnx"
+_INPUTS = {"image": "tensor(uint8)", "max_keypoints": "tensor(int64)"}
+_OUTPUTS = ("keypoints", "scores", "descriptors")
+
+
+def released_model() -> Path:
+    """Where the released weights are: in an installed wheel, else in the source tree.
+
+    Raises:
+        ModelError: in neither place.
+    """
+    package = Path(vwnav.__file__).parent
+    places = (package / "weights" / RELEASED_NAME, package.parent / "models" / RELEASED_NAME)
+    for place in places:
+        if place.is_file():
+            return place
+    raise ModelError(
+        f"the released model {RELEASED_NAME} is missing: install vwnav again, "
+        "or name a model with --model"
+    )
+
+
+class LearnedFeatures:
+    """The network behind the `FeatureExtractor` protocol, on onnxruntime alone."""
+
+    def __init__(self, path: Path | None = None, *, threads: int = 1) -> None:
+        """Load a model and run it once.
+
+        Args:
+            path: the ONNX file; the released weights when not given.
+            threads: cores that one extraction may use.
+
+        Raises:
+            ModelError: missing, damaged, or not made by this project's export.
+        """
+        self._path = released_model() if path is None else path
+        if not self._path.is_file():
+            raise ModelError(f"no model at {self._path}: give the path of a vwnav .onnx file")
+        self._session = _open(self._path, threads)
+        self._feature_set_id = _check(self._session, self._path)
+        # The first run allocates and compiles; and a graph that loads may still not run.
+        self.extract(np.zeros((2 * SIZE_MULTIPLE_PX, 2 * SIZE_MULTIPLE_PX), np.uint8), 1)
+
+    @property
+    def name(self) -> Literal["learned"]:
+        """Always "learned"."""
+        return "learned"
+
+    @property
+    def feature_set_id(self) -> str:
+        """Identifies the model, as its metadata say."""
+        return self._feature_set_id
+
+    def extract(self, gray: Gray, max_keypoints: int) -> Features:
+        """Detect and describe.
+
+        Args:
+            gray: (h, w) uint8 of any size.
+            max_keypoints: at most so many, the ones of the highest score.
+
+        Returns:
+            Features with uv (n, 2), pixels, centre convention, and descriptors of unit length.
+
+        Raises:
+            ValueError: not a gray picture.
+            ModelError: the graph fails.
+        """
+        check_gray(gray)
+        h, w = gray.shape
+        pad_h, pad_w = -h % SIZE_MULTIPLE_PX, -w % SIZE_MULTIPLE_PX
+        padded = np.pad(gray, ((0, pad_h), (0, pad_w)), mode="edge")
+        # Keypoints of the padding are dropped below, so some more are asked for.
+        wanted = max(0, math.ceil(max_keypoints * padded.size / gray.size))
+        if gray.min() == gray.max():
+            wanted = 0  # the net has to rank something; without any contrast there is nothing
+        uv, scores, descriptors = self._run(padded, wanted)
+        inside = np.ones(len(uv), bool)
+        if pad_w:
+            inside &= uv[:, 0] < w - BORDER_PX
+        if pad_h:
+            inside &= uv[:, 1] < h - BORDER_PX
+        kept = np.flatnonzero(inside)[: max(0, max_keypoints)]
+        return Features(uv[kept], descriptors[kept], scores[kept])
+
+    def _run(
+        self, padded: Gray, wanted: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        inputs = {"image": padded[None, None], "max_keypoints": np.array([wanted], np.int64)}
+        try:
+            uv, scores, descriptors = self._session.run(list(_OUTPUTS), inputs)
+        except Exception as error:  # onnxruntime's own errors have no common base
+            raise ModelError(
+                f"the model {self._path} does not run ({_first_line(error)}): "
+                "install vwnav again or give another --model"
+            ) from error
+        return uv, scores, descriptors
+
+
+def _open(path: Path, threads: int) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3  # errors only; they come as exceptions too
+    try:
+        return onnxruntime.InferenceSession(
+            path.read_bytes(), options, providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # onnxruntime's own errors have no common base
+        raise ModelError(
+            f"the model {path} is damaged ({_first_line(error)}): "
+            "install vwnav again or give another --model"
+        ) from error
+
+
+def _check(session: onnxruntime.InferenceSession, path: Path) -> str:
+    inputs = {value.name: value.type for value in session.get_inputs()}
+    outputs = {value.name for value in session.get_outputs()}
+    feature_set_id = session.get_modelmeta().custom_metadata_map.get("feature_set_id", "")
+    if inputs != _INPUTS or not outputs.issuperset(_OUTPUTS) or not feature_set_id:
+        raise ModelError(
+            f"the model {path} is not one of vwnav: make one with export/export_onnx.py"
+        )
+    return str(feature_set_id)
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0][:160] if lines else type(error).__name__
