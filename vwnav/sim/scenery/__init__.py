@@ -1,0 +1,1 @@
+"""The generator: from a seed to vectors, and from vectors to pictures at any resolution."""
