@@ -9,6 +9,7 @@ from export import export_onnx, parity
 from models.extractor import Extractor
 
 RELEASED = Path(__file__).resolve().parents[2] / "models" / "vwnav_default.onnx"
+needs_release = pytest.mark.skipif(not RELEASED.exists(), reason="no released weights in models/")
 
 
 def run(session, image, max_keypoints):
@@ -101,7 +102,7 @@ def test_a_released_checkpoint_forgets_where_the_data_were(checkpoint, tmp_path)
     assert b"/home/somebody" not in output.read_bytes()
 
 
-@pytest.mark.skipif(not RELEASED.exists(), reason="no released weights in models/")
+@needs_release
 def test_the_released_graph_keeps_the_contract():
     session = parity.open_session(RELEASED)
     assert session.get_modelmeta().custom_metadata_map["feature_set_id"].startswith("vwnav-learned")
@@ -111,3 +112,11 @@ def test_the_released_graph_keeps_the_contract():
         assert len(uv) <= 300
         assert (np.diff(scores) <= 0).all()
         np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1.0, atol=1e-4)
+
+
+@needs_release
+def test_the_card_and_the_checkpoint_are_those_of_the_released_graph():
+    metadata = parity.open_session(RELEASED).get_modelmeta().custom_metadata_map
+    network = export_onnx.load_network(RELEASED.with_suffix(".ckpt"))
+    assert metadata["feature_set_id"] in RELEASED.with_suffix(".md").read_text()
+    assert metadata["feature_set_id"] == export_onnx.feature_set_id(network)

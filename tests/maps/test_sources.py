@@ -86,23 +86,36 @@ def test_what_is_no_source_is_one_clear_error(tmp_path: Path, name: str, message
         open_sources([tmp_path / name])
 
 
+def rebuilt(path: Path, extractor: SiftStub) -> None:
+    sources = open_sources([path])
+    build_pack(sources, path, [extractor], default_options([path], sources))
+
+
 def test_a_pack_is_rebuilt_from_itself_pixel_for_pixel(tmp_path: Path):
     mask = np.ones((600, 700), bool)
     mask[:200, :150] = False
-    options = BuildOptions(name="field", attribution="(c)", georeference_sigma_m=0.3)
-    path = small_pack(tmp_path / "a.mbtiles", mask=mask, options=options)
+    path = small_pack(tmp_path / "a.mbtiles", mask=mask)
     x, y = ORIGIN_PX
     window = Window(x - 5, y - 5, x + 705, y + 605)
     with MapPack.open(path) as pack:
         before = pack.picture(ZOOM, window)
-    sources = open_sources([path])
-    build_pack(sources, path, [SiftStub("sift-test-2")], default_options([path], sources))
+    rebuilt(path, SiftStub())
     with MapPack.open(path) as pack:
         after = pack.picture(ZOOM, window)
-        assert (pack.name, pack.attribution, pack.georeference_sigma_m) == ("field", "(c)", 0.3)
-        pack.check_features(SiftStub("sift-test-2"))
     assert np.array_equal(before.mask, after.mask)
     assert np.array_equal(before.bgr, after.bgr)
+
+
+def test_a_rebuilt_pack_keeps_what_it_says_and_has_the_new_features(tmp_path: Path):
+    options = BuildOptions(name="field", attribution="(c)", georeference_sigma_m=0.3)
+    path = small_pack(tmp_path / "a.mbtiles", options=options)
+    said = "name", "attribution", "georeference_sigma_m", "bounds", "levels", "sources"
+    with MapPack.open(path) as pack:
+        before = [getattr(pack, what) for what in said]
+    rebuilt(path, SiftStub("sift-test-2"))
+    with MapPack.open(path) as pack:
+        assert [getattr(pack, what) for what in said] == before
+        pack.check_features(SiftStub("sift-test-2"))
 
 
 def test_imagery_of_another_program_in_mbtiles_is_a_source(tmp_path: Path):

@@ -9,10 +9,12 @@ from vwnav.maps.picture import Window
 from vwnav.sim.sites import MAP_M_PER_PX, MAP_NORTH_M, is_site, map_raster, parse_site
 
 
-def test_the_default_and_the_unrelated_site_are_different_places_at_the_same_home():
+def test_the_unrelated_site_has_its_airfield_elsewhere():
     default, unrelated = parse_site("sim:default"), parse_site("sim:unrelated")
     assert default.seed != unrelated.seed
-    assert default.home_lat_deg == unrelated.home_lat_deg
+    frame = LocalFrame(default.home_lat_deg, default.home_lon_deg, 0.0)
+    home = frame.to_ned(unrelated.home_lat_deg, unrelated.home_lon_deg, 0.0)
+    assert np.hypot(*home[:2]) > 400.0
 
 
 def test_a_site_can_be_put_where_another_simulator_flies():

@@ -10,6 +10,7 @@ from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.mercator import mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
+from vwnav.maps.picture import Window
 from vwnav.pipeline import StepResult
 from vwnav.types import Array, Estimate, MapFix
 
@@ -61,18 +62,18 @@ class TrackPicture:
         zoom = self._zoom(south, west, north, east)
         x0, y0 = (int(v) for v in mercator_px(north, west, zoom))
         x1, y1 = (int(v) + 1 for v in mercator_px(south, east, zoom))
-        gray, _ = self._pack.image(zoom, x0, y0, x1, y1)
-        # Darker and without colour, so that the lines stand out.
-        canvas = cv2.cvtColor((gray * 0.6).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+        # A little darker, so that the lines stand out.
+        picture = self._pack.picture(zoom, Window(x0, y0, x1, y1))
+        canvas = (picture.bgr * 0.8).astype(np.uint8)
 
         def pixels(lat_lon: Array) -> Array:
             x, y = mercator_px(lat_lon[:, 0], lat_lon[:, 1], zoom)
             return np.stack([np.asarray(x) - x0 - 0.5, np.asarray(y) - y0 - 0.5], axis=-1)
 
-        _line(canvas, pixels(truth), _TRUTH_BGR, 1)
-        _line(canvas, pixels(track), _ESTIMATE_BGR, 2)
+        _line(canvas, pixels(truth), _TRUTH_BGR, 5)
         for uv in pixels(fixes):
             _dot(canvas, uv, 2.5, _FIX_BGR)
+        _line(canvas, pixels(track), _ESTIMATE_BGR, 1)
         self._draw_ellipses(canvas, pixels(track), zoom)
         _legend(canvas, north, zoom, bool(len(truth)))
         return canvas
@@ -114,8 +115,8 @@ class TrackPicture:
             # Columns are (north, east): on the picture east is right and north is up.
             angle_deg = float(np.degrees(np.arctan2(-axes[0, 1], axes[1, 1])))
             scale = 1 << _SUBPIXEL_BITS
-            centre = tuple(int(round(v * scale)) for v in at)
-            size = tuple(max(scale, int(round(v * scale))) for v in semi_px[::-1])
+            centre = tuple(round(v * scale) for v in at)
+            size = tuple(max(scale, round(v * scale)) for v in semi_px[::-1])
             cv2.ellipse(
                 canvas, centre, size, angle_deg, 0, 360, _ESTIMATE_BGR, 1, cv2.LINE_AA,
                 _SUBPIXEL_BITS,
@@ -136,14 +137,15 @@ def _line(canvas: NDArray[np.uint8], uv: Array, bgr: tuple[int, int, int], width
 
 def _dot(canvas: NDArray[np.uint8], uv: Array, radius: float, bgr: tuple[int, int, int]) -> None:
     scale = 1 << _SUBPIXEL_BITS
-    centre = (int(round(uv[0] * scale)), int(round(uv[1] * scale)))
+    centre = (round(uv[0] * scale), round(uv[1] * scale))
     cv2.circle(canvas, centre, int(radius * scale), bgr, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _legend(canvas: NDArray[np.uint8], lat_deg: float, zoom: int, with_truth: bool) -> None:
     """Scale bar of 100 m, and what the colours mean."""
-    bar_px = int(round(100.0 * mercator_px_per_m(lat_deg, zoom)[0]))
+    bar_px = round(100.0 * mercator_px_per_m(lat_deg, zoom)[0])
     y = canvas.shape[0] - 16
+    cv2.rectangle(canvas, (8, y - 14), (430 + bar_px, y + 12), (40, 40, 40), -1)
     cv2.line(canvas, (16, y), (16 + bar_px, y), (255, 255, 255), 3)
     entries = [("100 m", (255, 255, 255)), ("estimate, 1 sigma", _ESTIMATE_BGR), ("fix", _FIX_BGR)]
     if with_truth:

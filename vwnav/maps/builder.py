@@ -46,6 +46,7 @@ class BuildOptions:
         georeference_sigma_m: one sigma of the imagery's position, per horizontal axis.
         created_utc: when, as ISO 8601, for provenance.
         heights: of the terrain.
+        origins: names of what the imagery comes from, for provenance; by default the sources'.
     """
 
     levels: Sequence[int] | None = None
@@ -54,6 +55,7 @@ class BuildOptions:
     georeference_sigma_m: float = 1.0
     created_utc: str = ""
     heights: HeightGrid | None = None
+    origins: Sequence[str] | None = None
 
 
 @dataclass(slots=True)
@@ -266,7 +268,7 @@ def _own_metadata(
         "schema_version": str(SCHEMA_VERSION),
         "levels": json.dumps(levels),
         "georeference_sigma_m": repr(float(options.georeference_sigma_m)),
-        "sources": json.dumps([source.name for source in sources]),
+        "sources": json.dumps(options.origins or [source.name for source in sources]),
         "created_utc": options.created_utc,
         "vwnav_version": __version__,
     }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from vwnav.errors import MapError
+from vwnav.geometry.mercator import mercator_px
 from vwnav.maps.builder import BuildOptions
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Picture, Window
@@ -32,7 +33,11 @@ class PackSource:
         """
         self.pack = MapPack.open(path)
         self._zoom = self.pack.levels[0].zoom
-        self._window = self.pack.window(self._zoom)
+        # A pack's bounds are whole pixels of this level, but for the rounding of their digits.
+        south, west, north, east = self.pack.bounds
+        x0, y0 = mercator_px(north, west, self._zoom)
+        x1, y1 = mercator_px(south, east, self._zoom)
+        self._window = Window(round(x0), round(y0), round(x1), round(y1))
 
     @property
     def name(self) -> str:
@@ -93,13 +98,14 @@ def default_options(paths: Sequence[Path], sources: Sequence[RasterSource]) -> B
     packs = [source.pack for source in sources if isinstance(source, PackSource)]
     if not packs:
         return BuildOptions(name=paths[0].resolve().stem)
-    pack = packs[0]
+    pack, alone = packs[0], len(sources) == 1
     return BuildOptions(
-        levels=tuple(level.zoom for level in pack.levels) if len(sources) == 1 else None,
+        levels=tuple(level.zoom for level in pack.levels) if alone else None,
         name=pack.name,
         attribution=pack.attribution,
         georeference_sigma_m=pack.georeference_sigma_m,
         heights=pack.heights,
+        origins=pack.sources if alone else None,
     )
 
 

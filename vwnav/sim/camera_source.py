@@ -1,4 +1,4 @@
-"""A simulated camera: pictures rendered from the ground truth that any simulator sends by MAVLink."""
+"""A simulated camera: pictures drawn from the ground truth that any simulator sends."""
 
 import threading
 import time

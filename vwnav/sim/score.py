@@ -1,4 +1,4 @@
-"""Compares what was believed with what was true, after the fact; nothing here reaches the navigator."""
+"""Compares belief with truth after the fact; nothing here reaches the navigator."""
 
 import math
 import threading

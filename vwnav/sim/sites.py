@@ -13,10 +13,13 @@ from vwnav.sim.site import Site
 
 SITE_PREFIX = "sim:"
 DEFAULT_SEED = 1
-UNRELATED_SEED = 2  # another place: what the camera sees is not on its map
+UNRELATED_SEED = 2
+# Every site has an airfield about its home, and airfields resemble each other. The unrelated one
+# lies so that the default home is among its fields: nothing that the camera sees is on its map.
+UNRELATED_HOME_NE_M = (-330.0, -380.0)
 NAMED_SEEDS = {"default": DEFAULT_SEED, "unrelated": UNRELATED_SEED}
-MAP_NORTH_M = 900.0  # size of the map, home in the middle
-MAP_EAST_M = 1200.0
+MAP_NORTH_M = 1180.0  # size of the map, home in the middle
+MAP_EAST_M = 1580.0
 MAP_M_PER_PX = 0.3
 MAP_SIGMA_M = 0.5
 _PATTERN = re.compile(r"sim:(\w+)(?:@(-?[\d.]+),(-?[\d.]+))?")
@@ -42,7 +45,7 @@ def parse_site(text: str) -> Site:
         )
     seed = NAMED_SEEDS[name] if name in NAMED_SEEDS else int(name)
     if found[2] is None:
-        return Site(seed)
+        return _unrelated_site() if name == "unrelated" else Site(seed)
     try:
         lat_deg, lon_deg = float(found[2]), float(found[3])
     except ValueError as error:
@@ -50,6 +53,13 @@ def parse_site(text: str) -> Site:
     if not (abs(lat_deg) < 80.0 and abs(lon_deg) <= 180.0):
         raise ConfigError(f"{text!r}: latitude within 80, longitude within 180 degrees")
     return Site(seed, lat_deg, lon_deg)
+
+
+def _unrelated_site() -> Site:
+    home = Site(DEFAULT_SEED)
+    frame = LocalFrame(home.home_lat_deg, home.home_lon_deg, 0.0)
+    lat_deg, lon_deg, _ = frame.to_geodetic(np.array([*UNRELATED_HOME_NE_M, 0.0]))
+    return Site(UNRELATED_SEED, float(lat_deg), float(lon_deg))
 
 
 def map_raster(site: Site) -> DrawnSource:

@@ -8,6 +8,7 @@ from vwnav.types import Features
 
 CHUNK = 8192  # map features compared at once: 1000 x 8192 float32 are 32 MB
 BITS_PER_BYTE = 8
+Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
 
 def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> NDArray[np.int64]:
@@ -38,13 +39,20 @@ def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> N
     if len(frame) == 0 or len(map_) == 0:
         return np.zeros((0, 2), np.int64)
     binary = frame.descriptors.dtype == np.uint8
-    pairs, similarity = (_match_bits if binary else _match_cosine)(frame, map_)
-    best_first = np.argsort(-similarity, kind="stable")
-    return pairs[best_first[similarity[best_first] >= min_similarity]]
+    nearest = _nearest_bits if binary else _nearest_cosine
+    chosen, similarity = nearest(frame.descriptors, map_.descriptors)
+    # Back from the map's side: only the chosen map features have to be asked.
+    back, _ = nearest(map_.descriptors[chosen], frame.descriptors)
+    mutual = np.flatnonzero(back == np.arange(len(frame)))
+    mutual = mutual[similarity[mutual] >= min_similarity]
+    best_first = mutual[np.argsort(-similarity[mutual], kind="stable")]
+    return np.stack([best_first, chosen[best_first]], axis=1)
 
 
-def _match_cosine(frame: Features, map_: Features) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    queries, references = frame.descriptors, map_.descriptors
+def _nearest_cosine(
+    queries: Descriptors, references: Descriptors
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The most similar reference of each query, and how similar it is."""
     rows = np.arange(len(queries))
     nearest = np.zeros(len(queries), np.int64)
     similarity = np.full(len(queries), -np.inf, np.float32)
@@ -55,16 +63,14 @@ def _match_cosine(frame: Features, map_: Features) -> tuple[NDArray[np.int64], N
         better = value > similarity
         nearest[better] = candidate[better] + start
         similarity[better] = value[better]
-    # Back from the map's side: only the chosen map features have to be asked.
-    back = np.argmax(queries @ references[nearest].T, axis=0)
-    mutual = np.flatnonzero(back == rows)
-    return np.stack([mutual, nearest[mutual]], axis=1), similarity[mutual]
+    return nearest, similarity
 
 
-def _match_bits(frame: Features, map_: Features) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
-    found = matcher.match(frame.descriptors, map_.descriptors)
-    pairs = np.array([(m.queryIdx, m.trainIdx) for m in found], np.int64).reshape(-1, 2)
-    bits = frame.descriptors.shape[1] * BITS_PER_BYTE
-    distance = np.array([m.distance for m in found], np.float32)
-    return pairs, (1.0 - 2.0 * distance / bits).astype(np.float32)
+def _nearest_bits(
+    queries: Descriptors, references: Descriptors
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """As `_nearest_cosine`, for binary descriptors."""
+    found = cv2.BFMatcher(cv2.NORM_HAMMING).match(queries, references)
+    nearest = np.array([pair.trainIdx for pair in found], np.int64)
+    distance = np.array([pair.distance for pair in found], np.float32)
+    return nearest, 1.0 - 2.0 * distance / np.float32(BITS_PER_BYTE * queries.shape[1])

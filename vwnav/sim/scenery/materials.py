@@ -59,9 +59,11 @@ def grass(canvas: Canvas, look: Look) -> NDArray[np.float32]:
     blades = noise.fractal(0.4, 0.025, 0.8, day_salt(look, 2))
     dryness = 0.6 * -moisture(canvas) + 0.04 * clumps
     colour = ramp(look.grass(), dryness)
-    # Tussocks, molehills and weeds: about one in 30 m2, dark on every day.
-    tussocks = np.clip(noise.fractal(1.6, 0.8, 0.8, STONES) - 1.6, 0.0, 1.0)
-    value = relief(canvas, look) * (1.0 + 0.02 * clumps + 0.10 * blades) * (1.0 - 0.42 * tussocks)
+    # Weeds and tussocks, dark on every day, and molehills and bare spots, light on every day.
+    spots = noise.fractal(1.6, 0.8, 0.8, STONES)
+    dark, light = (np.clip(sign * spots - 1.7, 0.0, 1.0) for sign in (1.0, -1.0))
+    value = relief(canvas, look) * (1.0 + 0.02 * clumps + 0.10 * blades)
+    value *= 1.0 - 0.34 * dark + 0.26 * light
     colour *= value[..., None]
     return colour
 
