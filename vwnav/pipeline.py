@@ -35,6 +35,7 @@ from vwnav.types import (
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
+MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 UNKNOWN_AGL_M = 50.0
 AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
 LEVEL_QUAT_WXYZ: Array = np.array([1.0, 0.0, 0.0, 0.0])
@@ -243,7 +244,10 @@ class Pipeline:
         """Start matching this picture when it is time to; the outcome if it is there at once."""
         if self._pending is not None or frame.t_s < self._next_attempt_s:
             return None
-        prior = self._prior(self.estimate(frame.t_s), sensors)
+        now = self.estimate(frame.t_s)
+        if now is not None and now.agl_m < MIN_AGL_M:
+            return None
+        prior = self._prior(now, sensors)
         searching = prior.lat_deg is None
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval

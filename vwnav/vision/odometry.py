@@ -49,7 +49,7 @@ class OdometryConfig:
     widest_px: int = 480  # pictures are reduced to at most this width
     cell_px: int = 20  # one corner from each cell
     threshold_px: float = 2.5  # a track further off the ground plane is an outlier
-    sigma_px: float = 0.15  # of a track, at best
+    sigma_px: float = 0.5  # of a track: what it shares with its neighbours (rolling shutter, lens)
     least_contrast: float = 2.0  # standard deviation of gray levels, of 255
     least_corners: int = 20
     least_inliers: int = 12
@@ -60,7 +60,7 @@ class OdometryConfig:
     keep_turn_rad: float = math.radians(8.0)  # Lucas-Kanade does not turn its windows
     keep_zoom: float = 0.12  # nor does it scale them: relative change of height
     # What attitudes leave open
-    tilt_increment_rad: float = math.radians(0.25)  # between keyframe and picture
+    tilt_increment_rad: float = math.radians(0.1)  # between keyframe and picture: vibration
     tilt_increment_level_rad: float = math.radians(2.0)  # when level is assumed
     yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
     slope: float = 0.05  # of the ground, with the attitude's own error
