@@ -201,6 +201,10 @@ class Pipeline:
         with self._lock:
             return self._ekf.estimate(t_s) if self._ekf.initialised else None
 
+    def sense(self, t_s: float, sensors: Sensors) -> None:
+        """Take telemetry between pictures, so that the estimate lives on when pictures stall."""
+        self._fuse_sensors(t_s, sensors)
+
     def step(self, frame: Frame, sensors: Sensors) -> StepResult:
         """Take one picture through the whole path."""
         picture = replace(frame, image=to_gray(frame.image))

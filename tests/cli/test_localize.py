@@ -158,7 +158,13 @@ def test_bad_input_is_one_error(scene: Path, monkeypatch, arguments, error):
 def test_a_missing_map_is_one_error(tmp_path: Path, scene: Path):
     app = typer.Typer()
     app.command()(localize)
-    arguments = [str(scene / "pictures/a.png"), "--map", str(tmp_path / "none"), "--features", "orb"]
+    arguments = [
+        str(scene / "pictures/a.png"),
+        "--map",
+        str(tmp_path / "none"),
+        "--features",
+        "orb",
+    ]
     assert isinstance(CliRunner().invoke(app, arguments).exception, MapError)
 
 

@@ -102,7 +102,9 @@ def fly(world: World, rng: np.random.Generator) -> Truth:
         out.position_ned_m[i], out.velocity_ned_m_s[i], out.yaw_rad[i] = p, v, yaw
         out.agl_m[i] = -p[2] - _terrain(p, world)
         out.R_ned_body.append(_attitude(a_cmd, yaw))
-        gust += DT * (-gust / 3.0) + world.gust_m_s * math.sqrt(2 * DT / 3.0) * rng.normal(size=3) * [1, 1, 0.2]
+        gust += DT * (-gust / 3.0) + world.gust_m_s * math.sqrt(2 * DT / 3.0) * rng.normal(
+            size=3
+        ) * [1, 1, 0.2]
         p, v = p + DT * v, v + DT * (a_cmd + drag)
     return out
 
@@ -124,7 +126,9 @@ def make(world: World, rng: np.random.Generator, truth: Truth | None = None) -> 
     errors = _AttitudeErrors(world, rng, truth)
     stream.tilt_rad = errors.slow
     for i in range(0, len(truth.t_s), 2):
-        stream.events.append((truth.t_s[i] + 0.01, "attitude", Attitude(truth.t_s[i], errors.quat(i))))
+        stream.events.append(
+            (truth.t_s[i] + 0.01, "attitude", Attitude(truth.t_s[i], errors.quat(i)))
+        )
     _add_heights(stream, world, rng)
     _add_odometry(stream, world, rng, errors)
     _add_fixes(stream, world, rng, errors)
@@ -137,7 +141,9 @@ class _AttitudeErrors:
         bias = rng.normal(size=2) * math.radians(world.tilt_bias_deg)
         walk = np.zeros((n, 2))
         keep = math.exp(-DT / 20.0)
-        drive = math.radians(world.tilt_drift_deg) * math.sqrt(1 - keep**2) * rng.normal(size=(n, 2))
+        drive = (
+            math.radians(world.tilt_drift_deg) * math.sqrt(1 - keep**2) * rng.normal(size=(n, 2))
+        )
         for i in range(1, n):
             walk[i] = keep * walk[i - 1] + drive[i]
         self.slow = bias + walk  # about the body's level forward and right axes
@@ -180,7 +186,9 @@ def _add_heights(stream: Stream, world: World, rng: np.random.Generator) -> None
         stream.events.append((t + 0.03, "height", (t, height)))
 
 
-def _add_odometry(stream: Stream, world: World, rng: np.random.Generator, errors: _AttitudeErrors) -> None:
+def _add_odometry(
+    stream: Stream, world: World, rng: np.random.Generator, errors: _AttitudeErrors
+) -> None:
     truth = stream.truth
     step = int(round(1.0 / world.odometry_hz / DT))
     key, key_noise, key_yaw_noise = None, np.zeros(3), 0.0
@@ -216,7 +224,9 @@ def _add_odometry(stream: Stream, world: World, rng: np.random.Generator, errors
         key, key_noise, key_yaw_noise = i, sigma * rng.normal(size=3), 0.002 * rng.normal()
 
 
-def _add_fixes(stream: Stream, world: World, rng: np.random.Generator, errors: _AttitudeErrors) -> None:
+def _add_fixes(
+    stream: Stream, world: World, rng: np.random.Generator, errors: _AttitudeErrors
+) -> None:
     truth = stream.truth
     step = int(round(1.0 / world.fix_hz / DT))
     for i in range(0, len(truth.t_s), step):
@@ -273,7 +283,9 @@ class Run:
     innovations: list
 
 
-def run(stream: Stream, config: EkfConfig | None = None, start: Start | None = None, drop=None) -> Run:
+def run(
+    stream: Stream, config: EkfConfig | None = None, start: Start | None = None, drop=None
+) -> Run:
     """Play a stream into a new filter, from the ground; `drop(event)` leaves events out."""
     ekf = Ekf(config or EkfConfig())
     ekf.initialise(start or Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=3.0))

@@ -76,8 +76,8 @@ def test_shifting_the_picture_shifts_the_keypoints(cells_u: int, cells_v: int, n
     du, dv = 8 * cells_u, 8 * cells_v
     still = extractor_named(name).extract(SCENE[:240, :240].copy(), 900)
     moved = extractor_named(name).extract(SCENE[dv : 240 + dv, du : 240 + du].copy(), 250)
-    inside = np.all(moved.uv + [du, dv] < 215, axis=1) & np.all(moved.uv > 25, axis=1)
-    assert found_again(still.uv, moved.uv[inside] + [du, dv], 1.0) > 0.65
+    inside = np.all(moved.uv + np.array([du, dv]) < 215, axis=1) & np.all(moved.uv > 25, axis=1)
+    assert found_again(still.uv, moved.uv[inside] + np.array([du, dv]), 1.0) > 0.65
 
 
 def test_keypoints_have_the_centre_convention(extractor: FeatureExtractor):

@@ -76,7 +76,10 @@ def _apply_displacement(
         turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
-    state, innovation = fuse(state, _displacement(state, motion, anchor.yaw_rad, config))
+    # The ground's height is left alone: noise in a way times a height pulls it to one side, and
+    # without fixes nothing would pull it back.
+    displacement = _displacement(state, motion, anchor.yaw_rad, config)
+    state, innovation = fuse(state, displacement, considered=(States.TERRAIN.start,))
     return state, replace(innovation, parts=parts)
 
 

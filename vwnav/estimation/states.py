@@ -32,13 +32,13 @@ class EkfConfig:
     """Noises and limits. Sigmas are one standard deviation; densities are per root second."""
 
     # How the states change
-    acceleration_noise_m_s2: float = 0.5  # per root hertz, horizontal, white
+    acceleration_noise_m_s2: float = 0.3  # per root hertz, horizontal, white
     vertical_noise_m_s2: float = 1.0  # per root hertz, white
     acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
     tilt_sigma_rad: float = math.radians(1.0)  # first-order Gauss-Markov
-    tilt_time_s: float = 60.0
+    tilt_time_s: float = 30.0
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude

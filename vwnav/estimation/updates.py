@@ -70,9 +70,12 @@ def innovate(state: FilterState, measurement: Measurement) -> Innovation:
 
 
 def correct(
-    state: FilterState, measurement: Measurement, visual_weight: float = 0.0
+    state: FilterState,
+    measurement: Measurement,
+    visual_weight: float = 0.0,
+    considered: tuple[int, ...] = (),
 ) -> FilterState:
-    """Apply a measurement.
+    """Apply a measurement. States in `considered` add their uncertainty but are left as they are.
 
     The Joseph form keeps P symmetric and positive for any gain, also the one that eq. 3.30 of the
     thesis makes: x + K r, then a part lambda of what is still missing. That part goes along the
@@ -83,6 +86,7 @@ def correct(
     K = np.linalg.solve(H @ PHt + measurement.R, PHt.T).T
     if visual_weight > 0.0:
         K = K + visual_weight * np.linalg.pinv(H) @ (np.eye(len(H)) - H @ K)
+    K[list(considered)] = 0.0  # Schmidt 1966: "consider" states
     A = np.eye(States.SIZE) - K @ H
     corrected = A @ P @ A.T + K @ measurement.R @ K.T
     x = state.x + K @ measurement.residual
@@ -91,12 +95,14 @@ def correct(
     return replace(state, x=x, P=0.5 * (corrected + corrected.T))
 
 
-def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
+def fuse(
+    state: FilterState, measurement: Measurement, considered: tuple[int, ...] = ()
+) -> tuple[FilterState, Innovation]:
     """Correct by a measurement unless its gate refuses it."""
     innovation = innovate(state, measurement)
     if not innovation.accepted:
         return state, innovation
-    return correct(state, measurement), innovation
+    return correct(state, measurement, considered=considered), innovation
 
 
 def freed(state: FilterState, index: int, sigma: float) -> FilterState:

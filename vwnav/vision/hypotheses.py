@@ -96,12 +96,7 @@ def propose(
         fit = _refine(z0, z1, *start, threshold_px)
         if fit is not None and bounds.allows(np.array([fit[0]]))[0]:
             found.append(_candidate(*fit, reference_uv))
-    found.sort(key=lambda candidate: -candidate.count)
-    apart: list[Candidate] = []
-    for candidate in found:
-        if _is_elsewhere(candidate, apart):
-            apart.append(candidate)
-    return apart
+    return _apart(found)
 
 
 def _complex(uv: Array) -> Complex:
@@ -178,7 +173,11 @@ def _candidate(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: Ar
     return Candidate(H, near, center_uv)
 
 
-def _is_elsewhere(candidate: Candidate, others: list[Candidate]) -> bool:
-    return all(
-        float(np.linalg.norm(candidate.center_uv - other.center_uv)) > CELL_PX for other in others
-    )
+def _apart(found: list[Candidate]) -> list[Candidate]:
+    """The best candidate of each place, best first."""
+    kept: list[Candidate] = []
+    for candidate in sorted(found, key=lambda candidate: -candidate.count):
+        distances_px = [np.linalg.norm(candidate.center_uv - other.center_uv) for other in kept]
+        if min(distances_px, default=np.inf) > CELL_PX:
+            kept.append(candidate)
+    return kept

@@ -65,7 +65,7 @@ class LocalizerConfig:
         search_agl_m: heights above ground that are tried when nothing is known of it.
         sigma_tilt_rad: of roll and pitch, when they are known.
         max_sigma_m: a fix that is less certain than this is none.
-        max_track_radius_m: a wider prior is searched coarse first.
+        max_track_radius_px: a prior that is wider than this on the map is searched coarse first.
     """
 
     max_keypoints: int = 1000
@@ -77,7 +77,7 @@ class LocalizerConfig:
     search_agl_m: tuple[float, float] = (20.0, 600.0)
     sigma_tilt_rad: float = math.radians(1.0)
     max_sigma_m: float = 20.0
-    max_track_radius_m: float = 500.0
+    max_track_radius_px: float = 1500.0
 
 
 class Localizer:
@@ -141,9 +141,10 @@ class Localizer:
         prior = job.prior
         todo = guesses(prior, self._config.search_agl_m)
         radius_m = PRIOR_SIGMAS * prior.sigma_m
-        complete = None not in (prior.lat_deg, prior.lon_deg, prior.yaw_rad, prior.agl_m)
-        if complete and radius_m <= self._config.max_track_radius_m:
-            return self._track(job, todo, radius_m)
+        if prior.agl_m is not None and None not in (prior.lat_deg, prior.lon_deg, prior.yaw_rad):
+            level = self._looker.fine_level(job, prior.agl_m, self._config.max_view_area_px)
+            if radius_m <= self._config.max_track_radius_px * level.m_per_px:
+                return self._track(job, todo, radius_m)
         area = Area(prior.lat_deg, prior.lon_deg, radius_m)
         tests = coarse_tests(self._looker, job, todo, area)
         if not tests:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.geometry.mercator import lat_lon_from_mercator_px
-from vwnav.maps.pack import Level
+from vwnav.maps.pack import Level, MapFeatures
 from vwnav.maps.picture import Window
 from vwnav.types import RejectReason
 from vwnav.vision.guesses import Guess
@@ -63,8 +63,12 @@ def search(
         threshold_px=threshold_px, max_log10_false_alarms=worth, max_stretch=max_stretch
     )
     hits: list[Found] = []
+    on_table: tuple[Level, Window] | None = None
     for test in tests:
-        seen = _coarse_look(looker, job, test, rules)
+        if on_table != (test.level, test.window):
+            on_table = (test.level, test.window)
+            map_ = looker.map_features(job, test.level.zoom, test.window)
+        seen = _coarse_look(looker, job, test, map_, rules)
         if isinstance(seen, Misplaced):
             continue
         hits.append(seen)
@@ -75,14 +79,15 @@ def search(
     return _best_confirmed(hits, second_look, len(tests))
 
 
-def _coarse_look(looker: Looker, job: Job, test: Test, rules: PlacingRules) -> Found | Misplaced:
+def _coarse_look(
+    looker: Looker, job: Job, test: Test, map_: MapFeatures, rules: PlacingRules
+) -> Found | Misplaced:
     x = (test.window.x0 + test.window.x1) / 2.0
     y = (test.window.y0 + test.window.y1) / 2.0
     lat_deg, _ = lat_lon_from_mercator_px(x, y, test.level.zoom)
     rectification = looker.rectify(job, test.guess, test.level.zoom, lat_deg)
     if rectification is None:
         return Misplaced(RejectReason.TILTED, "the camera does not look down")
-    map_ = looker.map_features(job, test.level.zoom, test.window)
     view = looker.view(job, test.guess, rectification, KEYPOINTS)
     return looker.look(job, test.guess, view, map_, rules)
 
@@ -126,16 +131,22 @@ def _same_place(a: Found, b: Found) -> bool:
 def coarse_tests(looker: Looker, job: Job, todo: list[Guess], area: Area) -> list[Test]:
     """Every guess at the level where its view is small, on every window of the area."""
     tests: list[Test] = []
-    for guess in todo:
-        level = looker.level_for_size(job, guess.agl_m, VIEW_PX)
+    for agl_m in dict.fromkeys(guess.agl_m for guess in todo):
+        level = looker.level_for_size(job, agl_m, VIEW_PX)
         if level is None:
             continue
-        long_px = math.ceil(max(looker.footprint_m(job, guess.agl_m)) / level.m_per_px)
+        long_px = math.ceil(max(looker.footprint_m(job, agl_m)) / level.m_per_px)
         whole = looker.area_window(level.zoom, area.lat_deg, area.lon_deg, area.radius_m, long_px)
         # What covers less than half a view cannot be it.
         if max(whole.shape) < long_px / 2:
             continue
-        tests += [Test(guess, level, window) for window in _pieces(whole, long_px)]
+        # All headings on one window, then the next: its features are fetched once.
+        same_height = [guess for guess in todo if guess.agl_m == agl_m]
+        tests += [
+            Test(guess, level, window)
+            for window in _pieces(whole, long_px)
+            for guess in same_height
+        ]
     return tests
 
 
