@@ -56,7 +56,7 @@ class Truth:
     R_ned_body: list[Array]
 
     def index(self, t_s: float) -> int:
-        return min(int(round(t_s / DT)), len(self.t_s) - 1)
+        return min(round(t_s / DT), len(self.t_s) - 1)
 
 
 @dataclass
@@ -190,7 +190,7 @@ def _add_odometry(
     stream: Stream, world: World, rng: np.random.Generator, errors: _AttitudeErrors
 ) -> None:
     truth = stream.truth
-    step = int(round(1.0 / world.odometry_hz / DT))
+    step = round(1.0 / world.odometry_hz / DT)
     key, key_noise, key_yaw_noise = None, np.zeros(3), 0.0
     sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])  # keyframe's and picture's alike
     for i in range(0, len(truth.t_s), step):
@@ -228,7 +228,7 @@ def _add_fixes(
     stream: Stream, world: World, rng: np.random.Generator, errors: _AttitudeErrors
 ) -> None:
     truth = stream.truth
-    step = int(round(1.0 / world.fix_hz / DT))
+    step = round(1.0 / world.fix_hz / DT)
     for i in range(0, len(truth.t_s), step):
         if truth.agl_m[i] < 15.0:
             continue

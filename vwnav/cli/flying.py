@@ -11,6 +11,7 @@ import numpy as np
 from vwnav.cli.assemble import Assembled, assemble, choose_features
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
+from vwnav.cli.map import parse_lat_lon
 from vwnav.cli.screen import say
 from vwnav.cli.simulation import (
     DEFAULT_ROUTE,
@@ -23,7 +24,7 @@ from vwnav.config import Config, load_config, save_config
 from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.run_folder import make_run_folder
-from vwnav.errors import ConfigError, PreflightError, RouteError, VwnavError
+from vwnav.errors import ConfigError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
 from vwnav.geometry.calibration import load_camera
@@ -120,7 +121,7 @@ def _plan(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
     camera = load_camera(options.camera) if options.camera else default_camera()
     pack = stack.enter_context(MapPack.open(_map_path(options)))
-    home = _home(options.home) or route.home
+    home = parse_lat_lon(options.home) if options.home else route.home
     if home is None and options.sim:
         site = parse_site(options.video or DEFAULT_SITE)
         home = (site.home_lat_deg, site.home_lon_deg)
@@ -140,18 +141,6 @@ def _map_path(options: FlyOptions) -> Path:
         return Path(text)
     primary, fallback = choose_features(options.features, options.model, say)
     return map_pack_of(text, [primary, *([fallback] if fallback else [])])
-
-
-def _home(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        lat_deg, lon_deg = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"--home {text!r}: expected LAT,LON in degrees") from error
-    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
-        raise RouteError(f"--home {text!r} is not on the globe")
-    return lat_deg, lon_deg
 
 
 def _middle(pack: MapPack) -> tuple[float, float]:

@@ -154,7 +154,7 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
     if route_frame not in ("local", "global"):
         raise ConfigError(f"--route-frame {route_frame!r}: choose local or global")
     loaded = load_route(route, "global" if route_frame == "global" else "local")
-    start = _lat_lon(home) if home is not None else loaded.home
+    start = parse_lat_lon(home) if home is not None else loaded.home
     places = [] if start is None else [start]
     for point in loaded.waypoints:
         if not isinstance(point, LocalWaypoint):
@@ -169,7 +169,7 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
     return np.array(places)
 
 
-def _lat_lon(text: str) -> tuple[float, float]:
+def parse_lat_lon(text: str) -> tuple[float, float]:
     from vwnav.errors import ConfigError
 
     try:
