@@ -170,6 +170,11 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
 
 
 def parse_lat_lon(text: str) -> tuple[float, float]:
+    """The LAT,LON of `--home`.
+
+    Raises:
+        ConfigError: not two numbers, or not on the globe.
+    """
     from vwnav.errors import ConfigError
 
     try:

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from vwnav.types import Gray
 
-Edges = NDArray[np.complex64]
 BLUR_PX = 1.5
-MIN_AREA_PX = 1000
 # Of 490 unrelated pairs of overhead pictures 90, 99 and 99.9 % were below 2.8, 3.9 and 4.5;
 # ORB's and SIFT's places reach 5.0 and 4.6.
 CHANCE_SIGMAS = 2.0
@@ -31,14 +29,10 @@ def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[
         map_: (h, w) uint8, the map warped onto the view.
         known: (h, w) where the map has data.
     """
-    kernel = np.ones((9, 9), np.uint8)  # edges of the masks themselves are none of the ground
-    inside, outside = (cv2.erode(mask.astype(np.uint8), kernel) > 0 for mask in (seen, known))
-    inside = inside & outside
-    if np.count_nonzero(inside) < MIN_AREA_PX:
+    weight = cv2.erode((seen & known).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    if np.count_nonzero(weight) < 1000:
         return 0.0
-    # Were both cut to the same outline, or their mean left in, the outline would correlate.
-    edges0 = _without_mean(_directions(view), inside)
-    edges1 = _without_mean(_directions(map_), outside)
+    edges0, edges1 = (_directions(picture) * weight for picture in (view, map_))
     h, w = view.shape
     reach = int(RING_PX[1]) + 1
     size = (cv2.getOptimalDFTSize(h + reach), cv2.getOptimalDFTSize(w + reach))
@@ -52,11 +46,7 @@ def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[
     return (peak - float(ring.mean())) / max(float(ring.std()), 1e-9)
 
 
-def _without_mean(edges: Edges, mask: NDArray[np.bool_]) -> Edges:
-    return np.asarray(np.where(mask, edges - edges[mask].mean(), 0.0), np.complex64)
-
-
-def _directions(picture: Gray) -> Edges:
+def _directions(picture: Gray) -> NDArray[np.complex64]:
     """Gradients as complex numbers of twice their angle, their length compressed."""
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), BLUR_PX)
     du = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3)

@@ -20,8 +20,7 @@ from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Array
 
 _T, _PHI, _SLOPE = slice(0, 3), slice(3, 6), slice(6, 8)
-_ITERATIONS = 6
-_SMALL_STEP = 1e-6
+_ITERATIONS = 5
 _TUKEY = 4.685  # 95 % efficiency for normal errors
 _RANSAC_STEPS = 300
 
@@ -92,8 +91,6 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         if step is None:
             return None
         parameters = parameters + step
-        if np.max(np.abs(step)) < _SMALL_STEP:
-            break
     residuals, J = _linearise(seen, parameters)
     size_px = np.hypot(residuals[:, 0], residuals[:, 1])
     inliers = size_px < _TUKEY * scale_px
@@ -104,35 +101,6 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     return Motion(
         parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px
     )
-
-
-def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
-    """Way (3,) of the ground point in the picture's centre, with its covariance (3, 3).
-
-    Tilting moves it as flying does. It stays on the ground, which is turned to be level; the third
-    component is how much shorter the way from the camera to that point became.
-
-    Args:
-        motion: since the keyframe.
-        axis0: (3,) optical axis in NED of the keyframe.
-        axis1: (3,) the same of the picture, both as their attitudes have it.
-    """
-    parameters = np.concatenate([motion.way, motion.turn_rad, motion.slope])
-    way = _centre(parameters, axis0, axis1)
-    J = np.empty((3, 8))
-    for i, step in enumerate(1e-6 * np.eye(8)):
-        J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
-    return way, J @ motion.covariance @ J.T
-
-
-def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:
-    t, normal = parameters[:3], np.array([parameters[6], parameters[7], 1.0])
-    axis = rotation_from_vector(parameters[3:6]) @ axis1
-    range0 = 1.0 / (normal @ axis0)
-    range1 = (1.0 - normal @ t) / (normal @ axis)
-    along = t + range1 * axis - range0 * axis0
-    level = rotation_from_vector(np.cross(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0]))
-    return np.array([*(level @ along)[:2], range0 - range1])
 
 
 def _scale(size_px: Array, least_px: float) -> float:

@@ -28,10 +28,8 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
-from vwnav.vision.ground_motion import Motion, MotionPrior, Sightings, centre_way, fit_motion
+from vwnav.vision.ground_motion import Motion, MotionPrior, Sightings, fit_motion
 from vwnav.vision.tracking import (
-    FAR_LEVELS,
-    NEAR_LEVELS,
     Points,
     find_corners,
     reduced_gray,
@@ -49,7 +47,7 @@ class OdometryConfig:
     """Sizes in pixels are of the reduced picture."""
 
     widest_px: int = 480  # pictures are reduced to at most this width
-    cells_across: int = 17  # one corner from each of so many square cells, and as many rows as fit
+    cell_px: int = 20  # one corner from each cell
     threshold_px: float = 2.5  # a track further off the ground plane is an outlier
     sigma_px: float = 0.5  # of a track: what it shares with its neighbours (rolling shutter, lens)
     least_contrast: float = 2.0  # standard deviation of gray levels, of 255
@@ -97,13 +95,13 @@ class _Course:
     Attributes:
         t_s: of the last picture that could be followed.
         way: (3,) NED from the keyframe in units of its AGL. turn_rad: (3,) as `Motion` has it.
-        way_per_s: (3,) velocity in the same units, None when it is not known.
+        way_per_s: (3,) velocity in the same units.
     """
 
     t_s: float
     way: Array
     turn_rad: Array
-    way_per_s: Array | None
+    way_per_s: Array
 
 
 class Odometry:
@@ -131,7 +129,7 @@ class Odometry:
         """Forget everything."""
         self._keyframe: _Keyframe | None = None
         self._last: _View | None = None
-        self._course = _Course(0.0, np.zeros(3), np.zeros(3), None)
+        self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
         self._heading_rad = 0.0
 
     @property
@@ -163,15 +161,13 @@ class Odometry:
         last, self._last = self._last, view
         if self._keyframe is None:
             return self._begin(view)
-        levels = FAR_LEVELS if self._course.way_per_s is None else NEAR_LEVELS
-        result = self._follow(self._keyframe, view, levels)
-        if isinstance(result, Rejected) and last is not None:
+        result = self._follow(self._keyframe, view)
+        if isinstance(result, Rejected) and last is not None and last is not self._keyframe.view:
             # The picture before sees more of what this one sees than the keyframe does.
-            keyframe = self._keyframe if last is self._keyframe.view else self._start(last)
-            if keyframe is not None:
-                result = self._follow(keyframe, view, FAR_LEVELS)
+            keyframe = self._start(last)
+            result = self._follow(keyframe, view) if keyframe is not None else result
         if isinstance(result, Rejected):
-            self._course = replace(self._course, way_per_s=None)
+            self._keyframe = None
             self._start(view)
         return result
 
@@ -200,7 +196,6 @@ class Odometry:
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """A picture that shows nothing: what comes after it starts anew."""
         self._keyframe = None
-        self._course = replace(self._course, way_per_s=None)
         return Rejected(t_s, reason, detail)
 
     def _begin(self, view: _View) -> Rejected:
@@ -212,33 +207,31 @@ class Odometry:
 
     def _start(self, view: _View) -> _Keyframe | None:
         """Make a view the keyframe; None, and no keyframe, when it has too few corners."""
-        uv = find_corners(view.gray, self._camera.width_px // self._config.cells_across)
+        uv = find_corners(view.gray, self._config.cell_px)
         rays = self._camera.bearings(uv.astype(np.float64)) @ view.R_ned_camera.T
         down = rays[:, 2] > _LEAST_COS_RAY
         if np.count_nonzero(down) < self._config.least_corners:
             self._keyframe = None
             return None
         self._keyframe = _Keyframe(view, uv[down], rays[down])
-        self._course = _Course(view.t_s, np.zeros(3), np.zeros(3), self._course.way_per_s)
+        velocity = self._course.way_per_s
+        self._course = _Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
         return self._keyframe
 
     def _guess(self, keyframe: _Keyframe, view: _View) -> Points:
         """Where the corners (n, 2) should be now if the camera flies on as it did."""
         course = self._course
-        way = course.way
-        if course.way_per_s is not None:
-            way = way + (view.t_s - course.t_s) * course.way_per_s
+        way = course.way + (view.t_s - course.t_s) * course.way_per_s
         R_camera_ned = (rotation_from_vector(course.turn_rad) @ view.R_ned_camera).T
         ground = keyframe.rays / keyframe.rays[:, 2:]
         guess = self._camera.project((ground - way) @ R_camera_ned.T)
         return np.nan_to_num(guess, nan=-1e3).astype(np.float32)
 
-    def _follow(self, keyframe: _Keyframe, view: _View, levels: int) -> OdometryMotion | Rejected:
+    def _follow(self, keyframe: _Keyframe, view: _View) -> OdometryMotion | Rejected:
         config = self._config
         if keyframe.view.level != view.level:
             return Rejected(view.t_s, RejectReason.NOT_TRIED, "attitude came or went")
-        guess = self._guess(keyframe, view)
-        uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, guess, levels)
+        uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
         stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
         if stats.matches < config.least_inliers:
             return Rejected(view.t_s, RejectReason.FEW_MATCHES, "tracks lost", stats=stats)
@@ -276,7 +269,7 @@ class Odometry:
         agl_m = keyframe.view.agl_m
         if view.level:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
-            way, covariance = centre_way(motion, *axes)
+            way, covariance = _centre_way(motion, *axes)
             view = self._turned(view, heading1_rad)
         else:
             way, covariance = motion.way, motion.covariance[:3, :3]
@@ -326,3 +319,32 @@ def _heading(R_ned_camera: Array, camera: Camera) -> float:
 def _plausible(motion: Motion, config: OdometryConfig) -> bool:
     sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
     return sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM
+
+
+def _centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
+    """Way (3,) of the ground point in the picture's centre, with its covariance (3, 3).
+
+    Tilting moves it as flying does. It stays on the ground, which is turned to be level; the third
+    component is how much shorter the way from the camera to that point became.
+
+    Args:
+        motion: since the keyframe.
+        axis0: (3,) optical axis in NED of the keyframe.
+        axis1: (3,) the same of the picture, both as their attitudes have it.
+    """
+    parameters = np.concatenate([motion.way, motion.turn_rad, motion.slope])
+    way = _centre(parameters, axis0, axis1)
+    J = np.empty((3, 8))
+    for i, step in enumerate(1e-6 * np.eye(8)):
+        J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
+    return way, J @ motion.covariance @ J.T
+
+
+def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:
+    t, normal = parameters[:3], np.array([parameters[6], parameters[7], 1.0])
+    axis = rotation_from_vector(parameters[3:6]) @ axis1
+    range0 = 1.0 / (normal @ axis0)
+    range1 = (1.0 - normal @ t) / (normal @ axis)
+    along = t + range1 * axis - range0 * axis0
+    level = rotation_from_vector(np.cross(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0]))
+    return np.array([*(level @ along)[:2], range0 - range1])

@@ -15,8 +15,7 @@ from vwnav.types import Gray
 Points = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 _WINDOW_PX = 15
-FAR_LEVELS = 3  # finds a point some 60 px from the guess
-NEAR_LEVELS = 1  # some 15 px
+_LEVELS = 3
 _FORTH_AND_BACK_PX = 0.7
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
 _LEAST_RESPONSE = 2e-5  # smaller eigenvalue of the gradients, gray from 0 to 1: above sensor noise
@@ -62,9 +61,7 @@ def find_corners(gray: Gray, cell_px: int) -> Points:
     return np.column_stack([u, v]).astype(np.float32)
 
 
-def track(
-    gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points, levels: int
-) -> tuple[Points, BoolArray]:
+def track(gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points) -> tuple[Points, BoolArray]:
     """Follow points from picture 0 to picture 1.
 
     Args:
@@ -72,7 +69,6 @@ def track(
         gray1: picture 1, of the same size.
         uv0: (n, 2) where they are in picture 0.
         guess_uv1: (n, 2) where they are thought to be in picture 1.
-        levels: of the pyramid, above the picture itself.
 
     Returns:
         (n, 2) where they are, and (n,) whether they came back to where they started.
@@ -84,9 +80,9 @@ def track(
     if not np.any(inside):
         return uv1, kept
     start, guess = np.ascontiguousarray(uv0[inside]), np.ascontiguousarray(guess_uv1[inside])
-    forth, found = _lucas_kanade(gray0, gray1, start, guess, levels)
+    forth, found = _lucas_kanade(gray0, gray1, start, guess)
     # Backwards from the same guess of the motion, not from the answer, or any answer would agree.
-    back, found_back = _lucas_kanade(gray1, gray0, forth, forth - (guess - start), levels)
+    back, found_back = _lucas_kanade(gray1, gray0, forth, forth - (guess - start))
     good = found & found_back & (np.max(np.abs(back - start), axis=1) < _FORTH_AND_BACK_PX)
     uv1[inside] = forth
     kept[inside] = good
@@ -94,7 +90,7 @@ def track(
 
 
 def _lucas_kanade(
-    gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points, levels: int
+    gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points
 ) -> tuple[Points, BoolArray]:
     uv1, status, _ = cv2.calcOpticalFlowPyrLK(
         gray0,
@@ -102,7 +98,7 @@ def _lucas_kanade(
         uv0,
         guess_uv1.copy(),
         winSize=(_WINDOW_PX, _WINDOW_PX),
-        maxLevel=levels,
+        maxLevel=_LEVELS,
         criteria=_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
