@@ -1,4 +1,4 @@
-"""The feature network: one grey picture in; descriptors, keypoint heat and reliability out.
+"""The feature network: one grey picture in; descriptors, keypoint peaks and scores out.
 
 Made for pictures that are already rectified (north-up, nadir, known resolution), so it can be
 small: a pixel-unshuffle stem works at a quarter of the resolution at once, two coarser levels
@@ -27,12 +27,13 @@ class NetworkConfig:
     name: str = "default"
     stem_channels: int = 32  # at 1/4
     channels: int = 80  # at 1/8 and coarser
-    keypoint_channels: int = 80  # hidden width of the keypoint head
+    keypoint_channels: int = 96  # hidden width of the keypoint head
+    score_channels: int = 32  # hidden width of the score head
     descriptor_dim: int = 64
 
 
 NETWORK_SIZES: dict[Size, NetworkConfig] = {
-    "nano": NetworkConfig(name="nano", stem_channels=16, channels=40, keypoint_channels=40),
+    "nano": NetworkConfig(name="nano", stem_channels=16, channels=40, keypoint_channels=48),
     "default": NetworkConfig(),
 }
 
@@ -41,10 +42,8 @@ class DenseFeatures(NamedTuple):
     """What the network says about every 8 x 8 cell; h = H / 8, w = W / 8."""
 
     descriptors: Tensor  # (B, D, h, w), not yet normalised: interpolate first, then normalise
-    keypoint_logits: (
-        Tensor  # (B, 65, h, w): the 64 pixels of the cell, row by row, and "no keypoint"
-    )
-    reliability_logits: Tensor  # (B, 1, h, w): will a descriptor taken here be matched rightly?
+    peak_logits: Tensor  # (B, 64, h, w): how much each pixel of the cell, row by row, is a peak
+    score_logits: Tensor  # (B, 1, h, w): will the cell's keypoint be found again and matched?
 
 
 def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
@@ -94,13 +93,15 @@ class FeatureNetwork(nn.Module):
         self.level16 = nn.Sequential(conv(c2, c2, stride=2), conv(c2, c2))
         self.level32 = nn.Sequential(conv(c2, c2, stride=2), conv(c2, c2), conv(c2, c2, kernel=1))
         self.fuse16 = conv(c2, c2, kernel=1)
-        self.fuse8 = nn.Sequential(conv(c2, c2), nn.Conv2d(c2, config.descriptor_dim, 1))
-        self.reliability = nn.Conv2d(config.descriptor_dim, 1, 1)
-        # The keypoint head reads the 1/4 level, 2 x 2 folded into channels: it sees 24 px, and
-        # stays sharp.
-        self.keypoints = nn.Sequential(
-            conv(4 * c1, config.keypoint_channels, kernel=1),
-            nn.Conv2d(config.keypoint_channels, CELL_PX**2 + 1, 1),
+        self.fuse8 = conv(c2, c2)
+        self.descriptors = nn.Conv2d(c2, config.descriptor_dim, 1)
+        # The keypoint head reads the 1/4 level, 2 x 2 folded into channels, which stays sharp, and
+        # the 1/8 level, which knows more of what is around.
+        self.peaks = conv(4 * c1 + c2, config.keypoint_channels, kernel=1)
+        self.peak_logits = nn.Conv2d(config.keypoint_channels, CELL_PX**2, 1)
+        self.score = nn.Sequential(
+            conv(c2 + config.keypoint_channels, config.score_channels, kernel=1),
+            nn.Conv2d(config.score_channels, 1, 1),
         )
 
     def forward(self, image: Tensor) -> DenseFeatures:
@@ -113,11 +114,12 @@ class FeatureNetwork(nn.Module):
         x8 = self.level8(x4)
         x16 = self.level16(x8)
         x16 = self.fuse16(x16 + upsample2(self.level32(x16)))
-        descriptors = self.fuse8(x8 + upsample2(x16))
+        fused = self.fuse8(x8 + upsample2(x16))
+        peaks = self.peaks(torch.cat([F.pixel_unshuffle(x4, 2), x8], dim=1))
         return DenseFeatures(
-            descriptors=descriptors,
-            keypoint_logits=self.keypoints(F.pixel_unshuffle(x4, 2)),
-            reliability_logits=self.reliability(descriptors),
+            descriptors=self.descriptors(fused),
+            peak_logits=self.peak_logits(peaks),
+            score_logits=self.score(torch.cat([fused, peaks], dim=1)),
         )
 
 
@@ -162,8 +164,3 @@ def sample_descriptors(descriptors: Tensor, uv: Tensor) -> Tensor:
         descriptors, grid, mode="bilinear", padding_mode="border", align_corners=False
     )
     return F.normalize(sampled.squeeze(2).transpose(1, 2), dim=-1)
-
-
-def heat_cells(keypoint_logits: Tensor) -> Tensor:
-    """Probability of each pixel of each cell to be a keypoint, (B, 65, h, w) -> (B, 64, h, w)."""
-    return keypoint_logits.softmax(dim=1)[:, :-1]
