@@ -119,17 +119,25 @@ class FeatureNetwork(nn.Module):
         Args:
             image: (B, 1, H, W) float32, grey levels 0 to 255; H and W divisible by 32.
         """
-        x4 = self.level4(normalise_contrast(image))
+        x4 = self.see(image)
         x8 = self.level8(x4)
-        x16 = self.level16(x8)
-        x16 = self.fuse16(x16 + upsample2(self.level32(x16)))
-        fused = self.fuse8(x8 + upsample2(x16))
+        fused = self.fuse(x8)
         peaks = self.join_levels(x4, x8)
         return DenseFeatures(
             descriptors=self.descriptors(fused),
             peak_logits=self.peak_logits(peaks),
             score_logits=self.score(torch.cat([fused, peaks], dim=1)),
         )
+
+    def see(self, image: Tensor) -> Tensor:
+        """(B, 1, H, W) grey levels -> the 1/4 level."""
+        return self.level4(normalise_contrast(image))
+
+    def fuse(self, x8: Tensor) -> Tensor:
+        """The 1/8 level -> the same with what the two coarser ones know of the surroundings."""
+        x16 = self.level16(x8)
+        x16 = self.fuse16(x16 + upsample2(self.level32(x16)))
+        return self.fuse8(x8 + upsample2(x16))
 
     def join_levels(self, x4: Tensor, x8: Tensor) -> Tensor:
         """Apply `self.peaks` to the 1/4 level, folded 2 x 2, beside the 1/8 level.

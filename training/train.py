@@ -17,6 +17,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -30,7 +31,7 @@ from torch.utils.data import DataLoader
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
 from models.extractor import cell_peaks
-from models.network import CELL_PX, FeatureNetwork, sample_descriptors
+from models.network import CELL_PX, FeatureNetwork, NetworkConfig, sample_descriptors
 from training import losses, validate
 from training.config import TrainConfig, load_checkpoint, parse
 from training.data import ROOT, Scene, data_folder, load_scenes
@@ -146,7 +147,10 @@ def start_from(network: FeatureNetwork, checkpoint: str) -> None:
 
 
 def main(
-    config: TrainConfig, resume: str = "", scenes: tuple[list[Scene], list[Scene]] | None = None
+    config: TrainConfig,
+    resume: str = "",
+    scenes: tuple[list[Scene], list[Scene]] | None = None,
+    build: Callable[[NetworkConfig], FeatureNetwork] = FeatureNetwork,
 ) -> Path:
     """Train, and return the path of the last checkpoint.
 
@@ -154,6 +158,7 @@ def main(
         config: Every choice; on resume that of the checkpoint, with the caller's changes.
         resume: Checkpoint to go on from.
         scenes: To train and to validate on; read from the folders when not given.
+        build: Makes the network; ablations build variants.
     """
     torch.set_num_threads(config.threads)
     cv2.setNumThreads(1)  # the loader's processes are the parallelism
@@ -179,7 +184,7 @@ def main(
     team.say(f"upright SIFT on the kept-aside views: {sift}")
 
     # network, optimizer, and where we are
-    network = FeatureNetwork(config.network).to(device, memory_format=torch.channels_last)
+    network = build(config.network).to(device, memory_format=torch.channels_last)
     if config.init and not resume:
         start_from(network, config.init)
     average_fn = get_ema_multi_avg_fn(config.average_decay)
