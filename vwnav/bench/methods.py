@@ -23,6 +23,7 @@ LOWE_RATIO = 0.9
 OPENCV_SIFT = "sift_turning"  # OpenCV's SIFT as its users call it: what times are compared with
 XFEAT = "xfeat"
 PACKED_SUFFIX = "_packed"
+INT8_SUFFIX = "_int8"
 
 Extract = Callable[[Gray, int], Features]
 Match = Callable[[Features, Features], NDArray[np.int64]]
@@ -111,11 +112,11 @@ def match_packed(frame: Features, map_: Features) -> NDArray[np.int64]:
 
 
 def _learned(path: Path, skipped: list[str]) -> FeatureSet:
-    name = path.stem
-    methods = [Method(name), Method(name + PACKED_SUFFIX, match_packed)]
-    return FeatureSet(
-        name, LearnedFeatures(path).extract, methods, _cost(path.read_bytes(), skipped)
-    )
+    name, learned = path.stem, LearnedFeatures(path)
+    methods = [Method(name)]
+    if not name.endswith(INT8_SUFFIX):
+        methods.append(Method(name + PACKED_SUFFIX, match_packed))
+    return FeatureSet(name, learned.extract, methods, _cost(path.read_bytes(), skipped))
 
 
 def _cost(graph: bytes, skipped: list[str]) -> GraphCost | None:

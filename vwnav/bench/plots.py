@@ -53,7 +53,9 @@ def _bars(axis: Any, report: Report, title: str, value: Callable[[Score], float 
         heights = [value(report.groups[group][name]) for group in groups]
         places = [k + (index - (len(names) - 1) / 2.0) * width for k in range(len(groups))]
         axis.bar(places, heights, width, label=name, color=_COLOURS[index % len(_COLOURS)])
-    axis.set_xticks(range(len(groups)), [group.replace("_", "\n", 1) for group in groups], size="small")
+    axis.set_xticks(
+        range(len(groups)), [group.replace("_", "\n", 1) for group in groups], size="small"
+    )
     axis.set_title(title, loc="left")
     axis.spines[["top", "right"]].set_visible(False)
 
