@@ -53,15 +53,15 @@ def as_json(report: Report) -> dict[str, object]:
 def tables(report: Report) -> Iterator[Table]:
     """One for each group, one for cost and time, one for the thesis."""
     for name, scores in report.groups.items():
-        yield _group_table(name, report.units.get(name, "px, m"), scores)
+        yield _group_table(name, report.units.get(name, "px|m"), scores)
     yield _cost_table(report)
     yield _thesis_table(report)
 
 
 def _group_table(name: str, unit: str, scores: dict[str, Score]) -> Table:
     scenes = next(iter(scores.values())).scenes
-    columns = ["points", "matches", "inliers", "right %", "error px", "repeated %"]
-    columns += ["AUC@1", "AUC@3", "AUC@5", f"<3 {unit} %", f"<8 {unit} %", f"off {unit}"]
+    columns = ["points", "matches", "inliers", "right %", "error px", "rep %"]
+    columns += ["AUC@1", "AUC@3", "AUC@5", f"<3 {unit}", f"<8 {unit}", f"off {unit}"]
     table = _table(f"{name}: {scenes} scenes", ["features", *columns])
     for method, each in scores.items():
         auc = [None] * 3 if each.auc is None else list(each.auc.values())
@@ -121,7 +121,7 @@ def _thesis_table(report: Report) -> Table:
 
 
 def _table(title: str, columns: list[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index == 0 else "right", no_wrap=True)
     return table

@@ -9,7 +9,7 @@ import typer
 
 from vwnav.cli.screen import progress_bar, say
 
-_WIDTH = 130
+_WIDTH = 120
 
 app = typer.Typer(no_args_is_help=True, help="Measure: every feature set on the same scenes.")
 
