@@ -53,7 +53,7 @@ def as_json(report: Report) -> dict[str, object]:
 def tables(report: Report) -> Iterator[Table]:
     """One for each group, one for cost and time, one for the thesis."""
     for name, scores in report.groups.items():
-        yield _group_table(name, report.units.get(name, "px|m"), scores)
+        yield _group_table(name, report.units.get(name, ""), scores)
     yield _cost_table(report)
     yield _thesis_table(report)
 
@@ -61,7 +61,8 @@ def tables(report: Report) -> Iterator[Table]:
 def _group_table(name: str, unit: str, scores: dict[str, Score]) -> Table:
     scenes = next(iter(scores.values())).scenes
     columns = ["points", "matches", "inliers", "right %", "error px", "rep %"]
-    columns += ["AUC@1", "AUC@3", "AUC@5", f"<3 {unit}", f"<8 {unit}", f"off {unit}"]
+    columns += ["AUC@1", "AUC@3", "AUC@5"]
+    columns += [f"{what} {unit}".strip() for what in ("<3", "<8", "off")]
     table = _table(f"{name}: {scenes} scenes", ["features", *columns])
     for method, each in scores.items():
         auc = [None] * 3 if each.auc is None else list(each.auc.values())
