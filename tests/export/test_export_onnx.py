@@ -8,8 +8,9 @@ import torch
 from export import export_onnx, parity
 from models.extractor import Extractor
 
-RELEASED = Path(__file__).resolve().parents[2] / "models" / "vwnav_default.onnx"
-needs_release = pytest.mark.skipif(not RELEASED.exists(), reason="no released weights in models/")
+MODELS = Path(__file__).resolve().parents[2] / "models"
+RELEASED = sorted(MODELS.glob("vwnav_*.onnx"))
+each_release = pytest.mark.parametrize("released", RELEASED, ids=lambda path: path.stem)
 
 
 def run(session, image, max_keypoints):
@@ -102,9 +103,9 @@ def test_a_released_checkpoint_forgets_where_the_data_were(checkpoint, tmp_path)
     assert b"/home/somebody" not in output.read_bytes()
 
 
-@needs_release
-def test_the_released_graph_keeps_the_contract():
-    session = parity.open_session(RELEASED)
+@each_release
+def test_a_released_graph_keeps_the_contract(released):
+    session = parity.open_session(released)
     assert session.get_modelmeta().custom_metadata_map["feature_set_id"].startswith("vwnav-learned")
     for height, width in ((256, 448), (480, 640), (32, 32)):
         image = np.random.default_rng(0).integers(0, 255, (height, width)).astype(np.uint8)
@@ -114,9 +115,10 @@ def test_the_released_graph_keeps_the_contract():
         np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1.0, atol=1e-4)
 
 
-@needs_release
-def test_the_card_and_the_checkpoint_are_those_of_the_released_graph():
-    metadata = parity.open_session(RELEASED).get_modelmeta().custom_metadata_map
-    network = export_onnx.load_network(RELEASED.with_suffix(".ckpt"))
-    assert metadata["feature_set_id"] in RELEASED.with_suffix(".md").read_text()
+@each_release
+def test_card_and_checkpoint_are_those_of_a_released_graph(released):
+    metadata = parity.open_session(released).get_modelmeta().custom_metadata_map
+    float_model = released.with_stem(released.stem.removesuffix("_int8"))
+    network = export_onnx.load_network(float_model.with_suffix(".ckpt"))
+    assert metadata["feature_set_id"] in float_model.with_suffix(".md").read_text()
     assert metadata["feature_set_id"] == export_onnx.feature_set_id(network)

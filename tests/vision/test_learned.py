@@ -37,6 +37,15 @@ def test_the_released_model_says_which_set_it_makes(learned):
     assert released_model().is_file()
 
 
+def test_released_weights_are_found_by_name(learned):
+    assert LearnedFeatures(Path("default")).feature_set_id == learned.feature_set_id
+
+
+def test_a_name_that_is_not_released_is_told_what_is(tmp_path: Path):
+    with pytest.raises(ModelError, match=r"no model at huge: .* or one of default"):
+        LearnedFeatures(Path("huge"))
+
+
 def test_a_missing_model_is_one_line(tmp_path: Path):
     with pytest.raises(ModelError, match=r"no model at .*none\.onnx"):
         LearnedFeatures(tmp_path / "none.onnx")

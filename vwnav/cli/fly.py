@@ -50,7 +50,9 @@ def fly(
     home_sigma_m: float = typer.Option(5.0, min=0.5, help="How well home is known."),
     wind_m_s: float = typer.Option(5.0, min=0.0, max=15.0, help="With --sim: mean wind, gusty."),
     seed: int = typer.Option(1, help="With --sim: of wind and sensor noise."),
-    model: Path | None = typer.Option(None, help="Another ONNX model for the learned features."),
+    model: Path | None = typer.Option(
+        None, help="Learned features of another size (nano) or ONNX file."
+    ),
     config_path: Path | None = typer.Option(None, "--config", help="Settings (TOML)."),
     output: Path | None = typer.Option(None, "-o", "--output", help="Folder of the results."),
 ) -> None:

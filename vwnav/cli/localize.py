@@ -34,7 +34,9 @@ def localize(
     yaw_deg: float | None = typer.Option(None, help="Heading of the pictures' upper edge."),
     agl_m: float | None = typer.Option(None, min=1.0, help="Height above the ground."),
     features: str = typer.Option("learned", help="learned, sift or orb."),
-    model: Path | None = typer.Option(None, help="Another ONNX model for the learned features."),
+    model: Path | None = typer.Option(
+        None, help="Learned features of another size (nano) or ONNX file."
+    ),
     json_lines: bool = typer.Option(False, "--json", help="One JSON object per picture."),
 ) -> None:
     """Find where pictures were taken on a map.

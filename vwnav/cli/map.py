@@ -53,7 +53,7 @@ def build(
         Path | None, typer.Option(help="Elevation raster, metres above sea level.")
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="Another ONNX model for the learned features.")
+        Path | None, typer.Option(help="Learned features of another size (nano) or ONNX file.")
     ] = None,
 ) -> None:
     """Make a map pack: tiles of several levels, and the features to find pictures in them.

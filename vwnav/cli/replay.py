@@ -12,7 +12,9 @@ def replay(
     hfov_deg: float | None = typer.Option(None, help="Horizontal field of view instead of it."),
     telemetry: Path | None = typer.Option(None, help="Attitude and height: CSV, ULog or tlog."),
     features: str = typer.Option("learned", help="learned, sift or orb."),
-    model: Path | None = typer.Option(None, help="Another ONNX model for the learned features."),
+    model: Path | None = typer.Option(
+        None, help="Learned features of another size (nano) or ONNX file."
+    ),
     config_path: Path | None = typer.Option(None, "--config", help="Settings (TOML)."),
     output: Path | None = typer.Option(None, "-o", "--output", help="Folder of the results."),
 ) -> None:

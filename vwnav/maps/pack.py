@@ -1,6 +1,7 @@
 """The map as it is read in flight: sqlite3, numpy and OpenCV, only the tiles that are asked for."""
 
 import logging
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -280,7 +281,9 @@ class MapPack:
     def _repair_command(self, extractor: FeatureExtractor) -> str:
         names = {info.name for info in self.feature_sets} | {extractor.name}
         ordered = ",".join(name for name in FEATURE_NAMES if name in names)
-        return f"vwnav map build {self.path} -o {self.path} --features {ordered}"
+        command = f"vwnav map build {self.path} -o {self.path} --features {ordered}"
+        size = re.match(r"vwnav-learned-(\w+)-", extractor.feature_set_id)
+        return command if size is None or size[1] == "default" else f"{command} --model {size[1]}"
 
     def _tile_picture(self, tile: Tile) -> Picture | None:
         with self._lock:

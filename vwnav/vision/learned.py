@@ -15,25 +15,47 @@ from vwnav.vision.checks import check_gray
 
 SIZE_MULTIPLE_PX = 32  # the graph halves the picture five times
 BORDER_PX = 4  # the graph finds nothing nearer to an edge; here the same at edges it cannot see
-RELEASED_NAME = "vwnav_default.onnx"
 _INPUTS = {"image": "tensor(uint8)", "max_keypoints": "tensor(int64)"}
 _OUTPUTS = ("keypoints", "scores", "descriptors")
 
 
-def released_model() -> Path:
-    """Where the released weights are: in an installed wheel, else in the source tree.
+def released_model(name: str = "default") -> Path:
+    """Where released weights are: in an installed wheel, else in the source tree.
+
+    Args:
+        name: size of the network, and precision where it is not float: "default", "nano", ...
 
     Raises:
         ModelError: in neither place.
     """
     package = Path(vwnav.__file__).parent
-    places = (package / "weights" / RELEASED_NAME, package.parent / "models" / RELEASED_NAME)
-    for place in places:
+    for folder in (package / "weights", package.parent / "models"):
+        place = folder / f"vwnav_{name}.onnx"
         if place.is_file():
             return place
     raise ModelError(
-        f"the released model {RELEASED_NAME} is missing: install vwnav again, "
+        f"the released model vwnav_{name}.onnx is missing: install vwnav again, "
         "or name a model with --model"
+    )
+
+
+def find_model(given: Path | None) -> Path:
+    """The file of a model: the one that is given, by path or released name, else the default.
+
+    Raises:
+        ModelError: there is none.
+    """
+    if given is None:
+        return released_model()
+    if given.is_file():
+        return given
+    released = sorted(
+        path.stem.removeprefix("vwnav_") for path in released_model().parent.glob("vwnav_*.onnx")
+    )
+    if str(given) in released:
+        return released_model(str(given))
+    raise ModelError(
+        f"no model at {given}: give the path of a vwnav .onnx file, or one of {', '.join(released)}"
     )
 
 
@@ -44,15 +66,14 @@ class LearnedFeatures:
         """Load a model and run it once.
 
         Args:
-            path: the ONNX file; the released weights when not given.
+            path: the ONNX file, or the name of released weights such as "nano"; "default" when
+                not given.
             threads: cores that one extraction may use.
 
         Raises:
             ModelError: missing, damaged, or not made by this project's export.
         """
-        self._path = released_model() if path is None else path
-        if not self._path.is_file():
-            raise ModelError(f"no model at {self._path}: give the path of a vwnav .onnx file")
+        self._path = find_model(path)
         self._session = _open(self._path, threads)
         self._feature_set_id = _check(self._session, self._path)
         # The first run allocates and compiles; and a graph that loads may still not run.
