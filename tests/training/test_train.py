@@ -101,8 +101,8 @@ def test_without_pictures_training_says_what_to_do(tmp_path):
 def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(
     drawn_scenes, tmp_path
 ):
-    config = replace(SHORT, out=str(tmp_path), max_steps=100, batch_pairs=4, bfloat16=True)
-    config = replace(config, threads=2, loader_processes=1, log_every_steps=10)
+    config = replace(SHORT, out=str(tmp_path), max_steps=250, batch_pairs=4, bfloat16=True)
+    config = replace(config, threads=2, loader_processes=1, log_every_steps=25)
     path = train.main(config, scenes=(drawn_scenes, []))
     log = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True, usecols=range(10))
     matching = log["matching"][
@@ -112,7 +112,8 @@ def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(
     views = validate.calm_views(drawn_scenes, config.samples, 8)
     network = FeatureNetwork(config.network)
     before = validate.score_matches(validate.learned(network), views)
-    network.load_state_dict(load_checkpoint(path)["network"])
+    average = load_checkpoint(path)["average"]
+    network.load_state_dict({k: average[f"module.{k}"] for k in network.state_dict()})
     after = validate.score_matches(validate.learned(network), views)
     assert after.inliers > 1.5 * before.inliers
     assert after.precision > before.precision
