@@ -26,6 +26,7 @@ _DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
+_SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
 _LEAST_COS_TILT = 0.5
 
@@ -76,11 +77,32 @@ def _apply_displacement(
         turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
-    # The ground's height is left alone: noise in a way times a height pulls it to one side, and
-    # without fixes nothing would pull it back.
+    before = state
     displacement = _displacement(state, motion, anchor.yaw_rad, config)
-    state, innovation = fuse(state, displacement, considered=(States.TERRAIN.start,))
+    state, innovation = fuse(state, displacement)
+    if innovation.accepted:
+        state = _in_scale(before, state)
     return state, replace(innovation, parts=parts)
+
+
+def _in_scale(before: FilterState, after: FilterState) -> FilterState:
+    """The covariance after odometry, with what it changed tied to the scale it was measured in.
+
+    A correction d made of a way seen is d / AGL heights long: had the AGL another error e, it would
+    be longer by d e / AGL. So the errors of what it changed grow by that (the reset Jacobian of an
+    error state that scales). Without it the way believed and its correlation with the AGL part,
+    and the next pictures seem to say how high the camera is, which no picture can.
+    """
+    agl_m = max(float(-after.x[_ANCHOR_DOWN] - after.x[States.TERRAIN][0]), _LEAST_AGL_M)
+    per_m = np.zeros(States.SIZE)
+    change = after.x - before.x
+    per_m[_SCALED] = change[_SCALED] / agl_m
+    per_m[_DOWN] = (change[_DOWN] - change[_ANCHOR_DOWN]) / agl_m
+    P = after.P
+    by_agl = -(P[:, _ANCHOR_DOWN] + P[:, States.TERRAIN.start])
+    variance = -(by_agl[_ANCHOR_DOWN] + by_agl[States.TERRAIN.start])
+    tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
+    return replace(after, P=P + tied + tied.T)
 
 
 def _turn(
@@ -109,16 +131,18 @@ def _displacement(
     agl_m = max(float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0]), _LEAST_AGL_M)
     c, s = math.cos(x[_ANCHOR_YAW]), math.sin(x[_ANCHOR_YAW])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    way_per_agl: Array = turn @ motion.displacement_ned_m / motion.agl_m
-    way_m = agl_m * way_per_agl
+    way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
+    # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
+    # residual and gain alike, and every picture would pull height and place to the same side.
+    predicted_m: Array = x[States.POSITION] - x[States.ANCHOR_POSITION]
     H = np.zeros((3, States.SIZE))
     H[:, States.POSITION] = np.eye(3)
     H[:, States.ANCHOR_POSITION] = -np.eye(3)
-    H[:, _ANCHOR_DOWN] += way_per_agl
-    H[:, States.TERRAIN.start] = way_per_agl
-    H[:, _ANCHOR_YAW] = -way_m[1], way_m[0], 0.0
+    H[:, _ANCHOR_DOWN] += predicted_m / agl_m
+    H[:, States.TERRAIN.start] = predicted_m / agl_m
+    H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
     c, s = math.cos(yaw_rad - x[_ANCHOR_YAW]), math.sin(yaw_rad - x[_ANCHOR_YAW])
-    by_tilt = -skew(way_m)[:, :2] @ np.array([[c, -s], [s, c]])
+    by_tilt = -skew(predicted_m)[:, :2] @ np.array([[c, -s], [s, c]])
     H[:, States.TILT] = by_tilt
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
