@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
     Event,
@@ -28,17 +29,17 @@ _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
 _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
+_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _LEAST_COS_TILT = 0.5
 
 
-def apply(
-    state: FilterState, event: Event, attitudes: AttitudeHistory, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
+def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
     """The state after an event, and what the event said. `event.t_s` is not before the state's."""
-    state = predict(state, event.t_s, attitudes, config)
+    state = predict(state, event.t_s, context)
+    attitudes, config = context.attitudes, context.config
     match event:
         case NedFix():
-            return apply_fix(state, event, attitudes, config)
+            return apply_fix(state, event, context)
         case Displacement(motion):
             return _apply_displacement(state, motion, attitudes, config)
         case Keyframe():
@@ -141,12 +142,21 @@ def _displacement(
     H[:, _ANCHOR_DOWN] += predicted_m / agl_m
     H[:, States.TERRAIN.start] = predicted_m / agl_m
     H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
-    c, s = math.cos(yaw_rad - x[_ANCHOR_YAW]), math.sin(yaw_rad - x[_ANCHOR_YAW])
-    by_tilt = -skew(predicted_m)[:, :2] @ np.array([[c, -s], [s, c]])
+    yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
+    level0, level1 = _level_axes(yaw0_rad), _level_axes(yaw0_rad + motion.yaw_increment_rad)
+    by_tilt = -skew(predicted_m)[:, :2] @ level0
+    # In a turn the tilt error turns with the body; odometry takes a share of that for motion.
+    by_tilt[:2] += config.odometry_tilt_share * agl_m * _QUARTER_TURN @ (level1 - level0)
     H[:, States.TILT] = by_tilt
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     return Measurement(residual, H, scale * turn @ motion.covariance_ned_m2 @ turn.T)
+
+
+def _level_axes(yaw_rad: float) -> Array:
+    """(2, 2) the body's level forward and right, north and east, as columns."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s], [s, c]])
 
 
 def _apply_height(

@@ -53,7 +53,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 17) and noise R (m, m)."""
+    """A linearised measurement: residual (m,), its Jacobian H (m, 19) and noise R (m, m)."""
 
     residual: Array
     H: Array
