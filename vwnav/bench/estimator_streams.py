@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator_world import DT_S, Truth, World, ground_m
-from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, Innovation, NedFix
 from vwnav.geometry.rotations import rotation_from_vector, wrap_pi
 from vwnav.types import Array, Attitude, OdometryMotion
@@ -46,6 +45,22 @@ class Event:
     error_m: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The map's terrain heights: of another datum, and not quite right."""
+
+    world: World
+    offset_m: float
+    phases: tuple[float, float]
+
+    def __call__(self, north_m: float, east_m: float) -> float:
+        """Height of the ground."""
+        a, b = self.phases
+        wave = math.cos(north_m / 60.0 + a) * math.cos(east_m / 60.0 + b)
+        true_m = float(ground_m(np.array(north_m), np.array(east_m), self.world))
+        return true_m + self.offset_m + 2.0 * self.world.table_error_m * wave
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
     """All that a filter is told of one flight; `ground` is the map's terrain table."""
@@ -53,7 +68,7 @@ class Stream:
     truth: Truth
     events: list[Event]
     measured_yaw_rad: Array
-    ground: Ground | None = None
+    ground: Table | None = None
 
 
 def feed(ekf: Ekf, event: Event) -> Innovation:
@@ -251,14 +266,6 @@ def _map_error(world: World, truth: Truth, rng: np.random.Generator) -> Array:
     return np.stack([size_m * np.sum(np.cos(along + p), axis=1) for p in phases], axis=1)
 
 
-def _table(world: World, rng: np.random.Generator) -> Ground:
-    """The map's terrain heights: of another datum, and not quite right."""
-    offset_m = world.table_offset_m * float(rng.normal())
-    phases = rng.uniform(0.0, 2.0 * math.pi, 2)
-
-    def height_m(north_m: float, east_m: float) -> float:
-        wave = math.cos(north_m / 60.0 + phases[0]) * math.cos(east_m / 60.0 + phases[1])
-        true_m = float(ground_m(np.array(north_m), np.array(east_m), world))
-        return true_m + offset_m + 2.0 * world.table_error_m * wave
-
-    return height_m
+def _table(world: World, rng: np.random.Generator) -> Table:
+    phases = rng.uniform(0.0, 2.0 * math.pi, 2).tolist()
+    return Table(world, world.table_offset_m * float(rng.normal()), (phases[0], phases[1]))

@@ -49,7 +49,7 @@ class World:
     yaw_bias_deg: float = 5.0
     yaw_walk_deg: float = 0.05  # per root second
     yaw_step_deg: float = 0.0  # of the compass, at yaw_step_s
-    yaw_step_s: float = math.inf
+    yaw_step_s: float = 1e9
     # Barometer
     baro_drift_m: float = 3.0  # over the flight, either way
     baro_noise_m: float = 0.2

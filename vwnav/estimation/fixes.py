@@ -175,8 +175,9 @@ def _apply_heading(
     if not state.heading_known:
         found = replace(_moved_along(state, measurement, jump), heading_known=True)
         return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)
-    fused, innovation = fuse(state, measurement)
+    innovation = innovate(state, measurement)
     if innovation.accepted:
+        fused = correct(state, measurement, config.visual_weight)
         return replace(fused, disputed_headings=()), innovation
     dispute = Dispute(state.t_s, residual, measurement.R)
     disputes = remember(state.disputed_headings, dispute, config.dispute_window_s)

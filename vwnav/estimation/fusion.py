@@ -103,7 +103,7 @@ def _in_scale(before: FilterState, after: FilterState) -> FilterState:
     by_agl = -(P[:, _ANCHOR_DOWN] + P[:, States.TERRAIN.start])
     variance = -(by_agl[_ANCHOR_DOWN] + by_agl[States.TERRAIN.start])
     tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
-    return replace(after, P=P + tied + tied.T)
+    return replace(after, P=P + (tied + tied.T))
 
 
 def _turn(

@@ -19,6 +19,7 @@ _YAW = States.HEADING_BIAS.start
 _FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
 _MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
 _TERRAIN = States.TERRAIN.start
+_IDENTITY = np.eye(States.SIZE)
 _SLOPE_M = 2.0  # slopes of the terrain table are taken over twice this
 
 
@@ -71,7 +72,7 @@ def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tupl
     keep_tilt = math.exp(-dt_s / config.tilt_time_s)
     flown_m = math.hypot(x[_VN], x[_VE]) * dt_s
     keep_map = math.exp(-flown_m / config.map_length_m)
-    north, east = thrust.north + x[_AN], thrust.east + x[_AE]
+    north, east = thrust.north + float(x[_AN]), thrust.east + float(x[_AE])
     moved = x.copy()
     moved[States.POSITION] += dt_s * x[States.VELOCITY]
     moved[_N] += 0.5 * dt_s**2 * north
@@ -82,7 +83,7 @@ def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tupl
     moved[States.TILT] *= keep_tilt
     moved[States.MAP] *= keep_map
 
-    F = np.eye(States.SIZE)
+    F = _IDENTITY.copy()
     F[_N, _VN] = F[_E, _VE] = F[_D, _VD] = dt_s
     F[_N, _AN] = F[_E, _AE] = 0.5 * dt_s**2
     F[_VN, _AN] = F[_VE, _AE] = dt_s
