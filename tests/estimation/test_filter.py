@@ -152,7 +152,7 @@ def test_asking_changes_nothing():
 
 def test_on_a_linear_problem_it_is_the_kalman_filter():
     """A fix on a resting aircraft: position and variance of the textbook's scalar update."""
-    ekf = Ekf(EkfConfig())
+    ekf = Ekf(EkfConfig(map_sigma_m=1e-6))
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=2.0))
     ekf.handle_attitude(Attitude(0.0, LEVEL))
     ekf.handle_fix(NedFix(t_s=0.0, position_ne_m=np.array([1.0, 0.0]), covariance_ne_m2=np.eye(2)))
