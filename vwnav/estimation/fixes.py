@@ -139,12 +139,12 @@ def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
 
 def _on_other_ground(before: FilterState, after: FilterState, context: Context) -> FilterState:
     """After a jump the ground below is that of the other place, as far as the table knows."""
-    old_ne, new_ne = before.x[_NE].tolist(), after.x[_NE].tolist()
-    rise_m = context.rise_m((old_ne[0], old_ne[1]), (new_ne[0], new_ne[1]))
-    if rise_m is None:
+    (n0, e0), (n1, e1) = before.x[_NE].tolist(), after.x[_NE].tolist()
+    old, new = context.patch(n0, e0), context.patch(n1, e1)
+    if old is None or new is None:
         return after
     x = after.x.copy()
-    x[_TERRAIN] += rise_m
+    x[_TERRAIN] += new.height_m - old.height_m
     return replace(after, x=x)
 
 

@@ -20,7 +20,6 @@ _FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
 _MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
 _TERRAIN = States.TERRAIN.start
 _IDENTITY = np.eye(States.SIZE)
-_SLOPE_M = 2.0  # slopes of the terrain table are taken over twice this
 
 
 def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
@@ -107,24 +106,15 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
     """
     if context.ground is None:
         return False
-    before, after = (x[_N], x[_E]), (moved[_N], moved[_E])
-    rise_m = context.rise_m(before, after)
-    slope0, slope1 = _slope(before, context), _slope(after, context)
-    if rise_m is None or slope0 is None or slope1 is None:
+    before = context.patch(float(x[_N]), float(x[_E]))
+    after = context.patch(float(moved[_N]), float(moved[_E]))
+    if before is None or after is None:
         return False
-    moved[_TERRAIN] += rise_m
-    F[_TERRAIN, _N], F[_TERRAIN, _E] = slope1[0] - slope0[0], slope1[1] - slope0[1]
-    F[_TERRAIN, _VN], F[_TERRAIN, _VE] = slope1[0] * dt_s, slope1[1] * dt_s
+    moved[_TERRAIN] += after.height_m - before.height_m
+    F[_TERRAIN, _N] = after.per_north - before.per_north
+    F[_TERRAIN, _E] = after.per_east - before.per_east
+    F[_TERRAIN, _VN], F[_TERRAIN, _VE] = after.per_north * dt_s, after.per_east * dt_s
     return True
-
-
-def _slope(ne: tuple[float, float], context: Context) -> tuple[float, float] | None:
-    north, east = ne
-    by_north = context.rise_m((north - _SLOPE_M, east), (north + _SLOPE_M, east))
-    by_east = context.rise_m((north, east - _SLOPE_M), (north, east + _SLOPE_M))
-    if by_north is None or by_east is None:
-        return None
-    return by_north / (2.0 * _SLOPE_M), by_east / (2.0 * _SLOPE_M)
 
 
 def _process_noise(dt_s: float, flown_m: float, ground_known: bool, config: EkfConfig) -> Array:

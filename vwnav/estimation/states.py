@@ -84,10 +84,13 @@ class EkfConfig:
         return replace(
             self,
             acceleration_noise_m_s2=1.5,
+            vertical_noise_m_s2=1.0,
+            acceleration_sigma_m_s2=1.5,
             heading_walk_rad=math.radians(0.5),
             tilt_sigma_rad=math.radians(0.01),
             heading_sigma_rad=math.pi,
             thrust_aided=False,
+            odometry_tilt_share=0.0,
             odometry_turns_attitude=True,
         )
 
