@@ -13,7 +13,8 @@ from vwnav.bench.estimator_scores import position_nees
 from vwnav.bench.estimator_streams import Stream, feed, sense
 from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
-from vwnav.types import Attitude, OdometryMotion
+from vwnav.estimation.states import States
+from vwnav.types import Attitude, ImuSample, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 USUAL = World(seconds=90.0)
@@ -108,6 +109,46 @@ def test_height_above_a_hill_of_40_m_comes_from_the_terrain_table():
     ratio = np.abs(rows.error_agl_m / rows.agl_m)
     assert np.ptp(rows.agl_m[rows.t_s > 40.0]) > 25.0
     assert np.sqrt(np.mean(ratio[rows.t_s > 40.0] ** 2)) < 0.03
+
+
+def test_the_imu_is_used_where_it_is_streamed():
+    """Between pictures the accelerometer knows better than thrust and drag do."""
+    world = replace(USUAL, seconds=60.0, hover_share=0.0)
+    errors = []
+    for imu_hz in (0.0, 50.0):
+        rows = play(stream_of(replace(world, imu_hz=imu_hz), 1)).rows
+        errors.append(np.sqrt(np.mean(rows.error_v_m_s[rows.t_s > 30.0, :2] ** 2)))
+    assert errors[1] < 0.85 * errors[0]
+
+
+def test_an_accelerometer_bias_is_found():
+    ekf = _flying()
+    for i in range(1, 2000):
+        t = 1.0 + 0.01 * i
+        ekf.handle_attitude(Attitude(t, LEVEL))
+        ekf.handle_imu(ImuSample(t, np.array([0.0, 0.0, -9.80665 + 0.2]), np.zeros(3)))
+        if i % 10 == 0:
+            ekf.handle_height(t, 50.0)
+    assert ekf.state.x[States.ACCELEROMETER_BIAS][2] == pytest.approx(0.2, abs=0.05)
+
+
+def test_nothing_grows_that_should_not_in_a_long_hover():
+    """Ten minutes of barometer and odometry without a fix: what they bound stays bounded."""
+    ekf = _flying()
+    cov = np.eye(3) * 0.03**2
+    for i in range(1, 6001):
+        t = 1.0 + 0.1 * i
+        ekf.handle_attitude(Attitude(t, LEVEL))
+        ekf.handle_height(t, 50.0)
+        ekf.handle_odometry(OdometryMotion(1.1, t, np.zeros(3), cov, 0.0, 0.003, 50.0, 99))
+    P = ekf.state.P
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P)[0] > 0.0
+    found = ekf.estimate(t)
+    assert np.linalg.norm(found.quat_wxyz) == pytest.approx(1.0, abs=1e-12)
+    assert np.hypot(*found.position_ned_m[:2]) < 0.1
+    assert found.sigma_horizontal_m < 2.5
+    assert np.sqrt(P[3, 3]) < 0.2
 
 
 def test_a_wrong_start_is_left_only_when_fixes_agree():

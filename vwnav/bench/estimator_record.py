@@ -13,11 +13,12 @@ from vwnav.drivers.recorder import plain
 from vwnav.drivers.recording import read_recording
 from vwnav.errors import SourceError
 from vwnav.estimation.ekf import NedFix
-from vwnav.types import Array, Attitude, OdometryMotion
+from vwnav.types import Array, Attitude, ImuSample, OdometryMotion
 
 _SENSORS, _TABLE = "/sensors", "/table"
 _KINDS: dict[str, type[Any]] = {
-    "attitude": Attitude, "height": HeightSeen, "odometry": OdometryMotion, "fix": NedFix,
+    "attitude": Attitude, "imu": ImuSample, "height": HeightSeen, "odometry": OdometryMotion,
+    "fix": NedFix,
 }  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

@@ -42,13 +42,19 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A flight through the filter. `answers`: each event with what the filter said of it."""
+    """A flight through the filter.
+
+    Attributes:
+        answers: each event with what the filter said of it. cost_s: (n,) processor time of each.
+        busy_s: processor time of all, estimates included.
+    """
 
     stream: Stream
     rows: Rows
     estimates: list[Estimate]
     answers: list[tuple[Event, Innovation]]
     last: FilterState
+    cost_s: Array
     busy_s: float
 
 
@@ -61,7 +67,7 @@ def play(
 ) -> Run:
     """Play a stream into a new filter as it arrives, from standing on the ground.
 
-    `busy_s` is the processor time of the filter alone. `drop(event)` leaves events out.
+    `drop(event)` leaves events out.
     """
     ekf = Ekf(config or EkfConfig(), ground=stream.ground)
     ekf.initialise(
@@ -69,6 +75,7 @@ def play(
     )
     estimates: list[Estimate] = []
     answers: list[tuple[Event, Innovation]] = []
+    cost_s: list[float] = []
     begin_s = time.process_time()
     due, end_s = 1, float(stream.truth.t_s[-1])
     for event in stream.events:
@@ -77,10 +84,13 @@ def play(
         while due / rate_hz <= min(event.arrival_s, end_s):
             estimates.append(ekf.estimate(due / rate_hz))
             due += 1
+        event_s = time.process_time()
         answers.append((event, feed(ekf, event)))
+        cost_s.append(time.process_time() - event_s)
     busy_s = time.process_time() - begin_s
     assert ekf.state is not None
-    return Run(stream, against(stream.truth, estimates), estimates, answers, ekf.state, busy_s)
+    rows = against(stream.truth, estimates)
+    return Run(stream, rows, estimates, answers, ekf.state, np.array(cost_s), busy_s)
 
 
 def against(truth: Truth, estimates: list[Estimate]) -> Rows:

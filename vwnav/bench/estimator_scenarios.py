@@ -18,7 +18,7 @@ from vwnav.bench.estimator_scores import (
 )
 from vwnav.bench.estimator_streams import sense
 from vwnav.bench.estimator_world import World, fly
-from vwnav.estimation.ekf import EkfConfig
+from vwnav.estimation.ekf import EkfConfig, NedFix
 from vwnav.types import Array
 
 _BATCH = 10  # flights computed side by side
@@ -196,6 +196,22 @@ def judge_height(runs: list[Run]) -> list[Metric]:
     ]
 
 
+def judge_cost(runs: list[Run]) -> list[Metric]:
+    """Processor time, with the IMU streamed, 30 pictures a second and fixes half a second late."""
+    late_ms = np.concatenate(
+        [
+            1e3 * run.cost_s[[isinstance(event.seen, NedFix) for event, _ in run.answers]]
+            for run in runs
+        ]
+    )
+    busy_ms = 1e3 * sum(run.busy_s for run in runs) / sum(pictures(run) for run in runs)
+    return [
+        Metric("time per picture, all measurements", busy_ms, "ms", None, 1.0),
+        Metric("a fix 0.5 s late, median", float(np.median(late_ms)), "ms", None, 5.0),
+        Metric("a fix 0.5 s late, worst", float(np.max(late_ms)), "ms", None, 5.0),
+    ]
+
+
 # Sharp turns over 150 s, as the thesis flew them: up to half a turn, some soon after another.
 TURNS_DEG = (
     (0.0, 0.0), (35.0, 90.0), (45.0, 0.0), (55.0, 120.0), (62.0, -60.0), (72.0, 90.0),
@@ -208,6 +224,7 @@ _SHORT = World(seconds=130.0, hover_share=0.0)
 SCENARIOS = (
     Scenario("nominal", World(), judge_nominal),
     Scenario("outage", replace(_SHORT, outages_s=(_OUTAGE_S,)), judge_outage),
+    Scenario("imu", replace(_SHORT, imu_hz=50.0, outages_s=(_OUTAGE_S,)), judge_outage),
     Scenario("wrong", replace(_SHORT, wrong_share=0.05), judge_wrong),
     Scenario(
         "agreeing", replace(_SHORT, wrong_share=0.05, wrong_runs_s=_WRONG_RUNS_S), judge_wrong
@@ -219,6 +236,11 @@ SCENARIOS = (
         judge_turns,
     ),
     Scenario("baro", replace(_SHORT, baro_drift_m=3.0), judge_height),
+    Scenario(
+        "cost",
+        World(seconds=60.0, imu_hz=100.0, odometry_hz=30.0, fix_latency_s=(0.5, 0.5)),
+        judge_cost,
+    ),
     Scenario("hill", replace(_SHORT, height_m=80.0, hill_m=40.0, table=True), judge_height),
 )
 

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.estimator_world import DT_S, Truth, World, ground_m
+from vwnav.bench.estimator_world import DT_S, G_M_S2, Truth, World, ground_m
 from vwnav.estimation.ekf import Ekf, Innovation, NedFix
-from vwnav.geometry.rotations import rotation_from_vector, wrap_pi
-from vwnav.types import Array, Attitude, OdometryMotion
+from vwnav.geometry.rotations import rotation_from_quat, rotation_from_vector, wrap_pi
+from vwnav.types import Array, Attitude, ImuSample, OdometryMotion
 
 LEAST_FIX_AGL_M = 15.0
 LEAST_ODOMETRY_AGL_M = 1.5
 WRONG_IN_A_ROW = 10
 _ATTITUDE_LATE_S = 0.01
+_IMU_LATE_S = 0.012
 _HEIGHT_LATE_S = 0.03
 _ODOMETRY_LATE_S = 0.04
 _TILT_DRIFT_S = 20.0
@@ -33,7 +34,7 @@ class HeightSeen:
     height_m: float
 
 
-Seen = Attitude | HeightSeen | OdometryMotion | NedFix
+Seen = Attitude | ImuSample | HeightSeen | OdometryMotion | NedFix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +77,8 @@ def feed(ekf: Ekf, event: Event) -> Innovation:
     match event.seen:
         case Attitude():
             return ekf.handle_attitude(event.seen)
+        case ImuSample():
+            return ekf.handle_imu(event.seen)
         case HeightSeen(t_s, height_m):
             return ekf.handle_height(t_s, height_m)
         case OdometryMotion():
@@ -93,6 +96,8 @@ def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
         *_odometry(world, truth, errors, rng),
         *_fixes(world, truth, errors, rng),
     ]
+    if world.imu_hz > 0.0:
+        events += _imu(world, truth, rng)
     events.sort(key=lambda event: event.arrival_s)
     measured = truth.yaw_rad + errors.yaw
     return Stream(truth, events, measured, _table(world, rng) if world.table else None)
@@ -159,6 +164,19 @@ def _attitudes(truth: Truth, errors: _AttitudeErrors) -> list[Event]:
         Event(times[i] + _ATTITUDE_LATE_S, Attitude(times[i], errors.quats[i]))
         for i in range(0, len(times), 2)
     ]
+
+
+def _imu(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
+    acceleration = np.gradient(truth.velocity_ned_m_s, truth.t_s, axis=0)
+    bias = world.imu_bias_m_s2 * rng.normal(size=3)
+    events = []
+    for i in range(0, len(truth.t_s), round(1.0 / world.imu_hz / DT_S)):
+        R_ned_body = rotation_from_quat(truth.quat_wxyz[i])
+        force = R_ned_body.T @ (acceleration[i] - [0.0, 0.0, G_M_S2])
+        force += bias + world.imu_noise_m_s2 * rng.normal(size=3)
+        t_s = float(truth.t_s[i])
+        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, np.zeros(3))))
+    return events
 
 
 def _heights(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:

@@ -50,6 +50,10 @@ class World:
     yaw_walk_deg: float = 0.05  # per root second
     yaw_step_deg: float = 0.0  # of the compass, at yaw_step_s
     yaw_step_s: float = 1e9
+    # IMU, where it is streamed
+    imu_hz: float = 0.0
+    imu_bias_m_s2: float = 0.1
+    imu_noise_m_s2: float = 0.5  # of a sample: rotors shake it
     # Barometer
     baro_drift_m: float = 3.0  # over the flight, either way
     baro_noise_m: float = 0.2

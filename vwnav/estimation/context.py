@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.imu import ImuHistory
 from vwnav.estimation.states import EkfConfig
 
 # Height of the ground in metres at (north, east) about the origin, None where it is not known.
@@ -25,10 +26,11 @@ class Patch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """Handed to every step; the attitudes grow, the rest stays."""
+    """Handed to every step; attitudes and IMU samples grow, the rest stays."""
 
     config: EkfConfig
     attitudes: AttitudeHistory
+    imu: ImuHistory
     ground: Ground | None = None
     _nodes: dict[tuple[int, int], float | None] = field(default_factory=dict)
 

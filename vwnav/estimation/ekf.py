@@ -21,6 +21,7 @@ from vwnav.estimation.events import (
     Stationary,
 )
 from vwnav.estimation.fusion import apply
+from vwnav.estimation.imu import ImuHistory
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
 from vwnav.estimation.timeline import Timeline
@@ -30,7 +31,7 @@ from vwnav.geometry.rotations import (
     rotation_from_quat,
     rotation_from_vector,
 )
-from vwnav.types import Array, Attitude, Estimate, OdometryMotion
+from vwnav.types import Array, Attitude, Estimate, ImuSample, OdometryMotion
 
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 
@@ -54,7 +55,8 @@ class Ekf:
         """
         self._config = config
         self._attitudes = AttitudeHistory(config.history_s + _ATTITUDE_MARGIN_S)
-        self._context = Context(config, self._attitudes, ground)
+        self._imu = ImuHistory(self._attitudes, config.history_s + _ATTITUDE_MARGIN_S)
+        self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
 
@@ -89,6 +91,20 @@ class Ekf:
             return Innovation(Verdict.AHEAD)
         self._attitudes.add(attitude)
         return Innovation(Verdict.FUSED)
+
+    def handle_imu(self, sample: ImuSample) -> Innovation:
+        """Take a sample of the IMU, in order of time and after the attitude of its moment.
+
+        While samples come, they move the estimate between measurements, instead of the attitude's
+        thrust and the slow acceleration.
+        """
+        finite = math.isfinite(sample.t_s) and np.shape(sample.specific_force_m_s2) == (3,)
+        if not finite or not np.all(np.isfinite(sample.specific_force_m_s2)):
+            return Innovation(Verdict.NOT_FINITE)
+        if self._timeline is not None and self._ahead(sample.t_s):
+            return Innovation(Verdict.AHEAD)
+        added = self._imu.add(sample)
+        return Innovation(Verdict.FUSED if added else Verdict.TOO_LATE)
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
         """Take the barometric height above the start, up positive."""

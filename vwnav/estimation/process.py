@@ -19,6 +19,7 @@ _YAW = States.HEADING_BIAS.start
 _FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
 _MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
 _TERRAIN = States.TERRAIN.start
+_BIAS_X, _BIAS_Y, _BIAS_Z = range(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
 _IDENTITY = np.eye(States.SIZE)
 
 
@@ -35,67 +36,80 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     return replace(state, t_s=t_s, x=x, P=P)
 
 
-@dataclass(frozen=True, slots=True)
-class _Thrust:
-    """Horizontal acceleration (north, east), and how it changes with forward and right tilt."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Felt:
+    """Acceleration (3,) NED of a step, and how it changes with forward and right tilt error.
 
-    north: float = 0.0
-    east: float = 0.0
+    `by_bias` (3, 3): with the accelerometer's bias; None when it comes from thrust, to which the
+    slow acceleration must be added.
+    """
+
+    acceleration: Array
     by_forward: tuple[float, float] = (0.0, 0.0)
     by_right: tuple[float, float] = (0.0, 0.0)
+    by_bias: Array | None = None
 
 
-def _thrust(x: Array, t_s: float, context: Context) -> _Thrust:
-    """From the attitude, with its heading bias and its tilt error taken out.
+def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
+    """From the IMU or else the thrust, with heading bias and tilt error of the attitude taken out.
 
     A tilt error d = (d_n, d_e) shows the thrust g (-d_e, d_n) off.
     """
-    if not context.config.thrust_aided:
-        return _Thrust()
-    quat = context.attitudes.quat_at(t_s)
-    north, east = thrust_acceleration(quat)
+    push = context.imu.between(t_s, t_s + dt_s)
+    if push is None and not context.config.thrust_aided:
+        return _Felt(np.array([float(x[_AN]), float(x[_AE]), 0.0]))
+    quat = context.attitudes.quat_at(t_s + 0.5 * dt_s)
     bias_rad = float(x[_YAW])
     cos_b, sin_b = math.cos(bias_rad), math.sin(bias_rad)
-    north, east = cos_b * north + sin_b * east, -sin_b * north + cos_b * east
+    unturn = np.array([[cos_b, sin_b, 0.0], [-sin_b, cos_b, 0.0], [0.0, 0.0, 1.0]])
+    by_bias = None
+    if push is None:
+        felt = unturn @ [*thrust_acceleration(quat), 0.0] + [float(x[_AN]), float(x[_AE]), 0.0]
+    else:
+        by_bias = -unturn @ push.rotation_s / dt_s
+        felt = unturn @ push.velocity_m_s / dt_s + by_bias @ x[States.ACCELEROMETER_BIAS]
+        felt[_D] += GRAVITY_M_S2
     yaw_rad = yaw_of(quat) - bias_rad
     c, s = GRAVITY_M_S2 * math.cos(yaw_rad), GRAVITY_M_S2 * math.sin(yaw_rad)
     forward, right = x[States.TILT].tolist()
-    return _Thrust(north + s * forward + c * right, east - c * forward + s * right, (s, -c), (c, s))
+    felt[:2] += s * forward + c * right, -c * forward + s * right
+    return _Felt(felt, (s, -c), (c, s), by_bias)
 
 
 def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tuple[Array, Array]:
     """One step of at most some tenths of a second: x' = f(x), P' = F P F^T + Q."""
     config = context.config
-    thrust = _thrust(x, t_s + 0.5 * dt_s, context)
+    felt = _felt(x, t_s, dt_s, context)
     keep = math.exp(-dt_s / config.acceleration_time_s)
     keep_tilt = math.exp(-dt_s / config.tilt_time_s)
     flown_m = math.hypot(x[_VN], x[_VE]) * dt_s
     keep_map = math.exp(-flown_m / config.map_length_m)
-    north, east = thrust.north + float(x[_AN]), thrust.east + float(x[_AE])
     moved = x.copy()
-    moved[States.POSITION] += dt_s * x[States.VELOCITY]
-    moved[_N] += 0.5 * dt_s**2 * north
-    moved[_E] += 0.5 * dt_s**2 * east
-    moved[_VN] += dt_s * north
-    moved[_VE] += dt_s * east
+    moved[States.POSITION] += dt_s * x[States.VELOCITY] + (0.5 * dt_s**2) * felt.acceleration
+    moved[States.VELOCITY] += dt_s * felt.acceleration
     moved[States.ACCELERATION] *= keep
     moved[States.TILT] *= keep_tilt
     moved[States.MAP] *= keep_map
 
     F = _IDENTITY.copy()
     F[_N, _VN] = F[_E, _VE] = F[_D, _VD] = dt_s
-    F[_N, _AN] = F[_E, _AE] = 0.5 * dt_s**2
-    F[_VN, _AN] = F[_VE, _AE] = dt_s
     F[_AN, _AN] = F[_AE, _AE] = keep
-    # A wrong heading turns the thrust's acceleration, a wrong tilt adds to it.
-    F[_VN, _YAW], F[_VE, _YAW] = dt_s * thrust.east, -dt_s * thrust.north
-    F[_VN, _FORWARD], F[_VE, _FORWARD] = (dt_s * by for by in thrust.by_forward)
-    F[_VN, _RIGHT], F[_VE, _RIGHT] = (dt_s * by for by in thrust.by_right)
+    if felt.by_bias is None:
+        F[_N, _AN] = F[_E, _AE] = 0.5 * dt_s**2
+        F[_VN, _AN] = F[_VE, _AE] = dt_s
+    else:
+        F[States.VELOCITY, States.ACCELEROMETER_BIAS] = dt_s * felt.by_bias
+    # A wrong heading turns the acceleration, a wrong tilt adds to it.
+    slow = (x[_AN], x[_AE]) if felt.by_bias is None else (0.0, 0.0)
+    F[_VN, _YAW] = dt_s * (felt.acceleration[1] - slow[1])
+    F[_VE, _YAW] = -dt_s * (felt.acceleration[0] - slow[0])
+    F[_VN, _FORWARD], F[_VE, _FORWARD] = (dt_s * by for by in felt.by_forward)
+    F[_VN, _RIGHT], F[_VE, _RIGHT] = (dt_s * by for by in felt.by_right)
     F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
     F[_MAP_N, _MAP_N] = F[_MAP_E, _MAP_E] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
     predicted = F @ P @ F.T
-    predicted += _process_noise(dt_s, flown_m, known, config)
+    predicted += _process_noise(dt_s, flown_m, known, felt.by_bias is not None, config)
     return moved, 0.5 * (predicted + predicted.T)
 
 
@@ -117,14 +131,17 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
     return True
 
 
-def _process_noise(dt_s: float, flown_m: float, ground_known: bool, config: EkfConfig) -> Array:
+def _process_noise(
+    dt_s: float, flown_m: float, ground_known: bool, imu: bool, config: EkfConfig
+) -> Array:
     """Q of one step: white acceleration, random walks, and what feeds the Gauss-Markov states."""
     Q = np.zeros((States.SIZE, States.SIZE))
-    for p, v, noise in (
-        (_N, _VN, config.acceleration_noise_m_s2),
-        (_E, _VE, config.acceleration_noise_m_s2),
-        (_D, _VD, config.vertical_noise_m_s2),
-    ):
+    level, vertical = config.acceleration_noise_m_s2, config.vertical_noise_m_s2
+    if imu:
+        level = vertical = config.imu_noise_m_s2
+        walk = config.accelerometer_walk_m_s2**2 * dt_s
+        Q[_BIAS_X, _BIAS_X] = Q[_BIAS_Y, _BIAS_Y] = Q[_BIAS_Z, _BIAS_Z] = walk
+    for p, v, noise in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
         q = noise**2
         Q[p, p] = q * dt_s**3 / 3.0
         Q[p, v] = Q[v, p] = q * dt_s**2 / 2.0

@@ -25,7 +25,8 @@ class States:
     ANCHOR_POSITION = slice(13, 16)  # m, NED, the position at the keyframe of odometry
     ANCHOR_HEADING_BIAS = slice(16, 17)  # rad, the heading bias at the keyframe
     MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
-    SIZE = 19
+    ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
+    SIZE = 22
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +42,9 @@ class EkfConfig:
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
+    imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
+    accelerometer_sigma_m_s2: float = 0.15  # bias at first
+    accelerometer_walk_m_s2: float = 0.003  # per root second
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.03  # the same where the map has terrain heights
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
@@ -117,7 +121,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (19,) see `States`. P: (19, 19) its covariance.
+        x: (22,) see `States`. P: (22, 22) its covariance.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """
@@ -182,6 +186,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.TILT] = config.tilt_sigma_rad**2
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
+    variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.MAP] = config.map_sigma_m**2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known)

@@ -56,7 +56,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 19) and noise R (m, m)."""
+    """A linearised measurement: residual (m,), its Jacobian H (m, 22) and noise R (m, m)."""
 
     residual: Array
     H: Array
@@ -93,7 +93,7 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the optimal gain K (19, m) for it."""
+    """What the measurement says, and the optimal gain K (22, m) for it."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
