@@ -4,28 +4,28 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.network import CELL_PX, FeatureNetwork, heat_cells, sample_descriptors
+from models.network import CELL_PX, FeatureNetwork, sample_descriptors
 
 WINDOW_PX = 5  # non-maximum suppression and sub-pixel refinement look at 5 x 5 pixels
 BORDER_PX = 4  # a keypoint nearer to the edge has half of its surroundings missing
 
 
-def gather_windows(heat: Tensor, uv: Tensor) -> Tensor:
-    """Cut 5 x 5 windows out of a heat map.
+def gather_windows(surface: Tensor, uv: Tensor) -> Tensor:
+    """Cut 5 x 5 windows out of a picture.
 
     Args:
-        heat: (B, 1, H, W).
+        surface: (B, 1, H, W).
         uv: (B, n, 2) int64, pixels inside the picture.
 
     Returns:
         (B, n, 25), row by row, zero outside of the picture.
     """
     radius = WINDOW_PX // 2
-    padded = F.pad(heat, (radius, radius, radius, radius))
+    padded = F.pad(surface, (radius, radius, radius, radius))
     width = padded.shape[-1]
     rows, columns = torch.meshgrid(
-        torch.arange(WINDOW_PX, device=heat.device),
-        torch.arange(WINDOW_PX, device=heat.device),
+        torch.arange(WINDOW_PX, device=surface.device),
+        torch.arange(WINDOW_PX, device=surface.device),
         indexing="ij",
     )
     offsets = (rows * width + columns).flatten()
@@ -35,33 +35,33 @@ def gather_windows(heat: Tensor, uv: Tensor) -> Tensor:
 
 
 def refine(uv: Tensor, windows: Tensor) -> Tensor:
-    """Move peaks to the centre of mass of the 3 x 3 heat around them; differentiable in the heat.
+    """Move peaks to the centre of mass of exp(logit) around them: sub-pixel and differentiable.
 
     Args:
         uv: (B, n, 2) int64, pixels.
-        windows: (B, n, 25), heat around each of them.
+        windows: (B, n, 25), peak logits around each of them.
 
     Returns:
         (B, n, 2) float32, pixels, centres at integers.
     """
-    inner = windows.view(*uv.shape[:2], WINDOW_PX, WINDOW_PX)[..., 1:4, 1:4]
-    total = inner.sum(dim=(-1, -2)) + 1e-9
-    du = (inner[..., 2] - inner[..., 0]).sum(dim=-1) / total
-    dv = (inner[..., 2, :] - inner[..., 0, :]).sum(dim=-1) / total
-    return uv.to(windows.dtype) + torch.stack([du, dv], dim=-1)
+    weights = windows.softmax(dim=-1)
+    steps = torch.arange(WINDOW_PX, device=windows.device) - WINDOW_PX // 2
+    dv, du = torch.meshgrid(steps, steps, indexing="ij")
+    offsets = torch.stack([du.flatten(), dv.flatten()], dim=-1).to(windows.dtype)
+    return uv.to(windows.dtype) + weights @ offsets
 
 
-def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor]:
     """Find the strongest pixel of every cell, and whether it is the strongest of its 5 x 5 window.
 
     One candidate per cell makes suppression cheap: it touches the full picture only there.
 
     Args:
-        cells: (B, 64, h, w), the heat of the 64 pixels of each cell, row by row.
+        cells: (B, 64, h, w), the peak logits of the 64 pixels of each cell, row by row.
 
     Returns:
-        Refined positions (B, h w, 2) float32 in pixels, heat (B, h w), and 1 or 0 for peaks to keep
-        or drop (B, h w).
+        Refined positions (B, h w, 2) float32 in pixels, and 1 or 0 for peaks to keep or drop
+        (B, h w) float32.
     """
     h, w = cells.shape[-2:]
     index = cells.permute(0, 2, 3, 1).contiguous().argmax(dim=-1)  # faster along memory
@@ -74,7 +74,7 @@ def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     inside = (u >= BORDER_PX) & (u < w * CELL_PX - BORDER_PX)
     inside &= (v >= BORDER_PX) & (v < h * CELL_PX - BORDER_PX)
     keep = (peak >= windows.amax(dim=-1)) & inside
-    return refine(uv, windows), peak, keep.to(peak.dtype)
+    return refine(uv, windows), keep.to(cells.dtype)
 
 
 class Extractor(nn.Module):
@@ -94,11 +94,12 @@ class Extractor(nn.Module):
 
         Returns:
             keypoints (n, 2) float32 as (u, v) in pixels, centres at integers; scores (n,)
-            descending; descriptors (n, D) of unit length; n <= max_keypoints.
+            descending, the probability of being found again and rightly matched; descriptors
+            (n, D) of unit length; n <= max_keypoints.
         """
         dense = self.network(image.to(torch.float32))
-        uv, heat, keep = cell_peaks(heat_cells(dense.keypoint_logits))
-        scores = (heat * dense.reliability_logits.flatten(1).sigmoid() * keep)[0]
+        uv, keep = cell_peaks(dense.peak_logits)
+        scores = (dense.score_logits.flatten(1).sigmoid() * keep)[0]
         # k depends on the data: the exporter wants a number, and to be told its bounds.
         count = torch.minimum(max_keypoints[0], keep.sum().to(torch.int64)).item()
         torch._check(count >= 0)

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from models.network import NETWORK_SIZES, NetworkConfig
+from training.data import Terms
 from training.photometric import PhotometricConfig
 from training.sampling import SampleConfig
 from training.warps import WarpConfig
@@ -21,6 +22,8 @@ class TrainConfig:
     out: str = "runs/default"
     data: str = ""  # empty: VWNAV_DATA, else ../shared/data
     sites: str = "runs/site_pairs"  # generated pairs, mixed in where there are any
+    terms: Terms = "all"  # "open": only pictures that anybody may use for anything
+    init: str = ""  # checkpoint whose weights a new run starts from, where they fit
     seed: int = 1
     network: NetworkConfig = field(default_factory=NetworkConfig)
     samples: SampleConfig = field(default_factory=SampleConfig)
@@ -36,10 +39,20 @@ class TrainConfig:
     average_decay: float = 0.999  # exported is a running mean of about the last 1000 steps
     # losses
     temperature: float = 0.07
-    keypoint_weight: float = 0.5
-    reliability_weight: float = 0.5
-    agreement_start: float = 0.2  # share of the run; from then on keypoints also teach themselves
-    agreement_share: float = 0.5  # of the batches from then on; the others stay with the corners
+    doubt_from: float = 0.3  # share of the run after which a network may doubt labels fully
+    matches: int = 192  # points per pair whose descriptors are compared
+    windows: int = 96  # per pair in which peaks are compared
+    near_px: float = 6.0  # descriptors so near to each other need not differ
+    sharpness_px: float = 0.6  # how exactly the peaks of two views shall agree
+    sharp_from: float = 0.3  # share of the run; before, two pixels less exactly at first
+    label_error_px: float = 3.0  # more, times a pair's label noise
+    same_px: float = 2.5  # keypoints of two views that are nearer mean the same place
+    right_px: float = 2.0  # a match nearer to the truth is right
+    agreement_weight: float = 1.0
+    corner_weight: float = 0.3  # of the teacher's corners at the start
+    corners_until: float = 0.25  # share of the run over which the teacher falls silent
+    reprojection_weight: float = 0.2
+    score_weight: float = 0.5
     # machine
     threads: int = 2
     loader_processes: int = 2
@@ -54,6 +67,20 @@ class TrainConfig:
 PRESETS = {
     "default": TrainConfig(),
     "nano": TrainConfig(out="runs/nano", network=NETWORK_SIZES["nano"], minutes=60.0),
+    # For a camera whose heading and height are hardly known.
+    "wide": TrainConfig(
+        out="runs/wide",
+        samples=SampleConfig(
+            warp=WarpConfig(
+                rotation_sigma_deg=20.0,
+                wide_rotation_share=0.3,
+                wide_rotation_deg=45.0,
+                scale_sigma=0.3,
+                scale_min=0.5,
+                scale_max=2.0,
+            )
+        ),
+    ),
     # Two minutes: shows that everything works, and that matching beats the untrained network.
     "smoke": TrainConfig(
         out="runs/smoke",
@@ -94,12 +121,48 @@ def parse(description: str, arguments: Sequence[str] | None = None) -> tuple[Tra
     add("--resume", default="", metavar="CHECKPOINT", help="go on from this checkpoint")
     add("--minutes", type=float, help="length of the run; the learning rate is cooled to fit")
     add("--max-steps", type=int, help="length of the run in steps")
+    add("--init", metavar="CHECKPOINT", help="start a new run from its weights")
     add("--seed", type=int, help="of weights and of samples")
     add("--data", help="folder that holds train/ and pairs.json")
+    add("--terms", choices=["all", "open"], help="which pictures, by their licence")
     add("--out", help="folder of the run, from the repository root")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any other choice, for example samples.matches=512",
+    )
     given = {k: v for k, v in vars(parser.parse_args(arguments)).items() if v is not None}
-    preset, resume = given.pop("preset"), given.pop("resume")
+    preset, resume, changes = given.pop("preset"), given.pop("resume"), given.pop("set")
     config = PRESETS[preset]
     if resume:
         config = config_from_saved(load_checkpoint(resume)["config"])
+    try:
+        for change in changes:
+            name, _, value = change.partition("=")
+            config = changed(config, name.split("."), value)
+    except (AttributeError, KeyError, ValueError) as error:
+        parser.error(f"--set {change}: {error}")
     return replace(config, **given), resume
+
+
+def changed(config: Any, path: list[str], text: str) -> Any:
+    """Copy a configuration with the value at `path` replaced by one read from `text`.
+
+    Raises:
+        AttributeError: there is no such choice.
+        KeyError: there is no such share.
+        ValueError: the text is not a value of its kind.
+    """
+    name, *deeper = path
+    old = config[name] if isinstance(config, dict) else getattr(config, name)
+    if deeper:
+        new = changed(old, deeper, text)
+    elif isinstance(old, str):
+        new = text
+    elif isinstance(old, bool):
+        new = {"true": True, "false": False}[text.lower()]
+    else:
+        new = type(old)(text)
+    return config | {name: new} if isinstance(config, dict) else replace(config, **{name: new})

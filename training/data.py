@@ -7,8 +7,9 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -18,6 +19,20 @@ from training.warps import FloatArray, Image
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
+Terms = Literal["all", "open"]
+# Sources whose pictures may be used for anything; generated pairs are, too.
+OPEN_SOURCES = {
+    "neon",
+    "neon_sjer",
+    "naip_nd",
+    "odm_boruszyn_kap",
+    "odm_data_caliterra",
+    "odm_data_copr",
+    "odm_data_garfield_msp",
+    "odm_data_seneca",
+}
+OVERLAP_WIDTH_PX = 640  # neighbouring frames are registered at about this width
+LEAST_OVERLAP_INLIERS = 60
 # Draws per pair: large pictures hold many crops, small ones few.
 PAIR_WEIGHTS = {"sztaki": 4.0, "cd_LEVIR": 4.0, "cd_WHU-CD": 3.0, "cd_levir256": 0.7}
 
@@ -26,7 +41,7 @@ PAIR_WEIGHTS = {"sztaki": 4.0, "cd_LEVIR": 4.0, "cd_WHU-CD": 3.0, "cd_levir256":
 class Scene:
     """Looks at one place: one picture, or several with homographies from the first."""
 
-    group: str  # "pair", "single", "drone", "series", "site"
+    group: str  # "pair", "single", "drone", "overlap", "series", "site"
     source: str
     pictures: list[Image]  # (H, W, 3) BGR
     H_i_0: list[FloatArray]  # takes points of picture 0 to picture i
@@ -126,6 +141,60 @@ def series(folder: Path) -> Iterator[Scene]:
         yield scene("series", place.name, pictures, label_noise=0.3)
 
 
+def overlapping(frames: list[Scene]) -> Iterator[Scene]:
+    """Register neighbouring frames of a drone flight: one place from two viewpoints.
+
+    SIFT and MAGSAC++ find the homography; the ground is not flat, so it is right to a few pixels.
+    Pairs with few inliers, or whose homography does not look like one plane seen twice from above,
+    are left out.
+    """
+    for first, second in pairwise(frames):
+        if first.source != second.source:
+            continue
+        H_b_a = register(first.pictures[0], second.pictures[0])
+        if H_b_a is not None:
+            yield scene(
+                "overlap",
+                first.source,
+                [first.pictures[0], second.pictures[0]],
+                H_i_0=[np.eye(3), H_b_a],
+                label_noise=0.3,
+            )
+
+
+def register(picture_a: Image, picture_b: Image) -> FloatArray | None:
+    """Homography b from a of two overlapping pictures, None where there is none to be sure of."""
+    found, scales = [], []
+    for picture in (picture_a, picture_b):
+        scale = min(1.0, OVERLAP_WIDTH_PX / picture.shape[1])
+        small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        keypoints, descriptors = cv2.SIFT_create(2000).detectAndCompute(small, None)
+        if descriptors is None or len(keypoints) < LEAST_OVERLAP_INLIERS:
+            return None
+        found.append((np.array([k.pt for k in keypoints]), descriptors))
+        scales.append(np.array([small.shape[1], small.shape[0]]) / picture.shape[1::-1])
+    (uv_a, descriptors_a), (uv_b, descriptors_b) = found
+    matches = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(descriptors_a, descriptors_b)
+    points_a, points_b = (
+        # half-pixel rule back to the full picture
+        (uv[index] + 0.5) / scale - 0.5
+        for uv, index, scale in zip(
+            (uv_a, uv_b),
+            ([m.queryIdx for m in matches], [m.trainIdx for m in matches]),
+            scales,
+            strict=True,
+        )
+    )
+    threshold_px = 3.0 / float(scales[1].mean())
+    H_b_a, inliers = cv2.findHomography(points_a, points_b, cv2.USAC_MAGSAC, threshold_px)
+    if H_b_a is None or inliers.sum() < LEAST_OVERLAP_INLIERS:
+        return None
+    height, width = picture_a.shape[:2]
+    corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+    sizes = [warps.local_scale(H_b_a, corner) for corner in corners]
+    return H_b_a if min(sizes) > 0.5 and max(sizes) < 2.0 else None
+
+
 def site_pairs(folder: Path) -> Iterator[Scene]:
     """Generated places in two looks, if `vwnav.sim` has left some."""
     for path_a in sorted(folder.glob("*_a.jpg")):
@@ -134,8 +203,15 @@ def site_pairs(folder: Path) -> Iterator[Scene]:
             yield scene("site", "site", [read(path_a), read(path_b)], label_noise=0.1)
 
 
-def load_scenes(folder: Path | None, sites: Path) -> tuple[list[Scene], list[Scene]]:
-    """Decode everything; every 12th real pair is kept for validation.
+def load_scenes(
+    folder: Path | None, sites: Path, terms: Terms = "all"
+) -> tuple[list[Scene], list[Scene]]:
+    """Decode everything; every 12th real pair is kept for validation, whatever the terms.
+
+    Args:
+        folder: the data folder, None for generated pairs alone.
+        sites: folder of generated pairs.
+        terms: "open" leaves out pictures whose licence restricts their use.
 
     Returns:
         Scenes to train on, scenes to validate on.
@@ -143,10 +219,14 @@ def load_scenes(folder: Path | None, sites: Path) -> tuple[list[Scene], list[Sce
     pairs = list(real_pairs(folder)) if folder else []
     training = [pair for i, pair in enumerate(pairs) if i % 12 != 5]
     if folder:
+        frames = list(single_pictures(folder, "drone"))
         training += [
             *single_pictures(folder, "single"),
-            *single_pictures(folder, "drone"),
+            *frames,
+            *overlapping(frames),
             *series(folder),
         ]
+    if terms == "open":
+        training = [s for s in training if s.source in OPEN_SOURCES]
     training += site_pairs(sites)
     return training, pairs[5::12]

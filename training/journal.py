@@ -12,7 +12,7 @@ from torch.utils.tensorboard import SummaryWriter
 from training.config import TrainConfig
 from training.validate import MatchScore
 
-LOSSES = ("total", "matching", "keypoint", "reliability", "matched")
+LOSSES = ("total", "matching", "agreement", "reprojection", "score", "repeated", "matched")
 SCORES = ("inliers", "precision", "located", "error_px")
 
 
@@ -23,7 +23,12 @@ class StopWatch:
         """Go on from `elapsed_s`."""
         self.elapsed_s = elapsed_s
         self.usual_s: float | None = None  # running mean of an iteration
+        self.waiting_s = 0.0  # running mean of what an iteration waits for its samples
         self._tick = time.monotonic()
+
+    def loaded(self) -> None:
+        """Note that the samples have come that this iteration waited for."""
+        self.waiting_s += 0.02 * (time.monotonic() - self._tick - self.waiting_s)
 
     def lap(self) -> None:
         """Count the time since the last call, but no more than five usual iterations."""
@@ -65,7 +70,9 @@ class Journal:
         told = "  ".join(f"{name} {value:.3f}" for name, value in self._recent.items())
         rate = 1 / (watch.usual_s or 1.0)
         head = f"step {step}  {100 * progress:.1f} %"
-        print(f"{head}  {told}  {rate:.1f} it/s  ETA {left_min:.0f} min", flush=True)
+        waiting = 100 * watch.waiting_s * rate
+        pace = f"{rate:.1f} it/s, {waiting:.0f} % of it loading"
+        print(f"{head}  {told}  {pace}  ETA {left_min:.0f} min", flush=True)
         values = [f"{self._recent[name]:.4f}" for name in LOSSES]
         self._csv.writerow([step, f"{watch.elapsed_s:.1f}", f"{learning_rate:.2e}", *values])
         self._file.flush()

@@ -22,10 +22,13 @@ class PhotometricConfig:
 
     channel_mix: float = 0.35
     changed_things: float = 0.35
+    recolour: float = 0.25
+    snow: float = 0.06
     tone_curve: float = 0.5
     gamma: float = 0.5
     shading: float = 0.3
     shadow: float = 0.3
+    haze: float = 0.15
     resolution: float = 0.3
     blur: float = 0.25
     motion_blur: float = 0.15
@@ -92,6 +95,33 @@ def change_things(grey: Image, rng: np.random.Generator) -> Image:
     return changed
 
 
+def recolour(grey: Image, rng: np.random.Generator) -> Image:
+    """Change the brightness of some covers and not of others: crops, mown grass, wet soil.
+
+    A cover is a band of brightness of the blurred picture; its texture stays.
+    """
+    smooth = cv2.GaussianBlur(grey, (0, 0), float(rng.uniform(2.0, 8.0))).astype(np.float32)
+    middle, width = np.quantile(smooth, rng.uniform()), rng.uniform(6.0, 25.0)
+    cover = np.exp(-0.5 * ((smooth - middle) / width) ** 2)
+    return cv2.add(grey, cover * np.float32(rng.normal(0.0, 45.0)), dtype=cv2.CV_8U)
+
+
+def snow(grey: Image, rng: np.random.Generator) -> Image:
+    """Cover smooth ground with white and leave edges, walls and trees to look out of it."""
+    rough = cv2.absdiff(grey, cv2.GaussianBlur(grey, (0, 0), 2.0)).astype(np.float32)
+    rough = cv2.GaussianBlur(rough, (0, 0), 1.5)
+    depth = rng.uniform(0.5, 0.95) / (1.0 + (rough / rng.uniform(3.0, 12.0)) ** 2)
+    white = float(rng.uniform(190.0, 250.0))
+    return (grey + depth * (white - grey)).clip(0, 255).astype(np.uint8)
+
+
+def haze(grey: Image, rng: np.random.Generator) -> Image:
+    """Mix in scattered light, unevenly over the picture (Koschmieder's law)."""
+    lost = smooth_field(rng, grey.shape[0], 0.0, float(rng.uniform(0.2, 0.7))).clip(0.0, 0.8)
+    light = float(rng.uniform(140.0, 240.0))
+    return (grey + lost * (light - grey)).clip(0, 255).astype(np.uint8)
+
+
 def lose_resolution(grey: Image, rng: np.random.Generator) -> Image:
     """Shrink by up to 2.2 and enlarge again: a map coarser than the camera."""
     size = grey.shape[0]
@@ -149,6 +179,10 @@ def photograph(view: Image, rng: np.random.Generator, config: PhotometricConfig)
     grey = to_grey(view, rng if happens(config.channel_mix) else None)
     if happens(config.changed_things):
         grey = change_things(grey, rng)
+    if happens(config.recolour):
+        grey = recolour(grey, rng)
+    if happens(config.snow):
+        grey = snow(grey, rng)
     if happens(config.tone_curve):
         grey = cv2.LUT(grey, random_tone_curve(rng))
     if happens(config.gamma):
@@ -159,6 +193,8 @@ def photograph(view: Image, rng: np.random.Generator, config: PhotometricConfig)
         grey = cv2.multiply(grey, smooth_field(rng, grey.shape[0], 0.55, 1.4), dtype=cv2.CV_8U)
     if happens(config.shadow):
         grey = cv2.multiply(grey, shadow_field(rng, grey.shape[0]), dtype=cv2.CV_8U)
+    if happens(config.haze):
+        grey = haze(grey, rng)
     if happens(config.resolution):
         grey = lose_resolution(grey, rng)
     if happens(config.blur):

@@ -34,9 +34,10 @@ class SampleConfig:
     least_overlap: float = 0.2
     shares: dict[str, float] = field(
         default_factory=lambda: {
-            "pair": 0.45,
+            "pair": 0.43,
             "single": 0.25,
-            "drone": 0.08,
+            "drone": 0.04,
+            "overlap": 0.06,
             "series": 0.02,
             "site": 0.20,
         }
@@ -109,7 +110,7 @@ def draw_sample(scene: Scene, rng: np.random.Generator, config: SampleConfig) ->
 
     Returns:
         image0, image1 (1, S, S) uint8; uv0, uv1 (matches, 2); corners0, corners1 (corners, 2) and
-        present (corners,); valid0, valid1 (S / 8, S / 8); H_1_0 (3, 3); robustness ().
+        present (corners,); valid0, valid1 (S / 8, S / 8); H_1_0 (3, 3); label_noise ().
     """
     pair = draw_views(scene, rng, config)
     if min(seen.mean() for seen in pair.seen_by_both) < config.least_overlap * 255:
@@ -125,7 +126,7 @@ def draw_sample(scene: Scene, rng: np.random.Generator, config: SampleConfig) ->
         "valid0": whole_cells(pair.seen_by_both[0]),
         "valid1": whole_cells(pair.seen_by_both[1]),
         "H_1_0": pair.H_1_0,
-        "robustness": np.array(scene.label_noise),
+        "label_noise": np.array(scene.label_noise),
     }
     tensors = {name: torch.from_numpy(value.astype(np.float32)) for name, value in sample.items()}
     for k, view in enumerate(pair.views):

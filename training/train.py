@@ -6,6 +6,8 @@ The released model (on two CPU cores, or a GPU if there is one):
     python training/train.py --preset default --minutes 80
 Go on after an interruption, with the same pictures, optimizer and learning rate:
     python training/train.py --resume runs/default/last.pt
+On several GPUs or machines, or here on two processor cores, sharing each batch:
+    torchrun --nproc-per-node 2 training/train.py --preset nano
 
 Pictures come from --data, else VWNAV_DATA, else ../shared/data (only its train/), and from
 generated pairs in runs/site_pairs. A run leaves config.json, log.csv, TensorBoard events, last.pt.
@@ -15,24 +17,28 @@ import json
 import math
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import cv2
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
-from models.network import FeatureNetwork, sample_descriptors
+from models.extractor import cell_peaks
+from models.network import CELL_PX, FeatureNetwork, NetworkConfig, sample_descriptors
 from training import losses, validate
 from training.config import TrainConfig, load_checkpoint, parse
 from training.data import ROOT, Scene, data_folder, load_scenes
 from training.journal import Every, Journal, StopWatch, progress_of, save_checkpoint
 from training.photometric import batch_augmentation
 from training.sampling import ViewPairs
+from training.team import Team
 
 
 def learning_rate(progress: float, config: TrainConfig) -> float:
@@ -43,56 +49,108 @@ def learning_rate(progress: float, config: TrainConfig) -> float:
 
 
 def compute_losses(
-    network: FeatureNetwork, batch: dict[str, Tensor], config: TrainConfig, progress: float
+    network: torch.nn.Module, batch: dict[str, Tensor], config: TrainConfig, progress: float
 ) -> dict[str, Tensor]:
     """Run both views through the network and compare.
 
     Returns:
         Every loss and figure by name; "total" is the one to descend.
     """
-    pairs = len(batch["uv0"])
+    pairs, H_1_0, noise = len(batch["uv0"]), batch["H_1_0"], batch["label_noise"]
+    robustness = noise * min(1.0, progress / config.doubt_from)
     images = torch.cat([batch["image0"], batch["image1"]]).to(memory_format=torch.channels_last)
     with torch.autocast(images.device.type, torch.bfloat16, enabled=config.bfloat16):
         dense = network(images)
-    descriptors, logits, reliability = (x.float() for x in dense)
+    cells, peak_logits, score_logits = (x.float().split(pairs) for x in dense)
+    found = [cell_peaks(logits) for logits in peak_logits]
+    uv, kept = [x[0] for x in found], [x[1] for x in found]
+    seen = [kept[k] * batch[f"valid{k}"].flatten(1) for k in (0, 1)]
 
-    # descriptors: each point must find its own partner among all points of the other view
-    uv = torch.cat([batch["uv0"], batch["uv1"]])
-    sampled = sample_descriptors(descriptors, uv)
-    log_probability, mutual = losses.match_log_probability(
-        sampled[:pairs], sampled[pairs:], batch["uv1"], config.temperature
+    # peaks: both views put them at the same place; at first also where a teacher sees corners
+    few = torch.randperm(batch["uv0"].shape[1], device=images.device)[: config.windows]
+    jitter = 12.0 * torch.rand(pairs, len(few), 2, device=images.device) - 6.0
+    surfaces = [F.pixel_shuffle(logits, CELL_PX) for logits in peak_logits]
+    blur = max(0.0, 1.0 - progress / config.sharp_from)
+    sigma_px = config.sharpness_px + 2.0 * blur + config.label_error_px * noise
+    agreed = losses.agreement_log_probability(
+        surfaces, batch["uv0"][:, few] + jitter, H_1_0, sigma_px
     )
-    matching = losses.matching_loss(log_probability, batch["robustness"])
+    agreement = losses.robust_loss(agreed, robustness)
+    corner_weight = config.corner_weight * max(0.0, 1.0 - progress / config.corners_until)
+    corner = peak_logits[0].new_zeros(())
+    if corner_weight > 0.0:
+        for k in (0, 1):
+            corner += losses.corner_loss(peak_logits[k], batch[f"corners{k}"], batch["present"])
 
-    # keypoints: corners that both clean views have; later also what the network itself sees in both
-    corners = (batch["corners0"], batch["corners1"], batch["present"])
-    if progress >= config.agreement_start and torch.rand(()) < config.agreement_share:
-        corners = losses.agreed_corners(
-            logits[:pairs], logits[pairs:], batch["H_1_0"], batch["valid0"], batch["present"]
-        )
-    corners0, corners1, present = corners
-    targets = losses.keypoint_targets(
-        torch.cat([corners0, corners1]), present.repeat(2, 1), (logits.shape[2], logits.shape[3])
+    # descriptors: each point must find its own partner among all points and cells of the other
+    # view; half of the points are drawn, half are what the detector itself finds
+    half = config.matches // 2
+    own = torch.multinomial(seen[0] + 1e-6, half)
+    own0 = torch.gather(uv[0].detach(), 1, own[..., None].expand(-1, -1, 2))
+    points0 = torch.cat([batch["uv0"][:, torch.randperm(batch["uv0"].shape[1])[:half]], own0], 1)
+    points1 = losses.carry(H_1_0, points0)
+    log_probability = losses.match_log_probability(
+        [sample_descriptors(cells[0], points0), sample_descriptors(cells[1], points1)],
+        [points0, points1],
+        cells,
+        temperature=config.temperature,
+        near_px=config.near_px,
     )
-    valid = torch.cat([batch["valid0"], batch["valid1"]])
-    keypoint = losses.keypoint_loss(logits, targets, valid)
+    trusted = torch.cat([torch.ones_like(own0[..., 0]), torch.gather(seen[0], 1, own)], dim=1)
+    matching = losses.robust_loss(log_probability * trusted, robustness)
 
-    # reliability: how well the descriptor at a place really matched
-    success = (log_probability.exp() * mutual).repeat(2, 1)
-    reliable = losses.reliability_loss(losses.sample_map(reliability, uv), success)
+    # Half of the pairs are matched as in flight, for the losses that look at every keypoint.
+    part = slice(0, (pairs + 1) // 2)
+    uv, kept, seen = [x[part] for x in uv], [x[part] for x in kept], [x[part] for x in seen]
+    H_1_0, noise = H_1_0[part], noise[part]
+    fixed = [x.detach() for x in uv]
+
+    # positions: keypoints that mean the same place are at the same place, to a fraction of a pixel
+    meeting = losses.meet(fixed, seen, H_1_0)
+    same = (meeting.mutual & (meeting.distance_px < config.same_px)).float()
+    weight = same / (1.0 + 10.0 * noise[:, None])
+    reprojection = losses.reprojection_loss(uv, meeting, H_1_0, weight)
+
+    # scores: what became of the keypoints
+    right_px = config.right_px + config.label_error_px * noise
+    described = [sample_descriptors(cells[k][part].detach(), fixed[k]) for k in (0, 1)]
+    success = losses.rightly_matched(described, fixed, kept, H_1_0, right_px)
+    score = 0.5 * sum(
+        losses.score_loss(score_logits[k][part].flatten(1), success[k], seen[k]) for k in (0, 1)
+    )
     return {
         "total": matching
-        + config.keypoint_weight * keypoint
-        + config.reliability_weight * reliable,
+        + config.agreement_weight * agreement
+        + corner_weight * corner
+        + config.reprojection_weight * reprojection
+        + config.score_weight * score,
         "matching": matching,
-        "keypoint": keypoint,
-        "reliability": reliable,
-        "matched": mutual.mean(),
+        "agreement": agreement,
+        "reprojection": reprojection,
+        "score": score,
+        "repeated": same.sum() / seen[0].sum().clamp_min(1.0),
+        "matched": success[0].sum() / seen[0].sum().clamp_min(1.0),
     }
 
 
+def start_from(network: FeatureNetwork, checkpoint: str) -> None:
+    """Take over the weights of another run wherever name and shape fit."""
+    average = load_checkpoint(checkpoint)["average"]
+    own = network.state_dict()
+    fitting = {
+        name: value
+        for name, value in own.items()
+        if (given := average.get(f"module.{name}")) is not None and given.shape == value.shape
+    }
+    network.load_state_dict(own | {name: average[f"module.{name}"] for name in fitting})
+    print(f"{len(fitting)} of {len(own)} tensors from {checkpoint}")
+
+
 def main(
-    config: TrainConfig, resume: str = "", scenes: tuple[list[Scene], list[Scene]] | None = None
+    config: TrainConfig,
+    resume: str = "",
+    scenes: tuple[list[Scene], list[Scene]] | None = None,
+    build: Callable[[NetworkConfig], FeatureNetwork] = FeatureNetwork,
 ) -> Path:
     """Train, and return the path of the last checkpoint.
 
@@ -100,29 +158,35 @@ def main(
         config: Every choice; on resume that of the checkpoint, with the caller's changes.
         resume: Checkpoint to go on from.
         scenes: To train and to validate on; read from the folders when not given.
+        build: Makes the network; ablations build variants.
     """
-    torch.manual_seed(config.seed)
     torch.set_num_threads(config.threads)
     cv2.setNumThreads(1)  # the loader's processes are the parallelism
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    team = Team.join(config.batch_pairs)
+    torch.manual_seed(config.seed + team.rank)
+    device = team.device
     out = ROOT / config.out
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.json").write_text(json.dumps(asdict(config), indent=2))
 
     # pictures, and what SIFT makes of the kept-aside ones
     started = time.monotonic()
-    training, kept = scenes or load_scenes(data_folder(config.data), ROOT / config.sites)
+    training, kept = scenes or load_scenes(
+        data_folder(config.data), ROOT / config.sites, config.terms
+    )
     if not training:
         raise SystemExit("no training pictures: give --data, or generate pairs (docs/training.md)")
     groups = {g: sum(s.group == g for s in training) for g in config.samples.shares}
     took_s = time.monotonic() - started
-    print(f"{len(training)} scenes {groups}, {len(kept)} kept aside, read in {took_s:.0f} s")
+    team.say(f"{len(training)} scenes {groups}, {len(kept)} kept aside, read in {took_s:.0f} s")
     views = validate.calm_views(kept or training, config.samples, config.validation_pairs)
     sift = validate.score_matches(validate.root_sift, views)
-    print(f"upright SIFT on the kept-aside views: {sift}")
+    team.say(f"upright SIFT on the kept-aside views: {sift}")
 
     # network, optimizer, and where we are
-    network = FeatureNetwork(config.network).to(device, memory_format=torch.channels_last)
+    network = build(config.network).to(device, memory_format=torch.channels_last)
+    if config.init and not resume:
+        start_from(network, config.init)
     average_fn = get_ema_multi_avg_fn(config.average_decay)
     average = AveragedModel(network, multi_avg_fn=average_fn, use_buffers=True)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.weight_decay)
@@ -132,28 +196,32 @@ def main(
         network.load_state_dict(state["network"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
-        torch.set_rng_state(state["rng"].cpu())
+        if team.rank == 0:
+            torch.set_rng_state(state["rng"].cpu())
         step, watch = state["step"], StopWatch(state["elapsed_s"])
+    shared = team.share(network)
     augment = batch_augmentation().to(device)
     size = sum(p.numel() for p in network.parameters())
-    print(f"{config.network.name}, {size} parameters, {device}, from step {step}", flush=True)
+    workers = f"{team.size} process{'es' if team.size > 1 else ''} on {device.type}"
+    team.say(f"{config.network.name}, {size} parameters, {workers}, from step {step}")
 
     # Samples are numbered, and go on where the checkpoint stopped: none is seen twice or left out.
     loader = DataLoader(
         ViewPairs(training, config.samples, config.seed),
-        config.batch_pairs,
-        sampler=range(step * config.batch_pairs, 10**9),
+        config.batch_pairs // team.size,
+        sampler=team.samples(step, config.batch_pairs),
         num_workers=config.loader_processes,
         prefetch_factor=6 if config.loader_processes else None,
+        pin_memory=device.type == "cuda",
         worker_init_fn=lambda _: cv2.setNumThreads(1),
         generator=torch.Generator(),  # of its own: a resumed run must find the global one as it was
     )
-    journal = Journal(out, step)
+    journal = Journal(out, step) if team.rank == 0 else None  # the first process writes for all
     time_to_save = Every(config.save_every_minutes, watch)
     time_to_validate = Every(config.validate_every_minutes, watch)
 
-    def checkpoint() -> Path:
-        return save_checkpoint(
+    def checkpoint() -> None:
+        save_checkpoint(
             out / "last.pt",
             config=asdict(config),
             step=step,
@@ -164,13 +232,14 @@ def main(
             rng=torch.get_rng_state(),
         )
 
-    def report() -> None:
+    def report(journal: Journal) -> None:
         score = validate.score_matches(validate.learned(average.module), views)
         journal.validated(step, watch, score, sift)
 
     # the loop
     for batch in loader:
-        progress = progress_of(step, watch.elapsed_s, config)
+        watch.loaded()
+        progress = team.agree(progress_of(step, watch.elapsed_s, config))
         if progress >= 1.0:
             break
         rate = learning_rate(progress, config)
@@ -181,7 +250,7 @@ def main(
         for k in (0, 1):
             batch[f"image{k}"] = 255.0 * augment(batch[f"image{k}"].float() / 255.0)
         network.train()
-        figures = compute_losses(network, batch, config, progress)
+        figures = compute_losses(shared, batch, config, progress)
         optimizer.zero_grad(set_to_none=True)
         figures["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), config.clip_norm)
@@ -190,19 +259,24 @@ def main(
         step += 1
         watch.lap()
 
+        if journal is None:
+            continue
         journal.add(figures)
         if step % config.log_every_steps == 0:
             journal.tell(step, progress, rate, watch)
         if time_to_validate.due():
-            report()
+            report(journal)
             watch.skip()
         if time_to_save.due():
             checkpoint()
 
-    report()
-    journal.close()
-    return checkpoint()
+    team.leave()
+    if journal is not None:
+        report(journal)
+        journal.close()
+        checkpoint()
+    return out / "last.pt"
 
 
 if __name__ == "__main__":
-    print(f"wrote {main(*parse(__doc__ or ''))}")
+    main(*parse(__doc__ or ""))

@@ -1,5 +1,6 @@
 """A quick look at how well kept-aside pairs are matched, beside SIFT, while training goes on."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -46,9 +47,7 @@ def calm_views(scenes: list[Scene], config: SampleConfig, count: int) -> list[Sa
 
 def learned(network: FeatureNetwork) -> Extract:
     """Wrap a copy of a network as an extractor function."""
-    on_cpu = FeatureNetwork(network.config)
-    on_cpu.load_state_dict(network.state_dict())
-    extractor = Extractor(on_cpu.eval())
+    extractor = Extractor(copy.deepcopy(network).cpu().eval())
 
     def extract(image: Image) -> Features:
         with torch.inference_mode():

@@ -20,6 +20,7 @@ class WarpConfig:
     rotation_sigma_deg: float = 12.0
     wide_rotation_share: float = 0.1  # of pairs turn by up to +-25 degrees instead
     wide_rotation_deg: float = 25.0
+    scale_sigma: float = 0.17  # of its logarithm
     scale_min: float = 0.7
     scale_max: float = 1.4
     tilt_sigma: float = 0.06  # perspective: relative change of scale from the centre to an edge
@@ -63,7 +64,7 @@ def random_relative_view(rng: np.random.Generator, config: WarpConfig, size_px: 
         rotation_rad = np.deg2rad(rng.uniform(-config.wide_rotation_deg, config.wide_rotation_deg))
     else:
         rotation_rad = np.deg2rad(rng.normal(0.0, config.rotation_sigma_deg))
-    scale = float(np.exp(rng.normal(0.0, 0.17)))
+    scale = float(np.exp(rng.normal(0.0, config.scale_sigma)))
     scale = float(np.clip(scale, config.scale_min, config.scale_max))
     stretch = np.exp(rng.normal(0.0, config.aspect_sigma))
     H = similarity(rotation_rad, scale) @ np.diag([stretch, 1.0 / stretch, 1.0])
@@ -118,14 +119,26 @@ def view(source: Image, H_source_view: FloatArray, size_px: int) -> Image:
     """
     shrink = local_scale(H_source_view, np.full(2, (size_px - 1) / 2))
     if shrink > 1.3:
+        source, corner = around_view(source, H_source_view, size_px)
         size = (round(source.shape[1] / shrink), round(source.shape[0] / shrink))
+        if min(size) < 1:
+            return np.zeros((size_px, size_px, *source.shape[2:]), np.uint8)
         sx, sy = size[0] / source.shape[1], size[1] / source.shape[0]
         source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
         # Half-pixel rule: (u + 0.5) s - 0.5.
         H_small_source = np.array(
             [[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]]
         )
-        H_source_view = H_small_source @ H_source_view
+        H_source_view = H_small_source @ translation(*-corner) @ H_source_view
     return cv2.warpPerspective(
         source, H_source_view, (size_px, size_px), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     )
+
+
+def around_view(source: Image, H_source_view: FloatArray, size_px: int) -> tuple[Image, FloatArray]:
+    """Cut out what a view sees of a source picture, and return it with its top left corner."""
+    last = size_px - 1.0
+    seen = warp_points(H_source_view, np.array([[0, 0], [last, 0], [last, last], [0, last]]))
+    least = np.clip(np.floor(seen.min(axis=0)) - 8, 0, None).astype(int)
+    most = np.ceil(seen.max(axis=0)).astype(int) + 9
+    return source[least[1] : max(most[1], 0), least[0] : max(most[0], 0)], least.astype(np.float64)

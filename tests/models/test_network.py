@@ -7,7 +7,6 @@ from models.network import (
     NETWORK_SIZES,
     FeatureNetwork,
     NetworkConfig,
-    heat_cells,
     normalise_contrast,
     sample_descriptors,
 )
@@ -15,15 +14,15 @@ from models.network import (
 
 @pytest.mark.parametrize("size", list(NETWORK_SIZES))
 @pytest.mark.parametrize("height_width", [(32, 64), (96, 160), (256, 448)])
-def test_every_cell_gets_a_descriptor_65_logits_and_a_reliability(size, height_width):
+def test_every_cell_gets_a_descriptor_64_logits_and_a_score(size, height_width):
     config = NETWORK_SIZES[size]
     height, width = height_width
     with torch.inference_mode():
         dense = FeatureNetwork(config).eval()(torch.rand(2, 1, height, width) * 255)
     cells = (height // 8, width // 8)
     assert dense.descriptors.shape == (2, config.descriptor_dim, *cells)
-    assert dense.keypoint_logits.shape == (2, 65, *cells)
-    assert dense.reliability_logits.shape == (2, 1, *cells)
+    assert dense.peak_logits.shape == (2, 64, *cells)
+    assert dense.score_logits.shape == (2, 1, *cells)
 
 
 def test_the_default_network_stays_small():
@@ -60,8 +59,3 @@ def test_between_two_cells_descriptors_are_mixed_by_distance():
     descriptors[0, 1, 0, 1] = 1.0  # right cell says (0, 1)
     sampled = sample_descriptors(descriptors, torch.tensor([[[3.5 + 2.0, 3.5]]]))[0, 0]
     assert (sampled[0] / sampled[1]).item() == pytest.approx(3.0)  # 6 px from one, 2 from the other
-
-
-def test_the_heat_of_a_cell_leaves_room_for_no_keypoint():
-    heat = heat_cells(torch.zeros(1, 65, 2, 2))
-    torch.testing.assert_close(heat.sum(dim=1), torch.full((1, 2, 2), 64 / 65))

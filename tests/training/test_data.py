@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from training import data
+from training import data, warps
 
 FOLDER = data.data_folder()
 needs_data = pytest.mark.skipif(FOLDER is None, reason="no data folder (VWNAV_DATA)")
@@ -59,3 +59,35 @@ def test_only_training_pictures_are_ever_read(monkeypatch):
     data.load_scenes(FOLDER, FOLDER / "nowhere")
     assert len(seen) > 1000
     assert all(path.relative_to(FOLDER).parts[0] == "train" for path in seen)
+
+
+def test_overlapping_frames_are_registered_to_a_pixel():
+    scenery = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
+    scenery = cv2.resize(scenery, (1280, 960), interpolation=cv2.INTER_CUBIC)
+    frames = [scenery[:700, :900], scenery[200:900, 150:1050]]
+    H_b_a = data.register(*frames)
+    corners = np.array([[200.0, 250.0], [850.0, 650.0]])
+    np.testing.assert_allclose(warps.warp_points(H_b_a, corners), corners - [150, 200], atol=0.5)
+
+
+def test_frames_that_share_nothing_are_not_registered():
+    rng = np.random.default_rng(1)
+    frames = [
+        cv2.resize(rng.integers(0, 255, (60, 80, 3)).astype(np.uint8), (640, 480)) for _ in range(2)
+    ]
+    assert data.register(*frames) is None
+
+
+def test_frames_of_different_flights_are_no_neighbours():
+    picture = np.zeros((50, 50, 3), np.uint8)
+    frames = [data.scene("drone", source, [picture]) for source in ("a", "b")]
+    assert list(data.overlapping(frames)) == []
+
+
+@needs_data
+def test_open_terms_leave_only_open_sources(monkeypatch):
+    monkeypatch.setattr(data, "read", lambda path: np.zeros((9, 9, 3), np.uint8))
+    training, kept = data.load_scenes(FOLDER, FOLDER / "nowhere", "open")
+    assert {s.source for s in training} <= data.OPEN_SOURCES
+    assert len(training) > 100
+    assert len(kept) > 10

@@ -3,41 +3,53 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch.nn import functional as F
 
 from training import losses, warps
 
+IDENTITY = torch.eye(3)[None]
 
-def spread_points(count):
-    """(1, count, 2) points, all further apart than NEAR_PX."""
-    return torch.stack([20.0 * torch.arange(count), torch.zeros(count)], dim=-1)[None]
+
+def match(descriptors1, uv=None, cells=None):
+    """log p of orthogonal descriptors against `descriptors1`, the points 20 px apart."""
+    count = descriptors1.shape[1]
+    spread = torch.stack([20.0 * torch.arange(count), torch.zeros(count)], dim=-1)[None]
+    uv = spread if uv is None else uv
+    nothing = torch.zeros(1, count, 1, 1)
+    nothing[0, 0] = -1.0  # a cell that resembles no point
+    return losses.match_log_probability(
+        [torch.eye(count)[None], descriptors1],
+        [uv, uv],
+        [nothing, nothing if cells is None else cells],
+        temperature=0.07,
+        near_px=6.0,
+    )
 
 
 def test_perfect_descriptors_match_surely():
-    descriptors = torch.eye(8)[None]
-    log_p, mutual = losses.match_log_probability(descriptors, descriptors, spread_points(8), 0.07)
-    assert log_p.exp().min() > 0.99
-    assert mutual.all()
+    assert match(torch.eye(8)[None]).exp().min() > 0.99
 
 
 def test_swapped_descriptors_do_not_match():
-    descriptors = torch.eye(4)[None]
-    swapped = descriptors[:, [1, 0, 2, 3]]
-    _, mutual = losses.match_log_probability(descriptors, swapped, spread_points(4), 0.07)
-    assert mutual.tolist() == [[0, 0, 1, 1]]
+    log_p = match(torch.eye(4)[None][:, [1, 0, 2, 3]])
+    assert (log_p.exp() > 0.9).tolist() == [[False, False, True, True]]
 
 
-def test_a_neighbour_with_the_same_descriptor_is_not_held_against_a_point():
-    descriptors = torch.ones(1, 2, 4) / 2
-    near = torch.tensor([[[0.0, 0.0], [5.0, 0.0]]])
-    log_p_near, _ = losses.match_log_probability(descriptors, descriptors, near, 0.07)
-    log_p_far, _ = losses.match_log_probability(descriptors, descriptors, 10 * near, 0.07)
-    assert log_p_near.exp().min() > 0.99
-    assert log_p_far.exp().max() == pytest.approx(0.5)
+def test_a_cell_elsewhere_with_the_same_descriptor_is_a_rival_and_one_nearby_is_not():
+    twin = F.one_hot(torch.tensor(2), 4).float().view(1, 4, 1, 1)
+    there = torch.tensor([[[100.0, 0.0], [120.0, 0.0], [50.0, 0.0], [160.0, 0.0]]])
+    here = there.clone()
+    here[0, 2] = torch.tensor([3.0, 3.0])  # the cell's centre is (3.5, 3.5)
+    far, near = (match(torch.eye(4)[None], uv, twin)[0].exp() for uv in (there, here))
+    # one of two directions has one equal rival
+    assert far[2] == pytest.approx(0.5**0.5, abs=0.01)
+    assert near[2] > 0.99
+    assert far[[0, 1, 3]].min() > 0.99
 
 
 def test_without_robustness_the_loss_is_cross_entropy():
     log_p = torch.log(torch.tensor([[0.9, 0.5, 0.01]]))
-    loss = losses.matching_loss(log_p, torch.zeros(1))
+    loss = losses.robust_loss(log_p, torch.zeros(1))
     assert loss.item() == pytest.approx(-log_p.mean().item(), rel=1e-2)
 
 
@@ -45,40 +57,103 @@ def test_robustness_weakens_the_pull_of_a_label_the_network_is_sure_against():
     log_p = torch.log(torch.tensor([[1e-4]])).requires_grad_()
     pulls = []
     for q in (0.0, 0.5):
-        (pull,) = torch.autograd.grad(losses.matching_loss(log_p, torch.tensor([q])), log_p)
+        (pull,) = torch.autograd.grad(losses.robust_loss(log_p, torch.tensor([q])), log_p)
         pulls.append(abs(pull.item()))
     assert pulls[1] < 0.02 * pulls[0]
 
 
-@settings(max_examples=50, deadline=None)
-@given(cell=st.integers(0, 3), u=st.floats(0, 7), v=st.floats(0, 7))
-def test_targets_are_distributions_whose_centre_is_the_point(cell, u, v):
-    point = torch.tensor([8.0 * cell + u, v])
-    targets = losses.keypoint_targets(point[None, None], torch.ones(1, 1), (4, 4))
-    torch.testing.assert_close(targets.sum(dim=1), torch.ones(1, 4, 4))
-    heat = torch.nn.functional.pixel_shuffle(targets[:, :64], 8)[0, 0]
-    rows, columns = torch.meshgrid(torch.arange(32.0), torch.arange(32.0), indexing="ij")
-    centre = torch.stack([(heat * columns).sum(), (heat * rows).sum()])
-    torch.testing.assert_close(centre, point, atol=1e-3, rtol=0)
+def surface_with_peak(u, v, size=64):
+    surface = torch.zeros(1, 1, size, size)
+    surface[0, 0, v, u] = 30.0
+    return surface
 
 
-def test_absent_points_leave_cells_empty():
-    targets = losses.keypoint_targets(torch.full((1, 3, 2), -100.0), torch.zeros(1, 3), (2, 2))
-    assert (targets[:, 64] == 1).all()
+def agreement(surface0, surface1, H_1_0=IDENTITY, sigma_px=1.0):
+    centre = torch.tensor([[[30.0, 30.0]]])
+    log_p = losses.agreement_log_probability(
+        [surface0, surface1], centre, H_1_0, torch.tensor([sigma_px])
+    )
+    return log_p.exp().item()
 
 
-def test_cells_outside_of_the_other_view_do_not_count():
-    logits = torch.randn(1, 65, 2, 2)
-    targets = losses.keypoint_targets(torch.tensor([[[4.0, 4.0]]]), torch.ones(1, 1), (2, 2))
-    valid = torch.tensor([[[0.0, 1.0], [1.0, 1.0]]])
-    expected = -logits.log_softmax(dim=1)[0, 64].flatten()[1:].mean()
-    torch.testing.assert_close(losses.keypoint_loss(logits, targets, valid), expected)
+@settings(max_examples=20, deadline=None)
+@given(st.integers(26, 34), st.integers(26, 34), st.integers(-9, 9), st.integers(-9, 9))
+def test_peaks_at_the_same_place_of_the_ground_agree(u, v, du, dv):
+    H_1_0 = torch.from_numpy(warps.translation(du, dv)).float()[None]
+    assert agreement(
+        surface_with_peak(u, v), surface_with_peak(u + du, v + dv), H_1_0
+    ) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_reliability_is_asked_for_at_the_point_between_cells():
-    cells = torch.tensor([[[[0.0, 1.0]]]])
-    sampled = losses.sample_map(cells, torch.tensor([[[3.5, 3.5], [7.5, 3.5], [11.5, 3.5]]]))
-    torch.testing.assert_close(sampled, torch.tensor([[0.0, 0.5, 1.0]]))
+@pytest.mark.parametrize("off_px", [1, 2, 3])
+def test_the_reward_falls_off_as_a_gaussian(off_px):
+    reward = agreement(surface_with_peak(30, 30), surface_with_peak(30 + off_px, 30), sigma_px=1.5)
+    assert reward == pytest.approx(np.exp(-0.5 * (off_px / 1.5) ** 2), rel=1e-3)
+
+
+def test_flat_surfaces_earn_little():
+    flat = torch.zeros(1, 1, 64, 64)
+    assert agreement(flat, flat) < 0.05
+
+
+def test_what_only_one_picture_shows_is_left_out_of_the_window():
+    # The window leaves picture 1 to the right; the peak outside of it earns nothing.
+    H_1_0 = torch.from_numpy(warps.translation(31.0, 0.0)).float()[None]
+    reward = agreement(surface_with_peak(35, 30), torch.zeros(1, 1, 64, 64), H_1_0)
+    assert reward < 0.05
+
+
+def test_the_corner_loss_asks_for_the_right_pixel():
+    logits = torch.zeros(1, 64, 4, 4)
+    corners = torch.tensor([[[9.2, 17.9], [-100.0, -100.0]]])  # cell (1, 2), pixel (1, 2)
+    present = torch.tensor([[1.0, 0.0]])
+    assert losses.corner_loss(logits, corners, present).item() == pytest.approx(np.log(64))
+    logits[0, 2 * 8 + 1, 2, 1] = 20.0
+    assert losses.corner_loss(logits, corners, present).item() < 1e-3
+
+
+def test_keypoints_meet_where_the_homography_carries_them():
+    H_1_0 = torch.from_numpy(warps.translation(5.0, 3.0)).float()[None]
+    uv0 = torch.tensor([[[10.0, 10.0], [40.0, 40.0], [60.0, 5.0]]])
+    uv1 = torch.tensor([[[45.5, 43.0], [15.0, 13.0], [65.0, 8.0]]])
+    seen = [torch.tensor([[1.0, 1.0, 0.0]]), torch.ones(1, 3)]
+    meeting = losses.meet([uv0, uv1], seen, H_1_0)
+    assert meeting.partner[0, :2].tolist() == [1, 0]
+    assert meeting.mutual.tolist() == [[True, True, False]]
+    torch.testing.assert_close(meeting.distance_px[0, :2], torch.tensor([0.0, 0.5]))
+
+
+def test_the_reprojection_loss_pulls_partners_together():
+    uv0 = torch.tensor([[[10.0, 10.0]]], requires_grad=True)
+    uv1 = torch.tensor([[[11.0, 10.0]]], requires_grad=True)
+    meeting = losses.meet([uv0, uv1], [torch.ones(1, 1)] * 2, IDENTITY)
+    loss = losses.reprojection_loss([uv0, uv1], meeting, IDENTITY, torch.ones(1, 1))
+    loss.backward()
+    assert loss.item() == pytest.approx(1.0, abs=0.01)
+    assert uv0.grad[0, 0, 0] < 0 < uv1.grad[0, 0, 0]
+
+
+def test_a_right_match_is_the_mutual_neighbour_at_the_right_place():
+    uv = torch.tensor([[[10.0, 10.0], [40.0, 40.0], [70.0, 70.0]]])
+    descriptors = torch.eye(3)[None]
+    swapped = descriptors[:, [0, 2, 1]]  # the first is right, the others are each other's
+    kept = [torch.ones(1, 3)] * 2
+    right = losses.rightly_matched([descriptors, swapped], [uv, uv], kept, IDENTITY, torch.ones(1))
+    assert right[0].tolist() == right[1].tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_dropped_keypoints_match_nothing():
+    uv = torch.tensor([[[10.0, 10.0], [40.0, 40.0]]])
+    kept = [torch.tensor([[1.0, 0.0]]), torch.ones(1, 2)]
+    described = [torch.eye(2)[None]] * 2
+    right0, right1 = losses.rightly_matched(described, [uv, uv], kept, IDENTITY, torch.ones(1))
+    assert right0.tolist() == right1.tolist() == [[1.0, 0.0]]
+
+
+def test_keypoints_without_weight_do_not_count_for_the_score():
+    logits = torch.tensor([[8.0, -8.0]])
+    loss = losses.score_loss(logits, torch.ones(1, 2), torch.tensor([[1.0, 0.0]]))
+    assert loss.item() < 1e-3
 
 
 def test_carry_agrees_with_the_warps():
@@ -86,20 +161,3 @@ def test_carry_agrees_with_the_warps():
     points = np.random.default_rng(1).uniform(0, 64, (10, 2))
     carried = losses.carry(torch.from_numpy(H)[None], torch.from_numpy(points)[None])[0]
     np.testing.assert_allclose(carried.numpy(), warps.warp_points(H, points), atol=1e-9)
-
-
-def peak_logits(uv, cells_hw=(8, 8)):
-    targets = losses.keypoint_targets(torch.tensor([uv]), torch.ones(1, len(uv)), cells_hw)
-    return (targets + 1e-4).log()
-
-
-def test_agreed_corners_are_those_that_both_views_have():
-    H_1_0 = torch.from_numpy(warps.translation(5.0, 3.0)).float()[None]
-    logits0 = peak_logits([[20.0, 20.0], [40.0, 12.0]])
-    logits1 = peak_logits([[25.0, 23.0], [13.0, 50.0]])
-    uv0, uv1, present = losses.agreed_corners(
-        logits0, logits1, H_1_0, torch.ones(1, 8, 8), torch.ones(1, 1)
-    )
-    assert present.sum() == 1
-    torch.testing.assert_close(uv0[0, 0], torch.tensor([20.0, 20.0]), atol=0.1, rtol=0)
-    torch.testing.assert_close(uv1[0, 0], torch.tensor([25.0, 23.0]), atol=0.1, rtol=0)

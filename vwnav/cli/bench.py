@@ -1,8 +1,16 @@
-"""`vwnav bench`: how good the parts are, measured."""
+"""`vwnav bench`: the feature sets side by side on scenes with a truth, and the filter."""
+
+import json
+import os
+import sys
+from pathlib import Path
 
 import typer
 
 from vwnav.cli.bench_estimator import estimator
+from vwnav.cli.screen import progress_bar, say
+
+_WIDTH = 120
 
 app = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
 app.command("estimator")(estimator)
@@ -11,3 +19,55 @@ app.command("estimator")(estimator)
 @app.callback()
 def _bench() -> None:
     pass
+
+
+@app.command()
+def features(
+    data: Path | None = typer.Option(
+        None, help="Folder with eval/, flights/ and pairs.json. [VWNAV_DATA, ../shared/data]"
+    ),
+    model: list[Path] = typer.Option(
+        [], help="ONNX model to judge, may be repeated; else all the released ones."
+    ),
+    views: int = typer.Option(60, min=1, help="Scenes of each group, at most."),
+    repeats: int = typer.Option(50, min=1, help="Repeats of each time measurement."),
+    output: Path | None = typer.Option(
+        None, "-o", "--output", help="Folder for report.json, a plot and pictures of matches."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="One JSON object on stdout."),
+) -> None:
+    """Match, place and time every feature set on the same scenes, on one thread.
+
+    Without a data folder generated places are the scenes.
+
+    Example: vwnav bench features --data ../shared/data -o bench
+    """
+    # Read when the libraries load: times are those of one core.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    from rich.console import Console
+
+    from vwnav.bench.features import bench_features, data_folder
+    from vwnav.bench.report import as_json as report_as_json
+    from vwnav.bench.report import tables
+
+    with progress_bar() as progress:
+        report = bench_features(data_folder(data), model, views, repeats, progress)
+    for line in report.skipped:
+        say(f"bench: {line}")
+    values = report_as_json(report)
+    if as_json:
+        print(json.dumps(values))
+    else:
+        # A file has no width of its own.
+        width = None if sys.stdout.isatty() else _WIDTH
+        console = Console(file=sys.stdout, highlight=False, width=width)
+        for table in tables(report):
+            console.print(table)
+    if output is not None:
+        from vwnav.bench.pictures import write_pictures
+        from vwnav.bench.plots import write_plot
+
+        write_pictures(output / "matches", report.samples)
+        (output / "report.json").write_text(json.dumps(values, indent=1))
+        write_plot(output / "features.png", report)
+        say(f"bench: wrote report.json, features.png and matches/ to {output}")

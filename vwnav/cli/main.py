@@ -26,7 +26,7 @@ app.command("doctor", rich_help_panel="On the drone")(doctor.doctor)
 app.add_typer(map_commands.app, name="map", rich_help_panel="Before the flight")
 app.command("replay", rich_help_panel="After the flight")(replay.replay)
 app.command("localize", rich_help_panel="After the flight")(localize.localize)
-app.add_typer(bench.app, name="bench", rich_help_panel="After the flight")
+app.add_typer(bench.app, name="bench", rich_help_panel="At the workstation")
 
 
 def _print_version(wanted: bool) -> None:

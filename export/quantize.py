@@ -1,0 +1,158 @@
+"""Make the int8 form of an exported graph: the same features, of the same name, in less time.
+
+python export/quantize.py models/vwnav_default.onnx -o models/vwnav_default_int8.onnx
+python export/quantize.py models/vwnav_default.onnx -o ... --data FOLDER --pictures 48
+
+Static quantisation (QDQ): weights per channel, activations by what training pictures show. Only
+convolutions are quantised, and of those not the last one of each head: keypoints are ranked by what
+it says. All that comes after the network stays float.
+"""
+
+import argparse
+import logging
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from onnxruntime.quantization import (
+    CalibrationDataReader,
+    CalibrationMethod,
+    QuantFormat,
+    QuantType,
+    quantize_static,
+)
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python export/...` works
+
+from export.export_onnx import ExportError
+from export.pictures import Image, read_grey, training_pictures
+
+PICTURES = 48
+PICTURE_PX = 320  # the calibration keeps the activations of all pictures in memory
+
+
+class _Pictures(CalibrationDataReader):  # type: ignore[misc]
+    """Hands the pictures to the calibration, one by one."""
+
+    def __init__(self, pictures: list[Image]) -> None:
+        self._feeds: Iterator[dict[str, Any]] = iter(
+            {"image": picture[None, None], "max_keypoints": np.array([500], np.int64)}
+            for picture in pictures
+        )
+
+    def get_next(self) -> dict[str, Any] | None:
+        return next(self._feeds, None)
+
+
+def quantise(model: onnx.ModelProto, pictures: list[Image]) -> onnx.ModelProto:
+    """Quantise a graph; metadata, inputs and outputs stay as they are.
+
+    Args:
+        model: as `export_onnx` makes it.
+        pictures: (H, W) uint8, H and W divisible by 32, such as the drone will see.
+
+    Raises:
+        ExportError: there is no picture.
+    """
+    if not pictures:
+        raise ExportError("no pictures to calibrate with: give --data, a folder that holds train/")
+    root = logging.getLogger()
+    level = root.level
+    root.setLevel(logging.ERROR)  # it advises a preparation that batch norm folding has done
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            source, output = (Path(folder) / name for name in ("float.onnx", "int8.onnx"))
+            onnx.save(model, source)  # a model in memory would be changed in place
+            quantize_static(
+                source,
+                output,
+                _Pictures(pictures),
+                quant_format=QuantFormat.QDQ,
+                per_channel=True,
+                activation_type=QuantType.QUInt8,
+                weight_type=QuantType.QInt8,
+                op_types_to_quantize=["Conv", "Relu"],
+                nodes_to_exclude=[node.name for node in last_convolutions(model)],
+                calibrate_method=CalibrationMethod.MinMax,
+            )
+            quantised = onnx.load(output)
+    finally:
+        root.setLevel(level)
+    del quantised.metadata_props[:]
+    quantised.metadata_props.extend(model.metadata_props)
+    quantised.metadata_props.add(key="precision", value="int8")
+    onnx.checker.check_model(quantised)
+    return quantised
+
+
+def last_convolutions(model: onnx.ModelProto) -> list[onnx.NodeProto]:
+    """The convolutions after which no other one follows: the ends of the heads."""
+    read_by: dict[str, list[onnx.NodeProto]] = {}
+    for node in model.graph.node:
+        for name in node.input:
+            read_by.setdefault(name, []).append(node)
+
+    def leads_to_another(node: onnx.NodeProto) -> bool:
+        waiting, seen = list(node.output), set(node.output)
+        while waiting:
+            for reader in read_by.get(waiting.pop(), []):
+                if reader.op_type == "Conv":
+                    return True
+                waiting += [name for name in reader.output if name not in seen]
+                seen.update(reader.output)
+        return False
+
+    convolutions = [node for node in model.graph.node if node.op_type == "Conv"]
+    return [node for node in convolutions if not leads_to_another(node)]
+
+
+def load_model(path: Path) -> onnx.ModelProto:
+    """Read an exported float graph.
+
+    Raises:
+        ExportError: it is missing, damaged, or quantised already.
+    """
+    try:
+        model = onnx.load(path)
+        onnx.checker.check_model(model)
+    except Exception as error:  # onnx and protobuf raise errors of their own kinds
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ExportError(f"{path} is not a whole ONNX model ({reason})") from error
+    metadata = {each.key: each.value for each in model.metadata_props}
+    if "feature_set_id" not in metadata or "precision" in metadata:
+        raise ExportError(f"{path} is not a float model of vwnav: make one with export_onnx.py")
+    return model
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 done, 1 refused with one line on stderr."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("model", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="the int8 .onnx file")
+    parser.add_argument("--data", default="", help="folder that holds train/")
+    parser.add_argument("--pictures", type=int, default=PICTURES, help="to calibrate with")
+    given = parser.parse_args(arguments)
+    try:
+        paths = training_pictures(given.data, given.pictures)
+        pictures = [read_grey(path, PICTURE_PX) for path in paths]
+        quantised = quantise(load_model(given.model), pictures)
+    except ExportError as error:
+        print(f"quantize: {error}", file=sys.stderr)
+        return 1
+    partial = given.output.with_suffix(".partial")
+    partial.write_bytes(quantised.SerializeToString())
+    os.replace(partial, given.output)
+    size_mb = given.output.stat().st_size / 1e6
+    print(f"wrote {given.output}: calibrated on {len(pictures)} pictures, {size_mb:.2f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
