@@ -73,7 +73,7 @@ def _yaw_columns(run: Run, with_lambda: Run) -> Array:
         return np.asarray(true + np.mod(yaw_rad - true + np.pi, 2.0 * np.pi) - np.pi)
 
     columns = [
-        truth.commanded_yaw_rad[at],
+        near(truth.commanded_yaw_rad[at]),
         true,
         near(_turned_by_pictures(run)),
         near(run.stream.measured_yaw_rad[at]),

@@ -212,11 +212,11 @@ def judge_cost(runs: list[Run]) -> list[Metric]:
     ]
 
 
-# Sharp turns over 150 s, as the thesis flew them: up to half a turn, some soon after another.
+# Sharp turns over 150 s, as the thesis flew them: up to 170 degrees, some soon after another.
 TURNS_DEG = (
-    (0.0, 0.0), (35.0, 90.0), (45.0, 0.0), (55.0, 120.0), (62.0, -60.0), (72.0, 90.0),
-    (80.0, -90.0), (92.0, 45.0), (96.0, 135.0), (100.0, 225.0), (112.0, 60.0),
-    (125.0, -120.0), (138.0, 0.0),
+    (0.0, 0.0), (35.0, 90.0), (45.0, 0.0), (55.0, 120.0), (62.0, -50.0), (72.0, 90.0),
+    (80.0, -80.0), (92.0, 45.0), (96.0, 135.0), (100.0, 225.0), (112.0, 60.0),
+    (125.0, -110.0), (138.0, 0.0),
 )  # fmt: skip
 
 _SHORT = World(seconds=130.0, hover_share=0.0)
