@@ -26,6 +26,7 @@ from vwnav.types import Array, OdometryMotion
 _DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
+_ANCHOR_NORTH = States.ANCHOR_POSITION.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
 _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
@@ -41,7 +42,7 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
         case NedFix():
             return apply_fix(state, event, context)
         case Displacement(motion):
-            return _apply_displacement(state, motion, attitudes, config)
+            return _apply_displacement(state, motion, context)
         case Keyframe():
             return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
@@ -65,9 +66,10 @@ def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> F
 
 
 def _apply_displacement(
-    state: FilterState, motion: OdometryMotion, attitudes: AttitudeHistory, config: EkfConfig
+    state: FilterState, motion: OdometryMotion, context: Context
 ) -> tuple[FilterState, Innovation]:
     """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
+    attitudes, config = context.attitudes, context.config
     anchor = state.anchor
     if anchor is None or anchor.t_s != motion.t0_s:
         return state, Innovation(Verdict.NO_ANCHOR)
@@ -79,14 +81,26 @@ def _apply_displacement(
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
     before = state
-    displacement = _displacement(state, motion, anchor.yaw_rad, config)
+    agl_m = _keyframe_agl_m(state, context)
+    displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
     state, innovation = fuse(state, displacement)
     if innovation.accepted:
-        state = _in_scale(before, state)
+        state = _in_scale(before, state, agl_m)
     return state, replace(innovation, parts=parts)
 
 
-def _in_scale(before: FilterState, after: FilterState) -> FilterState:
+def _keyframe_agl_m(state: FilterState, context: Context) -> float:
+    """Height of the keyframe above its own ground, which the table may have lower than ours."""
+    x = state.x
+    agl_m = float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0])
+    here = context.patch(float(x[0]), float(x[1]))
+    there = context.patch(float(x[_ANCHOR_NORTH]), float(x[_ANCHOR_NORTH + 1]))
+    if here is not None and there is not None:
+        agl_m += here.height_m - there.height_m
+    return max(agl_m, _LEAST_AGL_M)
+
+
+def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
     """The covariance after odometry, with what it changed tied to the scale it was measured in.
 
     A correction d made of a way seen is d / AGL heights long: had the AGL another error e, it would
@@ -94,7 +108,6 @@ def _in_scale(before: FilterState, after: FilterState) -> FilterState:
     error state that scales). Without it the way believed and its correlation with the AGL part,
     and the next pictures seem to say how high the camera is, which no picture can.
     """
-    agl_m = max(float(-after.x[_ANCHOR_DOWN] - after.x[States.TERRAIN][0]), _LEAST_AGL_M)
     per_m = np.zeros(States.SIZE)
     change = after.x - before.x
     per_m[_SCALED] = change[_SCALED] / agl_m
@@ -119,7 +132,7 @@ def _turn(
 
 
 def _displacement(
-    state: FilterState, motion: OdometryMotion, yaw_rad: float, config: EkfConfig
+    state: FilterState, motion: OdometryMotion, agl_m: float, yaw_rad: float, config: EkfConfig
 ) -> Measurement:
     """The way in units of the keyframe's AGL, scaled by the AGL believed now.
 
@@ -129,7 +142,6 @@ def _displacement(
     how far it was.
     """
     x = state.x
-    agl_m = max(float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0]), _LEAST_AGL_M)
     c, s = math.cos(x[_ANCHOR_YAW]), math.sin(x[_ANCHOR_YAW])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)

@@ -46,7 +46,7 @@ class EkfConfig:
     accelerometer_sigma_m_s2: float = 0.15  # bias at first
     accelerometer_walk_m_s2: float = 0.003  # per root second
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
-    terrain_walk_known_m: float = 0.03  # the same where the map has terrain heights
+    terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
     map_length_m: float = 60.0
     thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
