@@ -29,7 +29,7 @@ ALLOWED = {
     "runtime": BASE | {"pipeline", "flight"},
     "drivers": BASE | {"geometry", "maps", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
-    "bench": BASE | {"geometry", "maps", "vision", "drivers", "sim"},
+    "bench": BASE | {"geometry", "maps", "vision", "estimation", "drivers", "sim"},
     "config": BASE
     | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "drivers"},
 }

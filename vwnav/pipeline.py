@@ -25,6 +25,7 @@ from vwnav.types import (
     Estimate,
     Frame,
     Gray,
+    ImuSample,
     MapFix,
     OdometryMotion,
     Prior,
@@ -61,6 +62,7 @@ class Sensors:
         height_m: barometric, above the start, up positive, taken at `height_t_s`.
         rangefinder_m: along the body's down axis.
         on_ground: the vehicle stands still.
+        imu: samples since the last time, where the autopilot streams them.
     """
 
     attitude: Attitude | None = None
@@ -68,6 +70,7 @@ class Sensors:
     height_t_s: float | None = None
     rangefinder_m: float | None = None
     on_ground: bool = False
+    imu: tuple[ImuSample, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,6 +222,8 @@ class Pipeline:
         with self._lock:
             if sensors.attitude is not None:
                 self._ekf.handle_attitude(sensors.attitude)
+            for sample in sensors.imu:
+                self._ekf.handle_imu(sample)
             if sensors.height_m is not None and sensors.height_t_s is not None:
                 self._ekf.handle_height(sensors.height_t_s, sensors.height_m)
             if sensors.rangefinder_m is not None:

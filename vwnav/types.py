@@ -210,6 +210,20 @@ class Attitude:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ImuSample:
+    """One sample of the autopilot's IMU: (3,) each, forward, right, down.
+
+    Attributes:
+        specific_force_m_s2: what the accelerometers feel: (0, 0, -9.8) at rest and level.
+        rates_rad_s: body rates.
+    """
+
+    t_s: float
+    specific_force_m_s2: Array
+    rates_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """What the filter believes at `t_s`, in NED about the run's origin.
 
@@ -232,6 +246,11 @@ class Estimate:
     sigma_agl_m: float
     t_last_fix_s: float | None
     reset_counter: int
+
+    @property
+    def fix_age_s(self) -> float | None:
+        """Since the exposure of the last fix; None before the first."""
+        return None if self.t_last_fix_s is None else self.t_s - self.t_last_fix_s
 
     @property
     def sigma_horizontal_m(self) -> float:

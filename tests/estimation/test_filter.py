@@ -5,86 +5,169 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flights import World, feed, make, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vwnav.bench.estimator_run import Run, accepted_wrong, play
+from vwnav.bench.estimator_scores import position_nees
+from vwnav.bench.estimator_streams import Stream, feed, sense
+from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
-from vwnav.types import Attitude, OdometryMotion
+from vwnav.estimation.states import States
+from vwnav.types import Attitude, ImuSample, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-CALM = World(seconds=90.0)
+USUAL = World(seconds=90.0)
 
 
-def horizontal(flight, after_s=30.0):
-    error = np.hypot(*flight.error_ne_m.T)
-    return error[flight.t_s > after_s]
+def stream_of(world: World, seed: int) -> Stream:
+    rng = np.random.default_rng(seed)
+    return sense(world, fly(world, [rng])[0], rng)
+
+
+def horizontal(run: Run, after_s: float = 30.0):
+    error = np.hypot(*run.rows.error_ne_m.T)
+    return error[run.rows.t_s > after_s]
 
 
 @pytest.fixture(scope="module")
-def flights():
-    return [run(make(CALM, np.random.default_rng(seed))) for seed in range(6)]
+def runs():
+    rngs = [np.random.default_rng(seed) for seed in range(6)]
+    return [play(sense(USUAL, t, r)) for t, r in zip(fly(USUAL, rngs), rngs, strict=True)]
 
 
-def test_position_and_velocity_are_good_enough_to_fly_on(flights):
-    errors = np.concatenate([horizontal(flight) for flight in flights])
+def test_position_and_velocity_are_good_enough_to_fly_on(runs):
+    errors = np.concatenate([horizontal(run) for run in runs])
     assert np.mean(errors) < 1.0
-    speeds = np.concatenate([np.hypot(*f.error_v_m_s[f.t_s > 30.0, :2].T) for f in flights])
+    speeds = np.concatenate([np.hypot(*r.rows.error_v_m_s[r.rows.t_s > 30.0, :2].T) for r in runs])
     assert np.sqrt(np.mean(speeds**2)) < 0.4
 
 
-def test_the_filter_knows_how_wrong_it_is(flights):
-    """Normalised error squared of north and east has mean 2 for an honest filter."""
-    nees = []
-    for flight in flights:
-        for error, P in zip(flight.error_ne_m[300:], flight.P[300:], strict=True):
-            nees.append(error @ np.linalg.solve(P[:2, :2], error))
-    assert 0.5 < np.mean(nees) < 4.0
+def test_the_filter_knows_how_wrong_it_is(runs):
+    """Normalised error squared of north and east has mean 2 for an honest filter.
+
+    Errors of tilt live for a whole flight: six flights are few, so the bounds are wide here;
+    `vwnav bench estimator` holds 200 flights against those of chi-square.
+    """
+    nees = np.concatenate([position_nees(r.rows)[r.rows.t_s > 30.0] for r in runs])
+    assert 1.0 < np.mean(nees) < 3.6
 
 
-def test_the_covariance_stays_symmetric_and_positive(flights):
-    for flight in flights:
-        for state in flight.states[::20]:
-            assert np.allclose(state.P, state.P.T, atol=1e-9)
-            assert np.linalg.eigvalsh(state.P)[0] > -1e-9
+def test_the_covariance_stays_symmetric_and_positive(runs):
+    for run in runs:
+        assert np.array_equal(run.last.P, run.last.P.T)
+        assert np.linalg.eigvalsh(run.last.P)[0] > 0.0
+        assert np.all(np.linalg.eigvalsh(run.rows.P) > 0.0)
+
+
+def test_twenty_seconds_without_a_fix_cost_two_percent_of_the_way():
+    world = replace(USUAL, hover_share=0.0, outages_s=((60.0, 80.0),))
+    for seed in range(3):
+        rows = play(stream_of(world, seed)).rows
+        at, before = np.searchsorted(rows.t_s, [79.9, 60.0])
+        error_m = np.hypot(*rows.error_ne_m[at])
+        sigma_m = math.sqrt(np.linalg.eigvalsh(rows.P[at, :2, :2])[-1])
+        assert error_m < 0.02 * (rows.way_m[at] - rows.way_m[before])
+        assert error_m < 3.0 * sigma_m
 
 
 def test_wrong_fixes_are_refused():
-    world = replace(CALM, wrong_share=0.1)
-    flight = run(make(world, np.random.default_rng(4)))
-    assert np.max(horizontal(flight)) < 5.0
+    run = play(stream_of(replace(USUAL, wrong_share=0.1), 4))
+    assert np.max(horizontal(run)) < 4.0
+    assert accepted_wrong(run, 20.0) == 0
 
 
-def test_a_compass_that_jumps_by_20_degrees_is_found_out():
-    world = replace(CALM, yaw_step_deg=20.0, yaw_step_s=40.0)
-    flight = run(make(world, np.random.default_rng(5)))
-    late = np.abs(flight.error_yaw_rad[flight.t_s > 60.0])
-    assert math.degrees(np.mean(late)) < 1.5
+def test_ten_wrong_fixes_that_agree_do_not_move_it():
+    run = play(stream_of(replace(USUAL, wrong_runs_s=(40.0, 60.0)), 4))
+    assert np.max(horizontal(run)) < 4.0
+    assert accepted_wrong(run, 20.0) == 0
+    assert run.estimates[-1].reset_counter == 0
+
+
+def test_a_compass_that_jumps_by_20_degrees_is_found_out_within_20_s():
+    run = play(stream_of(replace(USUAL, yaw_step_deg=20.0, yaw_step_s=40.0), 5))
+    late = np.abs(run.rows.error_yaw_rad[run.rows.t_s > 60.0])
+    assert math.degrees(np.max(late)) < 1.5
+
+
+def test_heading_holds_through_turns_of_90_degrees_a_second():
+    run = play(stream_of(replace(USUAL, turn_deg_s=90.0, leg_s=8.0), 5))
+    error_deg = np.degrees(run.rows.error_yaw_rad[run.rows.t_s > 30.0])
+    assert np.sqrt(np.mean(error_deg**2)) < 1.0
+    assert np.max(np.abs(error_deg)) < 3.0
 
 
 def test_height_above_ground_survives_a_drifting_barometer():
-    flight = run(make(replace(CALM, baro_drift_m=3.0), np.random.default_rng(6)))
-    assert np.mean(np.abs(flight.error_agl_ratio[flight.t_s > 40.0])) < 0.03
+    rows = play(stream_of(replace(USUAL, baro_drift_m=3.0), 6)).rows
+    ratio = np.abs(rows.error_agl_m / rows.agl_m)
+    assert np.max(ratio[rows.t_s > 40.0]) < 0.03
+
+
+def test_height_above_a_hill_of_40_m_comes_from_the_terrain_table():
+    world = replace(USUAL, height_m=80.0, hill_m=40.0, table=True, hover_share=0.0)
+    rows = play(stream_of(world, 6)).rows
+    ratio = np.abs(rows.error_agl_m / rows.agl_m)
+    assert np.ptp(rows.agl_m[rows.t_s > 40.0]) > 25.0
+    assert np.sqrt(np.mean(ratio[rows.t_s > 40.0] ** 2)) < 0.03
+
+
+def test_the_imu_is_used_where_it_is_streamed():
+    """Between pictures the accelerometer knows better than thrust and drag do."""
+    world = replace(USUAL, seconds=60.0, hover_share=0.0)
+    errors = []
+    for imu_hz in (0.0, 50.0):
+        rows = play(stream_of(replace(world, imu_hz=imu_hz), 1)).rows
+        errors.append(np.sqrt(np.mean(rows.error_v_m_s[rows.t_s > 30.0, :2] ** 2)))
+    assert errors[1] < 0.85 * errors[0]
+
+
+def test_an_accelerometer_bias_is_found():
+    ekf = _flying()
+    for i in range(1, 2000):
+        t = 1.0 + 0.01 * i
+        ekf.handle_attitude(Attitude(t, LEVEL))
+        ekf.handle_imu(ImuSample(t, np.array([0.0, 0.0, -9.80665 + 0.2]), np.zeros(3)))
+        if i % 10 == 0:
+            ekf.handle_height(t, 50.0)
+    assert ekf.state.x[States.ACCELEROMETER_BIAS][2] == pytest.approx(0.2, abs=0.05)
+
+
+def test_nothing_grows_that_should_not_in_a_long_hover():
+    """Ten minutes of barometer and odometry without a fix: what they bound stays bounded."""
+    ekf = _flying()
+    cov = np.eye(3) * 0.03**2
+    for i in range(1, 6001):
+        t = 1.0 + 0.1 * i
+        ekf.handle_attitude(Attitude(t, LEVEL))
+        ekf.handle_height(t, 50.0)
+        ekf.handle_odometry(OdometryMotion(1.1, t, np.zeros(3), cov, 0.0, 0.003, 50.0, 99))
+    P = ekf.state.P
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P)[0] > 0.0
+    found = ekf.estimate(t)
+    assert np.linalg.norm(found.quat_wxyz) == pytest.approx(1.0, abs=1e-12)
+    assert np.hypot(*found.position_ned_m[:2]) < 0.1
+    assert found.sigma_horizontal_m < 2.5
+    assert np.sqrt(P[3, 3]) < 0.2
 
 
 def test_a_wrong_start_is_left_only_when_fixes_agree():
     start = Start(t_s=0.0, position_ned_m=np.array([150.0, 0.0, 0.0]), sigma_m=3.0)
-    flight = run(make(CALM, np.random.default_rng(7)), start=start)
-    assert np.mean(horizontal(flight, 40.0)) < 1.5
-    assert flight.estimates[-1].reset_counter == 1
+    run = play(stream_of(USUAL, 7), start=start)
+    assert np.mean(horizontal(run, 40.0)) < 1.5
+    assert run.estimates[-1].reset_counter == 1
 
 
 def test_an_unknown_start_takes_the_first_fixes():
-    start = Start(t_s=0.0, position_ned_m=None)
-    flight = run(make(CALM, np.random.default_rng(8)), start=start)
-    assert np.mean(horizontal(flight)) < 1.5
+    run = play(stream_of(USUAL, 8), start=Start(t_s=0.0, position_ned_m=None))
+    assert np.mean(horizontal(run)) < 1.5
 
 
 def test_the_order_of_arrival_does_not_matter():
-    stream = make(replace(CALM, seconds=20.0), np.random.default_rng(9))
-    by_time = sorted(stream.events, key=lambda event: _measured_at(event))
+    stream = stream_of(replace(USUAL, seconds=20.0), 9)
+    by_time = sorted(stream.events, key=lambda event: _measured_at(event.seen))
     results = []
-    for events in (stream.sorted(), by_time):
+    for events in (stream.events, by_time):
         ekf = Ekf(EkfConfig())
         ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=3.0))
         for event in events:
@@ -94,14 +177,8 @@ def test_the_order_of_arrival_does_not_matter():
     assert np.allclose(first.position_ned_m, second.position_ned_m, atol=0.05)
 
 
-def _measured_at(event) -> float:
-    value = event[2]
-    match event[1]:
-        case "height":
-            return value[0]
-        case "odometry":
-            return value.t1_s
-    return value.t_s
+def _measured_at(seen) -> float:
+    return seen.t1_s if isinstance(seen, OdometryMotion) else seen.t_s
 
 
 def test_asking_changes_nothing():
@@ -116,7 +193,7 @@ def test_asking_changes_nothing():
 
 def test_on_a_linear_problem_it_is_the_kalman_filter():
     """A fix on a resting aircraft: position and variance of the textbook's scalar update."""
-    ekf = Ekf(EkfConfig())
+    ekf = Ekf(EkfConfig(map_sigma_m=1e-6))
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=2.0))
     ekf.handle_attitude(Attitude(0.0, LEVEL))
     ekf.handle_fix(NedFix(t_s=0.0, position_ne_m=np.array([1.0, 0.0]), covariance_ne_m2=np.eye(2)))

@@ -5,8 +5,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from vwnav.config import Config
 from vwnav.errors import ModelError
+from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
@@ -69,10 +72,23 @@ def assemble(
     choice = FeatureChoice(
         localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
     )
-    ekf = Ekf(config.ekf)
+    ekf = Ekf(config.ekf, ground=_ground(pack, local_frame))
     odometry = Odometry(camera, config.odometry)
     pipeline = Pipeline(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
         executor,
     )  # fmt: skip
     return Assembled(pipeline, ekf, pack, primary.feature_set_id)
+
+
+def _ground(pack: MapPack, local_frame: LocalFrame) -> Ground | None:
+    """The map's terrain heights in the filter's frame; None where the map has none."""
+    if pack.heights is None:
+        return None
+
+    def height_m(north_m: float, east_m: float) -> float | None:
+        place = np.array([north_m, east_m, 0.0])
+        lat_deg, lon_deg, _ = local_frame.to_geodetic(place)
+        return pack.elevation_m(float(lat_deg), float(lon_deg))
+
+    return height_m

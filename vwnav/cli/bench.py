@@ -1,4 +1,4 @@
-"""`vwnav bench`: the feature sets side by side on scenes with a truth."""
+"""`vwnav bench`: the feature sets side by side on scenes with a truth, and the filter."""
 
 import json
 import os
@@ -7,11 +7,13 @@ from pathlib import Path
 
 import typer
 
+from vwnav.cli.bench_estimator import estimator
 from vwnav.cli.screen import progress_bar, say
 
 _WIDTH = 120
 
-app = typer.Typer(no_args_is_help=True, help="Measure: every feature set on the same scenes.")
+app = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
+app.command("estimator")(estimator)
 
 
 @app.callback()

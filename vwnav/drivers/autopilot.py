@@ -149,7 +149,7 @@ class MavsdkAutopilot:
         )
 
     def send_estimate(self, estimate: Estimate) -> None:
-        """Send the filter's output; call it at 20 to 30 Hz without gaps of 0.2 s.
+        """Send the filter's output; call it at 20 to 50 Hz without gaps of 0.2 s.
 
         Raises:
             ValueError: `set_origin` was never called.

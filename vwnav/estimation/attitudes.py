@@ -33,7 +33,7 @@ class AttitudeHistory:
             return
         quat = np.asarray(attitude.quat_wxyz, dtype=np.float64)
         self._times_s.insert(i, attitude.t_s)
-        self._quats.insert(i, quat / np.linalg.norm(quat))
+        self._quats.insert(i, quat / math.sqrt(quat @ quat))
         # The newest before the window stays: it holds until the next one.
         old = bisect.bisect_left(self._times_s, self._times_s[-1] - self._length_s) - 1
         if old > 0:

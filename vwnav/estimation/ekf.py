@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
     Event,
@@ -20,6 +21,7 @@ from vwnav.estimation.events import (
     Stationary,
 )
 from vwnav.estimation.fusion import apply
+from vwnav.estimation.imu import ImuHistory
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
 from vwnav.estimation.timeline import Timeline
@@ -29,7 +31,7 @@ from vwnav.geometry.rotations import (
     rotation_from_quat,
     rotation_from_vector,
 )
-from vwnav.types import Array, Attitude, Estimate, OdometryMotion
+from vwnav.types import Array, Attitude, Estimate, ImuSample, OdometryMotion
 
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 
@@ -44,9 +46,17 @@ class Ekf:
     is refused and said so.
     """
 
-    def __init__(self, config: EkfConfig) -> None:
+    def __init__(self, config: EkfConfig, ground: Ground | None = None) -> None:
+        """Prepare.
+
+        Args:
+            config: noises and limits.
+            ground: terrain heights of the map in the filter's own frame, where it has them.
+        """
         self._config = config
         self._attitudes = AttitudeHistory(config.history_s + _ATTITUDE_MARGIN_S)
+        self._imu = ImuHistory(self._attitudes, config.history_s + _ATTITUDE_MARGIN_S)
+        self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
 
@@ -66,7 +76,7 @@ class Ekf:
         Raises:
             ValueError: the start is not finite or a sigma is not positive.
         """
-        step = partial(_apply, attitudes=self._attitudes, config=self._config)
+        step = partial(apply, context=self._context)
         self._timeline = Timeline(first_state(start, self._config), step, self._config.history_s)
         self._asked_s = start.t_s
         self._attitudes.forget_after(start.t_s + self._config.ahead_s)
@@ -81,6 +91,20 @@ class Ekf:
             return Innovation(Verdict.AHEAD)
         self._attitudes.add(attitude)
         return Innovation(Verdict.FUSED)
+
+    def handle_imu(self, sample: ImuSample) -> Innovation:
+        """Take a sample of the IMU, in order of time and after the attitude of its moment.
+
+        While samples come, they move the estimate between measurements, instead of the attitude's
+        thrust and the slow acceleration.
+        """
+        finite = math.isfinite(sample.t_s) and np.shape(sample.specific_force_m_s2) == (3,)
+        if not finite or not np.all(np.isfinite(sample.specific_force_m_s2)):
+            return Innovation(Verdict.NOT_FINITE)
+        if self._timeline is not None and self._ahead(sample.t_s):
+            return Innovation(Verdict.AHEAD)
+        added = self._imu.add(sample)
+        return Innovation(Verdict.FUSED if added else Verdict.TOO_LATE)
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
         """Take the barometric height above the start, up positive."""
@@ -123,7 +147,7 @@ class Ekf:
             raise RuntimeError("the filter is not initialised")
         if math.isfinite(t_s):
             self._asked_s = t_s
-        state = predict(self._timeline.head, t_s, self._attitudes, self._config)
+        state = predict(self._timeline.head, t_s, self._context)
         return _estimate(state, self._attitudes.quat_at(state.t_s))
 
     def _handle(self, event: Event) -> Innovation:
@@ -151,16 +175,10 @@ class Ekf:
         return t_s > newest_s + self._config.ahead_s
 
 
-def _apply(
-    state: FilterState, event: Event, attitudes: AttitudeHistory, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
-    return apply(state, event, attitudes, config)
-
-
 def _estimate(state: FilterState, quat_measured_wxyz: Array) -> Estimate:
     x, P = state.x, state.P
     kept = np.r_[0:6]
-    yaw, down, terrain = States.HEADING_BIAS.start, 2, States.TERRAIN.start
+    down, terrain = 2, States.TERRAIN.start
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
     return Estimate(
         t_s=state.t_s,
@@ -168,12 +186,21 @@ def _estimate(state: FilterState, quat_measured_wxyz: Array) -> Estimate:
         velocity_ned_m_s=x[States.VELOCITY].copy(),
         covariance=P[np.ix_(kept, kept)],
         quat_wxyz=_true_attitude(x, quat_measured_wxyz),
-        sigma_yaw_rad=math.sqrt(P[yaw, yaw]),
+        sigma_yaw_rad=math.sqrt(_yaw_variance(P, quat_measured_wxyz)),
         agl_m=max(state.agl_m, 0.0),
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
     )
+
+
+def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
+    """A tilt error turns the heading of a nose that points up or down: by tan(pitch)."""
+    w, x, y, z = quat_measured_wxyz.tolist()
+    sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
+    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
+    yaw, forward = States.HEADING_BIAS.start, States.TILT.start
+    return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
 
 
 def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:

@@ -30,6 +30,7 @@ class NedFix:
         yaw_rad: true heading; None when the fix has none. agl_m: likewise.
         sigma_tilt_rad: the attitude error that `covariance_ne_m2` contains. It moves the fix by
             AGL times tilt, slowly: the filter carries it as a state, so it is taken out.
+        sigma_map_m: likewise what all fixes of a place share: the map's own error.
     """
 
     t_s: float
@@ -40,6 +41,7 @@ class NedFix:
     agl_m: float | None = None
     sigma_agl_m: float | None = None
     sigma_tilt_rad: float = 0.0
+    sigma_map_m: float = 0.0
 
     @property
     def rank(self) -> Rank:
@@ -56,6 +58,7 @@ class NedFix:
             and _pair_sensible(self.yaw_rad, self.sigma_yaw_rad)
             and _pair_sensible(self.agl_m, self.sigma_agl_m)
             and math.isfinite(self.sigma_tilt_rad)
+            and math.isfinite(self.sigma_map_m)
         )
 
 

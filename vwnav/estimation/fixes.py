@@ -7,6 +7,7 @@ import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory
 from vwnav.estimation.consensus import agreeing, convinces, remember
+from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
 from vwnav.estimation.updates import (
@@ -31,14 +32,16 @@ _TERRAIN = States.TERRAIN.start
 _SMALLEST_SIGMA_M = 0.03
 
 
-def apply_fix(
-    state: FilterState, fix: NedFix, attitudes: AttitudeHistory, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
+def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
     """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
+    attitudes, config = context.attitudes, context.config
     position = _position(state, fix, attitudes)
+    before = state
     state, innovation = _apply_position(state, fix, position, config)
     if not innovation.accepted:
         return state, innovation
+    if innovation.verdict is Verdict.RELOCATED:
+        state = _on_other_ground(before, state, context)
     state = replace(state, t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
     if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
@@ -86,8 +89,9 @@ def _position(state: FilterState, fix: NedFix, attitudes: AttitudeHistory) -> Me
     H = np.zeros((2, States.SIZE))
     H[:, _NE] = np.eye(2)
     H[:, States.TILT] = lever
+    H[:, States.MAP] = np.eye(2)
     residual = fix.position_ne_m - H @ state.x
-    own_m2 = (max(state.agl_m, 0.0) * fix.sigma_tilt_rad) ** 2
+    own_m2 = (max(state.agl_m, 0.0) * fix.sigma_tilt_rad) ** 2 + fix.sigma_map_m**2
     variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
     rest = np.maximum(variances - own_m2, np.maximum(0.1 * variances, _SMALLEST_SIGMA_M**2))
     return Measurement(residual, H, axes @ np.diag(rest) @ axes.T)
@@ -133,10 +137,21 @@ def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
     return replace(moved, position_known=True)
 
 
+def _on_other_ground(before: FilterState, after: FilterState, context: Context) -> FilterState:
+    """After a jump the ground below is that of the other place, as far as the table knows."""
+    (n0, e0), (n1, e1) = before.x[_NE].tolist(), after.x[_NE].tolist()
+    old, new = context.patch(n0, e0), context.patch(n1, e1)
+    if old is None or new is None:
+        return after
+    x = after.x.copy()
+    x[_TERRAIN] += new.height_m - old.height_m
+    return replace(after, x=x)
+
+
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (17, m) says which states move with the residual. The new error is
+    `jump` (22, m) says which states move with the residual. The new error is
     e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
     """
     A = np.eye(States.SIZE) - jump @ measurement.H
@@ -160,8 +175,9 @@ def _apply_heading(
     if not state.heading_known:
         found = replace(_moved_along(state, measurement, jump), heading_known=True)
         return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)
-    fused, innovation = fuse(state, measurement)
+    innovation = innovate(state, measurement)
     if innovation.accepted:
+        fused = correct(state, measurement, config.visual_weight)
         return replace(fused, disputed_headings=()), innovation
     dispute = Dispute(state.t_s, residual, measurement.R)
     disputes = remember(state.disputed_headings, dispute, config.dispute_window_s)

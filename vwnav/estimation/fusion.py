@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
     Event,
@@ -25,21 +26,23 @@ from vwnav.types import Array, OdometryMotion
 _DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
+_ANCHOR_NORTH = States.ANCHOR_POSITION.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
+_SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
+_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _LEAST_COS_TILT = 0.5
 
 
-def apply(
-    state: FilterState, event: Event, attitudes: AttitudeHistory, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
+def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
     """The state after an event, and what the event said. `event.t_s` is not before the state's."""
-    state = predict(state, event.t_s, attitudes, config)
+    state = predict(state, event.t_s, context)
+    attitudes, config = context.attitudes, context.config
     match event:
         case NedFix():
-            return apply_fix(state, event, attitudes, config)
+            return apply_fix(state, event, context)
         case Displacement(motion):
-            return _apply_displacement(state, motion, attitudes, config)
+            return _apply_displacement(state, motion, context)
         case Keyframe():
             return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
@@ -63,9 +66,10 @@ def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> F
 
 
 def _apply_displacement(
-    state: FilterState, motion: OdometryMotion, attitudes: AttitudeHistory, config: EkfConfig
+    state: FilterState, motion: OdometryMotion, context: Context
 ) -> tuple[FilterState, Innovation]:
     """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
+    attitudes, config = context.attitudes, context.config
     anchor = state.anchor
     if anchor is None or anchor.t_s != motion.t0_s:
         return state, Innovation(Verdict.NO_ANCHOR)
@@ -76,11 +80,43 @@ def _apply_displacement(
         turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
-    # The ground's height is left alone: noise in a way times a height pulls it to one side, and
-    # without fixes nothing would pull it back.
-    displacement = _displacement(state, motion, anchor.yaw_rad, config)
-    state, innovation = fuse(state, displacement, considered=(States.TERRAIN.start,))
+    before = state
+    agl_m = _keyframe_agl_m(state, context)
+    displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
+    state, innovation = fuse(state, displacement)
+    if innovation.accepted:
+        state = _in_scale(before, state, agl_m)
     return state, replace(innovation, parts=parts)
+
+
+def _keyframe_agl_m(state: FilterState, context: Context) -> float:
+    """Height of the keyframe above its own ground, which the table may have lower than ours."""
+    x = state.x
+    agl_m = float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0])
+    here = context.patch(float(x[0]), float(x[1]))
+    there = context.patch(float(x[_ANCHOR_NORTH]), float(x[_ANCHOR_NORTH + 1]))
+    if here is not None and there is not None:
+        agl_m += here.height_m - there.height_m
+    return max(agl_m, _LEAST_AGL_M)
+
+
+def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
+    """The covariance after odometry, with what it changed tied to the scale it was measured in.
+
+    A correction d made of a way seen is d / AGL heights long: had the AGL another error e, it would
+    be longer by d e / AGL. So the errors of what it changed grow by that (the reset Jacobian of an
+    error state that scales). Without it the way believed and its correlation with the AGL part,
+    and the next pictures seem to say how high the camera is, which no picture can.
+    """
+    per_m = np.zeros(States.SIZE)
+    change = after.x - before.x
+    per_m[_SCALED] = change[_SCALED] / agl_m
+    per_m[_DOWN] = (change[_DOWN] - change[_ANCHOR_DOWN]) / agl_m
+    P = after.P
+    by_agl = -(P[:, _ANCHOR_DOWN] + P[:, States.TERRAIN.start])
+    variance = -(by_agl[_ANCHOR_DOWN] + by_agl[States.TERRAIN.start])
+    tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
+    return replace(after, P=P + (tied + tied.T))
 
 
 def _turn(
@@ -96,7 +132,7 @@ def _turn(
 
 
 def _displacement(
-    state: FilterState, motion: OdometryMotion, yaw_rad: float, config: EkfConfig
+    state: FilterState, motion: OdometryMotion, agl_m: float, yaw_rad: float, config: EkfConfig
 ) -> Measurement:
     """The way in units of the keyframe's AGL, scaled by the AGL believed now.
 
@@ -106,23 +142,33 @@ def _displacement(
     how far it was.
     """
     x = state.x
-    agl_m = max(float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0]), _LEAST_AGL_M)
     c, s = math.cos(x[_ANCHOR_YAW]), math.sin(x[_ANCHOR_YAW])
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    way_per_agl: Array = turn @ motion.displacement_ned_m / motion.agl_m
-    way_m = agl_m * way_per_agl
+    way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
+    # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
+    # residual and gain alike, and every picture would pull height and place to the same side.
+    predicted_m: Array = x[States.POSITION] - x[States.ANCHOR_POSITION]
     H = np.zeros((3, States.SIZE))
     H[:, States.POSITION] = np.eye(3)
     H[:, States.ANCHOR_POSITION] = -np.eye(3)
-    H[:, _ANCHOR_DOWN] += way_per_agl
-    H[:, States.TERRAIN.start] = way_per_agl
-    H[:, _ANCHOR_YAW] = -way_m[1], way_m[0], 0.0
-    c, s = math.cos(yaw_rad - x[_ANCHOR_YAW]), math.sin(yaw_rad - x[_ANCHOR_YAW])
-    by_tilt = -skew(way_m)[:, :2] @ np.array([[c, -s], [s, c]])
+    H[:, _ANCHOR_DOWN] += predicted_m / agl_m
+    H[:, States.TERRAIN.start] = predicted_m / agl_m
+    H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
+    yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
+    level0, level1 = _level_axes(yaw0_rad), _level_axes(yaw0_rad + motion.yaw_increment_rad)
+    by_tilt = -skew(predicted_m)[:, :2] @ level0
+    # In a turn the tilt error turns with the body; odometry takes a share of that for motion.
+    by_tilt[:2] += config.odometry_tilt_share * agl_m * _QUARTER_TURN @ (level1 - level0)
     H[:, States.TILT] = by_tilt
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     return Measurement(residual, H, scale * turn @ motion.covariance_ned_m2 @ turn.T)
+
+
+def _level_axes(yaw_rad: float) -> Array:
+    """(2, 2) the body's level forward and right, north and east, as columns."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s], [s, c]])
 
 
 def _apply_height(

@@ -1,11 +1,12 @@
 """How the state moves between measurements."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory, thrust_acceleration
+from vwnav.estimation.attitudes import GRAVITY_M_S2, thrust_acceleration, yaw_of
+from vwnav.estimation.context import Context
 from vwnav.estimation.states import EkfConfig, FilterState, States
 from vwnav.types import Array
 
@@ -15,11 +16,14 @@ _N, _E, _D = 0, 1, 2
 _VN, _VE, _VD = 3, 4, 5
 _AN, _AE = 6, 7
 _YAW = States.HEADING_BIAS.start
+_FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
+_MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
+_TERRAIN = States.TERRAIN.start
+_BIAS_X, _BIAS_Y, _BIAS_Z = range(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
+_IDENTITY = np.eye(States.SIZE)
 
 
-def predict(
-    state: FilterState, t_s: float, attitudes: AttitudeHistory, config: EkfConfig
-) -> FilterState:
+def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     """The state at a later time `t_s`; the same state when the time is not later."""
     span_s = t_s - state.t_s
     if span_s <= 0.0:
@@ -28,58 +32,116 @@ def predict(
     dt_s = span_s / count
     x, P = state.x, state.P
     for i in range(count):
-        acceleration = _thrust(x, state.t_s + (i + 0.5) * dt_s, attitudes, config)
-        x, P = _step(x, P, dt_s, acceleration, config)
+        x, P = _step(x, P, state.t_s + i * dt_s, dt_s, context)
     return replace(state, t_s=t_s, x=x, P=P)
 
 
-def _thrust(
-    x: Array, t_s: float, attitudes: AttitudeHistory, config: EkfConfig
-) -> tuple[float, float]:
-    """(north, east) acceleration from the attitude, turned from the autopilot's heading to true."""
-    if not config.thrust_aided:
-        return 0.0, 0.0
-    north, east = thrust_acceleration(attitudes.quat_at(t_s))
-    cos_b, sin_b = math.cos(x[_YAW]), math.sin(x[_YAW])
-    return cos_b * north + sin_b * east, -sin_b * north + cos_b * east
+@dataclass(frozen=True, slots=True, eq=False)
+class _Felt:
+    """Acceleration (3,) NED of a step, and how it changes with forward and right tilt error.
+
+    `by_bias` (3, 3): with the accelerometer's bias; None when it comes from thrust, to which the
+    slow acceleration must be added.
+    """
+
+    acceleration: Array
+    by_forward: tuple[float, float] = (0.0, 0.0)
+    by_right: tuple[float, float] = (0.0, 0.0)
+    by_bias: Array | None = None
 
 
-def _step(
-    x: Array, P: Array, dt_s: float, acceleration: tuple[float, float], config: EkfConfig
-) -> tuple[Array, Array]:
+def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
+    """From the IMU or else the thrust, with heading bias and tilt error of the attitude taken out.
+
+    A tilt error d = (d_n, d_e) shows the thrust g (-d_e, d_n) off.
+    """
+    push = context.imu.between(t_s, t_s + dt_s)
+    if push is None and not context.config.thrust_aided:
+        return _Felt(np.array([float(x[_AN]), float(x[_AE]), 0.0]))
+    quat = context.attitudes.quat_at(t_s + 0.5 * dt_s)
+    bias_rad = float(x[_YAW])
+    cos_b, sin_b = math.cos(bias_rad), math.sin(bias_rad)
+    unturn = np.array([[cos_b, sin_b, 0.0], [-sin_b, cos_b, 0.0], [0.0, 0.0, 1.0]])
+    by_bias = None
+    if push is None:
+        felt = unturn @ [*thrust_acceleration(quat), 0.0] + [float(x[_AN]), float(x[_AE]), 0.0]
+    else:
+        by_bias = -unturn @ push.rotation_s / dt_s
+        felt = unturn @ push.velocity_m_s / dt_s + by_bias @ x[States.ACCELEROMETER_BIAS]
+        felt[_D] += GRAVITY_M_S2
+    yaw_rad = yaw_of(quat) - bias_rad
+    c, s = GRAVITY_M_S2 * math.cos(yaw_rad), GRAVITY_M_S2 * math.sin(yaw_rad)
+    forward, right = x[States.TILT].tolist()
+    felt[:2] += s * forward + c * right, -c * forward + s * right
+    return _Felt(felt, (s, -c), (c, s), by_bias)
+
+
+def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tuple[Array, Array]:
     """One step of at most some tenths of a second: x' = f(x), P' = F P F^T + Q."""
+    config = context.config
+    felt = _felt(x, t_s, dt_s, context)
     keep = math.exp(-dt_s / config.acceleration_time_s)
     keep_tilt = math.exp(-dt_s / config.tilt_time_s)
-    north, east = acceleration[0] + x[_AN], acceleration[1] + x[_AE]
+    flown_m = math.hypot(x[_VN], x[_VE]) * dt_s
+    keep_map = math.exp(-flown_m / config.map_length_m)
     moved = x.copy()
-    moved[States.POSITION] += dt_s * x[States.VELOCITY]
-    moved[_N] += 0.5 * dt_s**2 * north
-    moved[_E] += 0.5 * dt_s**2 * east
-    moved[_VN] += dt_s * north
-    moved[_VE] += dt_s * east
+    moved[States.POSITION] += dt_s * x[States.VELOCITY] + (0.5 * dt_s**2) * felt.acceleration
+    moved[States.VELOCITY] += dt_s * felt.acceleration
     moved[States.ACCELERATION] *= keep
     moved[States.TILT] *= keep_tilt
+    moved[States.MAP] *= keep_map
 
-    F = np.eye(States.SIZE)
+    F = _IDENTITY.copy()
     F[_N, _VN] = F[_E, _VE] = F[_D, _VD] = dt_s
-    F[_N, _AN] = F[_E, _AE] = 0.5 * dt_s**2
-    F[_VN, _AN] = F[_VE, _AE] = dt_s
     F[_AN, _AN] = F[_AE, _AE] = keep
-    # A wrong heading turns the thrust's acceleration.
-    F[_VN, _YAW], F[_VE, _YAW] = dt_s * acceleration[1], -dt_s * acceleration[0]
-    F[States.TILT, States.TILT] *= keep_tilt
-    predicted = F @ P @ F.T + _process_noise(x, dt_s, config)
+    if felt.by_bias is None:
+        F[_N, _AN] = F[_E, _AE] = 0.5 * dt_s**2
+        F[_VN, _AN] = F[_VE, _AE] = dt_s
+    else:
+        F[States.VELOCITY, States.ACCELEROMETER_BIAS] = dt_s * felt.by_bias
+    # A wrong heading turns the acceleration, a wrong tilt adds to it.
+    slow = (x[_AN], x[_AE]) if felt.by_bias is None else (0.0, 0.0)
+    F[_VN, _YAW] = dt_s * (felt.acceleration[1] - slow[1])
+    F[_VE, _YAW] = -dt_s * (felt.acceleration[0] - slow[0])
+    F[_VN, _FORWARD], F[_VE, _FORWARD] = (dt_s * by for by in felt.by_forward)
+    F[_VN, _RIGHT], F[_VE, _RIGHT] = (dt_s * by for by in felt.by_right)
+    F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
+    F[_MAP_N, _MAP_N] = F[_MAP_E, _MAP_E] = keep_map
+    known = _follow_ground(x, moved, F, dt_s, context)
+    predicted = F @ P @ F.T
+    predicted += _process_noise(dt_s, flown_m, known, felt.by_bias is not None, config)
     return moved, 0.5 * (predicted + predicted.T)
 
 
-def _process_noise(x: Array, dt_s: float, config: EkfConfig) -> Array:
+def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Context) -> bool:
+    """Let the ground below rise as the terrain table says; whether it says anything.
+
+    The ground is table(place) + its own error: terrain' = terrain + table(p') - table(p).
+    """
+    if context.ground is None:
+        return False
+    before = context.patch(float(x[_N]), float(x[_E]))
+    after = context.patch(float(moved[_N]), float(moved[_E]))
+    if before is None or after is None:
+        return False
+    moved[_TERRAIN] += after.height_m - before.height_m
+    F[_TERRAIN, _N] = after.per_north - before.per_north
+    F[_TERRAIN, _E] = after.per_east - before.per_east
+    F[_TERRAIN, _VN], F[_TERRAIN, _VE] = after.per_north * dt_s, after.per_east * dt_s
+    return True
+
+
+def _process_noise(
+    dt_s: float, flown_m: float, ground_known: bool, imu: bool, config: EkfConfig
+) -> Array:
     """Q of one step: white acceleration, random walks, and what feeds the Gauss-Markov states."""
     Q = np.zeros((States.SIZE, States.SIZE))
-    for p, v, noise in (
-        (_N, _VN, config.acceleration_noise_m_s2),
-        (_E, _VE, config.acceleration_noise_m_s2),
-        (_D, _VD, config.vertical_noise_m_s2),
-    ):
+    level, vertical = config.acceleration_noise_m_s2, config.vertical_noise_m_s2
+    if imu:
+        level = vertical = config.imu_noise_m_s2
+        walk = config.accelerometer_walk_m_s2**2 * dt_s
+        Q[_BIAS_X, _BIAS_X] = Q[_BIAS_Y, _BIAS_Y] = Q[_BIAS_Z, _BIAS_Z] = walk
+    for p, v, noise in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
         q = noise**2
         Q[p, p] = q * dt_s**3 / 3.0
         Q[p, v] = Q[v, p] = q * dt_s**2 / 2.0
@@ -87,11 +149,12 @@ def _process_noise(x: Array, dt_s: float, config: EkfConfig) -> Array:
     fed = 1.0 - math.exp(-2.0 * dt_s / config.acceleration_time_s)
     Q[_AN, _AN] = Q[_AE, _AE] = config.acceleration_sigma_m_s2**2 * fed
     fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s)
-    for i in range(States.TILT.start, States.TILT.stop):
-        Q[i, i] = config.tilt_sigma_rad**2 * fed_tilt
+    Q[_FORWARD, _FORWARD] = Q[_RIGHT, _RIGHT] = config.tilt_sigma_rad**2 * fed_tilt
+    fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
+    Q[_MAP_N, _MAP_N] = Q[_MAP_E, _MAP_E] = config.map_sigma_m**2 * fed_map
     Q[_YAW, _YAW] = config.heading_walk_rad**2 * dt_s
-    baro, terrain = States.BARO.start, States.TERRAIN.start
+    baro = States.BARO.start
     Q[baro, baro] = config.baro_walk_m**2 * dt_s
-    speed_m_s = math.hypot(x[_VN], x[_VE])
-    Q[terrain, terrain] = config.terrain_walk_m**2 * speed_m_s * dt_s
+    walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
+    Q[_TERRAIN, _TERRAIN] = walk_m**2 * flown_m
     return Q

@@ -24,7 +24,9 @@ class States:
     TERRAIN = slice(12, 13)  # m, height above the origin of the ground below
     ANCHOR_POSITION = slice(13, 16)  # m, NED, the position at the keyframe of odometry
     ANCHOR_HEADING_BIAS = slice(16, 17)  # rad, the heading bias at the keyframe
-    SIZE = 17
+    MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
+    ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
+    SIZE = 22
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,15 +34,21 @@ class EkfConfig:
     """Noises and limits. Sigmas are one standard deviation; densities are per root second."""
 
     # How the states change
-    acceleration_noise_m_s2: float = 0.3  # per root hertz, horizontal, white
-    vertical_noise_m_s2: float = 1.0  # per root hertz, white
-    acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
+    acceleration_noise_m_s2: float = 0.1  # per root hertz, horizontal, white
+    vertical_noise_m_s2: float = 0.4  # per root hertz, white
+    acceleration_sigma_m_s2: float = 1.0  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
-    tilt_sigma_rad: float = math.radians(1.0)  # first-order Gauss-Markov
-    tilt_time_s: float = 30.0
+    tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
+    tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
+    imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
+    accelerometer_sigma_m_s2: float = 0.15  # bias at first
+    accelerometer_walk_m_s2: float = 0.003  # per root second
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
+    terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
+    map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
+    map_length_m: float = 60.0
     thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
     # How sure the states are at first
     heading_sigma_rad: float = math.radians(15.0)  # a compass near motors and steel
@@ -54,6 +62,7 @@ class EkfConfig:
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
+    odometry_tilt_share: float = 0.1  # of a change of tilt error that odometry takes for motion
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
     # Time
@@ -79,10 +88,13 @@ class EkfConfig:
         return replace(
             self,
             acceleration_noise_m_s2=1.5,
+            vertical_noise_m_s2=1.0,
+            acceleration_sigma_m_s2=1.5,
             heading_walk_rad=math.radians(0.5),
             tilt_sigma_rad=math.radians(0.01),
             heading_sigma_rad=math.pi,
             thrust_aided=False,
+            odometry_tilt_share=0.0,
             odometry_turns_attitude=True,
         )
 
@@ -109,7 +121,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (17,) see `States`. P: (17, 17) its covariance.
+        x: (22,) see `States`. P: (22, 22) its covariance.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """
@@ -174,5 +186,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.TILT] = config.tilt_sigma_rad**2
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
+    variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
+    variance[States.MAP] = config.map_sigma_m**2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known)

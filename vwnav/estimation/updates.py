@@ -13,6 +13,9 @@ from vwnav.types import Array
 CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 
 
+_IDENTITY = np.eye(States.SIZE)
+
+
 class Verdict(Enum):
     """What became of a measurement."""
 
@@ -53,7 +56,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 17) and noise R (m, m)."""
+    """A linearised measurement: residual (m,), its Jacobian H (m, 22) and noise R (m, m)."""
 
     residual: Array
     H: Array
@@ -62,47 +65,57 @@ class Measurement:
 
 def innovate(state: FilterState, measurement: Measurement) -> Innovation:
     """Compare with the prediction, by the chi-square gate of its degrees of freedom."""
-    r, H = measurement.residual, measurement.H
-    S = H @ state.P @ H.T + measurement.R
-    nis = float(r @ np.linalg.solve(S, r))
-    verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
-    return Innovation(verdict, nis, len(r), r)
+    return _compare(state, measurement)[0]
 
 
 def correct(
-    state: FilterState,
-    measurement: Measurement,
-    visual_weight: float = 0.0,
-    considered: tuple[int, ...] = (),
+    state: FilterState, measurement: Measurement, visual_weight: float = 0.0
 ) -> FilterState:
-    """Apply a measurement. States in `considered` add their uncertainty but are left as they are.
+    """Apply a measurement.
 
-    The Joseph form keeps P symmetric and positive for any gain, also the one that eq. 3.30 of the
-    thesis makes: x + K r, then a part lambda of what is still missing. That part goes along the
-    least change of the measured states that explains it: K' = K + lambda H^+ (I - H K).
+    `visual_weight` is the lambda of the thesis' eq. 3.30: x + K r, then a part lambda of what is
+    still missing. That part goes along the least change of the measured states that explains it:
+    K' = K + lambda H^+ (I - H K).
     """
-    H, P = measurement.H, state.P
-    PHt = P @ H.T
-    K = np.linalg.solve(H @ PHt + measurement.R, PHt.T).T
+    _, K = _compare(state, measurement)
     if visual_weight > 0.0:
+        H = measurement.H
         K = K + visual_weight * np.linalg.pinv(H) @ (np.eye(len(H)) - H @ K)
-    K[list(considered)] = 0.0  # Schmidt 1966: "consider" states
-    A = np.eye(States.SIZE) - K @ H
-    corrected = A @ P @ A.T + K @ measurement.R @ K.T
-    x = state.x + K @ measurement.residual
-    for i in (States.HEADING_BIAS.start, States.ANCHOR_HEADING_BIAS.start):
-        x[i] = wrap_pi(x[i])
-    return replace(state, x=x, P=0.5 * (corrected + corrected.T))
+    return _corrected(state, measurement, K)
 
 
-def fuse(
-    state: FilterState, measurement: Measurement, considered: tuple[int, ...] = ()
-) -> tuple[FilterState, Innovation]:
+def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
     """Correct by a measurement unless its gate refuses it."""
-    innovation = innovate(state, measurement)
+    innovation, K = _compare(state, measurement)
     if not innovation.accepted:
         return state, innovation
-    return correct(state, measurement, considered=considered), innovation
+    return _corrected(state, measurement, K), innovation
+
+
+def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
+    """What the measurement says, and the optimal gain K (22, m) for it."""
+    r, H = measurement.residual, measurement.H
+    PHt = state.P @ H.T
+    S = H @ PHt + measurement.R
+    if len(r) == 1:
+        K = PHt / S[0, 0]
+        nis = float(r[0] ** 2 / S[0, 0])
+    else:
+        solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
+        K, nis = solved[:, 1:].T, float(r @ solved[:, 0])
+    verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
+    return Innovation(verdict, nis, len(r), r), K
+
+
+def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:
+    """Joseph's form keeps P symmetric and positive for any gain."""
+    A = _IDENTITY - K @ measurement.H
+    P = A @ state.P @ A.T
+    P += (K @ measurement.R) @ K.T
+    x = state.x + K @ measurement.residual
+    for i in (States.HEADING_BIAS.start, States.ANCHOR_HEADING_BIAS.start):
+        x[i] = wrap_pi(float(x[i]))
+    return replace(state, x=x, P=0.5 * (P + P.T))
 
 
 def freed(state: FilterState, index: int, sigma: float) -> FilterState:

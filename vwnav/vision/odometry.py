@@ -251,7 +251,7 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        return self._accept(keyframe, view, motion, count)
+        return self._accept(keyframe, view, _off_plane(motion, count / stats.matches), count)
 
     def _prior(self, level: bool) -> MotionPrior:
         c = self._config
@@ -314,6 +314,15 @@ class Odometry:
 
 def _heading(R_ned_camera: Array, camera: Camera) -> float:
     return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
+
+
+def _off_plane(motion: Motion, share: float) -> Motion:
+    """The motion, less sure where only a share of the tracks lies on its plane.
+
+    Roofs and crowns of trees move on planes of their own: which of them was taken for the ground,
+    and how much the rest pulls at it, the inliers' own scatter does not tell.
+    """
+    return replace(motion, covariance=motion.covariance / share**2)
 
 
 def _plausible(motion: Motion, config: OdometryConfig) -> bool:

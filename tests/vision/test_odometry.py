@@ -1,0 +1,69 @@
+"""Odometry on drawn ground: metric, without drift in a hover, and humble where it is not flat."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from vwnav.geometry.camera import Camera
+from vwnav.types import Frame, OdometryMotion
+from vwnav.vision.odometry import Odometry, OdometryConfig
+
+LEVEL = np.eye(3)
+WIDTH, HEIGHT, AGL_M = 320, 240, 50.0
+CAMERA = Camera.from_hfov(WIDTH, HEIGHT, 60.0)
+M_PER_PX = AGL_M / float(CAMERA.K[0, 0])
+
+
+def ground(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    noise = rng.integers(0, 255, (500, 500), dtype=np.uint8)
+    return cv2.GaussianBlur(noise, (0, 0), 2.0) * 3
+
+
+def picture(texture, shift_px: float, roof: slice | None = None, roof_gain: float = 2.0):
+    """Seen from above after flying north by so many pixels; `roof` columns move faster."""
+
+    def seen(px: float):
+        centre = (250.0, 250.0 - px)
+        return cv2.getRectSubPix(texture, (WIDTH, HEIGHT), centre)
+
+    out = seen(shift_px)
+    if roof is not None:
+        out = out.copy()
+        out[:, roof] = seen(roof_gain * shift_px)[:, roof]
+    return out
+
+
+def motions(shifts_px, roof=None):
+    odometry, texture = Odometry(CAMERA, OdometryConfig()), ground(1)
+    results = [
+        odometry.step(Frame(0.1 * i, picture(texture, px, roof), i), LEVEL, AGL_M)
+        for i, px in enumerate(shifts_px)
+    ]
+    return results[1:]
+
+
+def test_the_way_is_metric():
+    last = motions([0.0, 4.0, 8.0, 12.0])[-1]
+    assert isinstance(last, OdometryMotion)
+    assert last.displacement_ned_m[0] == pytest.approx(12.0 * M_PER_PX, abs=0.05)
+    assert np.abs(last.displacement_ned_m[1:]).max() < 0.1
+
+
+def test_a_hover_does_not_drift():
+    """Every picture is compared with the one keyframe, however long it lasts."""
+    swaying = [3.0 * math.sin(0.7 * i) for i in range(60)] + [0.0]
+    found = motions(swaying)
+    assert all(isinstance(m, OdometryMotion) and m.t0_s == 0.0 for m in found)
+    assert np.abs(found[-1].displacement_ned_m).max() < 0.05
+
+
+def test_a_roof_makes_it_less_sure_and_does_not_pull_it_away():
+    flat = motions([0.0, 10.0])[-1]
+    roofed = motions([0.0, 10.0], roof=slice(200, WIDTH))[-1]
+    assert isinstance(roofed, OdometryMotion)
+    assert np.trace(roofed.covariance_ned_m2) > 1.5 * np.trace(flat.covariance_ned_m2)
+    error_m = roofed.displacement_ned_m - [10.0 * M_PER_PX, 0.0, 0.0]
+    assert np.linalg.norm(error_m[:2]) < 4.0 * math.sqrt(np.trace(roofed.covariance_ned_m2[:2, :2]))

@@ -1,0 +1,59 @@
+"""What the filter's steps are told besides the state: settings, attitudes, the ground."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.imu import ImuHistory
+from vwnav.estimation.states import EkfConfig
+
+# Height of the ground in metres at (north, east) about the origin, None where it is not known.
+# Only differences are used: the table may have another datum.
+Ground = Callable[[float, float], float | None]
+
+_NODE_M = 5.0  # the table is read at nodes so far apart, and is a smooth patch between them
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """The ground at a place: its height, and by how much it rises per metre north and east."""
+
+    height_m: float
+    per_north: float
+    per_east: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """Handed to every step; attitudes and IMU samples grow, the rest stays."""
+
+    config: EkfConfig
+    attitudes: AttitudeHistory
+    imu: ImuHistory
+    ground: Ground | None = None
+    _nodes: dict[tuple[int, int], float | None] = field(default_factory=dict)
+
+    def patch(self, north_m: float, east_m: float) -> Patch | None:
+        """The ground at a place, as the table has it; bilinear between nodes.
+
+        Each node is asked for once: a table on disk or behind a map projection is slow.
+        """
+        if self.ground is None:
+            return None
+        row, column = math.floor(north_m / _NODE_M), math.floor(east_m / _NODE_M)
+        sw, se = self._node(row, column), self._node(row, column + 1)
+        nw, ne = self._node(row + 1, column), self._node(row + 1, column + 1)
+        if sw is None or se is None or nw is None or ne is None:
+            return None
+        v, u = north_m / _NODE_M - row, east_m / _NODE_M - column
+        south, north = sw + u * (se - sw), nw + u * (ne - nw)
+        per_east = ((1.0 - v) * (se - sw) + v * (ne - nw)) / _NODE_M
+        return Patch(south + v * (north - south), (north - south) / _NODE_M, per_east)
+
+    def _node(self, row: int, column: int) -> float | None:
+        key = (row, column)
+        if key not in self._nodes:
+            assert self.ground is not None
+            self._nodes[key] = self.ground(row * _NODE_M, column * _NODE_M)
+        return self._nodes[key]
