@@ -110,12 +110,14 @@ class OriginAgreement:
     def __init__(
         self,
         send: Send,
+        system_id: int,
         commands: CommandSender,
         telemetry: TelemetryState,
         lock: threading.Lock,
         frame: LocalFrame,
     ) -> None:
         self._send = send
+        self._system_id = system_id
         self._commands = commands
         self._telemetry = telemetry
         self._lock = lock
@@ -161,7 +163,7 @@ class OriginAgreement:
 
     def _fields(self) -> dict[str, int]:
         return {
-            "target_system": self._telemetry.system_id,
+            "target_system": self._system_id,
             "latitude": round(self._frame.lat_deg * 1e7),
             "longitude": round(self._frame.lon_deg * 1e7),
             "altitude": round(self._frame.alt_amsl_m * 1e3),
