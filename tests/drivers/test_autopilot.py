@@ -189,6 +189,35 @@ def test_the_estimate_waits_for_the_origin_and_is_sent_about_it(px4):
     assert not peer.of("VISION_SPEED_ESTIMATE")
 
 
+def test_an_origin_that_is_there_already_is_kept(px4):
+    """Setting it anew makes PX4's position jump, and it may have flown on it before."""
+    peer, autopilot = px4
+    peer.origin = (604040000, 224610000, 45000)
+    has_origin(peer, autopilot)
+    assert not peer.of("SET_GPS_GLOBAL_ORIGIN")
+    assert autopilot._origin.offset_ned_m[0] == pytest.approx(-111.4, abs=1.0)
+
+
+def test_an_origin_on_another_continent_is_set_anew(px4):
+    peer, autopilot = px4
+    peer.origin = (473977420, 85455940, 488000)
+    has_origin(peer, autopilot)
+    assert peer.origin == (604030000, 224610000, 40000)
+    assert np.linalg.norm(autopilot._origin.offset_ned_m) < 0.1
+
+
+def test_an_origin_is_set_until_a_filter_is_there_to_take_it(px4):
+    peer, autopilot = px4
+    peer.origin, peer.keeps_origin = None, True  # still starting
+    autopilot.set_origin(*HOME)
+    time.sleep(3.0)
+    autopilot.send_estimate(estimate())
+    assert autopilot._origin.offset_ned_m is None
+    peer.keeps_origin = False
+    wait_for(lambda: autopilot._origin.offset_ned_m is not None)
+    assert peer.origin == (604030000, 224610000, 40000)
+
+
 def test_an_autopilot_that_keeps_its_own_origin_gets_estimates_about_that_one(px4):
     peer, autopilot = px4
     peer.origin, peer.keeps_origin = (604040000, 224610000, 45000), True

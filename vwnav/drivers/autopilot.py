@@ -135,11 +135,10 @@ class MavsdkAutopilot:
     # ---- what is sent steadily
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
-        """Set the autopilot's origin; estimates are held back until it is confirmed.
+        """Agree upon an origin with the autopilot; estimates are held back until then.
 
         PX4 1.18 must have the origin before the first vision message, or its position jumps by
-        thousands of kilometres. An autopilot that keeps an origin of its own gets estimates about
-        that one.
+        thousands of kilometres. An autopilot that has an origin gets estimates about that one.
         """
         if self._origin is not None:
             self._origin.close()
