@@ -137,6 +137,7 @@ class Flight:
         self._lost_since_s: float | None = None
         self._asked_to_land_s = 0.0
         self._comes_down = False
+        self._mode_before_landing: FlightMode | None = None
         self._trouble: str | None = None
         self._abort_reason: str | None = None
         self.phase = Phase.GET_READY
@@ -384,6 +385,7 @@ class Flight:
         self.setpoint = None
         self._enter(Phase.LAND, t_s)
         self._keep_alive.beat(False, self.phase.value)
+        self._mode_before_landing = self._autopilot.state().mode
         self._land(t_s)
 
     def _land(self, t_s: float) -> None:
@@ -393,13 +395,18 @@ class Flight:
             self._trouble = self._trouble or f"the autopilot refused to land: {refused}"
             self._say(f"the autopilot refused to land: {refused}")
 
+    def _landing_is_not_begun(self, vehicle: VehicleState) -> bool:
+        """The mode is still the one that we wanted to leave: nobody has chosen another."""
+        waits = self.phase is Phase.LAND and not self._comes_down
+        return waits and vehicle.mode is self._mode_before_landing
+
     def _wait_for_ground(self, t_s: float, vehicle: VehicleState) -> None:
         self._comes_down = self._comes_down or vehicle.mode in _COMING_DOWN
         if not vehicle.armed:
             self._finish(self._trouble)
         elif self.phase is Phase.LAND and self._in_phase_s(t_s) > self._config.landing_timeout_s:
             self._finish(self._trouble or "the autopilot did not report the landing")
-        elif self.phase is Phase.LAND and not self._comes_down and vehicle.mode in _OWN_MODES:
+        elif self._landing_is_not_begun(vehicle):
             # Not heard, or refused: without setpoints ArduCopter would coast for three seconds.
             if vehicle.mode is FlightMode.OFFBOARD:
                 self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
@@ -419,5 +426,4 @@ class Flight:
 _STEERING = frozenset(
     {Phase.TAKEOFF, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN, Phase.DESCEND}
 )
-_OWN_MODES = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 _COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
