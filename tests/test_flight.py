@@ -228,6 +228,7 @@ def test_a_landing_that_was_not_heard_is_asked_for_again():
     scene.flight.abort("interrupted by the operator")
     scene.run()
     assert scene.vehicle.asked[-4:] == ["land"] * 4
+    assert sum("refused to land" in line for line in scene.said) == 1
     assert scene.flight.end.reason == "interrupted by the operator"
     assert not scene.vehicle.vehicle.armed
 

@@ -137,6 +137,7 @@ class Flight:
         self._lost_since_s: float | None = None
         self._asked_to_land_s = 0.0
         self._comes_down = False
+        self._said_refused = False
         self._mode_before_landing: FlightMode | None = None
         self._trouble: str | None = None
         self._abort_reason: str | None = None
@@ -391,7 +392,8 @@ class Flight:
     def _land(self, t_s: float) -> None:
         self._asked_to_land_s = t_s
         refused = self._autopilot.land()
-        if refused:
+        if refused and not self._said_refused:
+            self._said_refused = True  # once: it is asked for every second
             self._trouble = self._trouble or f"the autopilot refused to land: {refused}"
             self._say(f"the autopilot refused to land: {refused}")
 
