@@ -55,20 +55,32 @@ class PointVehicle:
     vehicle: VehicleState = READY
     asked: list[str] = field(default_factory=list)
     refuse: str | None = None
+    refusals: int = 10**6
+    refuse_takeoff: str | None = None
+    deaf_to_land: int = 0
 
     def state(self) -> VehicleState:
         return self.vehicle
 
     def arm(self) -> str | None:
         self.asked.append("arm")
-        if self.refuse is None:
-            self.vehicle = replace(self.vehicle, armed=True)
-        return self.refuse
+        if self.refuse is not None and self.refusals > 0:
+            self.refusals -= 1
+            return self.refuse
+        self.vehicle = replace(self.vehicle, armed=True)
+        return None
 
     def takeoff(self, height_m: float) -> str | None:
         self.asked.append("takeoff")
+        if self.refuse_takeoff is not None:
+            return self.refuse_takeoff
         self.vehicle = replace(self.vehicle, mode=FlightMode.TAKEOFF, in_air=True)
         self.position[2] = -height_m
+        return None
+
+    def disarm(self) -> str | None:
+        self.asked.append("disarm")
+        self.vehicle = replace(self.vehicle, armed=False)
         return None
 
     def start_offboard(self) -> str | None:
@@ -78,6 +90,9 @@ class PointVehicle:
 
     def land(self) -> str | None:
         self.asked.append("land")
+        if self.deaf_to_land > 0:
+            self.deaf_to_land -= 1
+            return "no answer within 0.45 s"
         self.vehicle = replace(self.vehicle, mode=FlightMode.LAND)
         self.velocity = np.array([0.0, 0.0, 2.0])
         return None
@@ -100,6 +115,7 @@ class Scene:
     handle: Handle = field(default_factory=Handle)
     said: list[str] = field(default_factory=list)
     fixes: bool = True
+    variance: float = 0.25
     t_s: float = 0.0
     t_last_fix_s: float | None = None
     farthest_m: float = 0.0
@@ -122,7 +138,7 @@ class Scene:
             t_s=self.t_s,
             position_ned_m=self.vehicle.position.copy(),
             velocity_ned_m_s=self.vehicle.velocity.copy(),
-            covariance=np.eye(6) * 0.25,
+            covariance=np.eye(6) * self.variance,
             quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
             sigma_yaw_rad=0.02,
             agl_m=float(-self.vehicle.position[2]),
@@ -171,6 +187,58 @@ def test_a_refused_arming_ends_the_flight_with_the_autopilots_words():
     scene = Scene()
     scene.vehicle.refuse = "denied: compass"
     assert "denied: compass" in scene.run().flight.end.reason
+
+
+def test_a_moments_refusal_to_arm_is_waited_out():
+    """PX4 1.18 was ready for 2.1 s, then not for 6 s, while its heading settled."""
+    scene = Scene()
+    scene.vehicle.refuse, scene.vehicle.refusals = "not now (heading estimate invalid)", 2
+    scene.run(in_phase(Phase.TAKEOFF))
+    assert scene.flight.phase is Phase.TAKEOFF
+    assert sum("heading estimate invalid" in line for line in scene.said) == 2
+
+
+def test_readiness_of_two_seconds_is_none():
+    scene = Scene()
+    scene.run(limit_s=2.2)
+    assert scene.vehicle.asked == []
+
+
+def test_an_aircraft_that_arms_but_does_not_take_off_is_disarmed():
+    scene = Scene()
+    scene.vehicle.refuse_takeoff = "failed"
+    scene.run()
+    assert scene.vehicle.asked[-1] == "disarm"
+    assert "failed" in scene.flight.end.reason
+
+
+def test_no_setpoint_disturbs_the_autopilots_own_take_off():
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.position = np.zeros(3)
+    scene.t_last_fix_s, scene.variance = scene.t_s, 12.0**2  # uncertain: a reason to hold
+    scene.vehicle.velocity = np.full(3, np.nan)
+    scene.vehicle.vehicle = replace(scene.vehicle.vehicle, mode=FlightMode.OFFBOARD)  # GUIDED
+    scene.flight.tick(scene.t_s + DT_S, scene.estimate())
+    assert np.all(np.isnan(scene.vehicle.velocity)), "a setpoint was sent"
+
+
+def test_a_landing_that_was_not_heard_is_asked_for_again():
+    scene = Scene().run(in_phase(Phase.ROUTE))
+    scene.vehicle.deaf_to_land = 3
+    scene.flight.abort("interrupted by the operator")
+    scene.run()
+    assert scene.vehicle.asked[-4:] == ["land"] * 4
+    assert sum("refused to land" in line for line in scene.said) == 1
+    assert scene.flight.end.reason == "interrupted by the operator"
+    assert not scene.vehicle.vehicle.armed
+
+
+def test_an_estimate_that_is_not_sent_any_more_is_landed_before_the_autopilot_gives_up():
+    scene = Scene().run(in_phase(Phase.ROUTE))
+    scene.variance, lost_s = 25.0, scene.t_s  # velocity unknown to 5 m/s
+    scene.run(in_phase(Phase.LAND))
+    assert 1.9 < scene.t_s - lost_s < 3.0
+    assert "lost" in scene.run().flight.end.reason
 
 
 @pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD, FlightMode.MISSION])

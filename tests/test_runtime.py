@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vwnav.flight import FlightEnd
-from vwnav.runtime import FlightRuntime, is_flyable
+from vwnav.flight import FlightEnd, is_flyable
+from vwnav.runtime import FlightRuntime
 from vwnav.types import Attitude, Estimate, FlightMode, Frame, VehicleState
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -6,7 +6,7 @@ Safety may overrule each setpoint, and the pilot overrules everything.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
 
@@ -24,13 +24,30 @@ from vwnav.types import (
     VelocitySetpoint,
 )
 
+MAX_SENT_VELOCITY_SIGMA_M_S = 4.0
+MAX_SENT_SPEED_M_S = 35.0
+
+
+def is_flyable(estimate: Estimate) -> bool:
+    """Whether an autopilot may steer by it.
+
+    It chases whatever velocity it is told. One that has lost its own comes down level by itself
+    (Descend, Land) when estimates stop; one that follows a runaway estimate flies away.
+    """
+    if not np.all(np.isfinite(estimate.covariance)):
+        return False
+    variance = float(np.linalg.eigvalsh(estimate.covariance[3:5, 3:5])[-1])
+    speed_m_s = float(np.hypot(*estimate.velocity_ned_m_s[:2]))
+    return variance < MAX_SENT_VELOCITY_SIGMA_M_S**2 and speed_m_s < MAX_SENT_SPEED_M_S
+
 
 @dataclass(frozen=True, slots=True)
 class FlightConfig:
     """Times and heights of a mission."""
 
     ready_timeout_s: float = 90.0  # the autopilot's filter must trust our estimate within this
-    ready_steady_s: float = 2.0  # its readiness flickers while the heading settles
+    ready_steady_s: float = 4.0  # PX4 was seen ready for 2.1 s, then for 6 s not, then for good
+    departure_tries: int = 3  # readiness may go in the very moment of arming
     takeoff_height_m: float = 4.0  # flown by the autopilot's own take-off
     climb_m_s: float = 3.0
     descend_m_s: float = 2.0
@@ -39,6 +56,8 @@ class FlightConfig:
     fixes_to_start: int = 3
     takeoff_timeout_s: float = 40.0
     landing_timeout_s: float = 120.0
+    land_again_s: float = 1.0  # a landing that was refused or not heard is asked for again
+    lost_land_s: float = 2.0  # PX4 gives up 4.6 s, ArduCopter 8 s after the last estimate
     hold_gain_per_s: float = 0.5
     hold_speed_m_s: float = 1.5
 
@@ -114,6 +133,12 @@ class Flight:
         self._t_last_fix_s: float | None = None
         self._ready_since_s: float | None = None
         self._phase_since_s: float | None = None
+        self._refusals = 0
+        self._lost_since_s: float | None = None
+        self._asked_to_land_s = 0.0
+        self._comes_down = False
+        self._said_refused = False
+        self._mode_before_landing: FlightMode | None = None
         self._trouble: str | None = None
         self._abort_reason: str | None = None
         self.phase = Phase.GET_READY
@@ -185,13 +210,7 @@ class Flight:
         elif self._ready_since_s is None:
             self._ready_since_s = t_s
         elif t_s - self._ready_since_s >= self._config.ready_steady_s:
-            refused = self._autopilot.arm() or self._autopilot.takeoff(
-                self._config.takeoff_height_m
-            )
-            if refused:
-                self._finish(f"the autopilot refused to take off: {refused}")
-            else:
-                self._enter(Phase.TAKEOFF, t_s)
+            self._depart(t_s)
             return
         if self._in_phase_s(t_s) > self._config.ready_timeout_s:
             missing = "local position" if vehicle.armable else "readiness to arm"
@@ -199,6 +218,23 @@ class Flight:
                 f"the autopilot reported no {missing} in {self._config.ready_timeout_s:.0f} s: "
                 "is it set up for vision? `vwnav doctor --connection URL` checks its parameters"
             )
+
+    def _depart(self, t_s: float) -> None:
+        """Arm and take off; when that is refused, wait until it is ready once more."""
+        height_m = self._config.takeoff_height_m
+        refused = self._autopilot.arm() or self._autopilot.takeoff(height_m)
+        if refused is None:
+            self._enter(Phase.TAKEOFF, t_s)
+            return
+        self._refusals += 1
+        self._ready_since_s = None
+        reason = f"the autopilot refused to take off: {refused}"
+        if self._refusals < self._config.departure_tries:
+            self._say(reason)
+            return
+        if self._autopilot.state().armed:
+            self._autopilot.disarm()
+        self._finish(reason)
 
     def _taken_by_watchdog(self, t_s: float) -> bool:
         """Whether it acts in our place. While it only brakes, a loop that stalled may take over."""
@@ -219,6 +255,8 @@ class Flight:
         if self.phase in (Phase.LAND, Phase.RELEASED):
             return False
         decision = self._safety.step(estimate, vehicle, t_s)
+        if decision.action is not Action.RELEASE and self._is_lost(estimate, t_s):
+            decision = replace(decision, action=Action.LAND, reason="the estimate is lost")
         match decision.action:
             case Action.NAVIGATE:
                 return False
@@ -230,6 +268,8 @@ class Flight:
                 self._begin_landing(t_s, decision.reason)
             case Action.HOLD | Action.RETURN if self.phase is Phase.DESCEND:
                 return False  # near the ground the map shows nothing: down is the way out
+            case Action.HOLD | Action.RETURN if self.phase is Phase.TAKEOFF:
+                return False  # a setpoint would end ArduCopter's take-off where it is
             case Action.HOLD:
                 self._steer(VelocitySetpoint(0.0, 0.0, 0.0))
             case Action.RETURN:
@@ -240,6 +280,17 @@ class Flight:
                 self._follower = RouteFollower(home, self._limits)
                 self._enter(Phase.RETURN, t_s)
         return True
+
+    def _is_lost(self, estimate: Estimate, t_s: float) -> bool:
+        """It has not been sent for a while: down, before the autopilot gives up by itself.
+
+        Without sticks PX4 of the 1.16 era would then drift in Altitude mode, and nobody land it.
+        """
+        if is_flyable(estimate):
+            self._lost_since_s = None
+            return False
+        self._lost_since_s = t_s if self._lost_since_s is None else self._lost_since_s
+        return t_s - self._lost_since_s >= self._config.lost_land_s
 
     def _fly(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         match self.phase:
@@ -335,27 +386,46 @@ class Flight:
         self.setpoint = None
         self._enter(Phase.LAND, t_s)
         self._keep_alive.beat(False, self.phase.value)
+        self._mode_before_landing = self._autopilot.state().mode
+        self._land(t_s)
+
+    def _land(self, t_s: float) -> None:
+        self._asked_to_land_s = t_s
         refused = self._autopilot.land()
-        if refused:
+        if refused and not self._said_refused:
+            self._said_refused = True  # once: it is asked for every second
             self._trouble = self._trouble or f"the autopilot refused to land: {refused}"
             self._say(f"the autopilot refused to land: {refused}")
 
+    def _landing_is_not_begun(self, vehicle: VehicleState) -> bool:
+        """The mode is still the one that we wanted to leave: nobody has chosen another."""
+        waits = self.phase is Phase.LAND and not self._comes_down
+        return waits and vehicle.mode is self._mode_before_landing
+
     def _wait_for_ground(self, t_s: float, vehicle: VehicleState) -> None:
+        self._comes_down = self._comes_down or vehicle.mode in _COMING_DOWN
         if not vehicle.armed:
             self._finish(self._trouble)
+        elif self.phase is Phase.LAND and self._in_phase_s(t_s) > self._config.landing_timeout_s:
+            self._finish(self._trouble or "the autopilot did not report the landing")
+        elif self._landing_is_not_begun(vehicle):
+            # Not heard, or refused: without setpoints ArduCopter would coast for three seconds.
+            if vehicle.mode is FlightMode.OFFBOARD:
+                self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
+            if t_s - self._asked_to_land_s >= self._config.land_again_s:
+                self._land(t_s)
         elif (
             self.phase is Phase.LAND
             and vehicle.in_air
-            and vehicle.mode not in (FlightMode.LAND, FlightMode.DESCEND)
+            and vehicle.mode not in _COMING_DOWN
             and self._in_phase_s(t_s) > 3.0
         ):
             self._trouble = self._trouble or "the pilot took over while landing"
             self._enter(Phase.RELEASED, t_s)
-        elif self.phase is Phase.LAND and self._in_phase_s(t_s) > self._config.landing_timeout_s:
-            self._finish(self._trouble or "the autopilot did not report the landing")
 
 
 # In the autopilot's own take-off too: if we die in it, nobody else would bring the aircraft down.
 _STEERING = frozenset(
     {Phase.TAKEOFF, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN, Phase.DESCEND}
 )
+_COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})

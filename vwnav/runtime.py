@@ -1,6 +1,6 @@
 """Real time around `Pipeline.step`: three loops that must not wait for each other.
 
-Pictures go through the pipeline as they come; the estimate goes to the autopilot at a steady 50 Hz
+Pictures go through the pipeline as they come; the estimate goes to the autopilot at a steady 30 Hz
 (a gap of 200 ms stops its fusion); the mission ticks at 20 Hz and may wait for acknowledgements.
 """
 
@@ -10,30 +10,15 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-import numpy as np
-
-from vwnav.flight import Flight, FlightEnd
+from vwnav.flight import Flight, FlightEnd, is_flyable
 from vwnav.pipeline import Pipeline, Sensors, StepResult
 from vwnav.types import Autopilot, Estimate, Frame, FrameSource, VehicleState
 
 log = logging.getLogger(__name__)
 
-ESTIMATE_HZ = 50.0
+ESTIMATE_HZ = 30.0
 TICK_HZ = 20.0
-MAX_SENT_VELOCITY_SIGMA_M_S = 4.0
-MAX_SENT_SPEED_M_S = 35.0
 MAX_BAD_FRAMES = 30  # pictures in a row that break the pipeline before vision is given up
-
-
-def is_flyable(estimate: Estimate) -> bool:
-    """Whether an autopilot may steer by it.
-
-    It chases whatever velocity it is told. One that has lost its own comes down level by itself
-    (Descend, Land) when estimates stop; one that follows a runaway estimate flies away.
-    """
-    variance = float(np.linalg.eigvalsh(estimate.covariance[3:5, 3:5])[-1])
-    speed_m_s = float(np.hypot(*estimate.velocity_ned_m_s[:2]))
-    return variance < MAX_SENT_VELOCITY_SIGMA_M_S**2 and speed_m_s < MAX_SENT_SPEED_M_S
 
 
 def _between_pictures(vehicle: VehicleState) -> Sensors:

@@ -1,6 +1,7 @@
 """The autopilot link over real MAVLink: MAVSDK on one side, a pymavlink peer on the other."""
 
 import math
+import threading
 import time
 
 import numpy as np
@@ -28,6 +29,8 @@ from vwnav.geometry.rotations import (
 )
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.types import FlightMode, VelocitySetpoint
+
+MAVSDKS_OWN = ("TIMESYNC", "PING")  # questions to everybody
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +81,45 @@ def test_rates_are_asked_for(px4):
     assert asked[0] == 200000.0
     assert 230 in asked
     assert 193 not in asked
+
+
+def test_everything_names_the_autopilots_own_system(px4):
+    peer, autopilot = px4
+    peer.heard.clear()
+    has_origin(peer, autopilot)
+    autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
+    autopilot.hold()
+    peer.params["COM_OF_LOSS_T"] = (1.0, mavlink.MAV_PARAM_TYPE_REAL32)
+    autopilot.preflight()
+    wait_for(lambda: peer.of("SET_POSITION_TARGET_LOCAL_NED"))
+    heard = [message for _, message in list(peer.heard)]
+    targets = {m.get_type(): m.target_system for m in heard if hasattr(m, "target_system")}
+    assert {"COMMAND_LONG", "SET_GPS_GLOBAL_ORIGIN", "PARAM_REQUEST_READ"} <= set(targets)
+    assert all(system == 7 for kind, system in targets.items() if kind not in MAVSDKS_OWN), targets
+
+
+def test_an_answer_to_somebody_else_is_not_taken_for_ours(px4):
+    peer, autopilot = px4
+    peer.answers = False
+    set_mode = mavlink.MAV_CMD_DO_SET_MODE
+    other = threading.Timer(
+        0.1, lambda: peer.send(mavlink.MAVLink_command_ack_message(set_mode, 0, 0, 0, 7, 192))
+    )
+    other.start()
+    assert "no answer" in autopilot.hold()
+    peer.answers = True
+
+
+def test_another_aircraft_on_the_link_is_not_listened_to(px4):
+    peer, autopilot = px4
+    wait_for(lambda: autopilot.state().mode is FlightMode.HOLD)
+    other = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
+    beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 129, PX4_POSITION, 4, 3)
+    for _ in range(20):
+        peer.socket.sendto(bytes(beat.pack(other)), peer.to)
+        time.sleep(0.01)
+        assert not autopilot.state().armed
+    assert autopilot.state().mode is FlightMode.HOLD
 
 
 def test_height_follows_the_pressure_and_the_stamp_its_clock(px4):
@@ -145,6 +187,35 @@ def test_the_estimate_waits_for_the_origin_and_is_sent_about_it(px4):
     assert message.reset_counter == 2
     assert message.usec / 1e6 <= time.monotonic()
     assert not peer.of("VISION_SPEED_ESTIMATE")
+
+
+def test_an_origin_that_is_there_already_is_kept(px4):
+    """Setting it anew makes PX4's position jump, and it may have flown on it before."""
+    peer, autopilot = px4
+    peer.origin = (604040000, 224610000, 45000)
+    has_origin(peer, autopilot)
+    assert not peer.of("SET_GPS_GLOBAL_ORIGIN")
+    assert autopilot._origin.offset_ned_m[0] == pytest.approx(-111.4, abs=1.0)
+
+
+def test_an_origin_on_another_continent_is_set_anew(px4):
+    peer, autopilot = px4
+    peer.origin = (473977420, 85455940, 488000)
+    has_origin(peer, autopilot)
+    assert peer.origin == (604030000, 224610000, 40000)
+    assert np.linalg.norm(autopilot._origin.offset_ned_m) < 0.1
+
+
+def test_an_origin_is_set_until_a_filter_is_there_to_take_it(px4):
+    peer, autopilot = px4
+    peer.origin, peer.keeps_origin = None, True  # still starting
+    autopilot.set_origin(*HOME)
+    time.sleep(3.0)
+    autopilot.send_estimate(estimate())
+    assert autopilot._origin.offset_ned_m is None
+    peer.keeps_origin = False
+    wait_for(lambda: autopilot._origin.offset_ned_m is not None)
+    assert peer.origin == (604030000, 224610000, 40000)
 
 
 def test_an_autopilot_that_keeps_its_own_origin_gets_estimates_about_that_one(px4):

@@ -45,3 +45,29 @@ def test_a_restart_is_noticed_and_the_old_offset_forgotten():
 
 def test_nothing_is_known_before_any_news():
     assert BootClock().to_monotonic(1.0) is None
+
+
+def test_a_simulator_that_fell_behind_is_followed_within_seconds():
+    """Half a second late for good, after a stall; then slower than real time by 3 %."""
+    clock = BootClock()
+    for i in range(1000):
+        t_s = i * 0.02
+        clock.handle_stamp(t_s - 5.0 if t_s < 10.0 else t_s - 5.5, t_s + 0.002)
+        if i % 10 == 0:
+            clock.handle_round_trip(t_s, t_s - 5.0 if t_s < 10.0 else t_s - 5.5, t_s)
+    assert clock.to_monotonic(10.0) == pytest.approx(15.5, abs=0.005)
+    for i in range(1000):
+        t_s = 20.0 + i * 0.02
+        clock.handle_stamp(14.5 + i * 0.02 * 0.97, t_s + 0.002)
+    assert clock.to_monotonic(14.5 + 999 * 0.02 * 0.97) == pytest.approx(
+        20.0 + 999 * 0.02, abs=0.16
+    )
+
+
+def test_a_burst_of_latency_does_not_move_the_clock():
+    clock = BootClock()
+    for i in range(1000):
+        t_s = i * 0.02
+        late_s = 0.2 if 10.0 < t_s < 12.5 else 0.002
+        clock.handle_stamp(t_s - 5.0, t_s + late_s)
+    assert clock.to_monotonic(10.0) == pytest.approx(15.002, abs=0.001)

@@ -10,19 +10,25 @@ from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.safety.watchdog import start_watchdog
+from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import VehicleConfig, start_vehicle
 from vwnav.types import Estimate, FlightMode
 
 
 @pytest.fixture(scope="module")
-def px4():
+def link():
     port = free_port()
     companion = f"udpout:127.0.0.1:{port}"
-    config = VehicleConfig(companion_url=companion, ground_url="", truth_url="")
+    config = VehicleConfig(companion_url=companion, ground_url="", truth_url="", system_id=5)
     with start_vehicle(config), start_watchdog(f"udpin://127.0.0.1:{port}") as watchdog:
         autopilot = MavsdkAutopilot(watchdog.navigator_url)
-        yield autopilot
+        yield autopilot, watchdog
         autopilot.close()
+
+
+@pytest.fixture(scope="module")
+def px4(link):
+    return link[0]
 
 
 def test_it_is_a_px4_on_the_ground_with_attitude_and_height(px4):
@@ -53,3 +59,13 @@ def test_it_has_a_position_only_once_it_gets_estimates(px4):
         time.sleep(0.03)
     assert px4.state().local_position_ok
     assert px4.aiding()
+
+
+def test_truth_on_the_same_link_is_read_through_the_watchdog(link):
+    _, watchdog = link
+    reader = TruthReader(watchdog.observer_url)
+    first = reader.wait(10.0)
+    wait_for(lambda: len(reader._states) > 100)
+    reader.close()
+    assert abs(first.lat_deg) > 1.0
+    assert watchdog.is_running()

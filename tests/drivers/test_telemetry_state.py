@@ -158,3 +158,23 @@ def test_another_component_with_the_autopilots_id_changes_nothing():
     assert telemetry.kind is AutopilotKind.PX4
     assert state.armed
     assert state.mode is FlightMode.OFFBOARD
+
+
+def beat(telemetry: TelemetryState, custom_mode: int, t_s: float) -> None:
+    fields = {"autopilot": 12, "base_mode": 129, "custom_mode": custom_mode}
+    telemetry.handle("HEARTBEAT", fields, t_s)
+
+
+def test_an_accepted_mode_is_believed_until_another_one_is_told_anew():
+    """Once a second, and a second and a half late from a busy machine."""
+    hold, offboard = 4 << 16 | 3 << 24, 6 << 16
+    telemetry = TelemetryState()
+    beat(telemetry, hold, 10.0)
+    telemetry.expect_mode(FlightMode.OFFBOARD, 10.5)
+    beat(telemetry, hold, 10.6)  # was on its way
+    assert telemetry.state(12.0).mode is FlightMode.OFFBOARD
+    beat(telemetry, offboard, 12.1)
+    assert telemetry.state(12.2).mode is FlightMode.OFFBOARD
+    telemetry.expect_mode(FlightMode.LAND, 12.3)
+    beat(telemetry, offboard, 13.1)
+    assert telemetry.state(13.2).mode is FlightMode.OFFBOARD

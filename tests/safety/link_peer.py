@@ -13,6 +13,8 @@ PX4_HOLD, PX4_OFFBOARD, PX4_POSITION = (4 << 16) | (3 << 24), 6 << 16, 3 << 16
 PX4_LAND, PX4_DESCEND, PX4_TAKEOFF = (4 << 16) | (6 << 24), (4 << 16) | (20 << 24), 0x02040000
 PX4_RETURN = (4 << 16) | (5 << 24)
 COPTER_GUIDED, COPTER_BRAKE, COPTER_LAND, COPTER_LOITER = 4, 17, 9, 5
+PX4 = mavlink.MAV_AUTOPILOT_PX4
+NEVER_BROADCAST = ("COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_SET", "SET_GPS_GLOBAL_ORIGIN")
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 
 
@@ -23,6 +25,7 @@ class Peer:
     """
 
     def __init__(self, port: int, kind: int = mavlink.MAV_AUTOPILOT_PX4, system_id: int = 7):
+        self.system_id = system_id
         self.kind, self.custom_mode, self.armed = kind, PX4_HOLD, False
         self.flags, self.prearm, self.landed_state = 0x1FF, True, 1
         self.pressure_hpa, self.yaw_rad, self.time_skew_s = 1008.0, 0.5, 0.0
@@ -31,7 +34,7 @@ class Peer:
         self.origin: tuple[int, int, int] | None = None
         self.keeps_origin = False
         self.heard: list[tuple[float, Any]] = []
-        self.speaks = True
+        self.speaks, self.answers = True, True
         self.heartbeat_hz = 10.0
         self._boot_s = time.monotonic() - 100.0
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
@@ -104,7 +107,15 @@ class Peer:
         else:
             self.send(mavlink.MAVLink_ekf_status_report_message(self.flags, *[0.0] * 5))
 
+    def _is_for_us(self, message: Any) -> bool:
+        """PX4 ignores commands, parameters and origins that are broadcast; ArduPilot takes them."""
+        system = getattr(message, "target_system", None)
+        px4_wants_its_own = message.get_type() in NEVER_BROADCAST and self.kind == PX4
+        return system in ((self.system_id,) if px4_wants_its_own else (None, 0, self.system_id))
+
     def _answer(self, message: Any) -> None:
+        if not self._is_for_us(message) or not self.answers:
+            return
         match message.get_type():
             case "COMMAND_LONG":
                 self._obey(message)

@@ -62,6 +62,36 @@ def test_a_tcp_link_that_breaks_comes_back():
         link.close()
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("udpin://0.0.0.0:14540", "udp://:14540", True),
+        ("udpin://0.0.0.0:14540", "udpout://127.0.0.1:14540", False),
+        ("tcpout://127.0.0.1:5760", "tcp://127.0.0.1:5760", True),
+        ("tcpout://127.0.0.1:5760", "tcpout://127.0.0.1:5762", False),
+        ("serial:///dev/ttyACM0:57600", "serial:///dev/ttyACM0:115200", True),
+    ],
+)
+def test_one_port_has_one_owner(one, other, same):
+    assert parse_link(one).is_same_port(parse_link(other)) is same
+
+
+def test_udpin_answers_the_autopilot_though_another_speaks_too():
+    port = free_port()
+    link = open_link(parse_link(f"udpin://127.0.0.1:{port}"))
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
+    ):
+        for peer in (autopilot, station):
+            peer.settimeout(2.0)
+            peer.sendto(b"hello", ("127.0.0.1", port))
+            assert wait_for(link.read) == b"hello"
+        link.write(b"answer")
+        assert autopilot.recv(10) == station.recv(10) == b"answer"
+    link.close()
+
+
 def test_udpin_answers_whoever_spoke_last():
     port = free_port()
     link = open_link(parse_link(f"udpin://127.0.0.1:{port}"))

@@ -107,6 +107,19 @@ def test_bytes_go_both_ways_untouched_even_garbage_and_within_2_ms(flown):
     assert wait_for(lambda: [s for s in flown.setpoints() if s.vx == 2.0])
 
 
+def test_an_observer_listens_along_and_may_ask_but_not_fly(flown):
+    port = int(flown.watchdog.observer_url.rpartition(":")[2])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as observer:
+        observer.connect(("127.0.0.1", port))
+        observer.settimeout(2.0)
+        ask = mavlink.MAVLink_command_long_message(7, 1, 511, 0, 115.0, 10000.0, *[0.0] * 5)
+        observer.send(setpoint(9.0) + bytes(ask.pack(MAV)))
+        assert observer.recv(4096)
+    assert wait_for(lambda: flown.peer.commands(511))
+    assert not [s for s in flown.setpoints() if s.vx == 9.0]
+    assert flown.socket.recv(4096)
+
+
 def test_a_silent_navigator_is_braked_held_and_landed_and_then_left(flown):
     flown.engage()
     silent_s = time.monotonic()

@@ -81,12 +81,17 @@ def test_it_reads_the_integer_place_of_sim_state(sender: Sender) -> None:
     assert state.velocity_ned_m_s == (1.0, 2.0, 3.0)
 
 
-def test_it_asks_for_both_messages_when_it_hears_a_vehicle(sender: Sender) -> None:
-    heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
-    sender.send(bytes(heartbeat.pack(PACKER)))
-    asked = [sender.heard("COMMAND_LONG") for _ in range(2)]
-    assert {ask.param1 for ask in asked} == {115, 108}
-    assert {(ask.target_system, ask.command, ask.param2) for ask in asked} == {(3, 511, 10000.0)}
+@pytest.mark.parametrize(("autopilot", "number"), [(12, 115), (3, 108)])
+def test_it_asks_for_the_message_of_the_vehicle_it_hears(
+    sender: Sender, autopilot: int, number: int
+) -> None:
+    for source, kind in ((1, autopilot), (154, 0), (190, 8)):  # autopilot, gimbal, ground station
+        packer = mavlink.MAVLink(None, srcSystem=3, srcComponent=source)
+        heartbeat = mavlink.MAVLink_heartbeat_message(2, kind, 0, 0, 3, 3)
+        sender.send(bytes(heartbeat.pack(packer)))
+    ask = sender.heard("COMMAND_LONG")
+    assert (ask.target_system, ask.target_component, ask.command) == (3, 1, 511)
+    assert (ask.param1, ask.param2) == (number, 10000.0)
 
 
 def test_garbage_between_and_around_the_messages_does_not_matter(sender: Sender) -> None:
@@ -178,7 +183,9 @@ def test_it_reads_over_tcp() -> None:
         reader.close()
 
 
-@pytest.mark.parametrize("url", ["", "udp", "serial:///dev/ttyACM0", "udpin:nowhere", "udpin:h:x"])
+@pytest.mark.parametrize(
+    "url", ["", "udpout::1", "serial:///dev/ttyACM0", "udpin:nowhere", "udpin:h:x"]
+)
 def test_a_url_that_is_none_says_so(url: str) -> None:
     with pytest.raises(ConfigError, match="udpout:HOST:PORT"):
         TruthReader(url)

@@ -24,7 +24,7 @@ from vwnav.config import Config, load_config, save_config
 from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.run_folder import make_run_folder
-from vwnav.errors import ConfigError, PreflightError, VwnavError
+from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
 from vwnav.geometry.calibration import load_camera
@@ -34,6 +34,7 @@ from vwnav.guidance.missions import load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
 from vwnav.runtime import FlightRuntime
+from vwnav.safety.links import parse_link
 from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
 from vwnav.sim.renderer import default_camera
@@ -89,13 +90,13 @@ def fly_route(options: FlyOptions) -> None:
             site = parse_site(options.video or DEFAULT_SITE)
             link, truth_url = start_embedded_vehicle(site, options.wind_m_s, options.seed, stack)
         assert link is not None
-        truth = TruthReader(truth_url) if truth_url else None
-        if truth is not None:
-            stack.callback(truth.close)
-        source = _open_camera(options, plan, truth, stack)
         watchdog = stack.enter_context(start_watchdog(link, folder / "watchdog.log"))
+        truth = _open_truth(truth_url, link, watchdog, stack)
+        source = _open_camera(options, plan, truth, stack)
         autopilot = MavsdkAutopilot(watchdog.navigator_url)
         stack.callback(autopilot.close)
+        if not options.sim:
+            _say_parameters(autopilot)
         _fly(options, plan, folder, watchdog, autopilot, source, truth, stack)
 
 
@@ -146,6 +147,41 @@ def _map_path(options: FlyOptions) -> Path:
 def _middle(pack: MapPack) -> tuple[float, float]:
     south, west, north, east = pack.bounds
     return (south + north) / 2.0, (west + east) / 2.0
+
+
+def _open_truth(
+    url: str | None, link: str, watchdog: WatchdogProcess, stack: ExitStack
+) -> TruthReader | None:
+    """Ground truth of a simulator; through the watchdog where it comes on the autopilot's link."""
+    if url is None:
+        return None
+    if is_same_link(url, link):
+        url = watchdog.observer_url
+    truth = TruthReader(url)
+    stack.callback(truth.close)
+    return truth
+
+
+def is_same_link(truth_url: str, link: str) -> bool:
+    """Whether the truth comes on the port of the autopilot's own link, which has one owner."""
+    scheme, _, rest = truth_url.partition(":")
+    try:
+        truth = parse_link(f"{scheme}://{rest.removeprefix('//')}")
+    except LinkError:
+        return False  # the reader of the truth says what is wrong with it
+    return truth.is_same_port(parse_link(link))
+
+
+def _say_parameters(autopilot: MavsdkAutopilot) -> None:
+    """Say which parameters are not as vision wants them: an autopilot set up otherwise may fly."""
+    try:
+        findings = autopilot.preflight()
+    except LinkError as error:
+        say(f"parameters are not checked: {error}")
+        return
+    for finding in findings:
+        present = "missing" if finding.present is None else f"{finding.present:g}"
+        say(f"{finding.parameter} is {present}, should be {finding.wanted}: {finding.why}")
 
 
 def _open_camera(

@@ -82,9 +82,9 @@ class MavsdkAutopilot:
         except BaseException:
             self._port.close()
             raise
-        self._commands = CommandSender(self._port.send, self._telemetry.system_id)
-        self._parameters = ParameterReader(self._port.send, self._telemetry.system_id)
-        self._port.subscribe("COMMAND_ACK", lambda _, fields, __: self._commands.handle_ack(fields))
+        self._commands = CommandSender(self._port.send, self._port.system_id)
+        self._parameters = ParameterReader(self._port.send, self._port.system_id)
+        self._port.subscribe("COMMAND_ACK", self._handle_ack)
         self._port.subscribe(
             "PARAM_VALUE", lambda _, fields, __: self._parameters.handle_value(fields)
         )
@@ -135,17 +135,21 @@ class MavsdkAutopilot:
     # ---- what is sent steadily
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
-        """Set the autopilot's origin; estimates are held back until it is confirmed.
+        """Agree upon an origin with the autopilot; estimates are held back until then.
 
         PX4 1.18 must have the origin before the first vision message, or its position jumps by
-        thousands of kilometres. An autopilot that keeps an origin of its own gets estimates about
-        that one.
+        thousands of kilometres. An autopilot that has an origin gets estimates about that one.
         """
         if self._origin is not None:
             self._origin.close()
         frame = LocalFrame(lat_deg, lon_deg, alt_amsl_m)
         self._origin = OriginAgreement(
-            self._port.send, self._commands, self._telemetry, self._lock, frame
+            self._port.send,
+            self._port.system_id,
+            self._commands,
+            self._telemetry,
+            self._lock,
+            frame,
         )
 
     def send_estimate(self, estimate: Estimate) -> None:
@@ -174,7 +178,7 @@ class MavsdkAutopilot:
             "SET_POSITION_TARGET_LOCAL_NED",
             {
                 "time_boot_ms": int(self._setpoint_t_s * 1e3) & 0xFFFFFFFF,
-                "target_system": self._telemetry.system_id,
+                "target_system": self._port.system_id,
                 "target_component": 1,
                 "coordinate_frame": _FRAME_LOCAL_NED,
                 "type_mask": _VELOCITY_AND_YAW,
@@ -257,6 +261,10 @@ class MavsdkAutopilot:
         if not self._heard.wait(_FIRST_HEARTBEAT_S) or self._telemetry.kind is None:
             raise LinkError(f"the autopilot on {url} is neither PX4 nor ArduPilot")
         return self._telemetry.kind
+
+    def _handle_ack(self, _: str, fields: Mapping[str, Any], __: float) -> None:
+        if self._port.is_for_us(fields):
+            self._commands.handle_ack(fields)
 
     def _receive(self, name: str, fields: Mapping[str, Any], received_s: float) -> None:
         with self._lock:

@@ -26,6 +26,8 @@ _SLOW_ATTITUDE_S = 0.3
 _CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
 _GPS_GLOBAL_ORIGIN = 49
 _ORIGIN_TRIES = 6
+_UNCONFIRMED_TRIES = 30  # an autopilot that is still starting has no filter to take the origin
+_ORIGIN_TOO_FAR_M = 20e3  # numbers of single precision are coarse there
 _ORIGIN_PERIOD_S = 0.3
 _ORIGIN_DIFFERS_M = 0.5
 
@@ -98,10 +100,11 @@ class Upkeep:
 
 
 class OriginAgreement:
-    """Sets the autopilot's origin and finds where ours lies about the one it then has.
+    """Reads the autopilot's origin, or sets it, and finds where ours lies about it.
 
     PX4 1.18 must have the origin before the first vision message, or its position jumps by
-    thousands of kilometres: until there is agreement, `offset_ned_m` is None.
+    thousands of kilometres: until there is agreement, `offset_ned_m` is None. An origin that is
+    there already, of an earlier flight or of GPS, is kept for the same reason.
 
     Attributes:
         offset_ned_m: (3,) our origin in the frame about the autopilot's.
@@ -110,12 +113,14 @@ class OriginAgreement:
     def __init__(
         self,
         send: Send,
+        system_id: int,
         commands: CommandSender,
         telemetry: TelemetryState,
         lock: threading.Lock,
         frame: LocalFrame,
     ) -> None:
         self._send = send
+        self._system_id = system_id
         self._commands = commands
         self._telemetry = telemetry
         self._lock = lock
@@ -133,15 +138,16 @@ class OriginAgreement:
         self._thread.join(_STOP_WAIT_S)
 
     def _run(self) -> None:
-        offset_ned_m: Array | None = None
-        for _ in range(_ORIGIN_TRIES):
-            self._send("SET_GPS_GLOBAL_ORIGIN", self._fields())
-            self._commands.command(Command(_CMD_REQUEST_MESSAGE, (float(_GPS_GLOBAL_ORIGIN),)))
-            if self._stop.wait(_ORIGIN_PERIOD_S):
-                return
-            offset_ned_m = self._offset()
-            if offset_ned_m is not None and np.linalg.norm(offset_ned_m) < _ORIGIN_DIFFERS_M:
+        offset_ned_m = self._ask()
+        tries = 0
+        while _is_far(offset_ned_m) and not self._stop.is_set():
+            tries += 1
+            if tries > (_UNCONFIRMED_TRIES if offset_ned_m is None else _ORIGIN_TRIES):
                 break
+            self._send("SET_GPS_GLOBAL_ORIGIN", self._fields())
+            offset_ned_m = self._ask()
+        if self._stop.is_set():
+            return
         if offset_ned_m is None:
             _log.warning("the autopilot does not confirm its origin; estimates are sent anyway")
             offset_ned_m = np.zeros(3)
@@ -149,6 +155,11 @@ class OriginAgreement:
             distance_m = np.linalg.norm(offset_ned_m)
             _log.warning("the autopilot keeps its own origin, %.1f m from ours", distance_m)
         self.offset_ned_m = offset_ned_m
+
+    def _ask(self) -> Array | None:
+        self._commands.command(Command(_CMD_REQUEST_MESSAGE, (float(_GPS_GLOBAL_ORIGIN),)))
+        self._stop.wait(_ORIGIN_PERIOD_S)
+        return self._offset()
 
     def _offset(self) -> Array | None:
         """Our origin about the one that the autopilot last told."""
@@ -161,9 +172,13 @@ class OriginAgreement:
 
     def _fields(self) -> dict[str, int]:
         return {
-            "target_system": self._telemetry.system_id,
+            "target_system": self._system_id,
             "latitude": round(self._frame.lat_deg * 1e7),
             "longitude": round(self._frame.lon_deg * 1e7),
             "altitude": round(self._frame.alt_amsl_m * 1e3),
             "time_usec": 0,
         }
+
+
+def _is_far(offset_ned_m: Array | None) -> bool:
+    return offset_ned_m is None or float(np.hypot(*offset_ned_m[:2])) > _ORIGIN_TOO_FAR_M

@@ -6,6 +6,8 @@ _WINDOW_S = 20.0
 _BUCKET_S = 1.0
 _MAX_ROUND_TRIP_S = 0.05
 _REBOOT_S = 2.0
+_SLIPPED_S = 0.03
+_SLIPPED_BUCKETS = 3  # in a row that long: no latency, the clock itself
 
 
 class BootClock:
@@ -14,6 +16,9 @@ class BootClock:
     Two witnesses: every stamped message shows an offset that is too large by its latency, so the
     least one of a while is near the truth; a TIMESYNC round trip shows the middle, right to half
     the round trip. The smaller of the two is taken: the first bounds the truth from above.
+
+    A simulator that gets too little processor time falls behind for good: when all that arrived
+    lately is late by the same, what came before is forgotten.
     """
 
     def __init__(self) -> None:
@@ -33,10 +38,23 @@ class BootClock:
             start_s, least_s = self._one_way[-1]
             self._one_way[-1] = (start_s, min(least_s, offset_s))
         else:
+            self._forget_slipped()
             self._one_way.append((received_s, offset_s))
         while received_s - self._one_way[0][0] > _WINDOW_S:
             self._one_way.popleft()
         return rebooted
+
+    def _forget_slipped(self) -> None:
+        if len(self._one_way) <= _SLIPPED_BUCKETS:
+            return
+        buckets = list(self._one_way)
+        old, lately = buckets[:-_SLIPPED_BUCKETS], buckets[-_SLIPPED_BUCKETS:]
+        slipped_s = min(least_s for _, least_s in lately) - min(least_s for _, least_s in old)
+        if slipped_s < _SLIPPED_S:
+            return
+        self._one_way = deque(lately)
+        while self._round_trips and self._round_trips[0][0] < lately[0][0]:
+            self._round_trips.popleft()
 
     def handle_round_trip(self, sent_s: float, autopilot_s: float, received_s: float) -> None:
         """Learn from a TIMESYNC answer: asked and received here, answered there in between."""

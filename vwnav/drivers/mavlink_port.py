@@ -40,6 +40,7 @@ _LEVELS = {
     LogLevel.WARN: logging.INFO,
     LogLevel.ERROR: logging.WARNING,
 }
+_ANY = (0, None)  # target of a broadcast, or of a message from before there were targets
 _MISTAKES = (MavlinkDirectResult.INVALID_MESSAGE, MavlinkDirectResult.INVALID_FIELD)
 
 Handler = Callable[[str, Mapping[str, Any], float], None]
@@ -59,6 +60,10 @@ class MavlinkPort:
         timeout_s: how long an autopilot is waited for.
         clock: monotonic clock that stamps what is received.
 
+    Attributes:
+        system_id: of the autopilot. Whatever is meant for it has to say so: PX4 takes commands,
+            parameters and the origin for its own id only, and ignores the broadcast one, 0.
+
     Raises:
         LinkError: the URL is wrong, or no autopilot is on the link.
     """
@@ -71,9 +76,12 @@ class MavlinkPort:
         role = (
             ComponentType.GROUND_STATION if as_ground_station else ComponentType.COMPANION_COMPUTER
         )
-        self._mavsdk = Mavsdk(Configuration.create_with_component_type(role))
+        configuration = Configuration.create_with_component_type(role)
+        self._own_system, self._own_component = configuration.system_id, configuration.component_id
+        self._mavsdk = Mavsdk(configuration)
         try:
             system = self._find_autopilot(url, timeout_s)
+            self.system_id = int(system.get_system_id())
             self._direct = MavlinkDirect(system)
             self._param = Param(system)
         except BaseException:
@@ -84,13 +92,21 @@ class MavlinkPort:
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, on MAVSDK's thread."""
+        sender = (self.system_id, _AUTOPILOT_COMPONENT)
 
         def receive(message: Any, _: Any) -> None:
             received_s = self._clock()
-            if message.component_id == _AUTOPILOT_COMPONENT:
+            if (message.system_id, message.component_id) == sender:
                 handler(name, json.loads(message.fields_json), received_s)
 
         self._direct.subscribe_message(name, receive)
+
+    def is_for_us(self, fields: Mapping[str, Any]) -> bool:
+        """Whether a message that has a target is ours; others speak with the autopilot too."""
+        return (
+            fields.get("target_system") in (*_ANY, self._own_system)
+            and fields.get("target_component") in (*_ANY, self._own_component)
+        )  # fmt: skip
 
     def send(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send one message; a link that is down or closed loses it, as the air would.

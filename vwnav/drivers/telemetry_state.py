@@ -1,7 +1,6 @@
 """What the autopilot's messages add up to: a `VehicleState`. No I/O; times are arguments."""
 
 import math
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +32,7 @@ _INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
 _KEEP_ATTITUDES = 1000
 _MAX_ATTITUDE_GAP_S = 0.25
 _AHEAD_S = 0.1
-_SLOWEST_HEARTBEAT_S = 1.1
+_MODE_SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +46,13 @@ class TelemetryState:
 
     def __init__(self) -> None:
         self.kind: AutopilotKind | None = None
-        self.system_id = 0
         self.clock = BootClock()
         self.texts = StatusTexts()
         self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
         self._attitudes = AttitudeTrack(_MAX_ATTITUDE_GAP_S, _KEEP_ATTITUDES)
-        self._heartbeats_t_s: deque[float] = deque(maxlen=5)
+        self._heartbeat_t_s = -math.inf
         self._mode = FlightMode.UNKNOWN
+        self._mode_t_s = -math.inf
         self._commanded: tuple[FlightMode, FlightMode, float] | None = None  # new, old, when
         self._armed = False
         self._landed_state = 0
@@ -120,7 +119,7 @@ class TelemetryState:
 
     def state(self, t_s: float) -> VehicleState:
         """The snapshot at `t_s`."""
-        beat_age_s = t_s - self._heartbeats_t_s[-1] if self._heartbeats_t_s else math.inf
+        beat_age_s = t_s - self._heartbeat_t_s
         height = self._height(t_s)
         fresh_range = self._range is not None and t_s - self._range.t_s < _RANGE_STALE_S
         present, healthy = self._sensors or (0, 0)
@@ -149,15 +148,16 @@ class TelemetryState:
         return highres or scaled
 
     def _mode_now(self, t_s: float) -> FlightMode:
-        """The heartbeat's mode, but for one that was sent before the command just accepted."""
+        """The heartbeat's mode, but for one that was sent before the command just accepted.
+
+        Heartbeats come once a second, later from a busy machine: the old mode is believed again
+        only when it was told anew.
+        """
         if self._commanded is None:
             return self._mode
         commanded, old, when_s = self._commanded
-        period_s = _SLOWEST_HEARTBEAT_S
-        if len(self._heartbeats_t_s) > 1:
-            span_s = self._heartbeats_t_s[-1] - self._heartbeats_t_s[0]
-            period_s = min(period_s, span_s / (len(self._heartbeats_t_s) - 1))
-        if self._mode is not old or t_s - when_s > 1.2 * period_s + 0.1:
+        told_again = self._mode_t_s > when_s + _MODE_SETTLES_S
+        if self._mode is not old or told_again or t_s - when_s > _LINK_LOST_S:
             self._commanded = None
             return self._mode
         return commanded
@@ -179,12 +179,13 @@ class TelemetryState:
             self.kind = AutopilotKind(fields["autopilot"])
         except ValueError:
             return  # a gimbal or camera that uses the autopilot's component id
-        self._heartbeats_t_s.append(received_s)
+        self._heartbeat_t_s = self._mode_t_s = received_s
         self._armed = bool(fields["base_mode"] & _ARMED_FLAG)
         self._mode = flight_mode(self.kind, fields["custom_mode"])
 
     def _handle_current_mode(self, fields: Fields, received_s: float) -> None:
         if self.kind is not None:
+            self._mode_t_s = received_s
             self._mode = flight_mode(self.kind, fields["custom_mode"])
 
     def _handle_attitude(self, fields: Fields, received_s: float) -> None:

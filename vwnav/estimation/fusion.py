@@ -162,7 +162,10 @@ def _displacement(
     H[:, States.TILT] = by_tilt
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
-    return Measurement(residual, H, scale * turn @ motion.covariance_ned_m2 @ turn.T)
+    R = scale * turn @ motion.covariance_ned_m2 @ turn.T
+    # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
+    # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
+    return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))
 
 
 def _level_axes(yaw_rad: float) -> Array:

@@ -34,9 +34,9 @@ class EkfConfig:
     """Noises and limits. Sigmas are one standard deviation; densities are per root second."""
 
     # How the states change
-    acceleration_noise_m_s2: float = 0.1  # per root hertz, horizontal, white
+    acceleration_noise_m_s2: float = 0.3  # per root hertz, horizontal, white
     vertical_noise_m_s2: float = 0.4  # per root hertz, white
-    acceleration_sigma_m_s2: float = 1.0  # of the slow part, first-order Gauss-Markov
+    acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov

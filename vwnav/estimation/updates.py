@@ -56,11 +56,17 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 22) and noise R (m, m)."""
+    """A linearised measurement: residual (m,), its Jacobian H (m, 22) and noise R (m, m).
+
+    Attributes:
+        held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
+            of them is too rough.
+    """
 
     residual: Array
     H: Array
     R: Array
+    held: tuple[int, ...] = ()
 
 
 def innovate(state: FilterState, measurement: Measurement) -> Innovation:
@@ -102,7 +108,8 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
         nis = float(r[0] ** 2 / S[0, 0])
     else:
         solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
-        K, nis = solved[:, 1:].T, float(r @ solved[:, 0])
+        K, nis = solved[:, 1:].T.copy(), float(r @ solved[:, 0])
+    K[list(measurement.held)] = 0.0
     verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
     return Innovation(verdict, nis, len(r), r), K
 

@@ -1,6 +1,7 @@
 """The ways to an autopilot: UDP both ways round, TCP, serial port; all without blocking."""
 
 import contextlib
+import math
 import os
 import socket
 import time
@@ -26,6 +27,8 @@ _READ_BYTES = 4096
 _UNSENT_LIMIT_BYTES = 65536
 _CONNECT_TIMEOUT_S = 5.0
 _REOPEN_PERIOD_S = 1.0
+_PEER_SILENT_S = 10.0
+_MOST_PEERS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,18 @@ class LinkAddress:
     kind: LinkKind
     place: str
     number: int
+
+    def is_same_port(self, other: "LinkAddress") -> bool:
+        """Whether both cannot be open at once, or would take each other's messages away."""
+        if self.kind != other.kind:
+            return False
+        same_place, same_number = self.place == other.place, self.number == other.number
+        match self.kind:
+            case "udpin":
+                return same_number
+            case "serial":
+                return same_place
+        return same_place and same_number
 
 
 def parse_link(url: str) -> LinkAddress:
@@ -102,17 +117,17 @@ def _why_not_open(address: LinkAddress, error: Exception) -> str:
 
 
 class UdpLink:
-    """Listens and answers whoever spoke last (udpin), or calls a fixed address (udpout)."""
+    """Listens and answers everybody who speaks (udpin), or calls a fixed address (udpout)."""
 
     def __init__(self, address: LinkAddress) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._peer: tuple[str, int] | None = None
+        self._peers: dict[tuple[str, int], float] = {}  # when each was heard
         try:
             if address.kind == "udpin":
                 self._socket.bind((address.place, address.number))
             else:
-                self._peer = (socket.gethostbyname(address.place), address.number)
+                self._peers[socket.gethostbyname(address.place), address.number] = -math.inf
         except OSError:
             self._socket.close()
             raise
@@ -124,20 +139,27 @@ class UdpLink:
     def read(self) -> bytes:
         """One datagram."""
         try:
-            data, self._peer = self._socket.recvfrom(_READ_BYTES)
+            data, peer = self._socket.recvfrom(_READ_BYTES)
         except (BlockingIOError, ConnectionError):
             return b""
+        self._remember(peer, time.monotonic())
         return data
 
     def write(self, data: bytes) -> None:
         """One datagram; a full queue or a peer that is not up drops it, as the air would."""
-        if self._peer is not None:
+        for peer in self._peers:
             with contextlib.suppress(OSError):
-                self._socket.sendto(data, self._peer)
+                self._socket.sendto(data, peer)
 
     def close(self) -> None:
         """Give the port back."""
         self._socket.close()
+
+    def _remember(self, peer: tuple[str, int], t_s: float) -> None:
+        """The one heard now, and others (a ground station's relay) that are not long silent."""
+        recent = {other: at_s for other, at_s in self._peers.items() if t_s - at_s < _PEER_SILENT_S}
+        recent.pop(peer, None)
+        self._peers = {**dict(list(recent.items())[-_MOST_PEERS + 1 :]), peer: t_s}
 
 
 class StreamLink:

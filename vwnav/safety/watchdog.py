@@ -36,11 +36,14 @@ class WatchdogProcess:
 
     Attributes:
         navigator_url: what the navigator's MAVSDK connects to instead of the autopilot.
+        observer_url: where a second reader may listen along, a simulator's truth for one: a serial
+            port, a TCP port and a UDP port that listens have one owner each.
         keepalive: to be beaten by the control loop.
     """
 
     process: subprocess.Popen[bytes]
     navigator_url: str
+    observer_url: str
     keepalive: KeepAlive
 
     def is_running(self) -> bool:
@@ -91,8 +94,9 @@ def start_watchdog(connection: str, log: Path | None = None) -> WatchdogProcess:
     assert process.stdout is not None
     with process.stdout as stdout:
         ports = _wait_for_ports(process, stdout)
-    url = f"udpout://127.0.0.1:{ports['navigator_port']}"
-    return WatchdogProcess(process, url, KeepAlive(ports["keepalive_port"]))
+    navigator_url = f"udpout://127.0.0.1:{ports['navigator_port']}"
+    observer_url = f"udpout://127.0.0.1:{ports['observer_port']}"
+    return WatchdogProcess(process, navigator_url, observer_url, KeepAlive(ports["keepalive_port"]))
 
 
 def _wait_for_ports(process: subprocess.Popen[bytes], stdout: IO[bytes]) -> dict[str, int]:

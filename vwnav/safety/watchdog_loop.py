@@ -67,9 +67,12 @@ class Watchdog:
         self._calls_first = address.kind != "udpin"
         self._navigator = _local_socket(options.navigator_port)
         self._keepalive = _local_socket(options.keepalive_port)
+        self._observer = _local_socket(0)
         self._link: Link = open_link(address)
         self._navigator_address: tuple[str, int] | None = None
+        self._observer_address: tuple[str, int] | None = None
         self._from_navigator = Framer()
+        self._from_observer = Framer()
         self._ear = AutopilotEar()
         self._voice = Voice()
         self._guard = DeadMan(options.dead_man)
@@ -78,6 +81,7 @@ class Watchdog:
         self._selector = selectors.DefaultSelector()
         self._link_fd = -1
         self._selector.register(self._navigator, selectors.EVENT_READ, self._read_navigator)
+        self._selector.register(self._observer, selectors.EVENT_READ, self._read_observer)
         self._selector.register(self._keepalive, selectors.EVENT_READ, self._read_keepalive)
 
     @property
@@ -86,6 +90,7 @@ class Watchdog:
         return {
             "navigator_port": self._navigator.getsockname()[1],
             "keepalive_port": self._keepalive.getsockname()[1],
+            "observer_port": self._observer.getsockname()[1],
         }
 
     def run(self) -> None:
@@ -102,6 +107,7 @@ class Watchdog:
         self._selector.close()
         self._link.close()
         self._navigator.close()
+        self._observer.close()
         self._keepalive.close()
 
     def _follow_link(self) -> None:
@@ -122,6 +128,8 @@ class Watchdog:
                 break
             if self._navigator_address is not None:
                 self._send(self._navigator, data, self._navigator_address)
+            if self._observer_address is not None:
+                self._send(self._observer, data, self._observer_address)
             for answer in self._ear.listen(data, time.monotonic()):
                 self._guard.handle_answer(answer, time.monotonic())
             self._guard.handle_vehicle(self._ear.vehicle)
@@ -135,6 +143,14 @@ class Watchdog:
             if self._guard.blocks_setpoints:
                 data = without_control(self._from_navigator.split(data))
             self._link.write(data)
+
+    def _read_observer(self) -> None:
+        """Somebody who listens along; may ask for messages, never for anything that flies."""
+        try:
+            data, self._observer_address = self._observer.recvfrom(_READ_BYTES)
+        except (BlockingIOError, ConnectionError):
+            return
+        self._link.write(without_control(self._from_observer.split(data)))
 
     def _read_keepalive(self) -> None:
         try:

@@ -21,7 +21,13 @@ from vwnav.sim.px4.link import datagram_parser
 _log = logging.getLogger(__name__)
 _HISTORY_S = 5.0
 _SOURCE_SYSTEM, _SOURCE_COMPONENT = 245, 191
+_AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _HIL_STATE_QUATERNION, _SIM_STATE = 115, 108
+# ArduPilot answers a request for the other one with a text to every ground station, each time.
+_TRUTH_OF = {
+    mavlink.MAV_AUTOPILOT_PX4: (_HIL_STATE_QUATERNION,),
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: (_SIM_STATE,),
+}
 _ASK_EVERY_S = 1.0
 _WAIT_S = 0.2
 _LEAK = 0.005  # seconds per second by which the sender's clock may fall behind ours
@@ -52,7 +58,8 @@ class TruthReader:
     """Reads truth in a thread of its own, until `close`.
 
     Args:
-        url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT ("//" after the colon is fine).
+        url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT, or as MAVSDK writes them: "//"
+            after the colon, udp for udpin, no host to listen everywhere, tcp for tcpout.
         rate_hz: the rate it asks the simulator for.
 
     Raises:
@@ -72,6 +79,7 @@ class TruthReader:
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._vehicle: tuple[int, int] | None = None
+        self._wanted: tuple[int, ...] = (_HIL_STATE_QUATERNION, _SIM_STATE)
         self._offset_s: float | None = None
         self._stamp_s = 0.0
         self._thread = threading.Thread(target=self._run, name="truth", daemon=True)
@@ -148,12 +156,20 @@ class TruthReader:
                 continue
             self._parsers[peer] = parser
             self._peer = peer or self._peer
-            if kind == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
-                self._vehicle = (message.get_srcSystem(), message.get_srcComponent())
+            if kind == "HEARTBEAT":
+                self._meet(message)
             elif kind == "HIL_STATE_QUATERNION":
                 self._add(_from_hil(message, self._time(message.time_usec, now_s)))
             elif kind == "SIM_STATE":
                 self._add(_from_sim_state(message, now_s))
+
+    def _meet(self, heartbeat: Any) -> None:
+        """A vehicle, not the ground stations, gimbals and companions beside it."""
+        source = (heartbeat.get_srcSystem(), heartbeat.get_srcComponent())
+        if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID or source[1] != _AUTOPILOT:
+            return
+        self._vehicle = source
+        self._wanted = _TRUTH_OF.get(heartbeat.autopilot, (_HIL_STATE_QUATERNION, _SIM_STATE))
 
     def _add(self, state: TruthState | None) -> None:
         if state is None:
@@ -189,7 +205,7 @@ class TruthReader:
             recent = sum(state.t_s > now_s - _ASK_EVERY_S for state in self._states)
         if self._vehicle is None or recent > 0.7 * self._rate_hz:
             return
-        for number in (_HIL_STATE_QUATERNION, _SIM_STATE):
+        for number in self._wanted:
             self._send(
                 mavlink.MAVLink_command_long_message(
                     *self._vehicle,
@@ -217,6 +233,8 @@ def _open(url: str) -> tuple[socket.socket, tuple[str, int] | None]:
     """A socket, and whom to talk to on it."""
     kind, _, rest = url.partition(":")
     host, _, port = rest.removeprefix("//").rpartition(":")
+    if kind in ("udp", "udpin"):
+        kind, host = "udpin", host or "0.0.0.0"
     if kind not in ("udpin", "udpout", "tcpout", "tcp") or not host or not port.isdigit():
         raise ConfigError(f"{url!r} is no link to the truth: write udpout:HOST:PORT or tcpout:...")
     address = (host, int(port))

@@ -23,6 +23,18 @@ _TEXT_CHARS = 50
 _PARAMETERS_AT_ONCE = 4
 _DEGE7_COMMANDS = frozenset({179, 611})  # x and y of COMMAND_INT are degrees * 1e7 here
 _GCS_SILENT_S = 5.0
+# PX4 takes these for its own system id only (mavlink_receiver.cpp, mavlink_parameters.cpp).
+_NEVER_BROADCAST = frozenset(
+    {
+        "COMMAND_LONG",
+        "COMMAND_INT",
+        "SET_MODE",
+        "SET_GPS_GLOBAL_ORIGIN",
+        "PARAM_REQUEST_LIST",
+        "PARAM_REQUEST_READ",
+        "PARAM_SET",
+    }
+)
 
 Clock = Callable[[], float]
 
@@ -83,7 +95,10 @@ class Session:
     def _is_for_us(self, message: Any) -> bool:
         system = getattr(message, "target_system", getattr(message, "target", 0))
         component = getattr(message, "target_component", 0)
-        return system in (0, self._vehicle.config.system_id) and component in (0, 1)
+        own = self._vehicle.config.system_id
+        if message.get_type() in _NEVER_BROADCAST:
+            return system == own and component in (0, 1)
+        return system in (0, own) and component in (0, 1)
 
     @property
     def reboot_wanted(self) -> bool:
