@@ -151,6 +151,28 @@ def test_nothing_grows_that_should_not_in_a_long_hover():
     assert np.sqrt(P[3, 3]) < 0.2
 
 
+@pytest.mark.parametrize(("touching_agl_m", "blown_away"), [(0.3, False), (-99.0, True)])
+def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_agl_m, blown_away):
+    """Autopilots tell a landing seconds late, and a level aircraft in wind should drift."""
+    ekf = Ekf(EkfConfig(touching_agl_m=touching_agl_m))
+    above = np.array([0.0, 0.0, -20.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=0.5, agl_m=20.0))
+    lean = np.array([math.cos(0.04), 0.0, -math.sin(0.04), 0.0])  # 0.8 m/s^2 against the wind
+    for k in range(400):
+        t_s = 0.05 * k
+        down_m = -20.0 + t_s
+        ekf.handle_attitude(Attitude(t_s, lean))
+        ekf.handle_height(t_s, -down_m)
+        place = {"position_ne_m": np.zeros(2), "covariance_ne_m2": 0.25 * np.eye(2)}
+        ekf.handle_fix(NedFix(t_s=t_s, agl_m=-down_m, sigma_agl_m=0.1, **place))
+    for k in range(60):
+        ekf.handle_attitude(Attitude(20.0 + 0.05 * k, LEVEL))
+        ekf.handle_height(20.0 + 0.05 * k, -0.1)
+    apart_m = np.hypot(*ekf.estimate(23.0).position_ned_m[:2])
+    assert (apart_m > 1.5) == blown_away
+    assert (apart_m < 0.8) != blown_away
+
+
 def test_a_wrong_start_is_left_only_when_fixes_agree():
     start = Start(t_s=0.0, position_ned_m=np.array([150.0, 0.0, 0.0]), sigma_m=3.0)
     run = play(stream_of(USUAL, 7), start=start)

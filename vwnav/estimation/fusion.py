@@ -180,7 +180,23 @@ def _apply_height(
     H = np.zeros((1, States.SIZE))
     H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
     R = np.array([[config.height_sigma_m**2]])
-    return fuse(state, Measurement(event.height_m - H @ state.x, H, R))
+    state, innovation = fuse(state, Measurement(event.height_m - H @ state.x, H, R))
+    return _touch(state, config), innovation
+
+
+def _touch(state: FilterState, config: EkfConfig) -> FilterState:
+    """Near the ground an aircraft hardly moves sideways, whatever its attitude seems to say.
+
+    Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
+    if the wind blew it away, at a height where no picture tells otherwise. The gate refuses this
+    where it really flies.
+    """
+    if state.agl_m > config.touching_agl_m:
+        return state
+    H = np.zeros((2, States.SIZE))
+    H[:, States.VELOCITY.start : States.VELOCITY.start + 2] = np.eye(2)
+    R = config.touching_sigma_m_s**2 * np.eye(2)
+    return fuse(state, Measurement(-state.x[States.VELOCITY][:2], H, R))[0]
 
 
 def _apply_range(

@@ -61,6 +61,8 @@ class EkfConfig:
     stationary_sigma_m_s: float = 0.05
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
+    touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
+    touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
     odometry_tilt_share: float = 0.1  # of a change of tilt error that odometry takes for motion
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
