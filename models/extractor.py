@@ -105,6 +105,6 @@ class Extractor(nn.Module):
         torch._check(count >= 0)
         torch._check(count <= scores.shape[0])
         best_scores, best = torch.topk(scores, count)
-        best_uv = uv[0][best]
+        best_uv = uv[0][best] - self.network.peak_bias
         descriptors = sample_descriptors(dense.descriptors, best_uv[None])[0]
         return best_uv, best_scores, descriptors

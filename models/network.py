@@ -113,6 +113,10 @@ class FeatureNetwork(nn.Module):
             nn.Conv2d(config.score_channels, 1, 1),
         )
 
+        # Where peaks lie beside what they mean, (u, v) in pixels: a shift common to both views,
+        # which no loss between them can see. A half turn shows it, at the end of training.
+        self.register_buffer("peak_bias", torch.zeros(2))
+
     def forward(self, image: Tensor) -> DenseFeatures:
         """Compute dense features.
 

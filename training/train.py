@@ -272,6 +272,11 @@ def main(
 
     team.leave()
     if journal is not None:
+        pictures = [view[f"image{k}"][0].numpy() for view in views for k in (0, 1)]
+        bias = average.module.peak_bias + torch.from_numpy(
+            validate.peak_bias(average.module, pictures)
+        ).to(average.module.peak_bias)
+        average.module.peak_bias.copy_(bias)
         report(journal)
         journal.close()
         checkpoint()

@@ -20,6 +20,7 @@ Extract = Callable[[Image], Features]
 RIGHT_PX = 3.0  # a match nearer than this to the truth counts as an inlier
 PLACE_PX = 8.0  # a pair counts as located when its centre is found this near to the truth
 KEYPOINTS = 500
+SAME_PX = 1.5  # keypoints of a picture and of the turned one that are nearer are the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +58,29 @@ def learned(network: FeatureNetwork) -> Extract:
         return uv.numpy(), descriptors.numpy()
 
     return extract
+
+
+def peak_bias(network: FeatureNetwork, images: list[Image]) -> NDArray[np.float64]:
+    """Measure by how much keypoints lie beside what they mean: (u, v) in pixels.
+
+    A picture turned by half a turn has its keypoints at (W - 1 - u, H - 1 - v); half of what they
+    are off on average is the bias of either.
+
+    Args:
+        network: as trained.
+        images: (H, W) uint8, H and W divisible by 32.
+    """
+    extract = learned(network)
+    offsets = []
+    for image in images:
+        uv, _ = extract(image)
+        turned, _ = extract(np.ascontiguousarray(image[::-1, ::-1]))
+        back = np.array(image.shape[::-1]) - 1.0 - turned
+        apart = uv[:, None] - back[None]
+        nearest = apart[np.arange(len(uv)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+        offsets.append(0.5 * nearest[np.linalg.norm(nearest, axis=1) < SAME_PX])
+    together = np.concatenate(offsets) if offsets else np.zeros((0, 2))
+    return together.mean(axis=0) if len(together) else np.zeros(2)
 
 
 def root_sift(image: Image, upright: bool = True) -> Features:
