@@ -66,7 +66,8 @@ def _cost(axis: Any, report: Report) -> None:
     for index, each in enumerate(report.sets):
         x, y = report.timing[size][each.name].extract_cpu_ms, report.groups[ALL][each.name].inliers
         axis.scatter(x, y, s=70, color=_COLOURS[index % len(_COLOURS)], zorder=3)
-        axis.annotate(each.name, (x, y), xytext=(7, 4), textcoords="offset points")
+        above = 6 if index % 2 else -14  # two precisions of one size lie side by side
+        axis.annotate(each.name, (x, y), xytext=(5, above), textcoords="offset points")
     axis.set_xscale("log")
     axis.set_xlabel(f"extraction of {size}, ms of one core")
     axis.set_title("Inliers over all scenes", loc="left")
