@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 
 from models.network import DenseFeatures, FeatureNetwork, NetworkConfig, conv, normalise_contrast
 from training import train, validate
-from training.config import PRESETS, TrainConfig, changed, load_checkpoint
+from training.config import PRESETS, TrainConfig, changed
 from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes
 from training.photometric import PhotometricConfig
 from training.warps import WarpConfig
@@ -118,10 +118,7 @@ def run(name: str, steps: int, out: Path, scenes: tuple[list[Scene], list[Scene]
     training = [s for s in training if shares[s.group] > 0]
     checkpoint = train.main(config, scenes=(training, kept), build=row.build)
     network = row.build(config.network)
-    average = load_checkpoint(checkpoint)["average"]
-    network.load_state_dict(
-        {k.removeprefix("module."): v for k, v in average.items() if k.startswith("module.")}
-    )
+    train.start_from(network, str(checkpoint))
     score = validate.score_matches(validate.learned(network), judged_views(kept, config))
     parameters = sum(p.numel() for p in network.parameters())
     return [name, str(parameters), *(f"{value:.3f}" for value in asdict(score).values())]

@@ -106,8 +106,17 @@ def config_from_saved(saved: dict[str, Any]) -> TrainConfig:
 
 
 def load_checkpoint(path: str | Path, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint; tensors and plain values only, so a foreign file cannot run code."""
-    state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+    """Read a checkpoint; tensors and plain values only, so a foreign file cannot run code.
+
+    Raises:
+        SystemExit: there is none, or it is damaged; one line says so.
+    """
+    try:
+        state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+    except FileNotFoundError:
+        raise SystemExit(f"no checkpoint at {path}: give the last.pt of a run") from None
+    except Exception as error:  # torch raises whatever a damaged file makes it stumble over
+        raise SystemExit(f"{path} is not a whole checkpoint: give the last.pt of a run") from error
     return state
 
 

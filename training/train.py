@@ -3,7 +3,7 @@
 Two minutes, to see that everything works:
     python training/train.py --preset smoke
 The released model (on two CPU cores, or a GPU if there is one):
-    python training/train.py --preset default --minutes 80
+    python training/train.py --preset default --minutes 180
 Go on after an interruption, with the same pictures, optimizer and learning rate:
     python training/train.py --resume runs/default/last.pt
 On several GPUs or machines, or here on two processor cores, sharing each batch:

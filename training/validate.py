@@ -83,13 +83,12 @@ def peak_bias(network: FeatureNetwork, images: list[Image]) -> NDArray[np.float6
     return together.mean(axis=0) if len(together) else np.zeros(2)
 
 
-def root_sift(image: Image, upright: bool = True) -> Features:
+def root_sift(image: Image) -> Features:
     """Upright RootSIFT (Arandjelovic and Zisserman 2012), the classical rival."""
     sift = cv2.SIFT_create(KEYPOINTS)
     keypoints = sift.detect(image, None)
-    if upright:
-        for keypoint in keypoints:
-            keypoint.angle = 0.0
+    for keypoint in keypoints:
+        keypoint.angle = 0.0
     keypoints, descriptors = sift.compute(image, keypoints)
     if descriptors is None:
         return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)

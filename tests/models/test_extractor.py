@@ -39,17 +39,17 @@ def test_keypoints_keep_away_from_the_border_and_from_each_other(extractor):
 
 
 def test_a_scene_moved_by_whole_cells_moves_its_features_exactly(extractor):
-    scene = np.random.default_rng(1).integers(0, 255, (96, 96)).astype(np.uint8)
+    scene = np.random.default_rng(1).integers(0, 255, (192, 192)).astype(np.uint8)
     found = []
     for shift in (0, 32):
         image = np.full((544, 544), 90, np.uint8)
-        image[224 + shift : 320 + shift, 224:320] = scene
+        image[160 + shift : 352 + shift, 160:352] = scene
         uv, _, descriptors = extract(extractor, image, 3000)
-        inside = (np.abs(uv - [271.5, 271.5 + shift]) < 48).all(axis=1)
+        inside = (np.abs(uv - [255.5, 255.5 + shift]) < 96).all(axis=1)
         order = np.lexsort(np.round(uv[inside], 2).T)
         found.append((uv[inside][order], descriptors[inside][order]))
     (uv0, descriptors0), (uv1, descriptors1) = found
-    assert len(uv0) == len(uv1) > 15
+    assert len(uv0) == len(uv1) > 50
     np.testing.assert_allclose(uv0 + np.array([0, 32]), uv1, atol=1e-3)
     np.testing.assert_allclose(descriptors0, descriptors1, atol=1e-4)
 

@@ -113,11 +113,10 @@ def test_an_observer_listens_along_and_may_ask_but_not_fly(flown):
         observer.connect(("127.0.0.1", port))
         observer.settimeout(2.0)
         ask = mavlink.MAVLink_command_long_message(7, 1, 511, 0, 115.0, 10000.0, *[0.0] * 5)
-        words = setpoint(9.0) + bytes(ask.pack(MAV))
-        observer.send(words)
-        assert observer.recv(4096)
-        # It asks again until it is heard, as a reader of truth does.
-        assert wait_for(lambda: flown.peer.commands(511) or (observer.send(words) and None))
+        observer.send(setpoint(9.0))
+        assert observer.recv(4096)  # so the autopilot has been heard: it has an address now
+        observer.send(setpoint(9.0) + bytes(ask.pack(MAV)))
+        assert wait_for(lambda: flown.peer.commands(511))
     assert not [s for s in flown.setpoints() if s.vx == 9.0]
     assert flown.socket.recv(4096)
 

@@ -69,6 +69,16 @@ def test_a_new_run_can_start_from_the_weights_of_another(drawn_scenes, tmp_path)
     assert own["peak_logits.weight"].shape[1] == 16
 
 
+@pytest.mark.parametrize("option", ["--init", "--resume"])
+@pytest.mark.parametrize(("content", "said"), [(None, "no checkpoint"), (b"x" * 99, "not a whole")])
+def test_a_checkpoint_that_is_none_is_one_line(option, content, said, drawn_scenes, tmp_path):
+    path = tmp_path / "last.pt"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SystemExit, match=said):
+        train.main(*parse("", [option, str(path), "--out", str(tmp_path)]), (drawn_scenes, []))
+
+
 def test_a_checkpoint_rebuilds_its_configuration(drawn_scenes, tmp_path):
     config = replace(SHORT, out=str(tmp_path), max_steps=1)
     path = train.main(config, scenes=(drawn_scenes, []))
