@@ -161,9 +161,10 @@ def export(checkpoint: Path, output: Path) -> str:
 
 
 def slim_checkpoint(checkpoint: Path, output: Path) -> None:
-    """Copy a checkpoint for release: all that `train.py --resume` needs, but no path of here."""
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    state["config"] |= {"data": ""}
+    """Keep of a checkpoint what `train.py --init` needs: the averaged weights, and their recipe."""
+    whole = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = {name: whole[name] for name in ("config", "step", "average")}
+    state["config"] |= {"data": "", "init": ""}
     partial = output.with_suffix(".partial")
     torch.save(state, partial)
     os.replace(partial, output)
@@ -177,7 +178,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True, help="the .onnx file")
     parser.add_argument(
-        "--checkpoint", dest="release", type=Path, help="also leave a resumable checkpoint here"
+        "--checkpoint",
+        dest="release",
+        type=Path,
+        help="also leave the weights for `train.py --init` here",
     )
     given = parser.parse_args(arguments)
     try:

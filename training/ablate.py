@@ -10,6 +10,7 @@ the difference is chance.
 
 import argparse
 import csv
+import functools
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -92,6 +93,8 @@ ROWS = {
     "descriptors of 128": Row(changes={"network.descriptor_dim": "128"}),
     "1/8 level alone": Row(build=FineOnly),
     "peaks without the 1/8 level": Row(build=PeaksWithoutContext),
+    "labels as they are given": Row(changes={"registered": "runs/none"}),
+    "crops of 224 px, 8 pairs": Row(changes={"samples.size_px": "224", "batch_pairs": "8"}),
     "no reprojection loss": Row(changes={"reprojection_weight": "0"}),
     "score = height of the peak": Row(build=ScoresEqual, changes={"score_weight": "0"}),
     "corners only, no agreement": Row(
@@ -104,14 +107,20 @@ ROWS = {
 }
 
 
-def run(name: str, steps: int, out: Path, scenes: tuple[list[Scene], list[Scene]]) -> list[str]:
+@functools.cache
+def scenes_with(registered: str) -> tuple[list[Scene], list[Scene]]:
+    """Read the pictures once, with the labels of one folder of registrations."""
+    return load_scenes(data_folder(), ROOT / PRESETS["nano"].sites, ROOT / registered)
+
+
+def run(name: str, steps: int, out: Path) -> list[str]:
     """Train one row and return its line of the table."""
     row = ROWS[name]
     config = replace(PRESETS["nano"], minutes=0.0, max_steps=steps, threads=1, loader_processes=1)
     config = replace(config, validate_every_minutes=1e9, out=str(out / name.replace(" ", "_")))
     for path, value in row.changes.items():
         config = changed(config, path.split("."), value)
-    training, kept = scenes
+    training, kept = scenes_with(config.registered)
     if row.sources is not None:
         training = [s for s in training if s.source in row.sources or s.group == "site"]
     shares = config.samples.shares
@@ -145,12 +154,11 @@ def main() -> None:
     if table.exists():
         with table.open(newline="") as file:
             done = {line[0]: line for line in list(csv.reader(file))[1:]}
-    scenes = load_scenes(data_folder(), ROOT / PRESETS["nano"].sites)
     given.out.mkdir(parents=True, exist_ok=True)
     for name in given.only:
         if name in done:
             continue
-        done[name] = run(name, given.steps, given.out, scenes)
+        done[name] = run(name, given.steps, given.out)
         with table.open("w", newline="") as file:
             header = ["choice", "parameters", "inliers", "precision", "located", "error_px"]
             csv.writer(file).writerows([header, *done.values()])

@@ -22,6 +22,7 @@ class TrainConfig:
     out: str = "runs/default"
     data: str = ""  # empty: VWNAV_DATA, else ../shared/data
     sites: str = "runs/site_pairs"  # generated pairs, mixed in where there are any
+    registered: str = "runs/registered"  # real pairs' labels made exact by training/register.py
     terms: Terms = "all"  # "open": only pictures that anybody may use for anything
     init: str = ""  # checkpoint whose weights a new run starts from, where they fit
     seed: int = 1
@@ -31,7 +32,7 @@ class TrainConfig:
     minutes: float = 80.0  # of the iterations' own time: a stopped process does not age
     max_steps: int = 0  # 0: by time only
     # optimisation
-    batch_pairs: int = 8
+    batch_pairs: int = 4
     learning_rate: float = 1e-3
     warm_up: float = 0.01  # share of the run
     weight_decay: float = 1e-3
@@ -40,7 +41,7 @@ class TrainConfig:
     # losses
     temperature: float = 0.07
     doubt_from: float = 0.3  # share of the run after which a network may doubt labels fully
-    matches: int = 192  # points per pair whose descriptors are compared
+    matches: int = 288  # points per pair whose descriptors are compared
     windows: int = 96  # per pair in which peaks are compared
     near_px: float = 6.0  # descriptors so near to each other need not differ
     sharpness_px: float = 0.6  # how exactly the peaks of two views shall agree
@@ -86,7 +87,7 @@ PRESETS = {
         out="runs/smoke",
         network=NETWORK_SIZES["nano"],
         minutes=2.0,
-        batch_pairs=4,
+        samples=SampleConfig(size_px=224),
         average_decay=0.95,
         log_every_steps=20,
         validate_every_minutes=1.0,

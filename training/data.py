@@ -6,13 +6,14 @@ Everything is decoded once. Training reads `train/` of the data folder and gener
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from training import warps
 from training.warps import FloatArray, Image
@@ -33,6 +34,8 @@ OPEN_SOURCES = {
 }
 OVERLAP_WIDTH_PX = 640  # neighbouring frames are registered at about this width
 LEAST_OVERLAP_INLIERS = 60
+# Of real pairs as their labels have them, and after `training/register.py`.
+LABELLED_NOISE, REGISTERED_NOISE = 0.3, 0.15
 # Draws per pair: large pictures hold many crops, small ones few.
 PAIR_WEIGHTS = {"sztaki": 4.0, "cd_LEVIR": 4.0, "cd_WHU-CD": 3.0, "cd_levir256": 0.7}
 
@@ -48,6 +51,7 @@ class Scene:
     masks: list[Image]  # (H, W), 255 where there is ground
     weight: float = 1.0
     label_noise: float = 0.0  # q of the generalised cross-entropy
+    name: str = ""  # of a pair, the same in every run
 
 
 def data_folder(given: str = "") -> Path | None:
@@ -79,6 +83,7 @@ def scene(
     H_i_0: list[FloatArray] | None = None,
     weight: float = 1.0,
     label_noise: float = 0.0,
+    name: str = "",
 ) -> Scene:
     """Make a scene of registered pictures; homographies default to identity."""
     # Only registered pictures have black corners; a mask for each of the others would cost seconds.
@@ -87,7 +92,7 @@ def scene(
     else:
         masks = [np.full(p.shape[:2], 255, np.uint8) for p in pictures]
     identities = [np.eye(3)] * len(pictures)
-    return Scene(group, source, pictures, H_i_0 or identities, masks, weight, label_noise)
+    return Scene(group, source, pictures, H_i_0 or identities, masks, weight, label_noise, name)
 
 
 def registration(entry: dict[str, Any]) -> FloatArray | None:
@@ -117,7 +122,8 @@ def real_pairs(folder: Path, split: str = "train") -> Iterator[Scene]:
             [read(folder / entry["a"]), read(folder / entry["b"])],
             H_i_0=[np.eye(3), H_b_a],
             weight=PAIR_WEIGHTS.get(entry["src"], 1.0),
-            label_noise=0.3,
+            label_noise=LABELLED_NOISE,
+            name="_".join([entry["src"], Path(entry["a"]).stem, Path(entry["b"]).stem]),
         )
 
 
@@ -127,7 +133,13 @@ def single_pictures(folder: Path, group: str) -> Iterator[Scene]:
         if path.suffix.lower() in PICTURE_SUFFIXES:
             picture = read(path)
             weight = float(np.clip(picture.shape[0] * picture.shape[1] / 400**2, 0.3, 3.0))
-            yield scene(group, path.parent.name, [picture], weight=weight)
+            yield scene(
+                group,
+                path.parent.name,
+                [picture],
+                weight=weight,
+                name=f"{path.parent.name}_{path.stem}",
+            )
 
 
 def series(folder: Path) -> Iterator[Scene]:
@@ -148,9 +160,7 @@ def overlapping(frames: list[Scene]) -> Iterator[Scene]:
     Pairs with few inliers, or whose homography does not look like one plane seen twice from above,
     are left out.
     """
-    for first, second in pairwise(frames):
-        if first.source != second.source:
-            continue
+    for first, second in neighbours(frames):
         H_b_a = register(first.pictures[0], second.pictures[0])
         if H_b_a is not None:
             yield scene(
@@ -158,8 +168,14 @@ def overlapping(frames: list[Scene]) -> Iterator[Scene]:
                 first.source,
                 [first.pictures[0], second.pictures[0]],
                 H_i_0=[np.eye(3), H_b_a],
-                label_noise=0.3,
+                label_noise=LABELLED_NOISE,
+                name=f"{first.name}_{second.name}",
             )
+
+
+def neighbours(frames: list[Scene]) -> Iterator[tuple[Scene, Scene]]:
+    """Frames of one flight that are next to each other."""
+    return (pair for pair in pairwise(frames) if pair[0].source == pair[1].source)
 
 
 def register(picture_a: Image, picture_b: Image) -> FloatArray | None:
@@ -195,6 +211,44 @@ def register(picture_a: Image, picture_b: Image) -> FloatArray | None:
     return H_b_a if min(sizes) > 0.5 and max(sizes) < 2.0 else None
 
 
+def save_registration(folder: Path, pair: Scene, offsets: NDArray[np.float32]) -> None:
+    """Leave what `training/register.py` found of a pair."""
+    np.savez_compressed(folder / f"{pair.name}.npz", offsets=offsets.astype(np.float16))
+
+
+def registered(pair: Scene, folder: Path) -> Scene:
+    """Move the ground of a pair's first picture to where the second one shows it.
+
+    Returns:
+        The pair with its first picture drawn again in the second one's frame; the pair as it is
+        where `training/register.py` left nothing for it.
+    """
+    path = folder / f"{pair.name}.npz"
+    if not path.exists():
+        return pair
+    b = pair.pictures[1]
+    with np.load(path) as file:
+        offsets = cv2.resize(file["offsets"].astype(np.float32), (b.shape[1], b.shape[0]))
+    v, u = np.indices(b.shape[:2], np.float64)
+    labelled = np.stack([u - offsets[..., 0], v - offsets[..., 1]], axis=-1).reshape(-1, 2)
+    H_a_b = np.linalg.inv(pair.H_i_0[1])
+    a, mask = pair.pictures[0], pair.masks[0]
+    shrink = warps.local_scale(H_a_b, np.array([b.shape[1], b.shape[0]]) / 2)
+    if shrink > 1.3:  # without aliasing
+        (a, H_small_a), (mask, _) = warps.shrunk(a, shrink), warps.shrunk(mask, shrink)
+        H_a_b = H_small_a @ H_a_b
+    places = warps.warp_points(H_a_b, labelled).reshape(*b.shape[:2], 2).astype(np.float32)
+    drawn = cv2.remap(a, places[..., 0], places[..., 1], cv2.INTER_CUBIC)
+    ground = cv2.remap(mask, places[..., 0], places[..., 1], cv2.INTER_NEAREST)
+    return replace(
+        pair,
+        pictures=[drawn, b],
+        H_i_0=[np.eye(3), np.eye(3)],
+        masks=[ground, pair.masks[1]],
+        label_noise=REGISTERED_NOISE,
+    )
+
+
 def site_pairs(folder: Path) -> Iterator[Scene]:
     """Generated places in two looks, if `vwnav.sim` has left some."""
     for path_a in sorted(folder.glob("*_a.jpg")):
@@ -204,26 +258,27 @@ def site_pairs(folder: Path) -> Iterator[Scene]:
 
 
 def load_scenes(
-    folder: Path | None, sites: Path, terms: Terms = "all"
+    folder: Path | None, sites: Path, registrations: Path, terms: Terms = "all"
 ) -> tuple[list[Scene], list[Scene]]:
     """Decode everything; every 12th real pair is kept for validation, whatever the terms.
 
     Args:
         folder: the data folder, None for generated pairs alone.
         sites: folder of generated pairs.
+        registrations: what `training/register.py` left.
         terms: "open" leaves out pictures whose licence restricts their use.
 
     Returns:
         Scenes to train on, scenes to validate on.
     """
-    pairs = list(real_pairs(folder)) if folder else []
+    pairs = [registered(p, registrations) for p in real_pairs(folder)] if folder else []
     training = [pair for i, pair in enumerate(pairs) if i % 12 != 5]
     if folder:
         frames = list(single_pictures(folder, "drone"))
         training += [
             *single_pictures(folder, "single"),
             *frames,
-            *overlapping(frames),
+            *(registered(pair, registrations) for pair in overlapping(frames)),
             *series(folder),
         ]
     if terms == "open":

@@ -25,8 +25,8 @@ OUTSIDE_PX = -100.0  # where absent corners are put
 class SampleConfig:
     """What is drawn, how often, and how far it is changed."""
 
-    size_px: int = 224
-    matches: int = 256  # correspondences per pair for the descriptors
+    size_px: int = 320
+    matches: int = 256  # points drawn per pair for the descriptors
     corner_share: float = 0.75  # of them at the teacher's corners, the rest anywhere
     corners: int = 400  # most corners per pair for the keypoint head
     zoom_min: float = 0.65  # source pixels per pixel of the crop
@@ -37,9 +37,9 @@ class SampleConfig:
             "pair": 0.43,
             "single": 0.25,
             "drone": 0.04,
-            "overlap": 0.06,
+            "overlap": 0.08,
             "series": 0.02,
-            "site": 0.20,
+            "site": 0.25,
         }
     )
     warp: warps.WarpConfig = field(default_factory=warps.WarpConfig)

@@ -172,7 +172,10 @@ def main(
     # pictures, and what SIFT makes of the kept-aside ones
     started = time.monotonic()
     training, kept = scenes or load_scenes(
-        data_folder(config.data), ROOT / config.sites, config.terms
+        data_folder(config.data),
+        ROOT / config.sites,
+        ROOT / config.registered,
+        config.terms,
     )
     if not training:
         raise SystemExit("no training pictures: give --data, or generate pairs (docs/training.md)")
@@ -193,6 +196,8 @@ def main(
     step, watch = 0, StopWatch(0.0)
     if resume:
         state = load_checkpoint(resume, device)
+        if "optimizer" not in state:
+            raise SystemExit(f"{resume} holds weights alone: start a new run with --init")
         network.load_state_dict(state["network"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])

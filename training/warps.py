@@ -120,19 +120,22 @@ def view(source: Image, H_source_view: FloatArray, size_px: int) -> Image:
     shrink = local_scale(H_source_view, np.full(2, (size_px - 1) / 2))
     if shrink > 1.3:
         source, corner = around_view(source, H_source_view, size_px)
-        size = (round(source.shape[1] / shrink), round(source.shape[0] / shrink))
-        if min(size) < 1:
+        if min(source.shape[:2]) < shrink:
             return np.zeros((size_px, size_px, *source.shape[2:]), np.uint8)
-        sx, sy = size[0] / source.shape[1], size[1] / source.shape[0]
-        source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
-        # Half-pixel rule: (u + 0.5) s - 0.5.
-        H_small_source = np.array(
-            [[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]]
-        )
+        source, H_small_source = shrunk(source, shrink)
         H_source_view = H_small_source @ translation(*-corner) @ H_source_view
     return cv2.warpPerspective(
         source, H_source_view, (size_px, size_px), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     )
+
+
+def shrunk(source: Image, factor: float) -> tuple[Image, FloatArray]:
+    """Make a picture smaller by about `factor`; returns it with H_small_source (3, 3)."""
+    size = (round(source.shape[1] / factor), round(source.shape[0] / factor))
+    sx, sy = size[0] / source.shape[1], size[1] / source.shape[0]
+    # Half-pixel rule: (u + 0.5) s - 0.5.
+    H = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
+    return cv2.resize(source, size, interpolation=cv2.INTER_AREA), H
 
 
 def around_view(source: Image, H_source_view: FloatArray, size_px: int) -> tuple[Image, FloatArray]:

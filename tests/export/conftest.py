@@ -27,7 +27,7 @@ def checkpoint(network, tmp_path_factory):
     path = tmp_path_factory.mktemp("checkpoint") / "last.pt"
     average = {f"module.{name}": value for name, value in network.state_dict().items()}
     config = {"data": "/home/somebody/data", "network": vars_of(network.config)}
-    torch.save({"config": config, "average": average}, path)
+    torch.save({"config": config, "step": 7, "average": average, "optimizer": {}}, path)
     return path
 
 

@@ -98,10 +98,12 @@ def test_a_graph_that_differs_from_pytorch_is_not_written(network, model):
         export_onnx.check(wrong, network)
 
 
-def test_a_released_checkpoint_forgets_where_the_data_were(checkpoint, tmp_path):
+def test_a_released_checkpoint_holds_the_weights_and_no_path_of_here(checkpoint, tmp_path):
     output = tmp_path / "released.ckpt"
     export_onnx.slim_checkpoint(checkpoint, output)
     assert b"/home/somebody" not in output.read_bytes()
+    networks = [export_onnx.load_network(path) for path in (checkpoint, output)]
+    assert len({export_onnx.feature_set_id(network) for network in networks}) == 1
 
 
 @each_release

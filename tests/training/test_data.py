@@ -47,7 +47,7 @@ def test_a_picture_that_cannot_be_read_is_named(tmp_path):
 
 
 def test_without_data_there_is_nothing_to_train_on(tmp_path):
-    assert data.load_scenes(None, tmp_path) == ([], [])
+    assert data.load_scenes(None, tmp_path, tmp_path) == ([], [])
 
 
 @needs_data
@@ -56,7 +56,7 @@ def test_only_training_pictures_are_ever_read(monkeypatch):
     monkeypatch.setattr(
         data, "read", lambda path: seen.append(path) or np.zeros((9, 9, 3), np.uint8)
     )
-    data.load_scenes(FOLDER, FOLDER / "nowhere")
+    data.load_scenes(FOLDER, FOLDER / "nowhere", FOLDER / "nowhere")
     assert len(seen) > 1000
     assert all(path.relative_to(FOLDER).parts[0] == "train" for path in seen)
 
@@ -87,7 +87,7 @@ def test_frames_of_different_flights_are_no_neighbours():
 @needs_data
 def test_open_terms_leave_only_open_sources(monkeypatch):
     monkeypatch.setattr(data, "read", lambda path: np.zeros((9, 9, 3), np.uint8))
-    training, kept = data.load_scenes(FOLDER, FOLDER / "nowhere", "open")
+    training, kept = data.load_scenes(FOLDER, FOLDER / "nowhere", FOLDER / "nowhere", "open")
     assert {s.source for s in training} <= data.OPEN_SOURCES
     assert len(training) > 100
     assert len(kept) > 10

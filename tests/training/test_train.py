@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from export.export_onnx import slim_checkpoint
 from models.network import FeatureNetwork
 from training import train, validate
 from training.config import PRESETS, config_from_saved, load_checkpoint, parse
@@ -77,6 +78,15 @@ def test_a_checkpoint_that_is_none_is_one_line(option, content, said, drawn_scen
         path.write_bytes(content)
     with pytest.raises(SystemExit, match=said):
         train.main(*parse("", [option, str(path), "--out", str(tmp_path)]), (drawn_scenes, []))
+
+
+def test_released_weights_are_no_interrupted_run(drawn_scenes, tmp_path):
+    path = train.main(replace(SHORT, out=str(tmp_path), max_steps=1), scenes=(drawn_scenes, []))
+    released = tmp_path / "released.ckpt"
+    slim_checkpoint(path, released)
+    arguments = ["--resume", str(released), "--out", str(tmp_path)]
+    with pytest.raises(SystemExit, match="--init"):
+        train.main(*parse("", arguments), scenes=(drawn_scenes, []))
 
 
 def test_a_checkpoint_rebuilds_its_configuration(drawn_scenes, tmp_path):
