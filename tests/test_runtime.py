@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vwnav.flight import FlightEnd, is_flyable
+from vwnav.flight import FlightEnd
 from vwnav.runtime import FlightRuntime
+from vwnav.safety.envelope import is_flyable
 from vwnav.types import Attitude, Estimate, FlightMode, Frame, VehicleState
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -10,8 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from vwnav.flight import Flight, FlightEnd, is_flyable
+from vwnav.flight import Flight, FlightEnd
 from vwnav.pipeline import Pipeline, Sensors, StepResult
+from vwnav.safety.envelope import is_flyable
 from vwnav.types import Autopilot, Estimate, Frame, FrameSource, VehicleState
 
 log = logging.getLogger(__name__)

@@ -93,6 +93,19 @@ def test_a_folder_without_data_is_one_line_and_exit_1(bench, tmp_path, capsys):
     assert error.count("\n") == 0
 
 
+def test_a_folder_that_cannot_be_made_is_one_line_before_anything_runs(
+    bench, data, tmp_path, capsys
+):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(SystemExit) as done:
+        bench("--data", data, "-o", tmp_path / "file")
+    assert done.value.code == 1
+    printed = capsys.readouterr()
+    assert "cannot make" in printed.err
+    assert printed.err.strip().count("\n") == 0
+    assert printed.out == ""
+
+
 def test_without_any_folder_generated_places_are_judged_on(monkeypatch, tmp_path):
     monkeypatch.delenv("VWNAV_DATA", raising=False)
     monkeypatch.setattr(features.vwnav, "__file__", str(tmp_path / "a" / "vwnav" / "__init__.py"))

@@ -49,7 +49,9 @@ def features(
     from vwnav.bench.features import bench_features, data_folder
     from vwnav.bench.report import as_json as report_as_json
     from vwnav.bench.report import tables
+    from vwnav.drivers.run_folder import make_run_folder
 
+    folder = None if output is None else make_run_folder(output, "bench")
     with progress_bar() as progress:
         report = bench_features(data_folder(data), model, views, repeats, progress)
     for line in report.skipped:
@@ -63,11 +65,11 @@ def features(
         console = Console(file=sys.stdout, highlight=False, width=width)
         for table in tables(report):
             console.print(table)
-    if output is not None:
+    if folder is not None:
         from vwnav.bench.pictures import write_pictures
         from vwnav.bench.plots import write_plot
 
-        write_pictures(output / "matches", report.samples)
-        (output / "report.json").write_text(json.dumps(values, indent=1))
-        write_plot(output / "features.png", report)
-        say(f"bench: wrote report.json, features.png and matches/ to {output}")
+        write_pictures(folder / "matches", report.samples)
+        (folder / "report.json").write_text(json.dumps(values, indent=1))
+        write_plot(folder / "features.png", report)
+        say(f"bench: wrote report.json, features.png and matches/ to {folder}")

@@ -27,9 +27,10 @@ def estimator(
     """How wrong the filter is, and how well it knows: RMSE, NEES, NIS, coverage, drift."""
     from vwnav.bench.estimator import as_json, bench
     from vwnav.cli.screen import LiveLine
+    from vwnav.drivers.run_folder import make_run_folder
 
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
+        make_run_folder(output, "bench")
     results = {}
     for chosen in _choose(scenario or [], seconds):
         with LiveLine() as line:
