@@ -26,6 +26,7 @@ from training import train, validate
 from training.config import PRESETS, TrainConfig, changed
 from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes
 from training.photometric import PhotometricConfig
+from training.sampling import Sample
 from training.warps import WarpConfig
 
 VIEWS = 60
@@ -133,7 +134,7 @@ def run(name: str, steps: int, out: Path) -> list[str]:
     return [name, str(parameters), *(f"{value:.3f}" for value in asdict(score).values())]
 
 
-def judged_views(kept: list[Scene], config: TrainConfig) -> list[validate.Sample]:
+def judged_views(kept: list[Scene], config: TrainConfig) -> list[Sample]:
     """Views of the kept-aside pairs as they are, turned and scaled as rectification leaves them."""
     warp = WarpConfig(rotation_sigma_deg=6.0, wide_rotation_share=0.0, scale_sigma=0.08)
     samples = replace(config.samples, zoom_min=1.0, zoom_max=1.0, warp=warp, photo=AS_THEY_ARE)

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training import warps
+from training.photometric import to_grey
 from training.warps import FloatArray, Image
+from vwnav.vision.sift import SiftFeatures
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
@@ -33,7 +34,9 @@ OPEN_SOURCES = {
     "odm_data_seneca",
 }
 OVERLAP_WIDTH_PX = 640  # neighbouring frames are registered at about this width
+LANDMARKS = 2000
 LEAST_OVERLAP_INLIERS = 60
+NEAR_FRAMES = 4  # frames of a flight so far apart in it may overlap
 # Of real pairs as their labels have them, and after `training/register.py`.
 LABELLED_NOISE, REGISTERED_NOISE = 0.3, 0.15
 # Draws per pair: large pictures hold many crops, small ones few.
@@ -154,58 +157,61 @@ def series(folder: Path) -> Iterator[Scene]:
 
 
 def overlapping(frames: list[Scene]) -> Iterator[Scene]:
-    """Register neighbouring frames of a drone flight: one place from two viewpoints.
+    """Register frames of a drone flight that are near each other: one place from two viewpoints.
 
     SIFT and MAGSAC++ find the homography; the ground is not flat, so it is right to a few pixels.
     Pairs with few inliers, or whose homography does not look like one plane seen twice from above,
     are left out.
     """
-    for first, second in neighbours(frames):
-        H_b_a = register(first.pictures[0], second.pictures[0])
-        if H_b_a is not None:
-            yield scene(
-                "overlap",
-                first.source,
-                [first.pictures[0], second.pictures[0]],
-                H_i_0=[np.eye(3), H_b_a],
-                label_noise=LABELLED_NOISE,
-                name=f"{first.name}_{second.name}",
-            )
+    marks = [landmarks(frame.pictures[0]) for frame in frames]
+    for i, first in enumerate(frames):
+        for j in range(i + 1, min(i + 1 + NEAR_FRAMES, len(frames))):
+            second = frames[j]
+            if first.source != second.source:
+                break
+            H_b_a = register(marks[i], marks[j])
+            if H_b_a is not None:
+                yield scene(
+                    "overlap",
+                    first.source,
+                    [first.pictures[0], second.pictures[0]],
+                    H_i_0=[np.eye(3), H_b_a],
+                    label_noise=LABELLED_NOISE,
+                    name=f"{first.name}_{second.name}",
+                )
 
 
-def neighbours(frames: list[Scene]) -> Iterator[tuple[Scene, Scene]]:
-    """Frames of one flight that are next to each other."""
-    return (pair for pair in pairwise(frames) if pair[0].source == pair[1].source)
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """SIFT features of a picture, to register it with."""
+
+    uv: FloatArray  # (n, 2), pixels of the full picture
+    descriptors: NDArray[np.float32]  # (n, 128)
+    shrunk: float  # of the full size, in which they were found
+    size_wh: tuple[int, int]
 
 
-def register(picture_a: Image, picture_b: Image) -> FloatArray | None:
+def landmarks(picture: Image) -> Landmarks:
+    """Find what a picture can be registered with."""
+    width = picture.shape[1]
+    small, H_small_full = warps.shrunk(picture, max(1.0, width / OVERLAP_WIDTH_PX))
+    found = SiftFeatures(upright=False).extract(to_grey(small), LANDMARKS)
+    uv = warps.warp_points(np.linalg.inv(H_small_full), found.uv.astype(np.float64))
+    descriptors = found.descriptors.astype(np.float32)
+    return Landmarks(uv, descriptors, small.shape[1] / width, (width, picture.shape[0]))
+
+
+def register(a: Landmarks, b: Landmarks) -> FloatArray | None:
     """Homography b from a of two overlapping pictures, None where there is none to be sure of."""
-    found, scales = [], []
-    for picture in (picture_a, picture_b):
-        scale = min(1.0, OVERLAP_WIDTH_PX / picture.shape[1])
-        small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        keypoints, descriptors = cv2.SIFT_create(2000).detectAndCompute(small, None)
-        if descriptors is None or len(keypoints) < LEAST_OVERLAP_INLIERS:
-            return None
-        found.append((np.array([k.pt for k in keypoints]), descriptors))
-        scales.append(np.array([small.shape[1], small.shape[0]]) / picture.shape[1::-1])
-    (uv_a, descriptors_a), (uv_b, descriptors_b) = found
-    matches = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(descriptors_a, descriptors_b)
-    points_a, points_b = (
-        # half-pixel rule back to the full picture
-        (uv[index] + 0.5) / scale - 0.5
-        for uv, index, scale in zip(
-            (uv_a, uv_b),
-            ([m.queryIdx for m in matches], [m.trainIdx for m in matches]),
-            scales,
-            strict=True,
-        )
-    )
-    threshold_px = 3.0 / float(scales[1].mean())
-    H_b_a, inliers = cv2.findHomography(points_a, points_b, cv2.USAC_MAGSAC, threshold_px)
+    matches = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(a.descriptors, b.descriptors)
+    if len(matches) < LEAST_OVERLAP_INLIERS:
+        return None
+    points_a = a.uv[[m.queryIdx for m in matches]]
+    points_b = b.uv[[m.trainIdx for m in matches]]
+    H_b_a, inliers = cv2.findHomography(points_a, points_b, cv2.USAC_MAGSAC, 3.0 / b.shrunk)
     if H_b_a is None or inliers.sum() < LEAST_OVERLAP_INLIERS:
         return None
-    height, width = picture_a.shape[:2]
+    width, height = a.size_wh
     corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
     sizes = [warps.local_scale(H_b_a, corner) for corner in corners]
     return H_b_a if min(sizes) > 0.5 and max(sizes) < 2.0 else None

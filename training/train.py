@@ -183,7 +183,7 @@ def main(
     took_s = time.monotonic() - started
     team.say(f"{len(training)} scenes {groups}, {len(kept)} kept aside, read in {took_s:.0f} s")
     views = validate.calm_views(kept or training, config.samples, config.validation_pairs)
-    sift = validate.score_matches(validate.root_sift, views)
+    sift = validate.score_matches(validate.upright_sift, views)
     team.say(f"upright SIFT on the kept-aside views: {sift}")
 
     # network, optimizer, and where we are

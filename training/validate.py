@@ -4,7 +4,6 @@ import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -14,8 +13,11 @@ from models.network import FeatureNetwork
 from training.data import Scene
 from training.sampling import Sample, SampleConfig, ViewPairs
 from training.warps import FloatArray, Image, warp_points
+from vwnav.geometry.homography import estimate_similarity
+from vwnav.types import Features
+from vwnav.vision.matching import match
+from vwnav.vision.sift import SiftFeatures
 
-Features = tuple[NDArray[np.float32], NDArray[np.float32]]  # (n, 2) pixels, (n, D)
 Extract = Callable[[Image], Features]
 RIGHT_PX = 3.0  # a match nearer than this to the truth counts as an inlier
 PLACE_PX = 8.0  # a pair counts as located when its centre is found this near to the truth
@@ -52,10 +54,10 @@ def learned(network: FeatureNetwork) -> Extract:
 
     def extract(image: Image) -> Features:
         with torch.inference_mode():
-            uv, _, descriptors = extractor(
+            uv, scores, descriptors = extractor(
                 torch.from_numpy(image)[None, None], torch.tensor([KEYPOINTS])
             )
-        return uv.numpy(), descriptors.numpy()
+        return Features(uv.numpy(), descriptors.numpy(), scores.numpy())
 
     return extract
 
@@ -73,8 +75,8 @@ def peak_bias(network: FeatureNetwork, images: list[Image]) -> NDArray[np.float6
     extract = learned(network)
     offsets = []
     for image in images:
-        uv, _ = extract(image)
-        turned, _ = extract(np.ascontiguousarray(image[::-1, ::-1]))
+        uv = extract(image).uv
+        turned = extract(np.ascontiguousarray(image[::-1, ::-1])).uv
         back = np.array(image.shape[::-1]) - 1.0 - turned
         apart = uv[:, None] - back[None]
         nearest = apart[np.arange(len(uv)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
@@ -83,41 +85,19 @@ def peak_bias(network: FeatureNetwork, images: list[Image]) -> NDArray[np.float6
     return together.mean(axis=0) if len(together) else np.zeros(2)
 
 
-def root_sift(image: Image) -> Features:
-    """Upright RootSIFT (Arandjelovic and Zisserman 2012), the classical rival."""
-    sift = cv2.SIFT_create(KEYPOINTS)
-    keypoints = sift.detect(image, None)
-    for keypoint in keypoints:
-        keypoint.angle = 0.0
-    keypoints, descriptors = sift.compute(image, keypoints)
-    if descriptors is None:
-        return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
-    return np.array([k.pt for k in keypoints], np.float32), root
-
-
-def mutual_matches(features0: Features, features1: Features) -> tuple[FloatArray, FloatArray]:
-    """Match by mutual nearest neighbours; returns the matched positions (n, 2) in both."""
-    (uv0, descriptors0), (uv1, descriptors1) = features0, features1
-    if len(uv0) == 0 or len(uv1) == 0:
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    similarity = descriptors0 @ descriptors1.T
-    best1, best0 = similarity.argmax(axis=1), similarity.argmax(axis=0)
-    mutual = best0[best1] == np.arange(len(uv0))
-    return uv0[mutual].astype(np.float64), uv1[best1[mutual]].astype(np.float64)
+def upright_sift(image: Image) -> Features:
+    """The classical rival."""
+    return SiftFeatures().extract(image, KEYPOINTS)
 
 
 def finds_its_place(uv0: FloatArray, uv1: FloatArray, H_1_0: FloatArray, size_px: int) -> bool:
     """Does a similarity through the matches put the picture's centre where it belongs?"""
-    if len(uv0) < 4:
-        return False
-    cv2.setRNGSeed(0)
-    found, _ = cv2.estimateAffinePartial2D(uv0, uv1, ransacReprojThreshold=3.0, maxIters=5000)
-    if found is None:
+    fit = estimate_similarity(uv0, uv1, RIGHT_PX, seed=0)
+    if fit is None:
         return False
     centre = np.full((1, 2), (size_px - 1) / 2)
-    expected = warp_points(H_1_0, centre)
-    return bool(np.linalg.norm(centre @ found[:, :2].T + found[:, 2] - expected) < PLACE_PX)
+    apart = warp_points(fit.H, centre) - warp_points(H_1_0, centre)
+    return bool(np.linalg.norm(apart) < PLACE_PX)
 
 
 def score_matches(extract: Extract, views: list[Sample]) -> MatchScore:
@@ -126,7 +106,10 @@ def score_matches(extract: Extract, views: list[Sample]) -> MatchScore:
     errors: list[float] = []
     for view in views:
         image0, image1 = (view[f"image{k}"][0].numpy() for k in (0, 1))
-        uv0, uv1 = mutual_matches(extract(image0), extract(image1))
+        found0, found1 = extract(image0), extract(image1)
+        index = match(found0, found1)
+        uv0 = found0.uv[index[:, 0]].astype(np.float64)
+        uv1 = found1.uv[index[:, 1]].astype(np.float64)
         H_1_0 = view["H_1_0"].numpy().astype(np.float64)
         distance = np.linalg.norm(warp_points(H_1_0, uv0) - uv1, axis=1)
         right = distance < RIGHT_PX

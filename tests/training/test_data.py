@@ -65,7 +65,7 @@ def test_overlapping_frames_are_registered_to_a_pixel():
     scenery = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
     scenery = cv2.resize(scenery, (1280, 960), interpolation=cv2.INTER_CUBIC)
     frames = [scenery[:700, :900], scenery[200:900, 150:1050]]
-    H_b_a = data.register(*frames)
+    H_b_a = data.register(*map(data.landmarks, frames))
     corners = np.array([[200.0, 250.0], [850.0, 650.0]])
     np.testing.assert_allclose(warps.warp_points(H_b_a, corners), corners - [150, 200], atol=0.5)
 
@@ -75,7 +75,7 @@ def test_frames_that_share_nothing_are_not_registered():
     frames = [
         cv2.resize(rng.integers(0, 255, (60, 80, 3)).astype(np.uint8), (640, 480)) for _ in range(2)
     ]
-    assert data.register(*frames) is None
+    assert data.register(*map(data.landmarks, frames)) is None
 
 
 def test_frames_of_different_flights_are_no_neighbours():
