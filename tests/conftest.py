@@ -1,7 +1,21 @@
 """Settings of all tests."""
 
+import os
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
 
 # Laws are about values, not about how busy the machine is.
 settings.register_profile("any_machine", deadline=None)
 settings.load_profile("any_machine")
+
+
+@pytest.fixture
+def data_folder() -> Path:
+    """The folder of real data; the test is skipped where it is absent."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("VWNAV_DATA", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder}; set VWNAV_DATA")
+    return folder

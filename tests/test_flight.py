@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from vehicles import FLYING
 
 from vwnav.flight import Flight, FlightConfig, Phase
 from vwnav.guidance.controller import LimitsConfig
@@ -13,22 +14,7 @@ from vwnav.types import Estimate, FlightMode, VehicleState, VelocitySetpoint
 
 ROUTE = np.array([[60.0, 0.0, -50.0], [60.0, 60.0, -50.0]])
 DT_S = 0.1
-READY = VehicleState(
-    t_s=0.0,
-    connected=True,
-    armed=False,
-    in_air=False,
-    mode=FlightMode.HOLD,
-    attitude=None,
-    height_m=0.0,
-    height_t_s=0.0,
-    rangefinder_m=None,
-    battery_ratio=0.9,
-    rc_available=True,
-    local_position_ok=True,
-    armable=True,
-    heartbeat_age_s=0.1,
-)
+READY = replace(FLYING, armed=False, in_air=False, mode=FlightMode.HOLD, height_m=0.0)
 
 
 @dataclass

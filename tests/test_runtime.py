@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from vehicles import FLYING
 
 from vwnav.flight import FlightEnd
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.envelope import is_flyable
-from vwnav.types import Attitude, Estimate, FlightMode, Frame, VehicleState
+from vwnav.types import Attitude, Estimate, Frame
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 ESTIMATE = Estimate(
@@ -26,22 +27,7 @@ ESTIMATE = Estimate(
     t_last_fix_s=None,
     reset_counter=0,
 )
-VEHICLE = VehicleState(
-    t_s=0.0,
-    connected=True,
-    armed=True,
-    in_air=True,
-    mode=FlightMode.OFFBOARD,
-    attitude=Attitude(0.0, LEVEL),
-    height_m=50.0,
-    height_t_s=0.0,
-    rangefinder_m=None,
-    battery_ratio=0.9,
-    rc_available=True,
-    local_position_ok=True,
-    armable=True,
-    heartbeat_age_s=0.1,
-)
+VEHICLE = replace(FLYING, attitude=Attitude(0.0, LEVEL))
 
 
 @dataclass

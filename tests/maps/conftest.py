@@ -1,4 +1,3 @@
-import os
 from pathlib import Path
 
 import pytest
@@ -22,13 +21,3 @@ def sift_pack_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sift_pack(sift_pack_file: Path):
     with MapPack.open(sift_pack_file) as pack:
         yield pack
-
-
-@pytest.fixture
-def data_folder() -> Path:
-    """The folder of real data; the test is skipped where it is absent."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    folder = Path(os.environ.get("VWNAV_DATA", beside))
-    if not folder.is_dir():
-        pytest.skip(f"no real data at {folder}; set VWNAV_DATA")
-    return folder

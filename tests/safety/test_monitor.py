@@ -4,28 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from vehicles import FLYING
 
 from vwnav.safety.monitor import Action, Decision, SafetyConfig, SafetyMonitor
-from vwnav.types import Estimate, FlightMode, VehicleState
+from vwnav.types import Estimate, FlightMode
 
 CONFIG = SafetyConfig()
 STEP_S = 0.5
-VEHICLE = VehicleState(
-    t_s=0.0,
-    connected=True,
-    armed=True,
-    in_air=True,
-    mode=FlightMode.OFFBOARD,
-    attitude=None,
-    height_m=50.0,
-    height_t_s=0.0,
-    rangefinder_m=None,
-    battery_ratio=0.9,
-    rc_available=True,
-    local_position_ok=True,
-    armable=True,
-    heartbeat_age_s=0.3,
-)
+VEHICLE = replace(FLYING, heartbeat_age_s=0.3)
 
 
 def estimate(t_s: float, sigma_m: float = 1.0, fix_age_s: float | None = 0.5) -> Estimate:

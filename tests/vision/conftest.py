@@ -1,6 +1,3 @@
-import os
-from pathlib import Path
-
 import cv2
 import pytest
 from hypothesis import settings
@@ -46,13 +43,3 @@ def pack(tmp_path_factory, ground, learned, sift, orb):
     path = tmp_path_factory.mktemp("packs") / "ground.mbtiles"
     with MapPack.open(ground_pack(path, ground, (learned, sift, orb))) as opened:
         yield opened
-
-
-@pytest.fixture
-def data_folder() -> Path:
-    """The folder of real data; the test is skipped where it is absent."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    folder = Path(os.environ.get("VWNAV_DATA", beside))
-    if not folder.is_dir():
-        pytest.skip(f"no real data at {folder}; set VWNAV_DATA")
-    return folder
