@@ -60,7 +60,8 @@ class Measurement:
 
     Attributes:
         held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
-            of them is too rough.
+            of them is too rough. Nor does it correct what their errors have done to other states:
+            a place that is wrong because the heading is wrong stays so until one of them is told.
     """
 
     residual: Array
@@ -99,7 +100,7 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the optimal gain K (22, m) for it."""
+    """What the measurement says, and the gain K (22, m) for it: optimal but for held states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
@@ -109,9 +110,25 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
     else:
         solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
         K, nis = solved[:, 1:].T.copy(), float(r @ solved[:, 0])
-    K[list(measurement.held)] = 0.0
+    if measurement.held:
+        K = _gain_given(state.P, measurement)
     verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
     return Innovation(verdict, nis, len(r), r), K
+
+
+def _gain_given(P: Array, measurement: Measurement) -> Array:
+    """The gain (22, m) that would be optimal if the held states were known as they are.
+
+    With the optimal gain and its held rows at zero, places far from the last fix were moved by the
+    heading error that the residual seemed to show, metres at a time, and the heading was not.
+    """
+    held, H = list(measurement.held), measurement.H
+    with_held = P[:, held]
+    given = P - with_held @ np.linalg.pinv(P[np.ix_(held, held)], hermitian=True) @ with_held.T
+    PHt = given @ H.T
+    K = np.linalg.solve(H @ PHt + measurement.R, PHt.T).T.copy()
+    K[held] = 0.0
+    return K
 
 
 def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:
