@@ -14,6 +14,7 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 
 
 _IDENTITY = np.eye(States.SIZE)
+_RIDGE = 1e-12
 
 
 class Verdict(Enum):
@@ -124,7 +125,9 @@ def _gain_given(P: Array, measurement: Measurement) -> Array:
     """
     held, H = list(measurement.held), measurement.H
     with_held = P[:, held]
-    given = P - with_held @ np.linalg.pinv(P[np.ix_(held, held)], hermitian=True) @ with_held.T
+    # A clone of a state that is cloned anew has all but its covariance: the ridge keeps it regular.
+    own = with_held[held] + _RIDGE * np.eye(len(held))
+    given = P - with_held @ np.linalg.solve(own, with_held.T)
     PHt = given @ H.T
     K = np.linalg.solve(H @ PHt + measurement.R, PHt.T).T.copy()
     K[held] = 0.0
