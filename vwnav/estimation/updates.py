@@ -129,7 +129,7 @@ def _gain_given(P: Array, measurement: Measurement) -> Array:
     own = with_held[held] + _RIDGE * np.eye(len(held))
     given = P - with_held @ np.linalg.solve(own, with_held.T)
     PHt = given @ H.T
-    K = np.linalg.solve(H @ PHt + measurement.R, PHt.T).T.copy()
+    K = np.array(np.linalg.solve(H @ PHt + measurement.R, PHt.T).T, dtype=np.float64)
     K[held] = 0.0
     return K
 
