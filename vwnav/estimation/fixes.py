@@ -154,7 +154,7 @@ def _on_other_ground(before: FilterState, after: FilterState, context: Context) 
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (24, m) says which states move with the residual. The new error is
+    `jump` (26, m) says which states move with the residual. The new error is
     e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
     """
     A = np.eye(States.SIZE) - jump @ measurement.H

@@ -58,7 +58,7 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
 
 
 def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
-    """Copy position, heading bias and ground to the anchor, and what the keyframe's own error adds.
+    """Copy position, attitude error and ground to the anchor, and what the keyframe's own error adds.
 
     The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
     attitude of that moment, which the picture does not turn: so that error is a state of its own.
@@ -67,10 +67,12 @@ def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> F
     copy[States.ANCHOR_POSITION] = copy[States.POSITION]
     copy[States.ANCHOR_HEADING_BIAS] = copy[States.HEADING_BIAS]
     copy[States.ANCHOR_TERRAIN] = copy[States.TERRAIN]
+    copy[States.ANCHOR_TILT] = copy[States.TILT]
     copy[_ANCHOR_TURN] = 0.0
     P = copy @ state.P @ copy.T
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += event.covariance_ned_m2
     P[_ANCHOR_YAW, _ANCHOR_YAW] += _CLONE_SIGMA_RAD**2
+    P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[_ANCHOR_TERRAIN, _ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
     P[_ANCHOR_TURN, _ANCHOR_TURN] = event.sigma_yaw_rad**2
     anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
@@ -162,11 +164,14 @@ def _displacement(
     H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
     yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
     level0, level1 = _level_axes(yaw0_rad), _level_axes(yaw0_rad + motion.yaw_increment_rad)
-    by_tilt = -skew(predicted_m)[:, :2] @ level0
-    # In a turn the tilt error turns with the body; odometry takes a share of that for motion.
-    by_tilt[:2] += config.odometry_tilt_share * agl_m * _QUARTER_TURN @ (level1 - level0)
-    H[:, States.TILT] = by_tilt
-    residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
+    by_tilt0 = -skew(predicted_m)[:, :2] @ level0
+    # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
+    by_tilt1 = np.zeros((3, 2))
+    by_tilt1[:2] = config.odometry_tilt_share * agl_m * _QUARTER_TURN @ level1
+    by_tilt0[:2] -= config.odometry_tilt_share * agl_m * _QUARTER_TURN @ level0
+    H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
+    residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
+    residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at

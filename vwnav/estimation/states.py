@@ -28,7 +28,8 @@ class States:
     ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
     ANCHOR_TURN = slice(22, 23)  # rad, what the keyframe's own picture adds to every turn from it
     ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
-    SIZE = 24
+    ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
+    SIZE = 26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +126,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (24,) see `States`. P: (24, 24) its covariance.
+        x: (26,) see `States`. P: (26, 26) its covariance.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """
