@@ -58,7 +58,7 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
 
 
 def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
-    """Copy position, attitude error and ground to the anchor, and what the keyframe's own error adds.
+    """Copy position, attitude error and ground to the anchor, and add the keyframe's own error.
 
     The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
     attitude of that moment, which the picture does not turn: so that error is a state of its own.
