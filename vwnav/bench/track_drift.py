@@ -68,7 +68,7 @@ def compare(trajectory: Path, track: Path) -> Drift:
     shared = (t1_s >= t0_s[0]) & (t1_s <= t0_s[-1])
     if np.count_nonzero(shared) < _LEAST_PLACES:
         raise SourceError(f"{trajectory} and {track} share too few moments")
-    frame = LocalFrame(*lat_lon1[0].tolist(), 0.0)
+    frame = LocalFrame(float(lat_lon1[0, 0]), float(lat_lon1[0, 1]), 0.0)
     flown, seen = (
         np.array([frame.to_ned(lat, lon, 0.0)[:2] for lat, lon in table])
         for table in (lat_lon0, lat_lon1[shared])
