@@ -57,8 +57,8 @@ class NoOdometry:
         return Rejected(frame.t_s, RejectReason.FEW_KEYPOINTS)
 
 
-def make_pipeline(primary, fallback=None, start=None, executor=None, said=None):
-    config = PipelineConfig(fallback_after=3, primary_retry_every=2)
+def make_pipeline(primary, fallback=None, start=None, executor=None, said=None, most_fixes=0):
+    config = PipelineConfig(fallback_after=3, primary_retry_every=2, most_fixes=most_fixes)
     choice = FeatureChoice(primary, fallback, config, (said if said is not None else []).append)
     ekf = Ekf(EkfConfig())
     if start is not None:
@@ -120,6 +120,14 @@ def test_a_picture_too_low_for_the_map_is_no_attempt():
     pipeline = make_pipeline(FakeLocalizer(None, RejectReason.TOO_LOW), start=above_home())
     fly(pipeline, 2.0)
     assert pipeline.attempts == 0
+
+
+def test_after_the_most_fixes_allowed_the_map_is_asked_no_more():
+    localizer = FakeLocalizer((2.0, 1.0))
+    pipeline = make_pipeline(localizer, start=above_home(), most_fixes=2)
+    steps = fly(pipeline, 5.0)
+    assert sum(isinstance(step.outcome, MapFix) for step in steps) == 2
+    assert len(localizer.priors) == 2
 
 
 def test_the_fallback_stands_in_and_the_primary_comes_back_by_itself():

@@ -33,6 +33,7 @@ VEHICLE = replace(FLYING, attitude=Attitude(0.0, LEVEL))
 @dataclass
 class Link:
     sent: list = field(default_factory=list)
+    sent_s: list = field(default_factory=list)
 
     def state(self):
         return VEHICLE
@@ -42,6 +43,7 @@ class Link:
 
     def send_estimate(self, estimate):
         self.sent.append(estimate)
+        self.sent_s.append(time.monotonic())
 
 
 @dataclass
@@ -55,7 +57,7 @@ class Path:
     steps: int = 0
 
     def estimate(self, t_s):
-        return self.believed
+        return replace(self.believed, t_s=t_s)
 
     def sense(self, t_s, sensors):
         self.sensed += 1
@@ -110,6 +112,18 @@ def test_estimates_and_telemetry_go_on_while_a_picture_stalls():
     assert path.steps == 1
     assert len(link.sent) >= 5
     assert path.sensed >= 5
+
+
+def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix():
+    fixed_s = time.monotonic()
+    path = Path(believed=replace(ESTIMATE, t_last_fix_s=fixed_s))
+    link, _ = fly(path, Mission(ticks=25))
+    assert np.median(np.diff(link.sent_s)) == pytest.approx(0.02, abs=0.005)
+    late_s = np.array(link.sent_s) - [estimate.t_s for estimate in link.sent]
+    assert np.median(late_s) < 0.01
+    ages_s = [estimate.fix_age_s for estimate in link.sent]
+    assert ages_s == pytest.approx(np.array(link.sent_s) - fixed_s, abs=0.2)
+    assert np.all(np.diff(ages_s) > 0.0)
 
 
 def test_pictures_that_break_the_pipeline_do_not_end_the_flight():

@@ -51,6 +51,7 @@ class PipelineConfig:
     max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
     fallback_after: int = 8  # rejections in a row before the fallback is tried
     primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
+    most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,6 +253,8 @@ class Pipeline:
     def _attempt_if_due(self, frame: Frame, sensors: Sensors) -> MapFix | Rejected | None:
         """Start matching this picture when it is time to; the outcome if it is there at once."""
         if self._pending is not None or frame.t_s < self._next_attempt_s:
+            return None
+        if 0 < self._config.most_fixes <= self.accepted:
             return None
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:

@@ -1,6 +1,6 @@
 """Real time around `Pipeline.step`: three loops that must not wait for each other.
 
-Pictures go through the pipeline as they come; the estimate goes to the autopilot at a steady 30 Hz
+Pictures go through the pipeline as they come; the estimate goes to the autopilot at a steady 50 Hz
 (a gap of 200 ms stops its fusion); the mission ticks at 20 Hz and may wait for acknowledgements.
 """
 
@@ -17,7 +17,7 @@ from vwnav.types import Autopilot, Estimate, Frame, FrameSource, VehicleState
 
 log = logging.getLogger(__name__)
 
-ESTIMATE_HZ = 30.0
+ESTIMATE_HZ = 50.0
 TICK_HZ = 20.0
 MAX_BAD_FRAMES = 30  # pictures in a row that break the pipeline before vision is given up
 

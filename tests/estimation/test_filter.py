@@ -12,6 +12,7 @@ from vwnav.bench.estimator_run import Run, accepted_wrong, play
 from vwnav.bench.estimator_scores import position_nees
 from vwnav.bench.estimator_streams import Stream, feed, sense
 from vwnav.bench.estimator_world import World, fly
+from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
 from vwnav.estimation.states import States
 from vwnav.types import Attitude, ImuSample, OdometryMotion
@@ -171,6 +172,42 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_agl_m
     apart_m = np.hypot(*ekf.estimate(23.0).position_ned_m[:2])
     assert (apart_m > 1.5) == blown_away
     assert (apart_m < 0.8) != blown_away
+
+
+@pytest.mark.parametrize(("held", "turned"), [(True, False), (False, True)])
+def test_wind_that_takes_hold_at_take_off_does_not_turn_the_heading(monkeypatch, held, turned):
+    """Before the first fix only odometry could turn it, and what it sees is the wind."""
+    measure = fusion._displacement
+    if not held:
+        monkeypatch.setattr(fusion, "_displacement", lambda *a: replace(measure(*a), held=()))
+    windy = World(seconds=16.0, wind_m_s=9.0, hover_share=0.0, yaw_bias_deg=0.0, fix_hz=0.01)
+    rows = play(stream_of(windy, 0)).rows
+    assert (math.degrees(np.max(np.abs(rows.error_yaw_rad))) > 5.0) == turned
+    assert (math.degrees(np.max(np.abs(rows.error_yaw_rad))) < 2.0) != turned
+
+
+def test_a_long_way_without_fixes_is_the_sum_of_its_pieces():
+    """What the heading's error does to the place far away, no picture's noise may move.
+
+    By the gain whose heading rows alone were zero it moved 5.9 m in 480 m, now 2.4.
+    """
+    ekf, rng = Ekf(EkfConfig().without_telemetry()), np.random.default_rng(1)
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, agl_m=50.0, sigma_velocity_m_s=15.0))
+    ekf.handle_attitude(Attitude(0.0, LEVEL))
+    place = {"position_ne_m": np.zeros(2), "covariance_ne_m2": 0.01 * np.eye(2)}
+    ekf.handle_fix(NedFix(t_s=0.0, yaw_rad=0.0, sigma_yaw_rad=0.01, **place))
+    sums = {0.0: np.zeros(3)}
+    for i in range(1, 601):
+        t_s, t0_s = i / 15.0, (i - 1) // 30 * 2.0
+        seen = np.array([12.0 * (t_s - t0_s), 0.0, 0.0]) + rng.normal(size=3) * [0.05, 0.05, 0.0]
+        cov = 0.05**2 * np.eye(3)
+        ekf.handle_attitude(Attitude(t_s, LEVEL))
+        ekf.handle_odometry(OdometryMotion(t0_s, t_s, seen, cov, 0.0, 0.01, 50.0, 99))
+        sums[t_s] = sums[t0_s] + seen
+    found = ekf.estimate(t_s)
+    assert math.sqrt(found.covariance[1, 1]) > 5.0
+    assert np.hypot(*(found.position_ned_m - sums[t_s])[:2]) < 3.0
 
 
 def test_a_wrong_start_is_left_only_when_fixes_agree():

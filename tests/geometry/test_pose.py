@@ -9,9 +9,15 @@ from vwnav.geometry.pose import (
     pose_from_map_homography,
     pose_from_rectified,
     pose_without_attitude,
+    turned_where_reported,
 )
 from vwnav.geometry.rectify import rectification
-from vwnav.geometry.rotations import rotation_from_euler, vector_from_rotation, wrap_pi
+from vwnav.geometry.rotations import (
+    quat_from_rotation,
+    rotation_from_euler,
+    vector_from_rotation,
+    wrap_pi,
+)
 
 seeds = st.integers(0, 2**31)
 EXACT = PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0)
@@ -153,3 +159,62 @@ def test_camera_that_looks_at_the_sky_has_no_pose(shot_of) -> None:
 def test_what_is_no_view_from_above_gives_no_free_pose(shot_of, H: np.ndarray) -> None:
     shot = shot_of(np.random.default_rng(0))
     assert pose_without_attitude(H, shot.camera.K, shot.px_per_m) is None
+
+
+def one_sided(shot_of, seed: int):
+    """A tilted picture taken for level, with inliers on its left half only."""
+    shot = shot_of(np.random.default_rng(seed), points=160)
+    level = turned(0.3) @ shot.camera.R_body_camera
+    view = rectification(shot.camera.K, (640, 480), level, shot.agl_m, 0.3)
+    left = shot.uv[:, 0] < 300.0
+    uv_rect = transform_points(view.H_rect_frame, shot.uv[left])
+    return shot, view, uv_rect, shot.map_px[left]
+
+
+def heading_without_tilt(shot) -> float:
+    """Twist about down: the heading once the shortest rotation has levelled the camera."""
+    quat = quat_from_rotation(shot.R_ned_camera @ shot.camera.R_body_camera.T)
+    return 2.0 * float(np.arctan2(quat[3], quat[0]))
+
+
+@given(seeds)
+def test_heading_and_scale_of_a_tilted_picture_are_those_of_its_middle(shot_of, seed: int) -> None:
+    shot, view, uv_rect, map_px = one_sided(shot_of, seed)
+    fit = estimate_homography(uv_rect, map_px, 2.0, seed)
+    seen = fit.H, view, uv_rect, map_px, shot.px_per_m, EXACT
+    pose = turned_where_reported(pose_from_rectified(*seen), *seen, 0.09)
+    assert wrap_pi(0.3 + pose.yaw_correction_rad - heading_without_tilt(shot)) == pytest.approx(
+        0.0, abs=2e-3
+    )
+    axis_down = shot.R_ned_camera[2, 2]
+    lengths = shot.agl_m / axis_down * np.array([1.0, 1.0 / axis_down])
+    assert pose.agl_m == pytest.approx(float(lengths.mean()), rel=5e-3)
+
+
+def test_the_sigmas_in_the_middle_are_what_noise_on_the_pairs_does(shot_of) -> None:
+    shot, view, uv_rect, map_px = one_sided(shot_of, 3)
+    rng, errors = np.random.default_rng(0), PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0)
+    yaws, ratios, sigmas = [], [], []
+    for _ in range(200):
+        noisy_px = map_px + 0.5 * rng.normal(size=map_px.shape)
+        H = estimate_homography(uv_rect, noisy_px, 5.0, 0).H
+        seen = H, view, uv_rect, noisy_px, shot.px_per_m, errors
+        pose = turned_where_reported(pose_from_rectified(*seen), *seen, 0.09)
+        yaws.append(pose.yaw_correction_rad)
+        ratios.append(pose.scale_ratio)
+        sigmas.append((pose.sigma_yaw_rad, pose.sigma_agl_m / pose.agl_m))
+    sigma_yaw_rad, sigma_ratio = np.mean(sigmas, axis=0)
+    assert np.std(yaws) == pytest.approx(sigma_yaw_rad, rel=0.2)
+    assert np.std(ratios) / np.mean(ratios) == pytest.approx(sigma_ratio, rel=0.2)
+
+
+@given(seeds)
+def test_a_similarity_on_one_side_of_a_tilted_picture_knows_its_heading_less(
+    shot_of, seed: int
+) -> None:
+    shot, view, uv_rect, map_px = one_sided(shot_of, seed)
+    fit = estimate_similarity(uv_rect, map_px, 60.0, seed)
+    seen = fit.H, view, uv_rect, map_px, shot.px_per_m, EXACT
+    pose = turned_where_reported(pose_from_rectified(*seen), *seen, 0.09)
+    error_rad = wrap_pi(0.3 + pose.yaw_correction_rad - heading_without_tilt(shot))
+    assert abs(error_rad) < 4.0 * pose.sigma_yaw_rad

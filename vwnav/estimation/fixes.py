@@ -29,6 +29,7 @@ _DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
 _TERRAIN = States.TERRAIN.start
+_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _SMALLEST_SIGMA_M = 0.03
 
 
@@ -72,7 +73,9 @@ def apply_agl(
     state = replace(state, disputed_agls=disputes)
     if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
         return state, innovation
-    state = freed(state, _TERRAIN, 2.0 * abs(float(measurement.residual[0])))
+    open_m = 2.0 * abs(float(measurement.residual[0]))
+    # Whether the keyframe's ground was believed wrong too is not known.
+    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
     fused = correct(state, measurement)
     return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
 
@@ -144,14 +147,14 @@ def _on_other_ground(before: FilterState, after: FilterState, context: Context) 
     if old is None or new is None:
         return after
     x = after.x.copy()
-    x[_TERRAIN] += new.height_m - old.height_m
+    x[[_TERRAIN, _ANCHOR_TERRAIN]] += new.height_m - old.height_m
     return replace(after, x=x)
 
 
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (22, m) says which states move with the residual. The new error is
+    `jump` (26, m) says which states move with the residual. The new error is
     e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
     """
     A = np.eye(States.SIZE) - jump @ measurement.H

@@ -26,6 +26,10 @@ from vwnav.types import Array, OdometryMotion
 _DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
+_ANCHOR_TURN = States.ANCHOR_TURN.start
+_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
+_CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
+_CLONE_SIGMA_M = 0.01
 _ANCHOR_NORTH = States.ANCHOR_POSITION.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
 _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
@@ -54,13 +58,23 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
 
 
 def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
-    """Copy position and heading bias to the anchor, and what the keyframe's own error adds."""
+    """Copy position, attitude error and ground to the anchor, and add the keyframe's own error.
+
+    The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
+    attitude of that moment, which the picture does not turn: so that error is a state of its own.
+    """
     copy = np.eye(States.SIZE)
     copy[States.ANCHOR_POSITION] = copy[States.POSITION]
     copy[States.ANCHOR_HEADING_BIAS] = copy[States.HEADING_BIAS]
+    copy[States.ANCHOR_TERRAIN] = copy[States.TERRAIN]
+    copy[States.ANCHOR_TILT] = copy[States.TILT]
+    copy[_ANCHOR_TURN] = 0.0
     P = copy @ state.P @ copy.T
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += event.covariance_ned_m2
-    P[_ANCHOR_YAW, _ANCHOR_YAW] += event.sigma_yaw_rad**2
+    P[_ANCHOR_YAW, _ANCHOR_YAW] += _CLONE_SIGMA_RAD**2
+    P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
+    P[_ANCHOR_TERRAIN, _ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
+    P[_ANCHOR_TURN, _ANCHOR_TURN] = event.sigma_yaw_rad**2
     anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
     return replace(state, x=copy @ state.x, P=P, anchor=anchor)
 
@@ -81,7 +95,7 @@ def _apply_displacement(
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
     before = state
-    agl_m = _keyframe_agl_m(state, context)
+    agl_m = _keyframe_agl_m(state)
     displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
     state, innovation = fuse(state, displacement)
     if innovation.accepted:
@@ -89,15 +103,9 @@ def _apply_displacement(
     return state, replace(innovation, parts=parts)
 
 
-def _keyframe_agl_m(state: FilterState, context: Context) -> float:
-    """Height of the keyframe above its own ground, which the table may have lower than ours."""
-    x = state.x
-    agl_m = float(-x[_ANCHOR_DOWN] - x[States.TERRAIN][0])
-    here = context.patch(float(x[0]), float(x[1]))
-    there = context.patch(float(x[_ANCHOR_NORTH]), float(x[_ANCHOR_NORTH + 1]))
-    if here is not None and there is not None:
-        agl_m += here.height_m - there.height_m
-    return max(agl_m, _LEAST_AGL_M)
+def _keyframe_agl_m(state: FilterState) -> float:
+    """Height of the keyframe above its own ground."""
+    return max(float(-state.x[_ANCHOR_DOWN] - state.x[_ANCHOR_TERRAIN]), _LEAST_AGL_M)
 
 
 def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
@@ -113,8 +121,8 @@ def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterSt
     per_m[_SCALED] = change[_SCALED] / agl_m
     per_m[_DOWN] = (change[_DOWN] - change[_ANCHOR_DOWN]) / agl_m
     P = after.P
-    by_agl = -(P[:, _ANCHOR_DOWN] + P[:, States.TERRAIN.start])
-    variance = -(by_agl[_ANCHOR_DOWN] + by_agl[States.TERRAIN.start])
+    by_agl = -(P[:, _ANCHOR_DOWN] + P[:, _ANCHOR_TERRAIN])
+    variance = -(by_agl[_ANCHOR_DOWN] + by_agl[_ANCHOR_TERRAIN])
     tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
     return replace(after, P=P + (tied + tied.T))
 
@@ -124,9 +132,9 @@ def _turn(
 ) -> Measurement:
     """What the autopilot turned more than the picture did is the change of its heading bias."""
     H = np.zeros((1, States.SIZE))
-    H[0, _YAW], H[0, _ANCHOR_YAW] = 1.0, -1.0
+    H[0, _YAW], H[0, _ANCHOR_YAW], H[0, _ANCHOR_TURN] = 1.0, -1.0, 1.0
     change_rad = turned_rad - motion.yaw_increment_rad
-    residual = wrap_pi(float(change_rad - state.x[_YAW] + state.x[_ANCHOR_YAW]))
+    residual = wrap_pi(float(change_rad - H[0] @ state.x))
     variance = (1.0 - config.anchor_share) * motion.sigma_yaw_rad**2
     return Measurement(np.array([residual]), H, np.array([[variance]]))
 
@@ -136,7 +144,7 @@ def _displacement(
 ) -> Measurement:
     """The way in units of the keyframe's AGL, scaled by the AGL believed now.
 
-    The way seen is u AGL0 with AGL0 = -(down0 + terrain); the true way d is seen turned by the
+    The way seen is u AGL0 with AGL0 = -(down0 + terrain0); the true way d is seen turned by the
     attitude's error at the keyframe, Rz(-b0) u AGL0 = d + tilt x d. So uncertainties of AGL and
     attitude come in by the Jacobian, and what ways tell about them when fixes and barometer say
     how far it was.
@@ -152,15 +160,18 @@ def _displacement(
     H[:, States.POSITION] = np.eye(3)
     H[:, States.ANCHOR_POSITION] = -np.eye(3)
     H[:, _ANCHOR_DOWN] += predicted_m / agl_m
-    H[:, States.TERRAIN.start] = predicted_m / agl_m
+    H[:, _ANCHOR_TERRAIN] = predicted_m / agl_m
     H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
     yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
     level0, level1 = _level_axes(yaw0_rad), _level_axes(yaw0_rad + motion.yaw_increment_rad)
-    by_tilt = -skew(predicted_m)[:, :2] @ level0
-    # In a turn the tilt error turns with the body; odometry takes a share of that for motion.
-    by_tilt[:2] += config.odometry_tilt_share * agl_m * _QUARTER_TURN @ (level1 - level0)
-    H[:, States.TILT] = by_tilt
-    residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION] - by_tilt @ x[States.TILT]
+    by_tilt0 = -skew(predicted_m)[:, :2] @ level0
+    # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
+    by_tilt1 = np.zeros((3, 2))
+    by_tilt1[:2] = config.odometry_tilt_share * agl_m * _QUARTER_TURN @ level1
+    by_tilt0[:2] -= config.odometry_tilt_share * agl_m * _QUARTER_TURN @ level0
+    H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
+    residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
+    residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at

@@ -26,7 +26,10 @@ class States:
     ANCHOR_HEADING_BIAS = slice(16, 17)  # rad, the heading bias at the keyframe
     MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
     ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
-    SIZE = 22
+    ANCHOR_TURN = slice(22, 23)  # rad, what the keyframe's own picture adds to every turn from it
+    ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
+    ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
+    SIZE = 26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +51,7 @@ class EkfConfig:
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
-    map_length_m: float = 60.0
+    map_length_m: float = 100.0  # waves of 50 m, and ways that lead back over the same ground
     thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
     # How sure the states are at first
     heading_sigma_rad: float = math.radians(15.0)  # a compass near motors and steel
@@ -123,7 +126,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (22,) see `States`. P: (22, 22) its covariance.
+        x: (26,) see `States`. P: (26, 26) its covariance.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """

@@ -14,6 +14,7 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 
 
 _IDENTITY = np.eye(States.SIZE)
+_RIDGE = 1e-12
 
 
 class Verdict(Enum):
@@ -56,11 +57,12 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 22) and noise R (m, m).
+    """A linearised measurement: residual (m,), its Jacobian H (m, 26) and noise R (m, m).
 
     Attributes:
         held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
-            of them is too rough.
+            of them is too rough. Nor does it correct what their errors have done to other states:
+            a place that is wrong because the heading is wrong stays so until one of them is told.
     """
 
     residual: Array
@@ -99,7 +101,7 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the optimal gain K (22, m) for it."""
+    """What the measurement says, and the gain K (26, m) for it: optimal but for held states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
@@ -109,9 +111,27 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
     else:
         solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
         K, nis = solved[:, 1:].T.copy(), float(r @ solved[:, 0])
-    K[list(measurement.held)] = 0.0
+    if measurement.held:
+        K = _gain_given(state.P, measurement)
     verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
     return Innovation(verdict, nis, len(r), r), K
+
+
+def _gain_given(P: Array, measurement: Measurement) -> Array:
+    """The gain (26, m) that would be optimal if the held states were known as they are.
+
+    With the optimal gain and its held rows at zero, places far from the last fix were moved by the
+    heading error that the residual seemed to show, metres at a time, and the heading was not.
+    """
+    held, H = list(measurement.held), measurement.H
+    with_held = P[:, held]
+    # A clone of a state that is cloned anew has all but its covariance: the ridge keeps it regular.
+    own = with_held[held] + _RIDGE * np.eye(len(held))
+    given = P - with_held @ np.linalg.solve(own, with_held.T)
+    PHt = given @ H.T
+    K = np.array(np.linalg.solve(H @ PHt + measurement.R, PHt.T).T, dtype=np.float64)
+    K[held] = 0.0
+    return K
 
 
 def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:

@@ -5,7 +5,7 @@ differ on a web-mercator map. Angles are clockwise positive as seen from above.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from vwnav.geometry.homography import transform_points
 from vwnav.geometry.rectify import Rectification
 from vwnav.geometry.uncertainty import homography_covariance, similarity_covariance
 from vwnav.types import Array
+
+_CROSS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+_REACH = 0.1  # of the view's size, about the place whose heading and scale are asked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +106,68 @@ def pose_from_rectified(
         scale_ratio=scale_ratio,
         agl_m=agl_m,
         sigma_agl_m=agl_m * sigma_relative,
+    )
+
+
+def turned_where_reported(
+    pose: MapPose,
+    H_map_rect: Array,
+    view: Rectification,
+    uv_rect: Array,
+    uv_map: Array,
+    px_per_m: tuple[float, float],
+    errors: PoseErrors,
+    sigma_level_rad: float,
+) -> MapPose:
+    """The pose with heading and scale of the place it is reported for, `view.nadir_uv`.
+
+    A view that was made without knowing the tilt is larger on one side than on the other. Over
+    inliers that lie to one side its mean heading and scale are not those of its middle: 1 degree
+    and 4 % at 6 degrees of tilt and half-way to the edge. A homography knows them in the middle; a
+    similarity does not, and the sigmas then say so. `pose` is that of `pose_from_rectified` with
+    the same arguments, `sigma_level_rad` that of the tilt that was taken for level.
+    """
+    reach_px = _REACH * max(view.size_wh)
+    around = view.nadir_uv + reach_px * _CROSS
+    turn = _turn_and_scale(H_map_rect, view.m_per_px, around, px_per_m, errors.sigma_px)
+    if turn is None:
+        return pose
+    sigma_yaw_rad, sigma_scale = pose.sigma_yaw_rad, pose.sigma_agl_m / pose.agl_m
+    if np.any(H_map_rect[2, :2]):
+        covariance_px2 = homography_covariance(uv_rect, uv_map, H_map_rect, errors.sigma_px, around)
+        if covariance_px2 is None:
+            return pose
+        step_px = reach_px * view.m_per_px * math.sqrt(px_per_m[0] * px_per_m[1]) * turn[1]
+        sigma_yaw_rad, sigma_scale = _cross_sigmas(covariance_px2 / step_px**2, turn[0])
+    else:
+        off_m = float(np.linalg.norm(uv_rect.mean(axis=0) - view.nadir_uv)) * view.m_per_px
+        lean = sigma_level_rad * off_m / pose.agl_m
+        sigma_yaw_rad = math.hypot(sigma_yaw_rad, 0.5 * lean)
+        sigma_scale = math.hypot(sigma_scale, 1.5 * lean)
+    agl_m = view.agl_m * turn[1]
+    return replace(
+        pose,
+        yaw_correction_rad=turn[0],
+        sigma_yaw_rad=sigma_yaw_rad,
+        scale_ratio=turn[1],
+        agl_m=agl_m,
+        sigma_agl_m=sigma_scale * agl_m,
+    )
+
+
+def _cross_sigmas(covariance: Array, turn_rad: float) -> tuple[float, float]:
+    """Sigma of rotation (radians) and of relative scale from where the four of `_CROSS` fell.
+
+    `covariance` (8, 8) is in units of their distance from the middle. Each shows the rotation by
+    its shift across its own direction, and the scale by that along it.
+    """
+    across = np.array([0.0, 1.0, -1.0, 0.0, 0.0, -1.0, 1.0, 0.0]) / 4.0
+    along = np.array([1.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0, -1.0]) / 4.0
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    rotation, scale = c * across - s * along, c * along + s * across
+    return (
+        math.sqrt(float(rotation @ covariance @ rotation)),
+        math.sqrt(float(scale @ covariance @ scale)),
     )
 
 

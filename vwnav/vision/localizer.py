@@ -15,7 +15,12 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.mercator import mercator_px_per_m
-from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
+from vwnav.geometry.pose import (
+    MapPose,
+    PoseErrors,
+    pose_from_rectified,
+    turned_where_reported,
+)
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import (
@@ -45,6 +50,7 @@ MAX_STRETCH = 1.25  # what hills and an error of attitude make of a similarity
 MAX_STRETCH_UNKNOWN_TILT = 1.6
 MIN_SIGMA_PX = 0.5
 SYSTEMATIC_PX = 0.3  # errors that all matches share, map pixels
+SIGMA_LEVEL_RAD = 0.09  # of the tilt where none is known, as odometry has it
 SYSTEMATIC_YAW_RAD = math.radians(0.5)
 SYSTEMATIC_SCALE = 0.01
 WORTH_LOG10_FALSE_ALARMS = -4.0  # less is not looked at closer: see `Looker.confirm`
@@ -247,7 +253,7 @@ class Localizer:
                 SYSTEMATIC_PX * view.rectification.m_per_px,
             ),
         )
-        return pose_from_rectified(
+        seen = (
             placement.H_map_view,
             replace(view.rectification, nadir_uv=point_uv),
             placement.uv_view,
@@ -255,6 +261,10 @@ class Localizer:
             mercator_px_per_m(lat_deg, found.zoom),
             errors,
         )
+        pose = pose_from_rectified(*seen)
+        if known or pose is None:
+            return pose
+        return turned_where_reported(pose, *seen, SIGMA_LEVEL_RAD)
 
     def _fix(self, frame: Frame, job: Job, found: Found) -> MapFix | Rejected:
         prior, pose = job.prior, self._pose(job, found)
