@@ -1,11 +1,14 @@
 """Drift against a track: of known turns and scales, and of files."""
 
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.bench.track_drift import compare, drift
+from vwnav.cli.main import main
 from vwnav.errors import SourceError
 
 TRACK = np.array([[0.0, 0.0], [0.0, 100.0], [50.0, 200.0], [50.0, 300.0]])
@@ -36,3 +39,27 @@ def test_files_without_common_moments_are_refused(tmp_path):
         (tmp_path / name).write_text("t,lat,lon\n" + rows)
     with pytest.raises(SourceError, match="moments"):
         compare(tmp_path / "a.csv", tmp_path / "b.csv")
+
+
+def test_a_vehicle_that_stood_has_no_way_to_drift_on(tmp_path):
+    (tmp_path / "a.csv").write_text("t,lat,lon\n" + "".join(f"{t},50,8\n" for t in range(4)))
+    with pytest.raises(SourceError, match="hardly moves"):
+        compare(tmp_path / "a.csv", tmp_path / "a.csv")
+
+
+def test_the_command_prints_the_drift_and_refuses_what_is_no_track(tmp_path, monkeypatch, capsys):
+    rows = "".join(f"{t},{50.0 + 0.001 * t},8.0\n" for t in range(4))
+    (tmp_path / "a.csv").write_text("t,lat,lon\n" + rows)
+    (tmp_path / "b.csv").write_text("what is this\n")
+    argv = ["vwnav", "bench", "drift", str(tmp_path / "a.csv")]
+    for other, code, said in (
+        ("a.csv", 0, "0.00 %"),
+        ("b.csv", 1, "no places"),
+        ("c", 1, "cannot"),
+    ):
+        monkeypatch.setattr(sys, "argv", [*argv, str(tmp_path / other)])
+        with pytest.raises(SystemExit) as done:
+            main()
+        printed = capsys.readouterr()
+        assert (done.value.code or 0) == code
+        assert said in printed.out + printed.err

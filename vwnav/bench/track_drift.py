@@ -1,15 +1,11 @@
 """How far a replayed trajectory has drifted from a track that somebody else made.
 
-    vwnav replay VIDEO --map PACK --config one_fix.toml -o DIR
-    python -m vwnav.bench.track_drift DIR/trajectory.csv TRACK.csv
-
-with `pipeline.most_fixes = 1` in the settings: place, height and heading from one fix, odometry
-alone from there. Both files have the columns `lat_deg, lon_deg` (or `lat, lon`) and `t_s` (or `t`).
+With `pipeline.most_fixes = 1` in the settings of the replay, place, height and heading are those of
+one fix, and odometry goes on alone from there.
 """
 
 import csv
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +16,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.types import Array
 
 _LEAST_PLACES = 3
+_LEAST_WAY_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,8 @@ def compare(trajectory: Path, track: Path) -> Drift:
     """Read both and compare them at the track's moments.
 
     Raises:
-        SourceError: a file is not such a table, or they share too few moments.
+        SourceError: a file cannot be read or is no such table, they share too few moments, or
+            nothing moves.
     """
     t0_s, lat_lon0 = _read(trajectory)
     t1_s, lat_lon1 = _read(track)
@@ -73,14 +71,19 @@ def compare(trajectory: Path, track: Path) -> Drift:
         np.array([frame.to_ned(lat, lon, 0.0)[:2] for lat, lon in table])
         for table in (lat_lon0, lat_lon1[shared])
     )
+    if min(np.ptp(flown, axis=0).max(), np.ptp(seen, axis=0).max()) < _LEAST_WAY_M:
+        raise SourceError(f"{trajectory} or {track} hardly moves: there is no way to drift on")
     at = [np.interp(t1_s[shared], t0_s, flown[:, i]) for i in (0, 1)]
     return drift(np.column_stack(at), seen)
 
 
 def _read(path: Path) -> tuple[Array, Array]:
     """Times (n,) and lat, lon (n, 2) of the rows that have them."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SourceError(f"cannot read {path}: {error}") from error
     try:
         table = [
             [float(_either(row, name)) for name in ("t", "lat", "lon")]
@@ -98,17 +101,3 @@ def _read(path: Path) -> tuple[Array, Array]:
 def _either(row: dict[str, str], name: str) -> str:
     long = {"t": "t_s", "lat": "lat_deg", "lon": "lon_deg"}[name]
     return row[long] if long in row else row[name]
-
-
-def main() -> None:
-    """Print the drift of `sys.argv`."""
-    found = compare(Path(sys.argv[1]), Path(sys.argv[2]))
-    print(
-        f"way {found.way_m:.0f} m, off at its end {100.0 * found.end_ratio:.2f} %, at the worst "
-        f"{100.0 * found.worst_ratio:.2f} %; fits when multiplied by {found.scale:.4f} and turned "
-        f"by {math.degrees(found.turn_rad):.2f} deg"
-    )
-
-
-if __name__ == "__main__":
-    main()

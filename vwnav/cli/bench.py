@@ -1,14 +1,16 @@
 """`vwnav bench`: the feature sets side by side on scenes with a truth, and the filter."""
 
 import json
+import math
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
 
 from vwnav.cli.bench_estimator import estimator
-from vwnav.cli.screen import progress_bar, say
+from vwnav.cli.screen import print_table, progress_bar, say
 
 _WIDTH = 120
 
@@ -73,3 +75,31 @@ def features(
         (folder / "report.json").write_text(json.dumps(values, indent=1))
         write_plot(folder / "features.png", report)
         say(f"bench: wrote report.json, features.png and matches/ to {folder}")
+
+
+@app.command()
+def drift(
+    trajectory: Path = typer.Argument(help="trajectory.csv of `vwnav replay`."),
+    track: Path = typer.Argument(help="The true way: CSV with t_s, lat_deg, lon_deg (or t, ...)."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON object on stdout."),
+) -> None:
+    """How far a trajectory has drifted from the true way, in per cent of it.
+
+    For odometry alone, replay with a settings file that says `most_fixes = 1` under [pipeline].
+
+    Example: vwnav bench drift result/trajectory.csv track.csv
+    """
+    from vwnav.bench.track_drift import compare
+
+    found = compare(trajectory, track)
+    if as_json:
+        print(json.dumps(asdict(found)))
+        return
+    rows = [
+        ("true way", f"{found.way_m:.0f} m"),
+        ("off at its end", f"{100.0 * found.end_ratio:.2f} %"),
+        ("off at the worst", f"{100.0 * found.worst_ratio:.2f} %"),
+        ("fits when multiplied by", f"{found.scale:.4f}"),
+        ("and turned by", f"{math.degrees(found.turn_rad):.2f} deg"),
+    ]
+    print_table("drift", rows)
