@@ -32,6 +32,7 @@ from training.data import (
 )
 from training.photometric import to_grey
 from training.warps import FloatArray, Image
+from vwnav.errors import ModelError
 from vwnav.types import FeatureExtractor
 from vwnav.vision.learned import LearnedFeatures
 from vwnav.vision.matching import match
@@ -124,20 +125,27 @@ def pairs_to_register(folder: Path) -> Iterator[Scene]:
     yield from overlapping(list(single_pictures(folder, "drone")))
 
 
-def main() -> None:
-    """Register every pair and leave one file for each."""
+def main(arguments: list[str] | None = None) -> None:
+    """Register every pair and leave one file for each.
+
+    Raises:
+        SystemExit: no data, no model, or nowhere to write; one line says so.
+    """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--model", type=Path, help="ONNX file or name of released weights")
     parser.add_argument("--data", default="", help="folder that holds train/ and pairs.json")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "runs/registered")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     folder = data_folder(given.data)
     if folder is None:
         raise SystemExit("no data folder: give --data, or set VWNAV_DATA")
-    features = LearnedFeatures(given.model)
-    given.out.mkdir(parents=True, exist_ok=True)
+    try:
+        features = LearnedFeatures(given.model)
+        given.out.mkdir(parents=True, exist_ok=True)
+    except (ModelError, OSError) as error:
+        raise SystemExit(str(error)) from error
     for pair in pairs_to_register(folder):
         offsets = register_again(pair, features)
         if offsets is None:

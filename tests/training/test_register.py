@@ -86,3 +86,20 @@ def test_offsets_that_no_neighbour_shares_are_dropped():
     near = np.linalg.norm(offset - [5.0, -3.0], axis=1) < 3.0
     assert kept[near].all()
     assert kept[~near].sum() <= 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--data", "nowhere"], "no data folder"),
+        (["--model", "nowhere.onnx"], "no model at nowhere.onnx"),
+        (["--out", "in_the_way"], "in_the_way"),
+    ],
+)
+def test_what_is_missing_is_one_line(arguments, said, tmp_path, monkeypatch):
+    (tmp_path / "data/train").mkdir(parents=True)
+    (tmp_path / "in_the_way").write_text("a file")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match=said) as stop:
+        register.main(["--data", "data", *arguments])
+    assert "\n" not in str(stop.value.code)
