@@ -8,7 +8,10 @@ from vwnav.bench.features import ALL, Report
 from vwnav.bench.scoring import Score
 from vwnav.errors import ConfigError
 
-_COLOURS = ("#1b6ca8", "#63a4d8", "#0f8b6d", "#7cc8b0", "#b0752a", "#e0b476", "#8a8a8a", "#c23b3b")
+_COLOURS = (
+    "#1b6ca8", "#63a4d8", "#0f8b6d", "#7cc8b0", "#b0752a", "#e0b476", "#8a8a8a", "#c23b3b",
+    "#7b3fa0", "#c79be0", "#222222", "#d6c22b",
+)  # fmt: skip
 
 
 def write_plot(path: Path, report: Report) -> None:
