@@ -26,9 +26,9 @@ from export import export_onnx, parity
 from export.export_onnx import ExportError
 from export.pictures import Image, read_grey, training_pictures
 from models.extractor import Extractor
+from training.validate import mutual_matches
 from training.warps import centred, similarity, warp_points
 from vwnav.types import Features
-from vwnav.vision.matching import match
 
 PICTURES = 12
 KEYPOINTS = 1000
@@ -66,10 +66,8 @@ def matched_again(session: onnxruntime.InferenceSession, picture: Image, seed: i
     for image in (picture, other):
         uv, scores, descriptors = session.run(None, _feed(image))
         features.append(Features(uv, descriptors, scores))
-    index = match(*features)
-    expected = warp_points(H_1_0, features[0].uv[index[:, 0]].astype(np.float64))
-    apart = np.linalg.norm(expected - features[1].uv[index[:, 1]], axis=1)
-    return int((apart < RIGHT_PX).sum())
+    uv0, uv1 = mutual_matches(*features)
+    return int((np.linalg.norm(warp_points(H_1_0, uv0) - uv1, axis=1) < RIGHT_PX).sum())
 
 
 def compare(

@@ -26,7 +26,7 @@ ALLOWED = {
     "safety": BASE | {"geometry"},
     "pipeline": BASE | {"geometry", "estimation"},
     "flight": BASE | {"geometry", "guidance", "safety"},
-    "runtime": BASE | {"pipeline", "flight"},
+    "runtime": BASE | {"safety", "pipeline", "flight"},
     "drivers": BASE | {"geometry", "maps", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
     "bench": BASE | {"geometry", "maps", "vision", "estimation", "drivers", "sim"},

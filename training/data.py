@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from training import warps
 from training.photometric import to_grey
 from training.warps import FloatArray, Image
-from vwnav.vision.sift import SiftFeatures
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
@@ -195,9 +194,12 @@ def landmarks(picture: Image) -> Landmarks:
     """Find what a picture can be registered with."""
     width = picture.shape[1]
     small, H_small_full = warps.shrunk(picture, max(1.0, width / OVERLAP_WIDTH_PX))
-    found = SiftFeatures(upright=False).extract(to_grey(small), LANDMARKS)
-    uv = warps.warp_points(np.linalg.inv(H_small_full), found.uv.astype(np.float64))
-    descriptors = found.descriptors.astype(np.float32)
+    sift = cv2.SIFT.create(LANDMARKS, contrastThreshold=0.02, enable_precise_upscale=True)
+    found, descriptors = sift.detectAndCompute(to_grey(small), None)
+    if descriptors is None:
+        descriptors = np.zeros((0, sift.descriptorSize()), np.float32)
+    points = np.array([keypoint.pt for keypoint in found], np.float64).reshape(-1, 2)
+    uv = warps.warp_points(np.linalg.inv(H_small_full), points)
     return Landmarks(uv, descriptors, small.shape[1] / width, (width, picture.shape[0]))
 
 

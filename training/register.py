@@ -1,6 +1,6 @@
 """Register the real pairs again, place by place: one homography a pair leaves pixels of error.
 
-python training/register.py [--model models/vwnav_default.onnx] [-o runs/registered]
+python training/register.py [--weights models/vwnav_default.ckpt] [-o runs/registered]
 
 What stands up is displaced between two viewpoints, and homographies from a few marked points are
 off. Features of an earlier training match each pair densely at three scales; where neighbouring
@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
+from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
+from training.config import load_checkpoint
 from training.data import (
     ROOT,
     Scene,
@@ -31,15 +33,14 @@ from training.data import (
     single_pictures,
 )
 from training.photometric import to_grey
+from training.train import start_from
+from training.validate import Extract, learned, mutual_matches
 from training.warps import FloatArray, Image
-from vwnav.errors import ModelError
-from vwnav.types import FeatureExtractor
-from vwnav.vision.learned import LearnedFeatures
-from vwnav.vision.matching import match
+from vwnav.types import Features
 
 WORKING_PX = 1024  # larger pictures are shrunk to this
 SCALES = (0.7, 1.0, 1.4)
-ALL = 100_000  # keypoints
+ALL = 100_000  # keypoints, of each picture
 MOST_PX = 20.0  # labels are not more wrong than this
 NEIGHBOURS = 10
 AGREEING = 4  # of the neighbours
@@ -58,21 +59,26 @@ class Displacements:
     offset: FloatArray  # (n, 2), from the labelled place to the true one
 
 
-def dense_matches(a_in_b: Image, b: Image, features: FeatureExtractor) -> Displacements:
+def of_any_size(extract: Extract, image: Image) -> Features:
+    """Extract with the lower and right edges repeated until 32 divides the sides."""
+    h, w = image.shape
+    pad_h, pad_w = -h % SIZE_MULTIPLE_PX, -w % SIZE_MULTIPLE_PX
+    found = extract(np.pad(image, ((0, pad_h), (0, pad_w)), mode="edge"))
+    inside = (found.uv < np.array([w, h]) - 1.0).all(axis=1)
+    return Features(found.uv[inside], found.descriptors[inside], found.scores[inside])
+
+
+def dense_matches(a_in_b: Image, b: Image, extract: Extract) -> Displacements:
     """Match two grey pictures in one frame at several scales, and keep what neighbours confirm."""
     places, offsets = [], []
     for scale in SCALES:
         mode = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
-        found = [
-            features.extract(cv2.resize(p, None, fx=scale, fy=scale, interpolation=mode), ALL)
+        found = (
+            of_any_size(extract, cv2.resize(p, None, fx=scale, fy=scale, interpolation=mode))
             for p in (a_in_b, b)
-        ]
-        index = match(found[0], found[1])
-        # half-pixel rule back to the pictures as they are
-        uv_a, uv_b = (
-            (each.uv[index[:, k]].astype(np.float64) + 0.5) / scale - 0.5
-            for k, each in enumerate(found)
         )
+        # half-pixel rule back to the pictures as they are
+        uv_a, uv_b = ((uv + 0.5) / scale - 0.5 for uv in mutual_matches(*found))
         near = np.linalg.norm(uv_b - uv_a, axis=1) < MOST_PX
         places.append(uv_b[near])
         offsets.append((uv_b - uv_a)[near])
@@ -106,14 +112,14 @@ def offset_field(found: Displacements, size_wh: tuple[int, int]) -> NDArray[np.f
     return field
 
 
-def register_again(pair: Scene, features: FeatureExtractor) -> NDArray[np.float32] | None:
+def register_again(pair: Scene, extract: Extract) -> NDArray[np.float32] | None:
     """Displacement field of a pair in pixels of its second picture; None where nothing is sure."""
     a, b = (to_grey(picture) for picture in pair.pictures)
     scale = min(1.0, WORKING_PX / max(b.shape))
     small_b = cv2.resize(b, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     size_wh = (small_b.shape[1], small_b.shape[0])
     H_small_a = np.diag([scale, scale, 1.0]) @ pair.H_i_0[1]
-    found = dense_matches(cv2.warpPerspective(a, H_small_a, size_wh), small_b, features)
+    found = dense_matches(cv2.warpPerspective(a, H_small_a, size_wh), small_b, extract)
     if len(found.uv) < LEAST_MATCHES:
         return None
     return offset_field(found, size_wh) / np.float32(scale)
@@ -134,20 +140,27 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--model", type=Path, help="ONNX file or name of released weights")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        default=ROOT / "models/vwnav_default.ckpt",
+        help="checkpoint of an earlier training",
+    )
     parser.add_argument("--data", default="", help="folder that holds train/ and pairs.json")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "runs/registered")
     given = parser.parse_args(arguments)
     folder = data_folder(given.data)
     if folder is None:
         raise SystemExit("no data folder: give --data, or set VWNAV_DATA")
+    network = FeatureNetwork(NetworkConfig(**load_checkpoint(given.weights)["config"]["network"]))
+    start_from(network, str(given.weights))
+    extract = learned(network, ALL)
     try:
-        features = LearnedFeatures(given.model)
         given.out.mkdir(parents=True, exist_ok=True)
-    except (ModelError, OSError) as error:
+    except OSError as error:
         raise SystemExit(str(error)) from error
     for pair in pairs_to_register(folder):
-        offsets = register_again(pair, features)
+        offsets = register_again(pair, extract)
         if offsets is None:
             print(f"{pair.name}: too few matches that agree; the label stays")
             continue

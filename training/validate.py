@@ -4,6 +4,7 @@ import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -15,8 +16,6 @@ from training.sampling import Sample, SampleConfig, ViewPairs
 from training.warps import FloatArray, Image, warp_points
 from vwnav.geometry.homography import estimate_similarity
 from vwnav.types import Features
-from vwnav.vision.matching import match
-from vwnav.vision.sift import SiftFeatures
 
 Extract = Callable[[Image], Features]
 RIGHT_PX = 3.0  # a match nearer than this to the truth counts as an inlier
@@ -48,14 +47,14 @@ def calm_views(scenes: list[Scene], config: SampleConfig, count: int) -> list[Sa
     return [pairs[i] for i in range(count)]
 
 
-def learned(network: FeatureNetwork) -> Extract:
-    """Wrap a copy of a network as an extractor function."""
+def learned(network: FeatureNetwork, keypoints: int = KEYPOINTS) -> Extract:
+    """Wrap a copy of a network as an extractor function, for sides that 32 divides."""
     extractor = Extractor(copy.deepcopy(network).cpu().eval())
 
     def extract(image: Image) -> Features:
         with torch.inference_mode():
             uv, scores, descriptors = extractor(
-                torch.from_numpy(image)[None, None], torch.tensor([KEYPOINTS])
+                torch.from_numpy(image)[None, None], torch.tensor([keypoints])
             )
         return Features(uv.numpy(), descriptors.numpy(), scores.numpy())
 
@@ -85,9 +84,28 @@ def peak_bias(network: FeatureNetwork, images: list[Image]) -> NDArray[np.float6
     return together.mean(axis=0) if len(together) else np.zeros(2)
 
 
-def upright_sift(image: Image) -> Features:
-    """The classical rival."""
-    return SiftFeatures().extract(image, KEYPOINTS)
+def upright_sift(image: Image, keypoints: int = KEYPOINTS) -> Features:
+    """RootSIFT (Arandjelovic and Zisserman 2012) without orientations, the classical rival."""
+    sift = cv2.SIFT.create(keypoints, enable_precise_upscale=True)
+    found = sift.detect(image, None)
+    for keypoint in found:
+        keypoint.angle = 0.0
+    found, descriptors = sift.compute(image, found)
+    if descriptors is None:
+        descriptors = np.zeros((0, sift.descriptorSize()), np.float32)
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
+    uv = np.array([k.pt for k in found], np.float32).reshape(-1, 2)
+    return Features(uv, root, np.array([k.response for k in found], np.float32))
+
+
+def mutual_matches(found0: Features, found1: Features) -> tuple[FloatArray, FloatArray]:
+    """Positions (n, 2) in both pictures of features that are each other's nearest."""
+    if min(len(found0.uv), len(found1.uv)) == 0:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    similarity = found0.descriptors @ found1.descriptors.T
+    best1, best0 = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    mutual = best0[best1] == np.arange(len(best1))
+    return found0.uv[mutual].astype(np.float64), found1.uv[best1[mutual]].astype(np.float64)
 
 
 def finds_its_place(uv0: FloatArray, uv1: FloatArray, H_1_0: FloatArray, size_px: int) -> bool:
@@ -106,10 +124,7 @@ def score_matches(extract: Extract, views: list[Sample]) -> MatchScore:
     errors: list[float] = []
     for view in views:
         image0, image1 = (view[f"image{k}"][0].numpy() for k in (0, 1))
-        found0, found1 = extract(image0), extract(image1)
-        index = match(found0, found1)
-        uv0 = found0.uv[index[:, 0]].astype(np.float64)
-        uv1 = found1.uv[index[:, 1]].astype(np.float64)
+        uv0, uv1 = mutual_matches(extract(image0), extract(image1))
         H_1_0 = view["H_1_0"].numpy().astype(np.float64)
         distance = np.linalg.norm(warp_points(H_1_0, uv0) - uv1, axis=1)
         right = distance < RIGHT_PX

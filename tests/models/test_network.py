@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from models.network import (
     NETWORK_SIZES,
     FeatureNetwork,
-    NetworkConfig,
     normalise_contrast,
     sample_descriptors,
 )
@@ -25,9 +24,10 @@ def test_every_cell_gets_a_descriptor_64_logits_and_a_score(size, height_width):
     assert dense.score_logits.shape == (2, 1, *cells)
 
 
-def test_the_default_network_stays_small():
-    parameters = sum(p.numel() for p in FeatureNetwork(NetworkConfig()).parameters())
-    assert parameters < 450_000
+@pytest.mark.parametrize(("size", "most"), [("nano", 200_000), ("default", 1_100_000)])
+def test_the_networks_stay_small(size, most):
+    network = FeatureNetwork(NETWORK_SIZES[size])
+    assert sum(p.numel() for p in network.parameters()) < most
 
 
 @settings(max_examples=10, deadline=None)

@@ -1,11 +1,14 @@
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
 
 from training import data, register
-from vwnav.vision.sift import SiftFeatures
+from training.validate import upright_sift
 
 SIDE = 384
+all_of_sift = partial(upright_sift, keypoints=20_000)
 
 
 def scenery() -> np.ndarray:
@@ -34,7 +37,7 @@ def pair() -> data.Scene:
 
 @pytest.fixture(scope="module")
 def offsets(pair) -> np.ndarray:
-    return register.register_again(pair, SiftFeatures())
+    return register.register_again(pair, all_of_sift)
 
 
 def test_the_displacement_is_found_to_a_pixel(offsets):
@@ -73,7 +76,7 @@ def test_pictures_that_share_nothing_keep_their_label(pair):
     rng = np.random.default_rng(1)
     other = cv2.resize(rng.integers(0, 255, (80, 80, 3)).astype(np.uint8), (SIDE, SIDE))
     strangers = data.scene("pair", "test", [pair.pictures[1], other])
-    assert register.register_again(strangers, SiftFeatures()) is None
+    assert register.register_again(strangers, all_of_sift) is None
 
 
 def test_offsets_that_no_neighbour_shares_are_dropped():
@@ -92,7 +95,7 @@ def test_offsets_that_no_neighbour_shares_are_dropped():
     ("arguments", "said"),
     [
         (["--data", "nowhere"], "no data folder"),
-        (["--model", "nowhere.onnx"], "no model at nowhere.onnx"),
+        (["--weights", "nowhere.ckpt"], "no checkpoint at nowhere.ckpt"),
         (["--out", "in_the_way"], "in_the_way"),
     ],
 )
