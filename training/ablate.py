@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 
 from models.network import DenseFeatures, FeatureNetwork, NetworkConfig, conv, normalise_contrast
 from training import train, validate
-from training.config import PRESETS, TrainConfig, changed
+from training.config import PRESETS, changed
 from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes
 from training.photometric import PhotometricConfig
 from training.sampling import Sample, SampleConfig
@@ -138,15 +138,18 @@ def run(name: str, steps: int, out: Path) -> list[str]:
     checkpoint = train.main(config, scenes=(training, kept), build=row.build)
     network = row.build(config.network)
     train.start_from(network, str(checkpoint))
-    score = validate.score_matches(validate.learned(network), judged_views(kept, config))
+    score = validate.score_matches(validate.learned(network), judged_views(kept))
     parameters = sum(p.numel() for p in network.parameters())
     return [name, str(parameters), *(f"{value:.3f}" for value in asdict(score).values())]
 
 
-def judged_views(kept: list[Scene], config: TrainConfig) -> list[Sample]:
-    """Views of the kept-aside pairs as they are, turned and scaled as rectification leaves them."""
+def judged_views(kept: list[Scene]) -> list[Sample]:
+    """Views of the kept-aside pairs as they are, turned and scaled as rectification leaves them.
+
+    The same for every row, whatever it draws for training.
+    """
     warp = WarpConfig(rotation_sigma_deg=6.0, wide_rotation_share=0.0, scale_sigma=0.08)
-    samples = replace(config.samples, zoom_min=1.0, zoom_max=1.0, warp=warp, photo=AS_THEY_ARE)
+    samples = SampleConfig(zoom_min=1.0, zoom_max=1.0, warp=warp, photo=AS_THEY_ARE)
     return validate.calm_views(kept, samples, VIEWS)
 
 
