@@ -220,8 +220,12 @@ def register(a: Landmarks, b: Landmarks) -> FloatArray | None:
 
 
 def save_registration(folder: Path, pair: Scene, offsets: NDArray[np.float32]) -> None:
-    """Leave what `training/register.py` found of a pair."""
-    np.savez_compressed(folder / f"{pair.name}.npz", offsets=offsets.astype(np.float16))
+    """Leave what `training/register.py` found of a pair, whole or not at all."""
+    path = folder / f"{pair.name}.npz"
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez_compressed(file, offsets=offsets.astype(np.float16))
+    os.replace(partial, path)
 
 
 def registered(pair: Scene, folder: Path) -> Scene:

@@ -54,8 +54,21 @@ def test_a_registered_pair_lies_on_itself(pair, offsets, tmp_path):
     a, b = (p[30:-30, 30:-30].astype(float) for p in again.pictures)
     before = cv2.warpPerspective(pair.pictures[0], pair.H_i_0[1], (SIDE, SIDE))[30:-30, 30:-30]
     assert np.abs(a - b).mean() < 0.4 * np.abs(before - b).mean()
-    assert again.label_noise < pair.label_noise or pair.label_noise == 0.0
+    assert again.label_noise == data.REGISTERED_NOISE
     np.testing.assert_array_equal(again.H_i_0[1], np.eye(3))
+
+
+def test_a_registration_cut_off_while_it_is_written_leaves_no_file(
+    pair, offsets, tmp_path, monkeypatch
+):
+    def cut_off(file, **_):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        data.save_registration(tmp_path, pair, offsets)
+    assert data.registered(pair, tmp_path) is pair
 
 
 def test_ground_that_one_picture_lacks_stays_masked(pair, offsets, tmp_path):

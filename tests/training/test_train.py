@@ -122,9 +122,8 @@ def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(
     drawn_scenes, tmp_path
 ):
     config = replace(SHORT, out=str(tmp_path), max_steps=250, batch_pairs=4, bfloat16=True)
-    config = replace(
-        config, log_every_steps=25
-    )  # one thread: two wait for each other when others work
+    # One thread: two wait for each other when others work.
+    config = replace(config, log_every_steps=25)
     path = train.main(config, scenes=(drawn_scenes, []))
     log = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True, usecols=range(10))
     matching = log["matching"][
