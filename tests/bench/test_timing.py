@@ -24,7 +24,17 @@ def slow(name: str, spent_s: float) -> FeatureSet:
     return FeatureSet(name, extract, [Method(name, lambda *_: np.zeros((0, 2), np.int64))])
 
 
+def wait_for_other_threads():
+    """Libraries' threads spin for a while after the tests before; the process counts their time."""
+    for _ in range(100):
+        before_s = time.process_time()
+        time.sleep(0.05)
+        if time.process_time() - before_s < 0.002:
+            return
+
+
 def test_times_are_given_against_sift():
+    wait_for_other_threads()
     times = measure([slow("quick", 0.002), slow(OPENCV_SIFT, 0.008)], PICTURE, PICTURE, repeats=5)
     assert times[OPENCV_SIFT].extract_cpu_to_sift == 1.0
     assert 0.15 < times["quick"].extract_cpu_to_sift < 0.5
