@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from vwnav.bench.estimator_run import Run, accepted_wrong, play
 from vwnav.bench.estimator_scores import position_nees
-from vwnav.bench.estimator_streams import Stream, feed, sense
+from vwnav.bench.estimator_streams import Stream, sense
 from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
@@ -230,7 +230,7 @@ def test_the_order_of_arrival_does_not_matter():
         ekf = Ekf(EkfConfig())
         ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=3.0))
         for event in events:
-            feed(ekf, event)
+            ekf.handle(event.seen)
         results.append(ekf.estimate(19.0))
     first, second = results
     assert np.allclose(first.position_ned_m, second.position_ned_m, atol=0.05)
