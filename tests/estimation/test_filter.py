@@ -13,7 +13,7 @@ from vwnav.bench.estimator_scores import position_nees
 from vwnav.bench.estimator_streams import Stream, sense
 from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation import fusion
-from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
+from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.states import States
 from vwnav.types import Attitude, ImuSample, OdometryMotion
 
@@ -286,6 +286,11 @@ def test_no_measurement_whatever_breaks_it(values, kind):
     assert np.all(np.isfinite(found.position_ned_m))
     assert np.linalg.eigvalsh(found.covariance)[0] > -1e-9
     assert np.linalg.norm(found.quat_wxyz) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("distance_m", [0.0, -3.0, 1e6, 1e200, np.inf, np.nan])
+def test_a_distance_that_cannot_be_is_refused(distance_m):
+    assert _flying().handle_rangefinder(1.1, distance_m).verdict is Verdict.NOT_FINITE
 
 
 def _flying() -> Ekf:

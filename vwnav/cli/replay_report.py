@@ -61,7 +61,7 @@ class Tally:
             case Rejected(reason=RejectReason.NOT_TRIED):
                 pass
             case Rejected(reason=reason):
-                self.attempts += 1
+                self.attempts += reason is not RejectReason.TOO_LOW  # as the pipeline counts
                 self.rejected[reason.name.lower()] += 1
 
     @property

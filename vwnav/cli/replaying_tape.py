@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from vwnav.cli.assemble import ground_of
 from vwnav.cli.replay_report import ReplayOptions, Tally, summarise
 from vwnav.cli.screen import LiveLine, say
-from vwnav.config import Config
+from vwnav.config import Config, explain
 from vwnav.drivers.recording import is_cut_off
 from vwnav.drivers.run_folder import TrajectoryWriter, make_run_folder
 from vwnav.drivers.tape import About, PictureSeen, read_about, read_tape
@@ -46,7 +46,9 @@ def replay_tape(options: ReplayOptions) -> None:
             raise trouble or SourceError(f"{path} broke off before the first picture")
         if is_cut_off(path):
             say(f"{path} breaks off, as after a crash or on a full disk: replaying what is there")
-        folder = _folder(options)
+        if player.broken is not None:
+            say(f"the filter broke on an input, as it must have in flight: {player.broken!r}")
+        folder = make_run_folder(options.output, "replay")
         tally = _write(folder, player, about, pack)
     identical, line = compare(path.parent / "trajectory.csv", folder / "trajectory.csv")
     summarise(options, folder, about, tally, {"identical": identical})
@@ -57,11 +59,18 @@ def replay_tape(options: ReplayOptions) -> None:
 
 
 class Player:
-    """Plays a tape into a filter and collects what `trajectory.csv` is made of."""
+    """Plays a tape into a filter and collects what `trajectory.csv` is made of.
+
+    Attributes:
+        rows: one for each picture.
+        busy_s: time it took.
+        broken: the first thing that the filter raised.
+    """
 
     def __init__(self, ekf: Ekf) -> None:
         self.rows: list[Row] = []
         self.busy_s = 0.0
+        self.broken: Exception | None = None
         self._ekf = ekf
         self._estimates: OrderedDict[float, Estimate] = OrderedDict()
 
@@ -78,14 +87,16 @@ class Player:
                     line.show(seen.t_s, f"{seen.t_s - self.rows[0][0].t_s:6.1f} s replayed")
         except SourceError as error:
             return error
-        except (ValueError, RuntimeError) as error:  # a start that is none, or none at all
-            return SourceError(f"{path} is not what a filter was told: {error}")
         finally:
             self.busy_s = time.perf_counter() - start_s
         return None
 
     def _take(self, seen: Input) -> None:
-        estimate = self._ekf.take(seen)
+        try:
+            estimate = self._ekf.take(seen)
+        except Exception as error:  # whatever it was, the flight went on after it
+            self.broken = self.broken or error
+            return
         if estimate is None or not isinstance(seen, Asked):
             return
         self._estimates[seen.t_s] = estimate
@@ -143,7 +154,7 @@ def _ekf_config(config: Any, about: About) -> EkfConfig:
     try:
         return Config(ekf=recorded).ekf  # type: ignore[arg-type]
     except ValidationError as error:
-        raise SourceError(f"the recorded settings of the filter: {error.errors()[0]}") from error
+        raise SourceError(f"the recorded settings of the filter: {explain(error)}") from error
 
 
 def _check_ground(pack: MapPack, about: About) -> None:
@@ -155,13 +166,6 @@ def _check_ground(pack: MapPack, about: About) -> None:
             f"{pack.path} is another map: its terrain heights are not those that the filter used "
             "in flight; give the pack of that flight"
         )
-
-
-def _folder(options: ReplayOptions) -> Path:
-    """Never the flight's own: what a crashed one has left there would be written over."""
-    if options.output and options.output.resolve() == Path(options.source).resolve().parent:
-        raise SourceError(f"{options.output} is the flight's own folder; give another one with -o")
-    return make_run_folder(options.output, "replay")
 
 
 def _write(folder: Path, player: Player, about: About, pack: MapPack) -> Tally:

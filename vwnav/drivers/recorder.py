@@ -30,8 +30,8 @@ from vwnav.errors import VwnavError
 from vwnav.types import Estimate, Frame, MapFix, Rejected, VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
-_QUEUE_ITEMS = 500
-_QUEUED_TAPE = 20_000  # the filter's inputs over half a minute in which the disk stalls; some 20 MB
+_QUEUE_ITEMS = 10_000  # half a minute of all that is kept, in which the disk may stall
+_QUEUED_TAPE = 20_000  # the tape's own limit, after all else is left out; some 20 MB
 _QUEUED_PICTURES = 4
 _FLUSH_S = 1.0
 _CHUNK_BYTES = 1 << 18
@@ -129,7 +129,7 @@ class Recorder:
         """Keep a message of a sequence that is worth nothing after a gap.
 
         Costs a microsecond: `content` is called by the thread that writes. When the disk falls
-        half a minute behind, the sequence ends there.
+        a minute behind, the sequence ends there.
         """
         if self._stopped or self._torn:
             return
