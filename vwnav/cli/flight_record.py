@@ -28,7 +28,7 @@ class FlightRecord:
     """A `vwnav.runtime.Watcher` that keeps and shows everything.
 
     Attributes:
-        tape: to be told by the filter, from before its start.
+        tape: what the filter is told, from before its start: `Ekf.record(tape.input)`.
     """
 
     def __init__(
@@ -43,7 +43,6 @@ class FlightRecord:
         self._truth = truth
         self._started_s = time.monotonic()
         self._trajectory: TrajectoryWriter | None = None
-        self._about = about
         self._recorder = Recorder(folder / "flight.mcap", config.model_dump(mode="json"))
         self.tape = Tape(self._recorder, about)
         self._picture = TrackPicture(pack, about.local_frame)
@@ -75,7 +74,7 @@ class FlightRecord:
         self.tape.picture(step, yaw_rad)  # first: close behind its estimate
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
-            self._trajectory = TrajectoryWriter(path, self._about.local_frame, frame.t_s)
+            self._trajectory = TrajectoryWriter(path, self.tape.about.local_frame, frame.t_s)
         self._trajectory.write(step, yaw_rad)
         self._recorder.frame(frame)
         self._picture.add(step)
@@ -147,7 +146,7 @@ class FlightRecord:
             "version": __version__,
             "simulated": options.sim,
             "map": assembled.pack.name,
-            **self._about.as_json(),
+            **self.tape.about.as_json(),
             "completed": end is not None and end.reason is None,
             "reason": end.reason if end else "the flight loop broke off",
             "frames": self._frames,

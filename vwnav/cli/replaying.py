@@ -1,6 +1,7 @@
 """What `vwnav replay` does, once its options are read."""
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -58,11 +59,12 @@ def replay_source(options: ReplayOptions) -> None:
             )
             folder = make_run_folder(options.output, "replay")
             save_config(config, folder / "config.toml")
-            recorder = Recorder(folder / "flight.mcap", config.model_dump(mode="json"))
-            try:
-                _run(options, folder, source, first, telemetry, assembled, recorder)
-            finally:
-                recorder.close()
+            about = about_run(assembled, options.features, "nadir" if telemetry else "center")
+            settings = config.model_dump(mode="json")
+            with closing(Recorder(folder / "flight.mcap", settings)) as recorder:
+                tape = Tape(recorder, about)
+                assembled.ekf.record(tape.input)
+                _run(options, folder, source, first, telemetry, assembled, tape)
         finally:
             source.close()
 
@@ -100,12 +102,9 @@ def _run(
     first: Frame,
     telemetry: Telemetry | None,
     assembled: Assembled,
-    recorder: Recorder,
+    tape: Tape,
 ) -> None:
     local_frame = assembled.pipeline.local_frame
-    about = about_run(assembled, options.features, "nadir" if telemetry else "center")
-    tape = Tape(recorder, about)
-    assembled.ekf.record(tape.input)
     trajectory = TrajectoryWriter(folder / "trajectory.csv", local_frame, first.t_s)
     picture = TrackPicture(assembled.pack, local_frame)
     tally = Tally()
@@ -128,7 +127,7 @@ def _run(
                 trouble, frame = error, None
     trajectory.close()
     picture.save(folder / "track.png")
-    summarise(options, folder, about, tally, {})
+    summarise(options, folder, tape.about, tally, {})
     if trouble is not None:
         raise SourceError(f"{trouble}; the {tally.frames} pictures before it are in {folder}")
     if not tally.fixes:

@@ -72,6 +72,7 @@ class Tape:
     """Writes the tape into a recording; every call costs microseconds and none ever fails."""
 
     def __init__(self, recorder: Recorder, about: About) -> None:
+        self.about = about
         self._recorder = recorder
         recorder.describe(_ABOUT, about.as_json() | {"version": about.version})
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from vwnav.types import Array, OdometryMotion
 
-
 LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 
 
