@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt, level_axes
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
@@ -163,7 +163,7 @@ def _displacement(
     H[:, _ANCHOR_TERRAIN] = predicted_m / agl_m
     H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
     yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
-    level0, level1 = _level_axes(yaw0_rad), _level_axes(yaw0_rad + motion.yaw_increment_rad)
+    level0, level1 = level_axes(yaw0_rad), level_axes(yaw0_rad + motion.yaw_increment_rad)
     by_tilt0 = -skew(predicted_m)[:, :2] @ level0
     # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
     by_tilt1 = np.zeros((3, 2))
@@ -177,12 +177,6 @@ def _displacement(
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))
-
-
-def _level_axes(yaw_rad: float) -> Array:
-    """(2, 2) the body's level forward and right, north and east, as columns."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[c, -s], [s, c]])
 
 
 def _apply_height(

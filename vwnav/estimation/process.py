@@ -7,7 +7,10 @@ import numpy as np
 
 from vwnav.estimation.attitudes import GRAVITY_M_S2, thrust_acceleration, yaw_of
 from vwnav.estimation.context import Context
+from vwnav.estimation.imu import Push
 from vwnav.estimation.states import EkfConfig, FilterState, States
+from vwnav.estimation.turning import conditioned, gyro_says
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
 _STEP_S = 0.1
@@ -19,7 +22,8 @@ _YAW = States.HEADING_BIAS.start
 _FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
 _MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
 _TERRAIN = States.TERRAIN.start
-_BIAS_X, _BIAS_Y, _BIAS_Z = range(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
+_FORCE_BIAS = np.arange(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
+_RATE_BIAS = np.arange(States.GYRO_BIAS.start, States.GYRO_BIAS.stop)
 _IDENTITY = np.eye(States.SIZE)
 
 
@@ -41,13 +45,14 @@ class _Felt:
     """Acceleration (3,) NED of a step, and how it changes with forward and right tilt error.
 
     `by_bias` (3, 3): with the accelerometer's bias; None when it comes from thrust, to which the
-    slow acceleration must be added.
+    slow acceleration must be added. `push`: the IMU's, likewise.
     """
 
     acceleration: Array
     by_forward: tuple[float, float] = (0.0, 0.0)
     by_right: tuple[float, float] = (0.0, 0.0)
     by_bias: Array | None = None
+    push: Push | None = None
 
 
 def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
@@ -73,7 +78,7 @@ def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
     c, s = GRAVITY_M_S2 * math.cos(yaw_rad), GRAVITY_M_S2 * math.sin(yaw_rad)
     forward, right = x[States.TILT].tolist()
     felt[:2] += s * forward + c * right, -c * forward + s * right
-    return _Felt(felt, (s, -c), (c, s), by_bias)
+    return _Felt(felt, (s, -c), (c, s), by_bias, push)
 
 
 def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tuple[Array, Array]:
@@ -108,8 +113,14 @@ def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tupl
     F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
     F[_MAP_N, _MAP_N] = F[_MAP_E, _MAP_E] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
-    predicted = F @ P @ F.T
-    predicted += _process_noise(dt_s, flown_m, known, felt.by_bias is not None, config)
+    Q = _process_noise(dt_s, flown_m, known, felt.push, config)
+    if felt.push is None:
+        predicted = F @ P @ F.T + Q
+    else:
+        quats = context.attitudes.quat_at(t_s), context.attitudes.quat_at(t_s + dt_s)
+        turned = gyro_says(x, felt.push, quats, dt_s, keep_tilt, config)
+        moved, predicted = conditioned(moved, P, F, Q, turned)
+        moved[_YAW] = wrap_pi(float(moved[_YAW]))
     return moved, 0.5 * (predicted + predicted.T)
 
 
@@ -132,17 +143,16 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
 
 
 def _process_noise(
-    dt_s: float, flown_m: float, ground_known: bool, imu: bool, config: EkfConfig
+    dt_s: float, flown_m: float, ground_known: bool, push: Push | None, config: EkfConfig
 ) -> Array:
     """Q of one step: white acceleration, random walks, and what feeds the Gauss-Markov states."""
     Q = np.zeros((States.SIZE, States.SIZE))
-    level, vertical = config.acceleration_noise_m_s2, config.vertical_noise_m_s2
-    if imu:
-        level = vertical = config.imu_noise_m_s2
-        walk = config.accelerometer_walk_m_s2**2 * dt_s
-        Q[_BIAS_X, _BIAS_X] = Q[_BIAS_Y, _BIAS_Y] = Q[_BIAS_Z, _BIAS_Z] = walk
-    for p, v, noise in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
-        q = noise**2
+    level, vertical = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
+    if push is not None:
+        level = vertical = config.imu_noise_m_s2**2 + push.shaken_m2_s2 / dt_s
+        Q[_FORCE_BIAS, _FORCE_BIAS] = config.accelerometer_walk_m_s2**2 * dt_s
+        Q[_RATE_BIAS, _RATE_BIAS] = config.gyro_walk_rad_s**2 * dt_s
+    for p, v, q in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
         Q[p, p] = q * dt_s**3 / 3.0
         Q[p, v] = Q[v, p] = q * dt_s**2 / 2.0
         Q[v, v] = q * dt_s

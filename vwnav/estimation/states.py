@@ -29,7 +29,8 @@ class States:
     ANCHOR_TURN = slice(22, 23)  # rad, what the keyframe's own picture adds to every turn from it
     ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
-    SIZE = 26
+    GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
+    SIZE = 29
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +47,12 @@ class EkfConfig:
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
-    accelerometer_sigma_m_s2: float = 0.15  # bias at first
+    accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
     accelerometer_walk_m_s2: float = 0.003  # per root second
+    gyro_noise_rad: float = math.radians(0.1)  # per root second: what a gyro's turn wanders
+    gyro_share: float = 0.01  # of a turn: scale factor, and what happens between samples
+    gyro_sigma_rad_s: float = math.radians(0.5)  # bias at first
+    gyro_walk_rad_s: float = math.radians(0.003)  # per root second
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
@@ -126,7 +131,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (26,) see `States`. P: (26, 26) its covariance.
+        x: (29,) see `States`. P: (29, 29) its covariance.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """
@@ -192,6 +197,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
+    variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
     variance[States.MAP] = config.map_sigma_m**2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known)

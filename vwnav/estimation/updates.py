@@ -57,7 +57,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 26) and noise R (m, m).
+    """A linearised measurement: residual (m,), its Jacobian H (m, 29) and noise R (m, m).
 
     Attributes:
         held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
@@ -101,7 +101,7 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the gain K (26, m) for it: optimal but for held states."""
+    """What the measurement says, and the gain K (29, m) for it: optimal but for held states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
@@ -118,7 +118,7 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
 
 
 def _gain_given(P: Array, measurement: Measurement) -> Array:
-    """The gain (26, m) that would be optimal if the held states were known as they are.
+    """The gain (29, m) that would be optimal if the held states were known as they are.
 
     With the optimal gain and its held rows at zero, places far from the last fix were moved by the
     heading error that the residual seemed to show, metres at a time, and the heading was not.
