@@ -334,6 +334,10 @@ class Autopilot(Protocol):
         """Attitude at an exposure, None where telemetry does not reach."""
         ...
 
+    def take_imu(self) -> tuple[ImuSample, ...]:
+        """The IMU's samples since the last call, oldest first; none where it is not streamed."""
+        ...
+
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
         """Origin of the estimates to come; before the first of them."""
         ...
