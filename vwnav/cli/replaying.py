@@ -24,6 +24,7 @@ from vwnav.pipeline import InlineExecutor, Sensors, StepResult
 from vwnav.types import Frame, FrameSource, MapFix, Rejected, RejectReason
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
+IMU_LEAD_S = 1.0  # of the IMU's samples before the first picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +151,12 @@ def _run(
     tally = Tally()
     trouble: VwnavError | None = None
     frame: Frame | None = first
+    before_s = -IMU_LEAD_S
     with LiveLine() as line:
         while frame is not None:
-            sensors = telemetry.at(frame.t_s - first.t_s) if telemetry else Sensors()
+            t_s = frame.t_s - first.t_s
+            sensors = telemetry.at(t_s, before_s) if telemetry else Sensors()
+            before_s = t_s
             start_s = time.perf_counter()
             step = assembled.pipeline.step(frame, sensors)
             tally.busy_s += time.perf_counter() - start_s
