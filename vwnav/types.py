@@ -216,11 +216,14 @@ class ImuSample:
     Attributes:
         specific_force_m_s2: what the accelerometers feel: (0, 0, -9.8) at rest and level.
         rates_rad_s: body rates.
+        span_s: since the sample before by the sensor's own clock, which no correction of ours
+            makes jump; None where that is not known.
     """
 
     t_s: float
     specific_force_m_s2: Array
     rates_rad_s: Array
+    span_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

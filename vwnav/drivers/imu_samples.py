@@ -27,6 +27,7 @@ class ImuSamples:
     def __init__(self) -> None:
         self._samples: deque[ImuSample] = deque(maxlen=_KEPT)
         self._newest_s = -math.inf
+        self._newest_us = 0
         self._highres_s = -math.inf
 
     def take(self) -> tuple[ImuSample, ...]:
@@ -57,9 +58,11 @@ class ImuSamples:
         t_s = clock.to_monotonic(t_us / 1e6)
         if t_s is None or abs(t_s - received_s) > _STRANGE_S:
             return
-        if t_s < self._newest_s - _STRANGE_S:
+        if t_us < self._newest_us - _STRANGE_S * 1e6:
             self._samples.clear()  # the autopilot has started anew
-        elif t_s <= self._newest_s:
+        elif t_us <= self._newest_us or t_s <= self._newest_s:
             return
-        self._newest_s = t_s
-        self._samples.append(ImuSample(t_s, values[:3], values[3:]))
+        span_s = (t_us - self._newest_us) / 1e6
+        self._newest_s, self._newest_us = t_s, t_us
+        known = 0.0 < span_s < _STRANGE_S
+        self._samples.append(ImuSample(t_s, values[:3], values[3:], span_s if known else None))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.estimation.imu import Felt
 from vwnav.types import Array
 
 
@@ -43,6 +44,7 @@ class EkfConfig:
     acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
+    heading_slew_rad: float = math.radians(0.5)  # the same while a gyro tells: filters realign
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
@@ -50,9 +52,9 @@ class EkfConfig:
     accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
     accelerometer_walk_m_s2: float = 0.003  # per root second
     gyro_noise_rad: float = math.radians(0.1)  # per root second: what a gyro's turn wanders
-    gyro_share: float = 0.01  # of a turn: scale factor, and what happens between samples
+    gyro_share: float = 0.001  # of a turn: scale factor, and what happens between samples
     gyro_sigma_rad_s: float = math.radians(0.5)  # bias at first
-    gyro_walk_rad_s: float = math.radians(0.003)  # per root second
+    gyro_walk_rad_s: float = math.radians(0.005)  # per root second
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
@@ -67,6 +69,7 @@ class EkfConfig:
     rangefinder_sigma_m: float = 0.05
     rangefinder_sigma_ratio: float = 0.02  # of the distance
     stationary_sigma_m_s: float = 0.05
+    stationary_sigma_rad_s: float = math.radians(0.7)  # of its turning, by the gyro
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
@@ -132,6 +135,8 @@ class FilterState:
 
     Attributes:
         x: (29,) see `States`. P: (29, 29) its covariance.
+        measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
+            known then: the next step goes on from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """
@@ -141,6 +146,7 @@ class FilterState:
     P: Array
     position_known: bool
     heading_known: bool
+    measured: tuple[Array, Felt | None] | None = None
     anchor: Anchor | None = None
     t_last_fix_s: float | None = None
     reset_counter: int = 0
