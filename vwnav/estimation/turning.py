@@ -23,6 +23,7 @@ from vwnav.types import Array
 _YAW = States.HEADING_BIAS.start
 _TILT = States.TILT
 _DOWN = 2
+_LEVEL = np.eye(2)
 _JUMP_UNSURE = 0.1  # of a jump's size: how well the gyro tells it
 _TURN_UNSURE = 4.0  # tilts: whether a tilt error turns with the body or stays is not known
 
@@ -83,26 +84,21 @@ def gyro_says(
 def conditioned(moved: Array, P: Array, F: Array, Q: Array, turned: Turned) -> tuple[Array, Array]:
     """The step x1 = F x0 + w, knowing also what the gyro said of it: (x, P) after it.
 
-    The noise w is in what was seen, so it is a correlated measurement; Joseph's form of it is
-    x1 = (F - K C) x0 + (I - K A) w - K n. Gyros do not jump, attitude filters do: a change that the
-    noises do not explain is one of the attitude's error.
+    The noise w is in what was seen, so it is a correlated measurement; its error is, in Joseph's
+    form, (F - K C) x0 + (I - K A) w - K n. Gyros do not jump, attitude filters do: a change that
+    the noises do not explain is one of the attitude's error.
     """
-    S = _spread(P, Q, turned)
-    r = turned.residual
-    R = turned.R
+    A, C, R, r = turned.A, turned.C, turned.R, turned.residual
+    PCt, QAt = P @ C.T, Q @ A.T
+    S = C @ PCt + A @ QAt + R
     if r @ np.linalg.solve(S, r) > CHI_SQUARE_GATE[3]:
+        R = R + np.diag((_JUMP_UNSURE * r) ** 2)
         Q = Q.copy()
         Q[_YAW, _YAW] += r[_DOWN] ** 2
-        Q[_TILT, _TILT] += (r[0] ** 2 + r[1] ** 2) * np.eye(2)
-        R = R + np.diag((_JUMP_UNSURE * r) ** 2)
-        S = _spread(P, Q, turned) + R - turned.R
-    cross = F @ (P @ turned.C.T) + Q @ turned.A.T
-    K = np.linalg.solve(S, cross.T).T
-    M = F - K @ turned.C
-    N = np.eye(States.SIZE) - K @ turned.A
-    return moved + K @ r, M @ P @ M.T + N @ Q @ N.T + (K @ R) @ K.T
-
-
-def _spread(P: Array, Q: Array, turned: Turned) -> Array:
-    A, C = turned.A, turned.C
-    return np.asarray(C @ P @ C.T + A @ Q @ A.T + turned.R)
+        Q[_TILT, _TILT] += (r[0] ** 2 + r[1] ** 2) * _LEVEL
+        QAt = Q @ A.T
+        S = C @ PCt + A @ QAt + R
+    K = np.linalg.solve(S, (F @ PCt + QAt).T).T
+    M = F - K @ C
+    crossed = K @ QAt.T
+    return moved + K @ r, M @ P @ M.T + Q - crossed - crossed.T + K @ (A @ QAt + R) @ K.T
