@@ -34,6 +34,7 @@ from vwnav.runtime import FlightRuntime
 from vwnav.types import (
     Attitude,
     Frame,
+    ImuSample,
     MapFix,
     OdometryMotion,
     Rejected,
@@ -57,6 +58,14 @@ class Link:
 
     def attitude_at(self, t_s):
         return replace(self.state().attitude, t_s=t_s)
+
+    def take_imu(self):
+        """Three samples in each 20 ms, which feel the swaying."""
+        now_s = time.monotonic()
+        return tuple(
+            ImuSample(t_s, np.array([0.1 * np.sin(9.0 * t_s), 0.0, -9.8]), np.full(3, 0.01), 0.006)
+            for t_s in (now_s - 0.012, now_s - 0.006, now_s)
+        )
 
     def send_estimate(self, estimate):
         pass
@@ -148,7 +157,10 @@ def flown(pack_file, tmp_path_factory) -> Path:
         assembled = Assembled(pipeline, ekf, pack, "fake")
         record = FlightRecord(folder, about_run(assembled, "learned", "nadir"), pack, config, None)
         ekf.record(record.tape.input)
-        ekf.initialise(Start(t_s=began_s, position_ned_m=np.array([0, 0, -50.0]), agl_m=50.0))
+        above_m = np.array([0.0, 0.0, -50.0])
+        ekf.initialise(
+            Start(t_s=began_s, position_ned_m=above_m, agl_m=50.0, sigma_velocity_m_s=9.0)
+        )
         mission = Mission()
         record.follow(mission, pipeline)
         FlightRuntime(pipeline, mission, Link(), Pictures(), record).run()

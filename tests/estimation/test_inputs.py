@@ -30,7 +30,7 @@ INPUTS = st.one_of(
         sigma_agl_m=ANY, sigma_velocity_m_s=ANY,
     ),
     st.builds(Attitude, ANY, arrays(4)),
-    st.builds(ImuSample, ANY, arrays(3), arrays(3)),
+    st.builds(ImuSample, ANY, arrays(3), arrays(3), MAYBE),
     st.builds(Height, ANY, ANY),
     st.builds(Range, ANY, ANY),
     st.builds(Stationary, ANY),

@@ -144,14 +144,25 @@ def _attitudes(truth: Truth, errors: _AttitudeErrors) -> list[Event]:
 def _imu(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
     acceleration = np.gradient(truth.velocity_ned_m_s, truth.t_s, axis=0)
     bias = world.imu_bias_m_s2 * rng.normal(size=3)
+    rate_bias = math.radians(world.gyro_bias_deg_s) * rng.normal(size=3)
+    rates = _rates(truth)
     events = []
     for i in range(0, len(truth.t_s), round(1.0 / world.imu_hz / DT_S)):
         R_ned_body = rotation_from_quat(truth.quat_wxyz[i])
         force = R_ned_body.T @ (acceleration[i] - [0.0, 0.0, G_M_S2])
         force += bias + world.imu_noise_m_s2 * rng.normal(size=3)
+        rate = rates[i] + rate_bias + math.radians(world.gyro_noise_deg_s) * rng.normal(size=3)
         t_s = float(truth.t_s[i])
-        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, np.zeros(3))))
+        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, rate)))
     return events
+
+
+def _rates(truth: Truth) -> Array:
+    """(n, 3) body rates, rad/s."""
+    conjugate = truth.quat_wxyz * [1.0, -1.0, -1.0, -1.0]
+    steps = _multiply(conjugate[:-1], truth.quat_wxyz[1:])
+    between = 2.0 * np.sign(steps[:, :1]) * steps[:, 1:] / DT_S
+    return np.vstack([between[:1], 0.5 * (between[:-1] + between[1:]), between[-1:]])
 
 
 def _heights(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:

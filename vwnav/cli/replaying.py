@@ -7,15 +7,14 @@ from pathlib import Path
 import cv2
 
 from vwnav.cli.assemble import Assembled, about_run, assemble
-from vwnav.cli.replay_report import ReplayOptions, Tally, summarise
+from vwnav.cli.replay_report import ReplayOptions, ReplayRecord, Tally
 from vwnav.cli.screen import LiveLine, say
 from vwnav.config import load_config, save_config
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.recorder import Recorder
-from vwnav.drivers.run_folder import TrajectoryWriter, make_run_folder
+from vwnav.drivers.run_folder import make_run_folder
 from vwnav.drivers.tape import Tape
 from vwnav.drivers.telemetry_files import Telemetry, load_telemetry
-from vwnav.drivers.track_picture import TrackPicture
 from vwnav.errors import SourceError, VwnavError
 from vwnav.geometry.calibration import check_fits, load_camera
 from vwnav.geometry.camera import Camera
@@ -25,6 +24,7 @@ from vwnav.pipeline import InlineExecutor, Sensors
 from vwnav.types import Frame, FrameSource
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
+IMU_LEAD_S = 1.0  # of the IMU's samples before the first picture
 
 
 def replay_source(options: ReplayOptions) -> None:
@@ -104,30 +104,28 @@ def _run(
     assembled: Assembled,
     tape: Tape,
 ) -> None:
-    local_frame = assembled.pipeline.local_frame
-    trajectory = TrajectoryWriter(folder / "trajectory.csv", local_frame, first.t_s)
-    picture = TrackPicture(assembled.pack, local_frame)
-    tally = Tally()
+    record = ReplayRecord(folder, tape.about, assembled.pack, first.t_s)
+    tally = record.tally
     trouble: VwnavError | None = None
     frame: Frame | None = first
+    before_s = -IMU_LEAD_S
     with LiveLine() as line:
         while frame is not None:
-            sensors = telemetry.at(frame.t_s - first.t_s) if telemetry else Sensors()
+            t_s = frame.t_s - first.t_s
+            sensors = telemetry.at(t_s, before_s) if telemetry else Sensors()
+            before_s = t_s
             start_s = time.perf_counter()
             step = assembled.pipeline.step(frame, sensors)
             tally.busy_s += time.perf_counter() - start_s
             tape.picture(step, None)
-            tally.add(step, first.t_s)
-            trajectory.write(step)
-            picture.add(step)
+            record.add(step, None)
             line.show(frame.t_s, _status(tally, frame.t_s - first.t_s))
             try:
                 frame = source.next_frame()
             except SourceError as error:
                 trouble, frame = error, None
-    trajectory.close()
-    picture.save(folder / "track.png")
-    summarise(options, folder, tape.about, tally, {})
+    record.close()
+    record.summarise(options, {})
     if trouble is not None:
         raise SourceError(f"{trouble}; the {tally.frames} pictures before it are in {folder}")
     if not tally.fixes:

@@ -9,13 +9,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from vwnav.cli.assemble import ground_of
-from vwnav.cli.replay_report import ReplayOptions, Tally, summarise
+from vwnav.cli.replay_report import ReplayOptions, ReplayRecord
 from vwnav.cli.screen import LiveLine, say
 from vwnav.config import Config, explain
 from vwnav.drivers.recording import is_cut_off
-from vwnav.drivers.run_folder import TrajectoryWriter, make_run_folder
+from vwnav.drivers.run_folder import make_run_folder
 from vwnav.drivers.tape import About, PictureSeen, read_about, read_tape
-from vwnav.drivers.track_picture import TrackPicture
 from vwnav.errors import MapError, SourceError
 from vwnav.estimation.ekf import Ekf, EkfConfig
 from vwnav.estimation.inputs import Asked, Input
@@ -49,13 +48,17 @@ def replay_tape(options: ReplayOptions) -> None:
         if player.broken is not None:
             say(f"the filter broke on an input, as it must have in flight: {player.broken!r}")
         folder = make_run_folder(options.output, "replay")
-        tally = _write(folder, player, about, pack)
+        record = ReplayRecord(folder, about, pack, player.rows[0][0].t_s)
+        record.tally.busy_s = player.busy_s
+        for row in player.rows:
+            record.add(*row)
+        record.close()
     identical, line = compare(path.parent / "trajectory.csv", folder / "trajectory.csv")
-    summarise(options, folder, about, tally, {"identical": identical})
+    record.summarise(options, {"identical": identical})
     if line:
         say(line)
     if trouble is not None:
-        raise SourceError(f"{trouble}; the {tally.frames} pictures before it are in {folder}")
+        raise SourceError(f"{trouble}; the {len(player.rows)} pictures before it are in {folder}")
 
 
 class Player:
@@ -166,17 +169,3 @@ def _check_ground(pack: MapPack, about: About) -> None:
             f"{pack.path} is another map: its terrain heights are not those that the filter used "
             "in flight; give the pack of that flight"
         )
-
-
-def _write(folder: Path, player: Player, about: About, pack: MapPack) -> Tally:
-    t0_s = player.rows[0][0].t_s
-    trajectory = TrajectoryWriter(folder / "trajectory.csv", about.local_frame, t0_s)
-    picture = TrackPicture(pack, about.local_frame)
-    tally = Tally(busy_s=player.busy_s)
-    for step, commanded_yaw_rad in player.rows:
-        trajectory.write(step, commanded_yaw_rad)
-        tally.add(step, t0_s)
-        picture.add(step)
-    trajectory.close()
-    picture.save(folder / "track.png")
-    return tally

@@ -22,7 +22,7 @@ from vwnav.estimation.events import (
     Stationary,
 )
 from vwnav.estimation.fusion import apply
-from vwnav.estimation.imu import ImuHistory
+from vwnav.estimation.imu import ImuHistory, is_sensible
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
@@ -139,8 +139,7 @@ class Ekf:
         thrust and the slow acceleration.
         """
         self._note(sample)
-        finite = math.isfinite(sample.t_s) and np.shape(sample.specific_force_m_s2) == (3,)
-        if not finite or not np.all(np.isfinite(sample.specific_force_m_s2)):
+        if not is_sensible(sample):
             return Innovation(Verdict.NOT_FINITE)
         if self._timeline is not None and self._ahead(sample.t_s):
             return Innovation(Verdict.AHEAD)
