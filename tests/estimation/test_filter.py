@@ -133,11 +133,11 @@ def test_an_accelerometer_bias_is_found():
     assert ekf.state.x[States.ACCELEROMETER_BIAS][2] == pytest.approx(0.2, abs=0.05)
 
 
-def test_nothing_grows_that_should_not_in_a_long_hover():
-    """Ten minutes of barometer and odometry without a fix: what they bound stays bounded."""
+def test_nothing_grows_that_should_not_in_a_million_steps():
+    """Fourteen hours of barometer and odometry without a fix: what they bound stays bounded."""
     ekf = _flying()
     cov = np.eye(3) * 0.03**2
-    for i in range(1, 6001):
+    for i in range(1, 500_001):
         t = 1.0 + 0.1 * i
         ekf.handle_attitude(Attitude(t, LEVEL))
         ekf.handle_height(t, 50.0)
