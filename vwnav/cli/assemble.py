@@ -10,7 +10,7 @@ import numpy as np
 from vwnav.config import Config
 from vwnav.errors import ModelError
 from vwnav.estimation.context import Ground
-from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.ekf import Ekf, EkfConfig
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
@@ -57,8 +57,9 @@ def assemble(
     config: Config,
     executor: Executor,
     say: Callable[[str], None],
+    make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
 ) -> Assembled:
-    """Build the pipeline.
+    """Build the pipeline. `make_ekf` lets the benchmark listen to the filter.
 
     Raises:
         ModelError: the pack's features were made by another model.
@@ -72,7 +73,7 @@ def assemble(
     choice = FeatureChoice(
         localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
     )
-    ekf = Ekf(config.ekf, ground=_ground(pack, local_frame))
+    ekf = make_ekf(config.ekf, _ground(pack, local_frame))
     odometry = Odometry(camera, config.odometry)
     pipeline = Pipeline(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,

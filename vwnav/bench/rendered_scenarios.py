@@ -1,0 +1,153 @@
+"""What is asked of whole flights with rendered pictures, and verdicts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vwnav.bench.estimator_run import Run
+from vwnav.bench.estimator_scenarios import Metric, judge_nominal
+from vwnav.bench.estimator_scores import position_nees, rms
+from vwnav.bench.estimator_world import World
+from vwnav.bench.rendered_errors import (
+    fix_errors,
+    odometry_errors,
+    parts,
+    way_errors,
+)
+from vwnav.estimation.ekf import NedFix
+from vwnav.types import MapFix, Rejected
+
+FIRST_FIXES = 20  # of the climb and the hover after it; then odometry flies alone
+WRONG_FIX_M = 20.0
+_LEAST_WAY_M = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A flight that was navigated. `outcomes`: of each attempt to match a picture to the map."""
+
+    number: int
+    run: Run
+    outcomes: list[MapFix | Rejected]
+
+    @property
+    def fixes(self) -> int:
+        """How many attempts the filter took."""
+        return sum(isinstance(outcome, MapFix) for outcome in self.outcomes)
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedScenario:
+    """How often the map is asked (0: always), and how flights are judged."""
+
+    name: str
+    most_fixes: int
+    judge: Callable[[list[Flown]], list[Metric]]
+
+
+def judge_rendered(flown: list[Flown]) -> list[Metric]:
+    """Accuracy and honesty, and whether the fast benchmark's errors are those of pictures."""
+    attempts = sum(len(flight.outcomes) for flight in flown)
+    taken = sum(flight.fixes for flight in flown)
+    runs = [flight.run for flight in flown]
+    errors_m = np.array(
+        [
+            event.error_m
+            for run in runs
+            for event, answer in run.answers
+            if isinstance(event.seen, NedFix) and answer.accepted
+        ]
+    )
+    return [
+        *judge_nominal(runs),
+        Metric("fixes accepted, of attempts", 100.0 * taken / attempts, "%"),
+        Metric("fix error, RMS, tilt left aside", rms(errors_m), "m"),
+        Metric("fix error, 95 %", float(np.quantile(errors_m, 0.95)), "m"),
+        Metric("accepted fixes over 20 m wrong", float(np.sum(errors_m > WRONG_FIX_M)), "",
+               None, 0.0),
+        *_fix_model(runs),
+        *_odometry_model(runs),
+    ]  # fmt: skip
+
+
+def _assumed(field: str) -> str:
+    return f"measured {field} (fast benchmark: {getattr(World(), field):g})"
+
+
+def _fix_model(runs: list[Run]) -> list[Metric]:
+    flights = [errors for errors in map(fix_errors, runs) if len(errors.yaw_rad) > 1]
+    place = parts([flight.ne_m for flight in flights])
+    yaw = parts([np.degrees(flight.yaw_rad) for flight in flights])
+    agl = parts([flight.agl_ratio for flight in flights])
+    return [
+        Metric(_assumed("fix_sigma_m"), place.white, "m"),
+        Metric(_assumed("map_error_m"), place.slow, "m"),
+        Metric(_assumed("fix_yaw_deg"), yaw.white, "deg"),
+        Metric("measured slow part of fix yaw (fast benchmark: 0)", yaw.slow, "deg"),
+        Metric(_assumed("fix_agl_ratio"), agl.white),
+        Metric("measured slow part of fix AGL (fast benchmark: 0)", agl.slow),
+    ]
+
+
+def _odometry_model(runs: list[Run]) -> list[Metric]:
+    flights = [way_errors(run) for run in runs]
+    found = odometry_errors(flights)
+    nees = np.concatenate([flight.nees for flight in flights])
+    return [
+        Metric(f"{_assumed('odometry_sigma')}, each picture", found.picture),
+        Metric("the same at the keyframe's end", found.kept),
+        Metric("the same, vertical, each picture", found.picture_down),
+        Metric("the same, vertical, at the keyframe's end", found.kept_down),
+        Metric(f"{_assumed('odometry_yaw_rad')}, each picture", found.yaw_picture_rad, "rad"),
+        Metric("the same at the keyframe's end", found.yaw_kept_rad, "rad"),
+        Metric(_assumed("tilt_in_odometry"), found.tilt),
+        Metric("measured scale error of the way (fast benchmark: 0)", 100.0 * found.scale, "%"),
+        Metric("NEES of the way by odometry's own covariance (3)", float(np.mean(nees))),
+    ]
+
+
+def judge_odometry(flown: list[Flown]) -> list[Metric]:
+    """Drift since the last fix in percent of the way, and whether the filter knows of it."""
+    ends, worsts, turned, agls, nees = [], [], [], [], []
+    each: list[Metric] = []
+    for flight in flown:
+        rows = flight.run.rows
+        last_s = flight.run.estimates[-1].t_last_fix_s
+        after = np.flatnonzero(rows.t_s >= (np.inf if last_s is None else last_s))
+        if not len(after) or rows.way_m[-1] - rows.way_m[after[0]] < _LEAST_WAY_M:
+            each.append(Metric(f"flight {flight.number + 1}: no fix to begin with", 0.0, "", 1.0))
+            continue
+        first = after[0]
+        error = 100.0 * np.hypot(*rows.error_ne_m.T) / (rows.way_m[-1] - rows.way_m[first])
+        ends.append(float(error[-1]))
+        worsts.append(float(np.max(error[first:])))
+        turned.append(float(np.degrees(rows.error_yaw_rad[-1] - rows.error_yaw_rad[first])))
+        agls.append(100.0 * float(rows.error_agl_m[-1] / rows.agl_m[-1]))
+        nees.append(float(position_nees(rows)[-1]))
+        name = f"flight {flight.number + 1}, {rows.way_m[-1] - rows.way_m[first]:.0f} m"
+        each += [
+            Metric(f"{name}: error at its end", ends[-1], "% of way", None, 1.0),
+            Metric(f"{name}: at its worst", worsts[-1], "% of way"),
+            Metric(f"{name}: heading drifted by", turned[-1], "deg"),
+            Metric(f"{name}: AGL error at its end", agls[-1], "%"),
+            Metric(f"{name}: NEES at its end (2)", nees[-1]),
+        ]
+    if not ends:
+        return each
+    return [
+        Metric("error at the end, RMS", rms(np.array(ends)), "% of way", None, 1.0),
+        Metric("the worst flight's end", max(ends), "% of way", None, 1.0),
+        Metric("the worst anywhere", max(worsts), "% of way"),
+        Metric("heading drift, RMS", rms(np.array(turned)), "deg"),
+        Metric("AGL error at the end, RMS", rms(np.array(agls)), "%"),
+        Metric("NEES at the end, mean (2)", float(np.mean(nees)), "", None, 3.0),
+        Metric("covered by the 3-sigma ellipse", 100.0 * float(np.mean(np.array(nees) < 9.0)), "%"),
+        *each,
+    ]
+
+
+RENDERED = (
+    RenderedScenario("rendered", 0, judge_rendered),
+    RenderedScenario("rendered-odometry", FIRST_FIXES, judge_odometry),
+)
