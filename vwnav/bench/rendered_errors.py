@@ -152,7 +152,9 @@ def way_errors(run: Run) -> WayErrors:
     taken = [
         event.seen
         for event, answer in run.answers
-        if isinstance(event.seen, OdometryMotion) and answer.accepted and event.seen.t0_s > SETTLED_S
+        if isinstance(event.seen, OdometryMotion)
+        and answer.accepted
+        and event.seen.t0_s > SETTLED_S
     ]
     rows = [_way_error(motion, truth, told) for motion in taken]
     seen, true, tilted, yaws, nees = zip(*rows, strict=True)

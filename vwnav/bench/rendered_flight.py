@@ -6,7 +6,7 @@ renderer's: level, so the height above it is the height above home.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,9 @@ from vwnav.types import Array, Attitude, Frame
 
 RENDERED_S = 130.0
 _HEIGHTS_M = (40.0, 90.0)
-_FIRST_LEG_S = 15.0  # after the climb and a hover, as `estimator_world` has it
+_CLIMB_M_S = 4.0  # autopilots climb with 1.5 to 5
+_SLOWING_S = 2.0  # at the end of the climb
+_HOVER_S = 5.0  # after it, as `estimator_world` has it
 _LEG_S = 20.0
 _HALF_NORTH_M, _HALF_EAST_M = 380.0, 550.0  # what the camera sees from there is on the map
 _DRAWS = 50  # of the next turn, until one stays inside
@@ -57,15 +59,11 @@ def site_seed(number: int) -> int:
 
 def plan_flight(number: int, seed: int, seconds: float) -> RenderedFlight:
     """Flight `number` of a seed, over a site of its own; the same however many are flown."""
-    legs, rng, latencies, noise = (
-        np.random.default_rng([seed, number, part]) for part in range(4)
-    )
-    world = World(
-        seconds=seconds,
-        height_m=float(legs.uniform(*_HEIGHTS_M)),
-        headings_deg=_legs(legs, seconds, World().speed_m_s),
-        relief_m=0.0,
-    )
+    legs, rng, latencies, noise = (np.random.default_rng([seed, number, part]) for part in range(4))
+    height_m = float(legs.uniform(*_HEIGHTS_M))
+    climb_s = height_m / _CLIMB_M_S + _SLOWING_S
+    world = World(seconds=seconds, height_m=height_m, climb_s=climb_s, relief_m=0.0)
+    world = replace(world, headings_deg=_legs(legs, world))
     truth = fly(world, [rng])[0]
     stream = sense(world, truth, rng)
     told = [event for event in stream.events if isinstance(event.seen, Attitude | HeightSeen)]
@@ -74,21 +72,20 @@ def plan_flight(number: int, seed: int, seconds: float) -> RenderedFlight:
     )
 
 
-def _legs(
-    rng: np.random.Generator, seconds: float, speed_m_s: float
-) -> tuple[tuple[float, float], ...]:
+def _legs(rng: np.random.Generator, world: World) -> tuple[tuple[float, float], ...]:
     """(time, heading in degrees) of legs that stay over the site, with turns of 60 to 180."""
     heading_deg = float(rng.uniform(-180.0, 180.0))
     place = np.zeros(2)
     legs = [(0.0, heading_deg)]
-    place += _way(heading_deg, _LEG_S * speed_m_s)
-    for number in range(1, max(math.ceil((seconds - _FIRST_LEG_S) / _LEG_S), 1)):
+    length_m, start_s = _LEG_S * world.speed_m_s, world.climb_s + _HOVER_S
+    place += _way(heading_deg, length_m)
+    for number in range(1, max(math.ceil((world.seconds - start_s) / _LEG_S), 1)):
         turns = rng.uniform(60.0, 180.0, _DRAWS) * rng.choice([-1.0, 1.0], _DRAWS)
-        ends = [place + _way(heading_deg + turn, _LEG_S * speed_m_s) for turn in turns]
+        ends = [place + _way(heading_deg + turn, length_m) for turn in turns]
         outside = [max(abs(n) / _HALF_NORTH_M, abs(e) / _HALF_EAST_M, 1.0) for n, e in ends]
         chosen = int(np.argmin(outside))  # the first of those that are inside
         heading_deg, place = heading_deg + float(turns[chosen]), ends[chosen]
-        legs.append((_FIRST_LEG_S + number * _LEG_S, heading_deg))
+        legs.append((start_s + number * _LEG_S, heading_deg))
     return tuple(legs)
 
 

@@ -27,7 +27,6 @@ _LEAST_WAY_M = 1.0
 class Flown:
     """A flight that was navigated. `outcomes`: of each attempt to match a picture to the map."""
 
-    number: int
     run: Run
     outcomes: list[MapFix | Rejected]
 
@@ -111,12 +110,12 @@ def judge_odometry(flown: list[Flown]) -> list[Metric]:
     """Drift since the last fix in percent of the way, and whether the filter knows of it."""
     ends, worsts, turned, agls, nees = [], [], [], [], []
     each: list[Metric] = []
-    for flight in flown:
+    for number, flight in enumerate(flown, 1):
         rows = flight.run.rows
         last_s = flight.run.estimates[-1].t_last_fix_s
         after = np.flatnonzero(rows.t_s >= (np.inf if last_s is None else last_s))
         if not len(after) or rows.way_m[-1] - rows.way_m[after[0]] < _LEAST_WAY_M:
-            each.append(Metric(f"flight {flight.number + 1}: no fix to begin with", 0.0, "", 1.0))
+            each.append(Metric(f"flight {number}: no fix to begin with", 0.0, "", 1.0))
             continue
         first = after[0]
         error = 100.0 * np.hypot(*rows.error_ne_m.T) / (rows.way_m[-1] - rows.way_m[first])
@@ -125,7 +124,7 @@ def judge_odometry(flown: list[Flown]) -> list[Metric]:
         turned.append(float(np.degrees(rows.error_yaw_rad[-1] - rows.error_yaw_rad[first])))
         agls.append(100.0 * float(rows.error_agl_m[-1] / rows.agl_m[-1]))
         nees.append(float(position_nees(rows)[-1]))
-        name = f"flight {flight.number + 1}, {rows.way_m[-1] - rows.way_m[first]:.0f} m"
+        name = f"flight {number}, {rows.way_m[-1] - rows.way_m[first]:.0f} m"
         each += [
             Metric(f"{name}: error at its end", ends[-1], "% of way", None, 1.0),
             Metric(f"{name}: at its worst", worsts[-1], "% of way"),
