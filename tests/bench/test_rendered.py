@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from vwnav.bench.estimator import as_json
 from vwnav.bench.estimator_scenarios import Scenario, fly_scenario, judge_nominal
 from vwnav.bench.estimator_world import World
 from vwnav.bench.rendered_errors import fix_errors, odometry_errors, parts, way_errors
 from vwnav.bench.rendered_flight import RENDERED_S, pictures, plan_flight
-from vwnav.bench.rendered_scenarios import Flown, judge_odometry
+from vwnav.bench.rendered_scenarios import Flown, judge_odometry, judge_rendered
 from vwnav.cli.main import app
 from vwnav.cli.rendered_flying import fly_rendered
 from vwnav.estimation.ekf import NedFix
@@ -105,6 +106,13 @@ def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
     assert parts([f.ne_m for f in fixes]).white == pytest.approx(0.4, rel=0.15)
     assert parts([f.ne_m for f in fixes]).slow == pytest.approx(world.map_error_m, rel=0.35)
     assert parts([f.agl_ratio for f in fixes]).white == pytest.approx(0.02, rel=0.15)
+
+
+def test_every_number_has_a_name_of_its_own():
+    world = World(seconds=60.0)
+    flown = [Flown(run, []) for run in fly_scenario(Scenario("x", world, judge_nominal), 2, 0)]
+    for judged in (judge_rendered(flown), judge_odometry(flown)):
+        assert len(as_json(judged)) == len(judged)
 
 
 def test_rendered_flights_know_their_features():
