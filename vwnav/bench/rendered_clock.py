@@ -13,7 +13,7 @@ import numpy as np
 from vwnav.bench.estimator_streams import Event, HeightSeen, Seen
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix
-from vwnav.types import Attitude, OdometryMotion
+from vwnav.types import Attitude, ImuSample, OdometryMotion
 
 
 class SimulatedClock:
@@ -74,6 +74,10 @@ class HeardEkf(Ekf):
     def handle_attitude(self, attitude: Attitude) -> Innovation:
         """As the filter does."""
         return self._heard(attitude, lambda: super(HeardEkf, self).handle_attitude(attitude))
+
+    def handle_imu(self, sample: ImuSample) -> Innovation:
+        """As the filter does."""
+        return self._heard(sample, lambda: super(HeardEkf, self).handle_imu(sample))
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
         """As the filter does."""

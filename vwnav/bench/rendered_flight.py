@@ -20,7 +20,7 @@ from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Attitude, Frame
+from vwnav.types import Array, Attitude, Frame, ImuSample
 
 RENDERED_S = 130.0
 _HEIGHTS_M = (40.0, 90.0)
@@ -38,7 +38,7 @@ class RenderedFlight:
 
     Attributes:
         truth: to draw the pictures and to score; nothing else may see it.
-        telemetry: attitudes and barometric heights in order of arrival.
+        telemetry: attitudes, barometric heights and IMU samples in order of arrival.
         measured_yaw_rad: (n,) heading as the autopilot has it, at the truth's times.
         latencies: draws of how late fixes are.
     """
@@ -57,16 +57,17 @@ def site_seed(number: int) -> int:
     return 1 + number % (FIRST_TRAINING_SEED - 1)
 
 
-def plan_flight(number: int, seed: int, seconds: float) -> RenderedFlight:
+def plan_flight(number: int, seed: int, seconds: float, imu_hz: float = 0.0) -> RenderedFlight:
     """Flight `number` of a seed, over a site of its own; the same however many are flown."""
     legs, rng, latencies, noise = (np.random.default_rng([seed, number, part]) for part in range(4))
     height_m = float(legs.uniform(*_HEIGHTS_M))
     climb_s = height_m / _CLIMB_M_S + _SLOWING_S
-    world = World(seconds=seconds, height_m=height_m, climb_s=climb_s, relief_m=0.0)
+    world = World(seconds=seconds, height_m=height_m, climb_s=climb_s, relief_m=0.0, imu_hz=imu_hz)
     world = replace(world, headings_deg=_legs(legs, world))
     truth = fly(world, [rng])[0]
     stream = sense(world, truth, rng)
-    told = [event for event in stream.events if isinstance(event.seen, Attitude | HeightSeen)]
+    kinds = Attitude | HeightSeen | ImuSample
+    told = [event for event in stream.events if isinstance(event.seen, kinds)]
     return RenderedFlight(
         Site(site_seed(number)), world, truth, told, stream.measured_yaw_rad, latencies, noise
     )

@@ -19,6 +19,7 @@ from vwnav.estimation.ekf import NedFix
 from vwnav.types import MapFix, Rejected
 
 FIRST_FIXES = 20  # of the climb and the hover after it; then odometry flies alone
+IMU_HZ = 50.0  # as asked of the autopilot
 WRONG_FIX_M = 20.0
 _LEAST_WAY_M = 1.0
 
@@ -38,11 +39,17 @@ class Flown:
 
 @dataclass(frozen=True, slots=True)
 class RenderedScenario:
-    """How often the map is asked (0: always), and how flights are judged."""
+    """How flights are flown and judged.
+
+    Attributes:
+        most_fixes: the map is asked until it has given so many; 0 is no limit.
+        imu_hz: of the samples that the autopilot streams; 0 is none.
+    """
 
     name: str
-    most_fixes: int
     judge: Callable[[list[Flown]], list[Metric]]
+    most_fixes: int = 0
+    imu_hz: float = 0.0
 
 
 def judge_rendered(flown: list[Flown]) -> list[Metric]:
@@ -148,6 +155,8 @@ def judge_odometry(flown: list[Flown]) -> list[Metric]:
 
 
 RENDERED = (
-    RenderedScenario("rendered", 0, judge_rendered),
-    RenderedScenario("rendered-odometry", FIRST_FIXES, judge_odometry),
+    RenderedScenario("rendered", judge_rendered),
+    RenderedScenario("rendered-imu", judge_rendered, imu_hz=IMU_HZ),
+    RenderedScenario("rendered-odometry", judge_odometry, FIRST_FIXES),
+    RenderedScenario("rendered-odometry-imu", judge_odometry, FIRST_FIXES, IMU_HZ),
 )

@@ -20,8 +20,8 @@ def estimator(
         list[str] | None,
         typer.Option(
             "--scenario",
-            help="Only this one; may be repeated. rendered and rendered-odometry fly whole flights "
-            "with rendered pictures: a minute each, so they are flown only where named.",
+            help="Only this one; may be repeated. rendered and rendered-odometry (also with -imu) "
+            "fly with rendered pictures: a minute a flight, so they are flown only where named.",
         ),
     ] = None,
     seconds: Annotated[

@@ -28,7 +28,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, Sensors, StepResult
 from vwnav.sim.renderer import default_camera
-from vwnav.types import Attitude, Estimate, FeatureName, Frame, Rejected, RejectReason
+from vwnav.types import Attitude, Estimate, FeatureName, Frame, ImuSample, Rejected, RejectReason
 
 PICTURE_LATE_S = 0.04  # from exposure to the pipeline
 _ESTIMATES_HZ = 5.0
@@ -69,7 +69,7 @@ def bench_rendered(
             show(number * length_s + t_s, text)
 
         picture = None if folder is None else folder / f"{name}-track.png"
-        flight = plan_flight(number, seed, length_s)
+        flight = plan_flight(number, seed, length_s, scenario.imu_hz)
         frames = pictures(flight, default_camera())
         flown.append(fly_rendered(flight, frames, scenario.most_fixes, features, progress, picture))
         if folder is not None:
@@ -149,6 +149,8 @@ def _navigate(
             case Attitude():
                 track.add(arrived.t_s, arrived.quat_wxyz)
                 pipeline.sense(arrival_s, Sensors(attitude=arrived))
+            case ImuSample():
+                pipeline.sense(arrival_s, Sensors(imu=(arrived,)))
             case HeightSeen():
                 height = arrived
                 pipeline.sense(arrival_s, _sensors(None, height))
