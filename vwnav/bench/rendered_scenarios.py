@@ -1,5 +1,6 @@
 """What is asked of whole flights with rendered pictures, and verdicts."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from vwnav.bench.rendered_errors import (
     way_errors,
 )
 from vwnav.estimation.ekf import NedFix
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import MapFix, Rejected
 
 FIRST_FIXES = 20  # of the climb and the hover after it; then odometry flies alone
@@ -114,43 +116,67 @@ def _odometry_model(runs: list[Run]) -> list[Metric]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class _Drift:
+    """Of one flight since its last fix; `end` and `worst` errors in percent of the way."""
+
+    way_m: float
+    end: float
+    worst: float
+    turned_deg: float
+    agl: float
+    nees: float
+
+
+def _drift(run: Run) -> _Drift | None:
+    """None where no fix was taken, or nothing was flown after the last."""
+    rows, last_s = run.rows, run.estimates[-1].t_last_fix_s
+    after = np.flatnonzero(rows.t_s >= (np.inf if last_s is None else last_s))
+    if not len(after) or rows.way_m[-1] - rows.way_m[after[0]] < _LEAST_WAY_M:
+        return None
+    way_m = float(rows.way_m[-1] - rows.way_m[after[0]])
+    error = 100.0 * np.hypot(*rows.error_ne_m.T)[after] / way_m
+    return _Drift(
+        way_m=way_m,
+        end=float(error[-1]),
+        worst=float(np.max(error)),
+        turned_deg=math.degrees(wrap_pi(rows.error_yaw_rad[-1] - rows.error_yaw_rad[after[0]])),
+        agl=100.0 * float(rows.error_agl_m[-1] / rows.agl_m[-1]),
+        nees=float(position_nees(rows)[-1]),
+    )
+
+
 def judge_odometry(flown: list[Flown]) -> list[Metric]:
     """Drift since the last fix in percent of the way, and whether the filter knows of it."""
-    ends, worsts, turned, agls, nees = [], [], [], [], []
-    each: list[Metric] = []
-    for number, flight in enumerate(flown, 1):
-        rows = flight.run.rows
-        last_s = flight.run.estimates[-1].t_last_fix_s
-        after = np.flatnonzero(rows.t_s >= (np.inf if last_s is None else last_s))
-        if not len(after) or rows.way_m[-1] - rows.way_m[after[0]] < _LEAST_WAY_M:
-            each.append(Metric(f"flight {number}: no fix to begin with", 0.0, "", 1.0))
-            continue
-        first = after[0]
-        error = 100.0 * np.hypot(*rows.error_ne_m.T) / (rows.way_m[-1] - rows.way_m[first])
-        ends.append(float(error[-1]))
-        worsts.append(float(np.max(error[first:])))
-        turned.append(float(np.degrees(rows.error_yaw_rad[-1] - rows.error_yaw_rad[first])))
-        agls.append(100.0 * float(rows.error_agl_m[-1] / rows.agl_m[-1]))
-        nees.append(float(position_nees(rows)[-1]))
-        name = f"flight {number}, {rows.way_m[-1] - rows.way_m[first]:.0f} m"
-        each += [
-            Metric(f"{name}: error at its end", ends[-1], "% of way", None, 1.0),
-            Metric(f"{name}: at its worst", worsts[-1], "% of way"),
-            Metric(f"{name}: heading drifted by", turned[-1], "deg"),
-            Metric(f"{name}: AGL error at its end", agls[-1], "%"),
-            Metric(f"{name}: NEES at its end (2)", nees[-1]),
-        ]
-    if not ends:
+    found = [_drift(flight.run) for flight in flown]
+    drifts = [drift for drift in found if drift is not None]
+    each = [metric for k, drift in enumerate(found, 1) for metric in _drift_metrics(k, drift)]
+    if not drifts:
         return each
+    ends, nees = np.array([d.end for d in drifts]), np.array([d.nees for d in drifts])
     return [
-        Metric("error at the end, RMS", rms(np.array(ends)), "% of way", None, 1.0),
-        Metric("the worst flight's end", max(ends), "% of way", None, 1.0),
-        Metric("the worst anywhere", max(worsts), "% of way"),
-        Metric("heading drift, RMS", rms(np.array(turned)), "deg"),
-        Metric("AGL error at the end, RMS", rms(np.array(agls)), "%"),
+        Metric("error at the end, RMS", rms(ends), "% of way", None, 1.0),
+        Metric("the worst flight's end", float(np.max(ends)), "% of way", None, 1.0),
+        Metric("the worst anywhere", max(d.worst for d in drifts), "% of way"),
+        Metric("heading drift, RMS", rms(np.array([d.turned_deg for d in drifts])), "deg"),
+        Metric("AGL error at the end, RMS", rms(np.array([d.agl for d in drifts])), "%"),
         Metric("NEES at the end, mean (2)", float(np.mean(nees)), "", None, 3.0),
-        Metric("covered by the 3-sigma ellipse", 100.0 * float(np.mean(np.array(nees) < 9.0)), "%"),
+        Metric("covered by the 3-sigma ellipse", 100.0 * float(np.mean(nees < 9.0)), "%"),
         *each,
+    ]
+
+
+def _drift_metrics(number: int, drift: _Drift | None) -> list[Metric]:
+    """Of one flight."""
+    if drift is None:
+        return [Metric(f"flight {number}: drift after a fix measured", 0.0, "", 1.0)]
+    name = f"flight {number}, {drift.way_m:.0f} m"
+    return [
+        Metric(f"{name}: error at its end", drift.end, "% of way", None, 1.0),
+        Metric(f"{name}: at its worst", drift.worst, "% of way"),
+        Metric(f"{name}: heading drifted by", drift.turned_deg, "deg"),
+        Metric(f"{name}: AGL error at its end", drift.agl, "%"),
+        Metric(f"{name}: NEES at its end (2)", drift.nees),
     ]
 
 
