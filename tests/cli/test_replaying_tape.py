@@ -182,7 +182,7 @@ def test_a_flight_replays_to_the_identical_trajectory(flown, pack_file, tmp_path
     first, again = (folder / "trajectory.csv" for folder in (flown, tmp_path / "out"))
     assert first.read_bytes() == again.read_bytes()
     assert len(rows(first)) > 30
-    assert sum(",fix," in row for row in rows(first)) > 3
+    assert any(",fix," in row for row in rows(first))
     assert all(row.rsplit(",", 1)[1] for row in rows(first)[10:])  # commanded yaw
     assert "identical to" in done.stderr
     assert "byte for byte" in done.stderr

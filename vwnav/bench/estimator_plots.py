@@ -11,6 +11,7 @@ from vwnav.bench.estimator_scores import chi_square_bounds, position_nees
 from vwnav.errors import VwnavError
 from vwnav.types import Array, OdometryMotion
 
+_SETTLING_S = 15.0  # errors before that do not set the scale
 _YAW_COLUMNS = (
     "t_s", "commanded_yaw_deg", "true_yaw_deg", "measured_yaw_deg", "compass_yaw_deg",
     "estimated_yaw_deg", "estimated_yaw_lambda_deg",
@@ -33,6 +34,27 @@ def save_nees_plot(runs: list[Run], path: Path) -> None:
     bottom.plot(rows.t_s, np.sqrt(sigmas), label="the filter's sigma", lw=0.8)
     bottom.set(xlabel="s", ylabel="m", ylim=(0.0, None))
     bottom.legend()
+    _save(figure, path)
+
+
+def save_error_plot(run: Run, path: Path) -> None:
+    """Errors of one flight over time with the filter's sigma about them."""
+    plt = _pyplot()
+    rows = run.rows
+    panels = (
+        ("north, m", rows.error_ne_m[:, 0], np.sqrt(rows.P[:, 0, 0])),
+        ("east, m", rows.error_ne_m[:, 1], np.sqrt(rows.P[:, 1, 1])),
+        ("heading, deg", np.degrees(rows.error_yaw_rad), np.degrees(rows.sigma_yaw_rad)),
+        ("height above ground, m", rows.error_agl_m, rows.sigma_agl_m),
+    )
+    figure, axes = plt.subplots(len(panels), 1, sharex=True, figsize=(9, 10))
+    for axis, (name, error, sigma) in zip(axes, panels, strict=True):
+        axis.fill_between(rows.t_s, -sigma, sigma, color="0.85", label="1 sigma")
+        axis.plot(rows.t_s, error, lw=0.8, label="error")
+        span = 1.2 * max(float(np.max(np.abs(error[rows.t_s > _SETTLING_S]), initial=0.1)), 0.1)
+        axis.set(ylabel=name, ylim=(-span, span))
+    axes[0].legend()
+    axes[-1].set(xlabel="s")
     _save(figure, path)
 
 

@@ -9,9 +9,9 @@ from vwnav.types import Array
 
 G_M_S2 = 9.80665
 DT_S = 0.01
-CLIMB_S = 10.0
 _HILL_M = 400.0  # from foot to foot
 _RELIEF = ((0.012, 0.009, 0.3), (-0.021, 0.011, 1.1), (0.017, -0.026, 2.9), (0.005, 0.024, 4.4))
+_SLOWING_S = 2.0  # of the climb, at its end
 _LEAD_S = 5.0  # of hovering after the climb
 _REACTION_S = 0.2  # of the attitude loop
 _TURN_GAIN_PER_S = 4.0
@@ -32,6 +32,7 @@ class World:
     # The flight
     seconds: float = 600.0
     height_m: float = 50.0  # above home
+    climb_s: float = 10.0  # from take-off to there, with the slowing down at its end
     speed_m_s: float = 10.0
     leg_s: float = 20.0
     hover_share: float = 0.15  # of the legs
@@ -108,7 +109,7 @@ def ground_m(north_m: Array, east_m: Array, world: World) -> Array:
 
 
 def fly(world: World, rngs: list[np.random.Generator]) -> list[Truth]:
-    """Climb straight up for 10 s, then legs of changing course. One flight per generator.
+    """Climb straight up, then legs of changing course. One flight per generator.
 
     All are computed side by side; each is the same whatever others are beside it.
     """
@@ -127,10 +128,11 @@ def fly(world: World, rngs: list[np.random.Generator]) -> list[Truth]:
     target = np.zeros((runs, 3))
     directions = np.stack([np.cos(courses), np.sin(courses)], axis=2) * speeds[..., None]
     limit_rad_s = math.radians(world.turn_deg_s)
+    climb_m_s = -world.height_m / (world.climb_s - _SLOWING_S)
     for i in range(n):
         target[:, :2] = directions[i]
         up_m = -world.height_m if i * DT_S > 0.5 else 0.0
-        target[:, 2] = np.clip(up_m - p[:, 2], -world.height_m / 8.0, 2.0)
+        target[:, 2] = np.clip(up_m - p[:, 2], climb_m_s, 2.0)
         drag = -world.drag_per_s * (v - wind - gust)
         wanted = np.clip(1.5 * (target - v), -_MOST_ACCELERATION_M_S2, _MOST_ACCELERATION_M_S2)
         thrust = thrust + (DT_S / _REACTION_S) * (wanted - drag - thrust)
@@ -165,8 +167,8 @@ def _agl_m(position_ned_m: Array, world: World) -> Array:
 def _commands(world: World, n: int, rngs: list[np.random.Generator]) -> tuple[Array, Array]:
     """Courses (n, runs) in radians and speeds (n, runs)."""
     t_s = np.arange(n) * DT_S
-    legs = int(max(world.seconds - CLIMB_S, 0.0) / world.leg_s) + 1
-    leg = np.clip(np.floor((t_s - CLIMB_S) / world.leg_s), 0, legs - 1).astype(int)
+    legs = int(max(world.seconds - world.climb_s, 0.0) / world.leg_s) + 1
+    leg = np.clip(np.floor((t_s - world.climb_s) / world.leg_s), 0, legs - 1).astype(int)
     courses, speeds = np.zeros((2, n, len(rngs)))
     for k, rng in enumerate(rngs):
         turns = np.radians(rng.uniform(60.0, 180.0, legs)) * rng.choice([-1.0, 1.0], legs)
@@ -179,7 +181,7 @@ def _commands(world: World, n: int, rngs: list[np.random.Generator]) -> tuple[Ar
             which = np.clip(np.searchsorted(at, t_s, side="right") - 1, 0, None)
             courses[:, k] = np.radians(headings)[which]
             speeds[:, k] = world.speed_m_s
-    speeds[t_s < CLIMB_S + _LEAD_S] = 0.0
+    speeds[t_s < world.climb_s + _LEAD_S] = 0.0
     return courses, speeds
 
 

@@ -11,7 +11,7 @@ from vwnav.config import Config
 from vwnav.drivers.tape import About
 from vwnav.errors import ModelError
 from vwnav.estimation.context import Ground
-from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.ekf import Ekf, EkfConfig
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
@@ -58,8 +58,9 @@ def assemble(
     config: Config,
     executor: Executor,
     say: Callable[[str], None],
+    make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
 ) -> Assembled:
-    """Build the pipeline.
+    """Build the pipeline. `make_ekf` lets the benchmark listen to the filter.
 
     Raises:
         ModelError: the pack's features were made by another model.
@@ -73,7 +74,7 @@ def assemble(
     choice = FeatureChoice(
         localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
     )
-    ekf = Ekf(config.ekf, ground=ground_of(pack, local_frame))
+    ekf = make_ekf(config.ekf, ground_of(pack, local_frame))
     odometry = Odometry(camera, config.odometry)
     pipeline = Pipeline(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,

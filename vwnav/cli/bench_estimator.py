@@ -1,4 +1,4 @@
-"""`vwnav bench estimator`: Monte-Carlo of the filter on simulated sensor streams."""
+"""`vwnav bench estimator`: Monte-Carlo of the filter on sensor streams and rendered pictures."""
 
 import json
 from pathlib import Path
@@ -8,16 +8,31 @@ import typer
 
 if TYPE_CHECKING:
     from vwnav.bench.estimator_scenarios import Metric, Scenario
+    from vwnav.bench.rendered_scenarios import RenderedScenario
+    from vwnav.types import FeatureName
+
+_NOMINAL_S = 600.0
 
 
 def estimator(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Flights of each scenario.")] = 20,
     scenario: Annotated[
-        list[str] | None, typer.Option("--scenario", help="Only this one; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--scenario",
+            help="Only this one; may be repeated. rendered and rendered-odometry (also with -imu) "
+            "fly with rendered pictures: a minute a flight, so they are flown only where named.",
+        ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=60.0, help="Length of a nominal flight.")
-    ] = 600.0,
+        float | None,
+        typer.Option(
+            "--seconds", min=60.0, help="Length of a nominal (600) or rendered (130) flight."
+        ),
+    ] = None,
+    features: Annotated[
+        str, typer.Option("--features", help="Of rendered flights: learned or sift.")
+    ] = "learned",
     seed: Annotated[int, typer.Option("--seed", help="Flight k of a seed is always the same.")] = 0,
     json_: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     output: Annotated[
@@ -26,15 +41,21 @@ def estimator(
 ) -> None:
     """How wrong the filter is, and how well it knows: RMSE, NEES, NIS, coverage, drift."""
     from vwnav.bench.estimator import as_json, bench
+    from vwnav.bench.estimator_scenarios import Scenario
+    from vwnav.cli.rendered_flying import bench_rendered
     from vwnav.cli.screen import LiveLine
     from vwnav.drivers.run_folder import make_run_folder
 
+    scenarios, matching = _choose(scenario or [], seconds), _matching(features)
     if output is not None:
         make_run_folder(output, "bench")
     results = {}
-    for chosen in _choose(scenario or [], seconds):
+    for chosen in scenarios:
         with LiveLine() as line:
-            metrics = bench(chosen, runs, seed, output, lambda text: line.show(0.0, text))
+            if isinstance(chosen, Scenario):
+                metrics = bench(chosen, runs, seed, output, lambda text: line.show(0.0, text))
+            else:
+                metrics = bench_rendered(chosen, runs, seed, seconds, matching, output, line.show)
         results[chosen.name] = as_json(metrics)
         if not json_:
             _print(chosen.name, runs, metrics)
@@ -45,19 +66,29 @@ def estimator(
         print(json.dumps(summary))
 
 
-def _choose(names: list[str], seconds: float) -> "list[Scenario]":
+def _matching(features: str) -> "FeatureName":
+    if features == "learned":
+        return "learned"
+    if features == "sift":
+        return "sift"
+    raise typer.BadParameter(f"no features {features!r} here; there are learned and sift")
+
+
+def _choose(names: list[str], seconds: float | None) -> "list[Scenario | RenderedScenario]":
     from dataclasses import replace
 
     from vwnav.bench.estimator_scenarios import SCENARIOS
+    from vwnav.bench.rendered_scenarios import RENDERED
 
-    known = {s.name: s for s in SCENARIOS}
+    known: dict[str, Scenario | RenderedScenario] = {s.name: s for s in SCENARIOS}
+    nominal = SCENARIOS[0]
+    known["nominal"] = replace(nominal, world=replace(nominal.world, seconds=seconds or _NOMINAL_S))
+    unasked = list(known)
+    known |= {s.name: s for s in RENDERED}
     unknown = [name for name in names if name not in known]
     if unknown:
         raise typer.BadParameter(f"no scenario {unknown[0]!r}; there are {', '.join(known)}")
-    known["nominal"] = replace(
-        known["nominal"], world=replace(known["nominal"].world, seconds=seconds)
-    )
-    return [known[name] for name in names] if names else list(known.values())
+    return [known[name] for name in names or unasked]
 
 
 def _print(name: str, runs: int, metrics: "list[Metric]") -> None:

@@ -60,7 +60,9 @@ class OdometryConfig:
     keep_turn_rad: float = math.radians(8.0)  # Lucas-Kanade does not turn its windows
     keep_zoom: float = 0.12  # nor does it scale them: relative change of height
     # What attitudes leave open
-    tilt_increment_rad: float = math.radians(0.1)  # between keyframe and picture: vibration
+    # Keyframe to picture: an error of 2 degrees that turns with the body by `keep_turn_rad` changes
+    # by 0.28. The smaller this is, the larger a share of it is taken for motion.
+    tilt_increment_rad: float = math.radians(0.3)
     tilt_increment_level_rad: float = math.radians(2.0)  # when level is assumed
     yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
     slope: float = 0.05  # of the ground, with the attitude's own error

@@ -1,0 +1,204 @@
+"""Rendered flights through the very pipeline that flies, in simulated time."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from heapq import merge
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vwnav.bench.estimator_plots import save_error_plot
+from vwnav.bench.estimator_run import START_SIGMA_M, Run, against
+from vwnav.bench.estimator_scenarios import Metric
+from vwnav.bench.estimator_streams import Event, Stream
+from vwnav.bench.rendered_clock import HeardEkf, LateExecutor, SimulatedClock
+from vwnav.bench.rendered_errors import with_errors
+from vwnav.bench.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
+from vwnav.bench.rendered_scenarios import Flown, RenderedScenario
+from vwnav.cli.assemble import assemble, choose_features
+from vwnav.cli.screen import say
+from vwnav.cli.simulation import map_pack_of
+from vwnav.config import Config
+from vwnav.drivers.attitude_track import AttitudeTrack
+from vwnav.drivers.track_picture import TrackPicture
+from vwnav.estimation.ekf import Start
+from vwnav.estimation.events import Height
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import Pipeline, Sensors, StepResult
+from vwnav.sim.renderer import default_camera
+from vwnav.types import Attitude, Estimate, FeatureName, Frame, ImuSample, Rejected, RejectReason
+
+PICTURE_LATE_S = 0.04  # from exposure to the pipeline
+_ESTIMATES_HZ = 5.0
+_ATTITUDE_GAP_S = 0.1
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigated:
+    """What came out of the pipeline: estimates at a steady rate, and each picture's result."""
+
+    estimates: list[Estimate]
+    steps: list[StepResult]
+
+
+def bench_rendered(
+    scenario: RenderedScenario,
+    runs: int,
+    seed: int,
+    seconds: float | None,
+    features: FeatureName,
+    folder: Path | None,
+    show: Callable[[float, str], None],
+) -> list[Metric]:
+    """Fly one scenario and judge it; tracks over the map and errors over time go to the folder.
+
+    Raises:
+        VwnavError: plots are wanted and their package is missing.
+    """
+    length_s = seconds or RENDERED_S
+    flown: list[Flown] = []
+    for number in range(runs):
+        name = f"{scenario.name}-{number + 1}"
+
+        def progress(t_s: float, number: int = number) -> None:
+            text = f"{scenario.name}: flight {number + 1} of {runs}, {t_s:.0f} of {length_s:.0f} s"
+            show(number * length_s + t_s, text)
+
+        picture = None if folder is None else folder / f"{name}-track.png"
+        flight = plan_flight(number, seed, length_s, scenario.imu_hz)
+        frames = pictures(flight, default_camera())
+        flown.append(fly_rendered(flight, frames, scenario.most_fixes, features, progress, picture))
+        if folder is not None:
+            save_error_plot(flown[-1].run, folder / f"{name}.png")
+    return scenario.judge(flown)
+
+
+def fly_rendered(
+    flight: RenderedFlight,
+    frames: Iterable[Frame],
+    most_fixes: int,
+    features: FeatureName,
+    progress: Progress,
+    picture: Path | None = None,
+) -> Flown:
+    """Navigate one flight, then hold it against its truth.
+
+    Args:
+        flight: what the autopilot says in it; its truth is not looked at before the end.
+        frames: what the camera sees.
+        most_fixes: the map is asked until it has given so many; 0 is no limit.
+        features: of the map matching.
+        progress: told the time of each picture.
+        picture: where to draw the track over the map.
+    """
+    cv2.setNumThreads(1)  # the same flight gives the same trajectory
+    clock = SimulatedClock()
+    local_frame = LocalFrame(flight.site.home_lat_deg, flight.site.home_lon_deg, 0.0)
+    primary, fallback = choose_features(features, None, say)
+    extractors = [primary, *([fallback] if fallback else [])]
+    with MapPack.open(map_pack_of(f"sim:{flight.site.seed}", extractors)) as pack:
+        assembled = assemble(
+            pack, default_camera(), features, None, local_frame, _config(most_fixes),
+            _executor(flight, clock), say, partial(HeardEkf, clock=clock),
+        )  # fmt: skip
+        ekf = assembled.ekf
+        assert isinstance(ekf, HeardEkf)
+        ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=START_SIGMA_M))
+        done = _navigate(assembled.pipeline, clock, frames, flight.telemetry, progress)
+        if picture is not None:
+            _draw(done, flight, TrackPicture(pack, local_frame), picture)
+    return _flown(flight, ekf, done)
+
+
+def _config(most_fixes: int) -> Config:
+    config = Config()
+    asked = replace(config.pipeline, most_fixes=most_fixes)
+    return config.model_copy(update={"pipeline": asked})
+
+
+def _executor(flight: RenderedFlight, clock: SimulatedClock) -> LateExecutor:
+    """Fixes are as late as in the fast benchmark, counted from the exposure."""
+    low_s, high_s = flight.world.fix_latency_s
+    lateness_s = low_s - PICTURE_LATE_S, high_s - PICTURE_LATE_S
+    return LateExecutor(clock, lateness_s, flight.latencies)
+
+
+def _navigate(
+    pipeline: Pipeline,
+    clock: SimulatedClock,
+    frames: Iterable[Frame],
+    telemetry: list[Event],
+    progress: Progress,
+) -> Navigated:
+    """Hand everything in as it arrives."""
+    track = AttitudeTrack(_ATTITUDE_GAP_S)
+    height: Height | None = None
+    done, due = Navigated([], []), 1
+    for arrival_s, arrived in _in_order(frames, telemetry):
+        while due / _ESTIMATES_HZ <= arrival_s:
+            now = pipeline.estimate(due / _ESTIMATES_HZ)
+            assert now is not None  # it was started on the ground
+            done.estimates.append(now)
+            due += 1
+        clock.now_s = arrival_s
+        match arrived:
+            case Attitude():
+                track.add(arrived.t_s, arrived.quat_wxyz)
+                pipeline.sense(arrival_s, Sensors(attitude=arrived))
+            case ImuSample():
+                pipeline.sense(arrival_s, Sensors(imu=(arrived,)))
+            case Height():
+                height = arrived
+                pipeline.sense(arrival_s, _sensors(None, height))
+            case Frame():
+                sensors = _sensors(track.at(arrived.t_s), height)
+                done.steps.append(pipeline.step(arrived, sensors))
+                progress(arrived.t_s)
+    return done
+
+
+def _in_order(frames: Iterable[Frame], telemetry: list[Event]) -> Iterator[tuple[float, object]]:
+    """(arrival, what arrives); pictures are drawn when their turn comes."""
+    told = ((event.arrival_s, event.seen) for event in telemetry)
+    seen = ((frame.t_s + PICTURE_LATE_S, frame) for frame in frames)
+    return merge(told, seen, key=lambda pair: pair[0])
+
+
+def _sensors(attitude: Attitude | None, height: Height | None) -> Sensors:
+    if height is None:
+        return Sensors(attitude=attitude)
+    return Sensors(attitude=attitude, height_m=height.height_m, height_t_s=height.t_s)
+
+
+def _flown(flight: RenderedFlight, ekf: HeardEkf, done: Navigated) -> Flown:
+    assert ekf.state is not None
+    answers = with_errors(ekf.answers, flight.truth)
+    stream = Stream(flight.truth, [event for event, _ in answers], flight.measured_yaw_rad)
+    run = Run(
+        stream,
+        against(flight.truth, done.estimates),
+        done.estimates,
+        answers,
+        ekf.state,
+        np.array(ekf.cost_s),
+        float(np.sum(ekf.cost_s)),
+    )
+    idle = (RejectReason.NOT_TRIED, RejectReason.TOO_LOW)
+    outcomes = [
+        step.outcome
+        for step in done.steps
+        if not (isinstance(step.outcome, Rejected) and step.outcome.reason in idle)
+    ]
+    return Flown(run, outcomes)
+
+
+def _draw(done: Navigated, flight: RenderedFlight, track: TrackPicture, path: Path) -> None:
+    for step in done.steps:
+        track.add(step)
+        track.add_truth(flight.truth.position_ned_m[flight.truth.index(step.t_s)])
+    track.save(path)
