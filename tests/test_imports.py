@@ -27,7 +27,7 @@ ALLOWED = {
     "pipeline": BASE | {"geometry", "estimation"},
     "flight": BASE | {"geometry", "guidance", "safety"},
     "runtime": BASE | {"safety", "pipeline", "flight"},
-    "drivers": BASE | {"geometry", "maps", "pipeline", "safety"},
+    "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
     "bench": BASE | {"geometry", "maps", "vision", "estimation", "drivers", "sim"},
     "config": BASE

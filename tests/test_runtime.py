@@ -12,7 +12,7 @@ from vehicles import FLYING
 from vwnav.flight import FlightEnd
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.envelope import is_flyable
-from vwnav.types import Attitude, Estimate, Frame
+from vwnav.types import Attitude, Estimate, Frame, ImuSample
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 ESTIMATE = Estimate(
@@ -41,6 +41,9 @@ class Link:
     def attitude_at(self, t_s):
         return VEHICLE.attitude
 
+    def take_imu(self):
+        return (ImuSample(time.monotonic(), np.array([0.0, 0.0, -9.8]), np.zeros(3)),)
+
     def send_estimate(self, estimate):
         self.sent.append(estimate)
         self.sent_s.append(time.monotonic())
@@ -54,6 +57,7 @@ class Path:
     stall_s: float = 0.0
     broken: bool = False
     sensed: int = 0
+    imu: list = field(default_factory=list)
     steps: int = 0
 
     def estimate(self, t_s):
@@ -61,6 +65,7 @@ class Path:
 
     def sense(self, t_s, sensors):
         self.sensed += 1
+        self.imu += sensors.imu
 
     def step(self, frame, sensors):
         self.steps += 1
@@ -112,6 +117,7 @@ def test_estimates_and_telemetry_go_on_while_a_picture_stalls():
     assert path.steps == 1
     assert len(link.sent) >= 5
     assert path.sensed >= 5
+    assert len(path.imu) == path.sensed  # each sample once
 
 
 def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix():

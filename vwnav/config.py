@@ -62,7 +62,7 @@ def load_config(path: Path | None) -> Config:
     try:
         return Config(**content)
     except ValidationError as error:
-        raise ConfigError(f"settings {path}: {_explain(error)}") from error
+        raise ConfigError(f"settings {path}: {explain(error)}") from error
 
 
 def save_config(config: Config, path: Path) -> None:
@@ -84,7 +84,7 @@ def _toml(value: Any) -> str:
     raise TypeError(f"no setting may be a {type(value).__name__}")
 
 
-def _explain(error: ValidationError) -> str:
+def explain(error: ValidationError) -> str:
     """The first fault, and the nearest known name of an unknown key."""
     fault = error.errors()[0]
     where = [str(part) for part in fault["loc"]]

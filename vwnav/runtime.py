@@ -13,7 +13,7 @@ from typing import Protocol
 from vwnav.flight import Flight, FlightEnd
 from vwnav.pipeline import Pipeline, Sensors, StepResult
 from vwnav.safety.envelope import is_flyable
-from vwnav.types import Autopilot, Estimate, Frame, FrameSource, VehicleState
+from vwnav.types import Autopilot, Estimate, Frame, FrameSource, ImuSample, VehicleState
 
 log = logging.getLogger(__name__)
 
@@ -22,9 +22,12 @@ TICK_HZ = 20.0
 MAX_BAD_FRAMES = 30  # pictures in a row that break the pipeline before vision is given up
 
 
-def _between_pictures(vehicle: VehicleState) -> Sensors:
+def _between_pictures(vehicle: VehicleState, imu: tuple[ImuSample, ...]) -> Sensors:
     return Sensors(
-        attitude=vehicle.attitude, height_m=vehicle.height_m, height_t_s=vehicle.height_t_s
+        attitude=vehicle.attitude,
+        height_m=vehicle.height_m,
+        height_t_s=vehicle.height_t_s,
+        imu=imu,
     )
 
 
@@ -105,8 +108,8 @@ class FlightRuntime:
     def _stream_estimates(self) -> None:
         trusted = True
         for t_s in self._beats(ESTIMATE_HZ):
-            vehicle = self._autopilot.state()
-            self._pipeline.sense(t_s, _between_pictures(vehicle))
+            sensors = _between_pictures(self._autopilot.state(), self._autopilot.take_imu())
+            self._pipeline.sense(t_s, sensors)
             estimate = self._pipeline.estimate(t_s)
             if estimate is None:
                 continue

@@ -216,11 +216,14 @@ class ImuSample:
     Attributes:
         specific_force_m_s2: what the accelerometers feel: (0, 0, -9.8) at rest and level.
         rates_rad_s: body rates.
+        span_s: since the sample before by the sensor's own clock, which no correction of ours
+            makes jump; None where that is not known.
     """
 
     t_s: float
     specific_force_m_s2: Array
     rates_rad_s: Array
+    span_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -332,6 +335,10 @@ class Autopilot(Protocol):
 
     def attitude_at(self, t_s: float) -> Attitude | None:
         """Attitude at an exposure, None where telemetry does not reach."""
+        ...
+
+    def take_imu(self) -> tuple[ImuSample, ...]:
+        """The IMU's samples since the last call, oldest first; none where it is not streamed."""
         ...
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:

@@ -81,6 +81,18 @@ def test_rates_are_asked_for(px4):
     assert asked[0] == 200000.0
     assert 230 in asked
     assert 193 not in asked
+    assert wait_for(lambda: 105 in peer.streamed)
+
+
+def test_the_imu_arrives_on_our_clock(px4):
+    _, autopilot = px4
+    autopilot.take_imu()
+    first = wait_for(autopilot.take_imu)[0]
+    assert first.t_s == pytest.approx(time.monotonic(), abs=0.5)
+    assert first.specific_force_m_s2 == pytest.approx([0.0, 0.0, -9.80665])
+    assert first.rates_rad_s == pytest.approx([0.0, 0.0, 0.1])
+    time.sleep(0.1)
+    assert all(sample.t_s > first.t_s for sample in autopilot.take_imu())
 
 
 def test_everything_names_the_autopilots_own_system(px4):

@@ -4,9 +4,19 @@ import time
 
 import pytest
 from autopilot_links import estimate, has_origin, link
-from link_peer import COPTER_BRAKE, COPTER_GUIDED, COPTER_LAND, wait_for
+from link_peer import (
+    COPTER_BRAKE,
+    COPTER_GUIDED,
+    COPTER_LAND,
+    HIGHRES_IMU,
+    RAW_IMU,
+    Peer,
+    free_port,
+    wait_for,
+)
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.types import FlightMode
 
 
@@ -66,3 +76,17 @@ def test_copter_parameters_are_checked(copter):
     assert findings["VISO_TYPE"].present == 0.0
     assert "EK3_SRC1_POSXY" not in findings
     assert "GPS1_TYPE" not in findings
+
+
+def test_a_copter_without_highres_imu_is_asked_for_its_raw_one():
+    port = free_port()
+    with Peer(port, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) as peer:
+        peer.unknown = {HIGHRES_IMU}
+        autopilot = MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=10.0)
+        try:
+            sample = wait_for(autopilot.take_imu)[0]
+        finally:
+            autopilot.close()
+    assert peer.streamed & {HIGHRES_IMU, RAW_IMU} == {RAW_IMU}
+    assert sample.specific_force_m_s2 == pytest.approx([0.0, 0.0, -9.80665])
+    assert sample.rates_rad_s == pytest.approx([0.0, 0.0, 0.1])

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -10,7 +11,7 @@ from mcap.reader import make_reader
 
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.recorder import Recorder, plain
-from vwnav.drivers.recording import RecordedFrames, read_recording
+from vwnav.drivers.recording import RecordedFrames, is_cut_off, read_recording
 from vwnav.drivers.telemetry_files import load_telemetry
 from vwnav.errors import SourceError, VwnavError
 from vwnav.types import (
@@ -117,12 +118,81 @@ def test_the_flight_never_waits_for_the_disk(tmp_path):
     recorder = Recorder(tmp_path / "a.mcap", {}, picture_rate_hz=1000.0)
     big = np.random.default_rng(0).integers(0, 255, (1080, 1920), np.uint8)
     start_s = time.perf_counter()
-    for i in range(2000):
+    for i in range(30_000):
         recorder.frame(Frame(i / 1000, big, i))
         recorder.event(i / 1000, "x")
     assert time.perf_counter() - start_s < 0.5
     assert recorder.dropped > 0
     recorder.close()
+
+
+FULL_DISK = """
+import resource, sys, time
+from pathlib import Path
+from vwnav.drivers.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1]), {})
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+for i in range(260):
+    recorder.tape("/filter", i / 100, lambda i=i: {"text": str(hash(str(i))), "number": i})
+    recorder.event(i / 100, str(i))
+    time.sleep(0.01)
+recorder.close()
+print("landed")
+"""
+
+
+def test_a_full_disk_ends_the_recording_with_one_line_and_not_the_flight(tmp_path):
+    path = tmp_path / "full.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (0, "landed\n")
+    assert done.stderr.count("\n") == 1
+    assert "recording has stopped, the flight goes on" in done.stderr
+    numbers = [r.content["number"] for r in read_recording(path, frozenset({"/filter"}))]
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) > 50
+    assert is_cut_off(path)
+
+
+def test_a_sequence_ends_where_the_disk_falls_too_far_behind(tmp_path, caplog):
+    recorder = Recorder(tmp_path / "a.mcap", {})
+    stalled = threading.Event()
+    recorder.tape("/filter", 0.0, lambda: {"number": 0, "late": stalled.wait()})
+    for i in range(1, 30_000):
+        recorder.tape("/filter", i / 100, lambda i=i: {"number": i})
+    stalled.set()
+    dropped = -1
+    while dropped < recorder.dropped:  # until the disk has caught up and takes messages again
+        dropped = recorder.dropped
+        time.sleep(0.1)
+        recorder.event(300.0, "x")
+    recorder.tape("/filter", 301.0, lambda: {"number": -1})
+    recorder.close()
+    filtered = read_recording(tmp_path / "a.mcap", frozenset({"/filter"}))
+    numbers = [r.content["number"] for r in filtered]
+    assert numbers == list(range(len(numbers)))
+    assert 10_000 < len(numbers) < 30_000
+    assert sum("cannot be replayed" in r.message for r in caplog.records) == 1
+
+
+def test_a_stamp_that_is_no_time_does_not_end_the_recording(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap", {})
+    for t_s in (float("nan"), float("inf"), -1e300, 1e300, 2.0):
+        recorder.event(t_s, "x")
+    recorder.close()
+    assert [r.t_s for r in read_recording(tmp_path / "a.mcap")] == [0.0, 0.0, 0.0, 9e9, 2.0]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+def test_a_recording_cut_off_anywhere_is_read_to_there(tmp_path, share):
+    record(tmp_path / "a.mcap")
+    whole = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
+    stamps = [r.t_s for r in read_recording(tmp_path / "a.mcap")]
+    kept = [r.t_s for r in read_recording(tmp_path / "cut.mcap")]
+    assert kept == stamps[: len(kept)]
+    assert (is_cut_off(tmp_path / "cut.mcap"), is_cut_off(tmp_path / "a.mcap")) == (True, False)
 
 
 def test_a_file_is_never_overwritten(tmp_path):

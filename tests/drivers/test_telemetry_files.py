@@ -1,13 +1,19 @@
 """Recorded telemetry: CSV, ULog, tlog."""
 
 import gzip
+import itertools
 import math
 
+import numpy as np
 import pytest
 
 from vwnav.drivers.telemetry_files import load_telemetry
 from vwnav.errors import SourceError
-from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    rotation_from_quat,
+    vector_from_rotation,
+)
 
 
 def csv_of(tmp_path, text: str, start_s: float = 0.0):
@@ -120,6 +126,27 @@ def test_tlog_height_agrees_with_its_rangefinder(data, name):
         tilt = rotation_from_quat(sensors.attitude.quat_wxyz)[2, 2]
         assert sensors.height_m == pytest.approx(sensors.rangefinder_m * tilt, abs=0.8)
     assert len(hover) > 10
+
+
+@pytest.mark.parametrize(
+    "name", ["px4-1.18_agp_1hz_300ms_gpsdenied.ulg", "px4-1.18_nominal.tlog.gz"]
+)
+def test_the_imu_of_a_log_comes_once_each_and_turns_as_the_attitude_does(data, name):
+    telemetry = load_telemetry(data / "mavlink" / name)
+    samples = [s for t in range(30, 50) for s in telemetry.at(t + 1.0, float(t)).imu]
+    assert telemetry.at(40.0).imu == ()
+    times_s = np.array([sample.t_s for sample in samples])
+    assert np.all(np.diff(times_s) > 0.0)
+    assert 30.0 < times_s[0] < 30.1
+    assert 49.9 < times_s[-1] <= 50.0
+    rates = np.array([sample.rates_rad_s for sample in samples])
+    counted = np.trapezoid(rates, times_s, axis=0)
+    quats = [telemetry.at(t).attitude.quat_wxyz for t in np.arange(30.0, 50.0, 0.02)]
+    turns = [
+        vector_from_rotation(rotation_from_quat(a).T @ rotation_from_quat(b))
+        for a, b in itertools.pairwise(quats)
+    ]
+    assert counted == pytest.approx(np.sum(turns, axis=0), abs=math.radians(5.0))
 
 
 def test_a_tlog_that_is_cut_off_gives_what_is_there(data, tmp_path):

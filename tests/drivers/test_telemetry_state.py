@@ -3,6 +3,7 @@
 import gzip
 import struct
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -43,6 +44,21 @@ def replay(path) -> list[tuple[float, VehicleState, bool | None]]:
             states.append((t_s, telemetry.state(t_s), telemetry.aiding(t_s)))
             next_s = t_s + 0.1
     return states
+
+
+def imu_of(path, without: str = ""):
+    """All samples of a recording, taken every half second."""
+    telemetry, samples, next_s = TelemetryState(), [], 0.0
+    for t_s, message in messages(path):
+        if message.get_type() == without:
+            continue
+        values = {name: getattr(message, name) for name in message.fieldnames}
+        fields = {name: None if value != value else value for name, value in values.items()}
+        telemetry.handle(message.get_type(), fields, t_s)
+        if t_s >= next_s:
+            samples += telemetry.take_imu()
+            next_s = t_s + 0.5
+    return samples
 
 
 def modes(states) -> list[FlightMode]:
@@ -122,6 +138,28 @@ def test_copter_is_ready_only_with_flag_0x10(copter_flight):
     assert at(copter_flight, 60.0)[0].local_position_ok
     assert not at(copter_flight, 73.5)[0].local_position_ok
     assert at(copter_flight, 60.0)[0].rc_available
+
+
+@pytest.mark.parametrize("name", ["px4-1.18_nominal", "arducopter-4.7dev_extnav_nogps"])
+def test_the_imu_is_heard_in_order_and_feels_gravity_at_rest(data, name):
+    samples = imu_of(data / f"mavlink/{name}.tlog.gz")
+    times_s = np.array([sample.t_s for sample in samples])
+    assert np.all(np.diff(times_s) > 0.0)
+    assert np.median(np.diff(times_s)) < 0.045
+    at_rest = np.median([sample.specific_force_m_s2 for sample in samples[:50]], axis=0)
+    assert at_rest == pytest.approx([0.0, 0.0, -9.81], abs=0.05)
+    assert max(abs(sample.rates_rad_s).max() for sample in samples) > 0.3
+
+
+def test_arducopters_raw_imu_says_the_same_as_its_highres_one(data):
+    path = data / "mavlink/arducopter-4.7dev_extnav_nogps.tlog.gz"
+    fine, raw = imu_of(path), imu_of(path, without="HIGHRES_IMU")
+    times_s = np.array([sample.t_s for sample in fine])
+    forces = np.array([sample.specific_force_m_s2 for sample in fine])
+    assert len(raw) > 500
+    for sample in raw[::20]:
+        nearest = int(np.argmin(np.abs(times_s - sample.t_s)))
+        assert sample.specific_force_m_s2 == pytest.approx(forces[nearest], abs=0.3)
 
 
 def test_px4_1_16_pressure_in_pascal_is_a_height_too(data):

@@ -16,6 +16,7 @@ COPTER_GUIDED, COPTER_BRAKE, COPTER_LAND, COPTER_LOITER = 4, 17, 9, 5
 PX4 = mavlink.MAV_AUTOPILOT_PX4
 NEVER_BROADCAST = ("COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_SET", "SET_GPS_GLOBAL_ORIGIN")
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
+HIGHRES_IMU, RAW_IMU = 105, 27
 
 
 class Peer:
@@ -30,6 +31,8 @@ class Peer:
         self.flags, self.prearm, self.landed_state = 0x1FF, True, 1
         self.pressure_hpa, self.yaw_rad, self.time_skew_s = 1008.0, 0.5, 0.0
         self.refuse: dict[int, int] = {}
+        self.unknown: set[int] = set()  # messages that it cannot stream
+        self.streamed: set[int] = set()
         self.params: dict[str, tuple[float, int]] = {}
         self.origin: tuple[int, int, int] | None = None
         self.keeps_origin = False
@@ -91,9 +94,18 @@ class Peer:
             ms = int(self.boot_s() * 1e3)
             self.send(mavlink.MAVLink_attitude_message(ms, 0.1, -0.2, self.yaw_rad, 0, 0, 0.0))
             self.send(mavlink.MAVLink_scaled_pressure_message(ms, self.pressure_hpa, 0.0, 1500))
+            self._speak_of_motion(ms * 1000)
         if now_s >= due["slow"]:
             due["slow"] = now_s + 0.2
             self._speak_slowly()
+
+    def _speak_of_motion(self, us: int) -> None:
+        """At rest and level, turning right at 0.1 rad/s."""
+        if HIGHRES_IMU in self.streamed:
+            felt = (0.0, 0.0, -9.80665, 0.0, 0.0, 0.1)
+            self.send(mavlink.MAVLink_highres_imu_message(us, *felt, *[0.0] * 7, 63))
+        if RAW_IMU in self.streamed:
+            self.send(mavlink.MAVLink_raw_imu_message(us, 0, 0, -1000, 0, 0, 100, 0, 0, 0))
 
     def _speak_slowly(self) -> None:
         health = 0x10000 | (0x10000000 if self.prearm else 0)
@@ -129,6 +141,10 @@ class Peer:
 
     def _obey(self, message: Any) -> None:
         result = self.refuse.get(message.command, ACCEPTED)
+        if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            wanted = int(message.param1)
+            result = DENIED if wanted in self.unknown else result
+            self.streamed |= {wanted} if result == ACCEPTED else set()
         if result == ACCEPTED and message.command == mavlink.MAV_CMD_DO_SET_MODE:
             px4 = self.kind == mavlink.MAV_AUTOPILOT_PX4
             numbers = int(message.param2), int(message.param3)

@@ -66,6 +66,14 @@ def test_a_video_that_ends_in_the_middle_of_a_frame(replay, place, tmp_path):
     assert "cut.mp4" in done.complaint
 
 
+def test_a_recording_that_is_none(vwnav, place, tmp_path):
+    (tmp_path / "flight.mcap").write_bytes(b"no recording, but long enough to look at")
+    done = vwnav("replay", tmp_path / "flight.mcap", "--map", place.pack, "-o", tmp_path / "out")
+    assert done.code == 1
+    assert "not an MCAP file" in done.complaint
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_calibration_for_another_picture_size(replay, tmp_path):
     save_camera(Camera.from_hfov(1920, 1080, 80.0), tmp_path / "camera.json")
     done, out = replay(camera=tmp_path / "camera.json")

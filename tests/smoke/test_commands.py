@@ -61,6 +61,16 @@ def test_the_same_recording_gives_the_same_trajectory(vwnav, place, replayed, tm
     assert first == second
 
 
+def test_a_replay_replays_from_its_own_recording_without_pictures(vwnav, place, replayed, tmp_path):
+    recording = replayed[1] / "flight.mcap"
+    done = vwnav("replay", recording, "--map", place.pack, "-o", tmp_path / "b", blocked=False)
+    assert done.code == 0, done.err
+    assert "byte for byte" in done.err
+    first, second = ((f / "trajectory.csv").read_bytes() for f in (replayed[1], tmp_path / "b"))
+    assert first == second
+    assert read_run(tmp_path / "b")["fixes"] == read_run(replayed[1])["fixes"]
+
+
 @pytest.mark.parametrize("features", ["learned", "sift"])
 def test_replay_with_telemetry_gives_the_nadir(vwnav, place, tmp_path, features):
     done = vwnav(

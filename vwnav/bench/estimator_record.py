@@ -7,27 +7,19 @@ from typing import Any
 import foxglove
 import numpy as np
 
-from vwnav.bench.estimator_streams import Event, HeightSeen, Seen, Stream, Table
+from vwnav.bench.estimator_streams import Event, Stream, Table
 from vwnav.bench.estimator_world import Truth, World
 from vwnav.drivers.recorder import plain
 from vwnav.drivers.recording import read_recording
 from vwnav.errors import SourceError
-from vwnav.estimation.ekf import NedFix
-from vwnav.types import Array, Attitude, ImuSample, OdometryMotion
+from vwnav.estimation.inputs import Asked, decode, encode
+from vwnav.estimation.states import Start
 
 _SENSORS, _TABLE = "/sensors", "/table"
-_KINDS: dict[str, type[Any]] = {
-    "attitude": Attitude, "imu": ImuSample, "height": HeightSeen, "odometry": OdometryMotion,
-    "fix": NedFix,
-}  # fmt: skip
-_NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
 def save_stream(stream: Stream, path: Path) -> None:
-    """Write the events in order of arrival; the truth stays out of it.
-
-    Numbers are written as JSON, which keeps every bit of a double.
-    """
+    """Write the events in order of arrival; the truth stays out of it."""
     context = foxglove.Context()
     with foxglove.open_mcap(path, context=context):
         schema = {"type": "object"}
@@ -36,11 +28,7 @@ def save_stream(stream: Stream, path: Path) -> None:
             table = foxglove.Channel(_TABLE, schema=schema, context=context)
             table.log(plain(stream.ground), log_time=0)
         for event in stream.events:
-            content = {
-                "kind": _NAMES[type(event.seen)],
-                "arrival_s": event.arrival_s,
-                "seen": plain(event.seen),
-            }
+            content = {"arrival_s": event.arrival_s, "seen": encode(event.seen)}
             sensors.log(content, log_time=round(event.arrival_s * 1e9))
 
 
@@ -59,20 +47,13 @@ def load_stream(path: Path, truth: Truth) -> Stream:
         if record.topic == _TABLE:
             table = _table(record.content)
         else:
-            seen = _seen(record.content["kind"], record.content["seen"])
+            seen = decode(record.content["seen"])
+            if isinstance(seen, Start | Asked):
+                raise SourceError(f"{path} is no recording of sensor streams")
             events.append(Event(record.content["arrival_s"], seen))
     if not events:
         raise SourceError(f"{path} holds no sensor streams")
     return Stream(truth, events, np.zeros(0), table)
-
-
-def _seen(kind: str, fields: dict[str, Any]) -> Seen:
-    made: Seen = _KINDS[kind](**{name: _value(value) for name, value in fields.items()})
-    return made
-
-
-def _value(value: Any) -> float | Array | None:
-    return np.array(value, dtype=np.float64) if isinstance(value, list) else value
 
 
 def _table(fields: dict[str, Any]) -> Table:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.estimator_streams import Event, Stream, feed
+from vwnav.bench.estimator_streams import Event, Stream
 from vwnav.bench.estimator_world import Truth
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix, Start
 from vwnav.estimation.states import FilterState
@@ -85,7 +85,7 @@ def play(
             estimates.append(ekf.estimate(due / rate_hz))
             due += 1
         event_s = time.process_time()
-        answers.append((event, feed(ekf, event)))
+        answers.append((event, ekf.handle(event.seen)))
         cost_s.append(time.process_time() - event_s)
     busy_s = time.process_time() - begin_s
     assert ekf.state is not None

@@ -27,6 +27,7 @@ _WRONG_RUNS_S = (60.0, 100.0)
 _STEP_S = 60.0
 _TURNING_DEG_S = 15.0
 _AFTER_TURN_S = 1.5
+_IMU_HZ = 50.0  # as asked of the autopilot
 _INSIDE_OF_RUNS = 0.90  # of the times; 0.95 is expected, and a share of times scatters too
 
 
@@ -223,13 +224,19 @@ _SHORT = World(seconds=130.0, hover_share=0.0)
 
 SCENARIOS = (
     Scenario("nominal", World(), judge_nominal),
+    Scenario("nominal-imu", World(imu_hz=_IMU_HZ), judge_nominal),
     Scenario("outage", replace(_SHORT, outages_s=(_OUTAGE_S,)), judge_outage),
-    Scenario("imu", replace(_SHORT, imu_hz=50.0, outages_s=(_OUTAGE_S,)), judge_outage),
+    Scenario("outage-imu", replace(_SHORT, imu_hz=_IMU_HZ, outages_s=(_OUTAGE_S,)), judge_outage),
     Scenario("wrong", replace(_SHORT, wrong_share=0.05), judge_wrong),
     Scenario(
         "agreeing", replace(_SHORT, wrong_share=0.05, wrong_runs_s=_WRONG_RUNS_S), judge_wrong
     ),
     Scenario("compass", replace(_SHORT, yaw_step_deg=20.0, yaw_step_s=_STEP_S), judge_compass),
+    Scenario(
+        "compass-imu",
+        replace(_SHORT, yaw_step_deg=20.0, yaw_step_s=_STEP_S, imu_hz=_IMU_HZ),
+        judge_compass,
+    ),
     Scenario(
         "turns",
         World(seconds=150.0, headings_deg=TURNS_DEG, turn_deg_s=90.0, speed_m_s=5.0),

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator_world import DT_S, G_M_S2, Truth, World, ground_m
-from vwnav.estimation.ekf import Ekf, Innovation, NedFix
+from vwnav.estimation.events import Height, NedFix
+from vwnav.estimation.inputs import Measurement
 from vwnav.geometry.rotations import rotation_from_quat, rotation_from_vector, wrap_pi
 from vwnav.types import Array, Attitude, ImuSample, OdometryMotion
 
@@ -27,22 +28,11 @@ _MAP_LENGTH_M = 50.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightSeen:
-    """A barometric height."""
-
-    t_s: float
-    height_m: float
-
-
-Seen = Attitude | ImuSample | HeightSeen | OdometryMotion | NedFix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Event:
     """Something that reaches the filter. `error_m`: how wrong a fix is, tilt left aside."""
 
     arrival_s: float
-    seen: Seen
+    seen: Measurement
     error_m: float = 0.0
 
 
@@ -70,21 +60,6 @@ class Stream:
     events: list[Event]
     measured_yaw_rad: Array
     ground: Table | None = None
-
-
-def feed(ekf: Ekf, event: Event) -> Innovation:
-    """Hand one event to a filter."""
-    match event.seen:
-        case Attitude():
-            return ekf.handle_attitude(event.seen)
-        case ImuSample():
-            return ekf.handle_imu(event.seen)
-        case HeightSeen(t_s, height_m):
-            return ekf.handle_height(t_s, height_m)
-        case OdometryMotion():
-            return ekf.handle_odometry(event.seen)
-        case NedFix():
-            return ekf.handle_fix(event.seen)
 
 
 def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
@@ -169,14 +144,25 @@ def _attitudes(truth: Truth, errors: _AttitudeErrors) -> list[Event]:
 def _imu(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
     acceleration = np.gradient(truth.velocity_ned_m_s, truth.t_s, axis=0)
     bias = world.imu_bias_m_s2 * rng.normal(size=3)
+    rate_bias = math.radians(world.gyro_bias_deg_s) * rng.normal(size=3)
+    rates = _rates(truth)
     events = []
     for i in range(0, len(truth.t_s), round(1.0 / world.imu_hz / DT_S)):
         R_ned_body = rotation_from_quat(truth.quat_wxyz[i])
         force = R_ned_body.T @ (acceleration[i] - [0.0, 0.0, G_M_S2])
         force += bias + world.imu_noise_m_s2 * rng.normal(size=3)
+        rate = rates[i] + rate_bias + math.radians(world.gyro_noise_deg_s) * rng.normal(size=3)
         t_s = float(truth.t_s[i])
-        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, np.zeros(3))))
+        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, rate)))
     return events
+
+
+def _rates(truth: Truth) -> Array:
+    """(n, 3) body rates, rad/s."""
+    conjugate = truth.quat_wxyz * [1.0, -1.0, -1.0, -1.0]
+    steps = _multiply(conjugate[:-1], truth.quat_wxyz[1:])
+    between = 2.0 * np.sign(steps[:, :1]) * steps[:, 1:] / DT_S
+    return np.vstack([between[:1], 0.5 * (between[:-1] + between[1:]), between[-1:]])
 
 
 def _heights(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
@@ -186,9 +172,7 @@ def _heights(world: World, truth: Truth, rng: np.random.Generator) -> list[Event
         drift_m - truth.position_ned_m[:, 2] + world.baro_noise_m * rng.normal(size=len(drift_m))
     )
     return [
-        Event(
-            float(truth.t_s[i]) + _HEIGHT_LATE_S, HeightSeen(float(truth.t_s[i]), float(heights[i]))
-        )
+        Event(float(truth.t_s[i]) + _HEIGHT_LATE_S, Height(float(truth.t_s[i]), float(heights[i])))
         for i in which
     ]
 

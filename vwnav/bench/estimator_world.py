@@ -55,6 +55,8 @@ class World:
     imu_hz: float = 0.0
     imu_bias_m_s2: float = 0.1
     imu_noise_m_s2: float = 0.5  # of a sample: rotors shake it
+    gyro_bias_deg_s: float = 0.3
+    gyro_noise_deg_s: float = 0.5  # of a sample
     # Barometer
     baro_drift_m: float = 3.0  # over the flight, either way
     baro_noise_m: float = 0.2

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from vwnav.bench.estimator_streams import Event, HeightSeen, Seen
+from vwnav.bench.estimator_streams import Event
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix
+from vwnav.estimation.events import Height
+from vwnav.estimation.inputs import Measurement
 from vwnav.types import Attitude, ImuSample, OdometryMotion
 
 
@@ -81,7 +83,7 @@ class HeardEkf(Ekf):
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
         """As the filter does."""
-        seen = HeightSeen(t_s, height_m)
+        seen = Height(t_s, height_m)
         return self._heard(seen, lambda: super(HeardEkf, self).handle_height(t_s, height_m))
 
     def handle_fix(self, fix: NedFix) -> Innovation:
@@ -92,7 +94,7 @@ class HeardEkf(Ekf):
         """As the filter does."""
         return self._heard(motion, lambda: super(HeardEkf, self).handle_odometry(motion))
 
-    def _heard(self, seen: Seen, handle: Callable[[], Innovation]) -> Innovation:
+    def _heard(self, seen: Measurement, handle: Callable[[], Innovation]) -> Innovation:
         begin_s = time.process_time()
         answer = handle()
         self.cost_s.append(time.process_time() - begin_s)

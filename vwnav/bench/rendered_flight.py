@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.estimator_streams import Event, HeightSeen, sense
+from vwnav.bench.estimator_streams import Event, sense
 from vwnav.bench.estimator_world import DT_S, Truth, World, fly
+from vwnav.estimation.events import Height
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
 from vwnav.sim.camera_source import FRAME_HZ
@@ -66,7 +67,7 @@ def plan_flight(number: int, seed: int, seconds: float, imu_hz: float = 0.0) -> 
     world = replace(world, headings_deg=_legs(legs, world))
     truth = fly(world, [rng])[0]
     stream = sense(world, truth, rng)
-    kinds = Attitude | HeightSeen | ImuSample
+    kinds = Attitude | Height | ImuSample
     told = [event for event in stream.events if isinstance(event.seen, kinds)]
     return RenderedFlight(
         Site(site_seed(number)), world, truth, told, stream.measured_yaw_rad, latencies, noise

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.config import Config
+from vwnav.drivers.tape import About
 from vwnav.errors import ModelError
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig
@@ -15,7 +16,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import FeatureChoice, Pipeline
-from vwnav.types import FeatureExtractor
+from vwnav.types import FeatureExtractor, PointKind
 from vwnav.vision.features import load_features
 from vwnav.vision.localizer import Localizer
 from vwnav.vision.odometry import Odometry
@@ -73,7 +74,7 @@ def assemble(
     choice = FeatureChoice(
         localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
     )
-    ekf = make_ekf(config.ekf, _ground(pack, local_frame))
+    ekf = make_ekf(config.ekf, ground_of(pack, local_frame))
     odometry = Odometry(camera, config.odometry)
     pipeline = Pipeline(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
@@ -82,7 +83,19 @@ def assemble(
     return Assembled(pipeline, ekf, pack, primary.feature_set_id)
 
 
-def _ground(pack: MapPack, local_frame: LocalFrame) -> Ground | None:
+def about_run(assembled: Assembled, features: str, point: PointKind) -> About:
+    """What a run of this pipeline leaves in writing."""
+    heights = assembled.pack.heights
+    return About(
+        features=features,
+        feature_set_id=assembled.feature_set_id,
+        point=point,
+        local_frame=assembled.pipeline.local_frame,
+        ground_id=None if heights is None else heights.identity,
+    )
+
+
+def ground_of(pack: MapPack, local_frame: LocalFrame) -> Ground | None:
     """The map's terrain heights in the filter's frame; None where the map has none."""
     if pack.heights is None:
         return None

@@ -12,9 +12,9 @@ from vwnav.cli.screen import LiveLine, print_table, say
 from vwnav.config import Config
 from vwnav.drivers.recorder import Recorder, plain
 from vwnav.drivers.run_folder import TrajectoryWriter, write_json
+from vwnav.drivers.tape import About, Tape
 from vwnav.drivers.track_picture import TrackPicture
 from vwnav.flight import Flight
-from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, StepResult
 from vwnav.sim.score import Score, summarise
@@ -25,12 +25,16 @@ SCORE_PERIOD_S = 0.2
 
 
 class FlightRecord:
-    """A `vwnav.runtime.Watcher` that keeps and shows everything."""
+    """A `vwnav.runtime.Watcher` that keeps and shows everything.
+
+    Attributes:
+        tape: what the filter is told, from before its start: `Ekf.record(tape.input)`.
+    """
 
     def __init__(
         self,
         folder: Path,
-        local_frame: LocalFrame,
+        about: About,
         pack: MapPack,
         config: Config,
         truth: TruthReader | None,
@@ -39,10 +43,10 @@ class FlightRecord:
         self._truth = truth
         self._started_s = time.monotonic()
         self._trajectory: TrajectoryWriter | None = None
-        self._local_frame = local_frame
         self._recorder = Recorder(folder / "flight.mcap", config.model_dump(mode="json"))
-        self._picture = TrackPicture(pack, local_frame)
-        self._score = Score(local_frame) if truth is not None else None
+        self.tape = Tape(self._recorder, about)
+        self._picture = TrackPicture(pack, about.local_frame)
+        self._score = Score(about.local_frame) if truth is not None else None
         self._line = LiveLine()
         self._line.__enter__()
         self._lock = threading.Lock()
@@ -65,11 +69,13 @@ class FlightRecord:
 
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
         """A picture went through the pipeline."""
+        setpoint = self._flight.setpoint if self._flight else None
+        yaw_rad = setpoint.yaw_rad if setpoint else None
+        self.tape.picture(step, yaw_rad)  # first: close behind its estimate
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
-            self._trajectory = TrajectoryWriter(path, self._local_frame, frame.t_s)
-        setpoint = self._flight.setpoint if self._flight else None
-        self._trajectory.write(step, setpoint.yaw_rad if setpoint else None)
+            self._trajectory = TrajectoryWriter(path, self.tape.about.local_frame, frame.t_s)
+        self._trajectory.write(step, yaw_rad)
         self._recorder.frame(frame)
         self._picture.add(step)
         with self._lock:
@@ -133,21 +139,14 @@ class FlightRecord:
         print_table("flight", self._rows(assembled))
 
     def _summary(self, options: FlyOptions, assembled: Assembled) -> dict[str, object]:
-        pipeline, frame = assembled.pipeline, self._local_frame
+        pipeline = assembled.pipeline
         end = self._flight.end if self._flight else None
         summary: dict[str, object] = {
             "command": "fly",
             "version": __version__,
             "simulated": options.sim,
-            "features": options.features,
-            "feature_set_id": assembled.feature_set_id,
             "map": assembled.pack.name,
-            "point": "nadir",
-            "origin": {
-                "lat_deg": frame.lat_deg,
-                "lon_deg": frame.lon_deg,
-                "alt_amsl_m": frame.alt_amsl_m,
-            },
+            **self.tape.about.as_json(),
             "completed": end is not None and end.reason is None,
             "reason": end.reason if end else "the flight loop broke off",
             "frames": self._frames,

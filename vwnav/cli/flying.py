@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.cli.assemble import Assembled, assemble, choose_features
+from vwnav.cli.assemble import about_run, assemble, choose_features
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.map import parse_lat_lon
@@ -215,8 +215,12 @@ def _fly(
         plan.pack, plan.camera, options.features, options.model, plan.local_frame, plan.config,
         executor, say,
     )  # fmt: skip
-    _begin(options, plan, autopilot, assembled)
-    record = FlightRecord(folder, plan.local_frame, plan.pack, plan.config, truth)
+    frame = plan.local_frame
+    autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
+    about = about_run(assembled, options.features, "nadir")
+    record = FlightRecord(folder, about, plan.pack, plan.config, truth)
+    assembled.ekf.record(record.tape.input)
+    assembled.ekf.initialise(_start(options, plan, autopilot))
     flight = Flight(
         autopilot, plan.route_ned_m, SafetyMonitor(plan.config.safety), watchdog.keepalive,
         plan.config.flight, plan.config.limits, record.event,
@@ -230,15 +234,10 @@ def _fly(
         raise VwnavError(f"{end.reason} (record in {folder})")
 
 
-def _begin(
-    options: FlyOptions, plan: FlightPlan, autopilot: MavsdkAutopilot, assembled: Assembled
-) -> None:
-    """The autopilot's origin first (before any vision message), then the filter on the ground."""
-    frame = plan.local_frame
-    autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
-    start = Start(
+def _start(options: FlyOptions, plan: FlightPlan, autopilot: MavsdkAutopilot) -> Start:
+    """On the ground, at home where that is known."""
+    return Start(
         t_s=autopilot.state().t_s,
         position_ned_m=np.zeros(3) if plan.home_known else None,
         sigma_m=options.home_sigma_m,
     )
-    assembled.ekf.initialise(start)

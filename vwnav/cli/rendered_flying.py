@@ -12,7 +12,7 @@ import numpy as np
 from vwnav.bench.estimator_plots import save_error_plot
 from vwnav.bench.estimator_run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator_scenarios import Metric
-from vwnav.bench.estimator_streams import Event, HeightSeen, Stream
+from vwnav.bench.estimator_streams import Event, Stream
 from vwnav.bench.rendered_clock import HeardEkf, LateExecutor, SimulatedClock
 from vwnav.bench.rendered_errors import with_errors
 from vwnav.bench.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
@@ -24,6 +24,7 @@ from vwnav.config import Config
 from vwnav.drivers.attitude_track import AttitudeTrack
 from vwnav.drivers.track_picture import TrackPicture
 from vwnav.estimation.ekf import Start
+from vwnav.estimation.events import Height
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, Sensors, StepResult
@@ -136,7 +137,7 @@ def _navigate(
 ) -> Navigated:
     """Hand everything in as it arrives."""
     track = AttitudeTrack(_ATTITUDE_GAP_S)
-    height: HeightSeen | None = None
+    height: Height | None = None
     done, due = Navigated([], []), 1
     for arrival_s, arrived in _in_order(frames, telemetry):
         while due / _ESTIMATES_HZ <= arrival_s:
@@ -151,7 +152,7 @@ def _navigate(
                 pipeline.sense(arrival_s, Sensors(attitude=arrived))
             case ImuSample():
                 pipeline.sense(arrival_s, Sensors(imu=(arrived,)))
-            case HeightSeen():
+            case Height():
                 height = arrived
                 pipeline.sense(arrival_s, _sensors(None, height))
             case Frame():
@@ -168,7 +169,7 @@ def _in_order(frames: Iterable[Frame], telemetry: list[Event]) -> Iterator[tuple
     return merge(told, seen, key=lambda pair: pair[0])
 
 
-def _sensors(attitude: Attitude | None, height: HeightSeen | None) -> Sensors:
+def _sensors(attitude: Attitude | None, height: Height | None) -> Sensors:
     if height is None:
         return Sensors(attitude=attitude)
     return Sensors(attitude=attitude, height_m=height.height_m, height_t_s=height.t_s)

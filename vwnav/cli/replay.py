@@ -6,7 +6,7 @@ import typer
 
 
 def replay(
-    source: str = typer.Argument(help="Video file or folder of pictures."),
+    source: str = typer.Argument(help="Video, folder of pictures, or a flight.mcap."),
     map_path: Path = typer.Option(..., "--map", help="Map pack (vwnav map build)."),
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
     hfov_deg: float | None = typer.Option(None, help="Horizontal field of view instead of it."),
@@ -20,14 +20,26 @@ def replay(
 ) -> None:
     """Fly a recording again: writes trajectory.csv, run.json and a picture of the track.
 
-    Without telemetry the camera is taken to look straight down and the position is found on the
-    whole map. The same recording gives the same trajectory.
+    Of a video or pictures: without telemetry the camera is taken to look straight down and the
+    position is found on the whole map. The same recording gives the same trajectory.
 
-    Example: vwnav replay flight.mp4 --map field.mbtiles --hfov-deg 78 -o result
+    Of a flight's own flight.mcap, without options about pictures: the filter takes what it took in
+    flight, and the trajectory is the flight's to the last bit.
+
+    Examples:
+    vwnav replay flight.mp4 --map field.mbtiles --hfov-deg 78 -o result
+    vwnav replay runs/fly-1/flight.mcap --map field.mbtiles -o result
     """
-    from vwnav.cli.replaying import ReplayOptions, replay_source
+    from vwnav.cli.replay_report import ReplayOptions
 
     options = ReplayOptions(
         source, map_path, camera, hfov_deg, telemetry, features, model, config_path, output
     )
-    replay_source(options)
+    if options.from_tape:
+        from vwnav.cli.replaying_tape import replay_tape
+
+        replay_tape(options)
+    else:
+        from vwnav.cli.replaying import replay_source
+
+        replay_source(options)

@@ -1,76 +1,30 @@
 """What `vwnav replay` does, once its options are read."""
 
 import time
-from collections import Counter
-from dataclasses import dataclass, field
+from contextlib import closing
 from pathlib import Path
 
 import cv2
 
-from vwnav import __version__
-from vwnav.cli.assemble import Assembled, assemble
-from vwnav.cli.screen import LiveLine, print_table, say
+from vwnav.cli.assemble import Assembled, about_run, assemble
+from vwnav.cli.replay_report import ReplayOptions, ReplayRecord, Tally
+from vwnav.cli.screen import LiveLine, say
 from vwnav.config import load_config, save_config
 from vwnav.drivers.cameras import open_source
-from vwnav.drivers.run_folder import TrajectoryWriter, make_run_folder, write_json
+from vwnav.drivers.recorder import Recorder
+from vwnav.drivers.run_folder import make_run_folder
+from vwnav.drivers.tape import Tape
 from vwnav.drivers.telemetry_files import Telemetry, load_telemetry
-from vwnav.drivers.track_picture import TrackPicture
 from vwnav.errors import SourceError, VwnavError
 from vwnav.geometry.calibration import check_fits, load_camera
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import InlineExecutor, Sensors, StepResult
-from vwnav.types import Frame, FrameSource, MapFix, Rejected, RejectReason
+from vwnav.pipeline import InlineExecutor, Sensors
+from vwnav.types import Frame, FrameSource
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayOptions:
-    """The command line of `vwnav replay`."""
-
-    source: str
-    map_path: Path
-    camera: Path | None
-    hfov_deg: float | None
-    telemetry: Path | None
-    features: str
-    model: Path | None
-    config_path: Path | None
-    output: Path | None
-
-
-@dataclass
-class Tally:
-    """Counts over a replay."""
-
-    frames: int = 0
-    attempts: int = 0
-    fixes: int = 0
-    first_fix_t_s: float | None = None
-    rejected: Counter[str] = field(default_factory=Counter)
-    busy_s: float = 0.0
-
-    def add(self, step: StepResult, t0_s: float) -> None:
-        """Count one picture."""
-        self.frames += 1
-        match step.outcome:
-            case MapFix() as fix:
-                self.attempts += 1
-                self.fixes += 1
-                if self.first_fix_t_s is None:
-                    self.first_fix_t_s = fix.t_s - t0_s
-            case Rejected(reason=RejectReason.NOT_TRIED):
-                pass
-            case Rejected(reason=reason):
-                self.attempts += 1
-                self.rejected[reason.name.lower()] += 1
-
-    @property
-    def frames_per_s(self) -> float:
-        """Pictures through the pipeline per second of its own time (decoding not counted)."""
-        return self.frames / self.busy_s if self.busy_s > 0.0 else 0.0
+IMU_LEAD_S = 1.0  # of the IMU's samples before the first picture
 
 
 def replay_source(options: ReplayOptions) -> None:
@@ -105,7 +59,12 @@ def replay_source(options: ReplayOptions) -> None:
             )
             folder = make_run_folder(options.output, "replay")
             save_config(config, folder / "config.toml")
-            _run(options, folder, source, first, telemetry, assembled)
+            about = about_run(assembled, options.features, "nadir" if telemetry else "center")
+            settings = config.model_dump(mode="json")
+            with closing(Recorder(folder / "flight.mcap", settings)) as recorder:
+                tape = Tape(recorder, about)
+                assembled.ekf.record(tape.input)
+                _run(options, folder, source, first, telemetry, assembled, tape)
         finally:
             source.close()
 
@@ -143,30 +102,30 @@ def _run(
     first: Frame,
     telemetry: Telemetry | None,
     assembled: Assembled,
+    tape: Tape,
 ) -> None:
-    local_frame = assembled.pipeline.local_frame
-    trajectory = TrajectoryWriter(folder / "trajectory.csv", local_frame, first.t_s)
-    picture = TrackPicture(assembled.pack, local_frame)
-    tally = Tally()
+    record = ReplayRecord(folder, tape.about, assembled.pack, first.t_s)
+    tally = record.tally
     trouble: VwnavError | None = None
     frame: Frame | None = first
+    before_s = -IMU_LEAD_S
     with LiveLine() as line:
         while frame is not None:
-            sensors = telemetry.at(frame.t_s - first.t_s) if telemetry else Sensors()
+            t_s = frame.t_s - first.t_s
+            sensors = telemetry.at(t_s, before_s) if telemetry else Sensors()
+            before_s = t_s
             start_s = time.perf_counter()
             step = assembled.pipeline.step(frame, sensors)
             tally.busy_s += time.perf_counter() - start_s
-            tally.add(step, first.t_s)
-            trajectory.write(step)
-            picture.add(step)
+            tape.picture(step, None)
+            record.add(step, None)
             line.show(frame.t_s, _status(tally, frame.t_s - first.t_s))
             try:
                 frame = source.next_frame()
             except SourceError as error:
                 trouble, frame = error, None
-    trajectory.close()
-    picture.save(folder / "track.png")
-    _summarise(options, folder, assembled, tally)
+    record.close()
+    record.summarise(options, {})
     if trouble is not None:
         raise SourceError(f"{trouble}; the {tally.frames} pictures before it are in {folder}")
     if not tally.fixes:
@@ -180,44 +139,4 @@ def _status(tally: Tally, t_s: float) -> str:
     return (
         f"{t_s:6.1f} s  frame {tally.frames}  fixes {tally.fixes}/{tally.attempts}  "
         f"{tally.frames_per_s:.0f} frames/s"
-    )
-
-
-def _summarise(options: ReplayOptions, folder: Path, assembled: Assembled, tally: Tally) -> None:
-    local_frame = assembled.pipeline.local_frame
-    known = options.telemetry is not None
-    write_json(
-        folder / "run.json",
-        {
-            "command": "replay",
-            "version": __version__,
-            "source": Path(options.source).name,
-            "map": options.map_path.name,
-            "features": options.features,
-            "feature_set_id": assembled.feature_set_id,
-            "point": "nadir" if known else "center",
-            "origin": {
-                "lat_deg": local_frame.lat_deg,
-                "lon_deg": local_frame.lon_deg,
-                "alt_amsl_m": local_frame.alt_amsl_m,
-            },
-            "frames": tally.frames,
-            "attempts": tally.attempts,
-            "fixes": tally.fixes,
-            "rejected": dict(tally.rejected),
-            "first_fix_t_s": tally.first_fix_t_s,
-            "frames_per_s": round(tally.frames_per_s, 1),
-        },
-    )
-    rate = 100.0 * tally.fixes / tally.attempts if tally.attempts else 0.0
-    first_fix = "none" if tally.first_fix_t_s is None else f"{tally.first_fix_t_s:.2f} s"
-    print_table(
-        "replay",
-        [
-            ("frames", str(tally.frames)),
-            ("fixes of attempts", f"{tally.fixes} of {tally.attempts} ({rate:.1f} %)"),
-            ("first fix at", first_fix),
-            ("pipeline", f"{tally.frames_per_s:.1f} frames/s on one core"),
-            ("results in", str(folder)),
-        ],
     )

@@ -23,7 +23,7 @@ talk = Console(stderr=True, highlight=False)
 
 def say(line: str) -> None:
     """One event, on stderr, above the live line."""
-    talk.print(line, markup=False)
+    talk.print(line, markup=False, soft_wrap=True)
 
 
 class LiveLine:

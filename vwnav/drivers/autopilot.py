@@ -22,6 +22,7 @@ from vwnav.types import (
     Attitude,
     Estimate,
     FlightMode,
+    ImuSample,
     VehicleState,
     VelocitySetpoint,
 )
@@ -102,6 +103,11 @@ class MavsdkAutopilot:
         """Attitude at an exposure; None where telemetry does not reach."""
         with self._lock:
             return self._telemetry.attitude_at(t_s)
+
+    def take_imu(self) -> tuple[ImuSample, ...]:
+        """The IMU's samples since the last call, oldest first; none where it is not streamed."""
+        with self._lock:
+            return self._telemetry.take_imu()
 
     def aiding(self) -> bool | None:
         """Whether the autopilot's filter lives on our estimates: the early warning when not."""

@@ -22,6 +22,8 @@ _STOP_WAIT_S = 1.0
 _RATES_HZ = {0: 5.0, 1: 5.0, 29: 20.0, 30: 50.0, 32: 5.0, 132: 10.0, 245: 5.0}
 _RATES_PX4_HZ = {230: 5.0, 436: 5.0}  # ESTIMATOR_STATUS, CURRENT_MODE
 _RATES_ARDUPILOT_HZ = {193: 5.0}  # EKF_STATUS_REPORT
+_HIGHRES_IMU, _RAW_IMU = 105, 27
+_IMU_HZ = 50.0  # 3.7 kB/s; PX4 sends as much unasked
 _SLOW_ATTITUDE_S = 0.3
 _CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
 _GPS_GLOBAL_ORIGIN = 49
@@ -90,13 +92,22 @@ class Upkeep:
 
     def _ask_for_rates(self) -> None:
         px4 = self._telemetry.kind is AutopilotKind.PX4
-        for number, rate_hz in (
-            _RATES_HZ | (_RATES_PX4_HZ if px4 else _RATES_ARDUPILOT_HZ)
-        ).items():
-            params = (float(number), 1e6 / rate_hz)
-            refused = self._commands.command(Command(_CMD_MESSAGE_INTERVAL, params))
-            if refused:
-                _log.info("message %d at %.0f Hz: %s", number, rate_hz, refused)
+        rates = _RATES_HZ | (_RATES_PX4_HZ if px4 else _RATES_ARDUPILOT_HZ)
+        for number, rate_hz in rates.items():
+            self._ask_for(number, rate_hz)
+        if (
+            not self._ask_for(_HIGHRES_IMU, _IMU_HZ) and not px4
+        ):  # an ArduPilot that does not know it
+            self._ask_for(_RAW_IMU, _IMU_HZ)
+
+    def _ask_for(self, number: int, rate_hz: float) -> bool:
+        """Whether the autopilot agrees to send a message so often."""
+        refused = self._commands.command(
+            Command(_CMD_MESSAGE_INTERVAL, (float(number), 1e6 / rate_hz))
+        )
+        if refused:
+            _log.info("message %d at %.0f Hz: %s", number, rate_hz, refused)
+        return refused is None
 
 
 class OriginAgreement:

@@ -13,6 +13,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -29,19 +30,22 @@ from vwnav.errors import VwnavError
 from vwnav.types import Estimate, Frame, MapFix, Rejected, VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
-_QUEUE_ITEMS = 500
+_QUEUE_ITEMS = 10_000  # half a minute of all that is kept, in which the disk may stall
+_QUEUED_TAPE = 20_000  # the tape's own limit, after all else is left out; some 20 MB
 _QUEUED_PICTURES = 4
 _FLUSH_S = 1.0
 _CHUNK_BYTES = 1 << 18
 _JPEG_QUALITY = 80
 _CLOSE_TIMEOUT_S = 5.0
+_LATEST_S = 9e9  # what fits into nanoseconds of 64 bits
 
 
 class Recorder:
     """An MCAP file in the making.
 
     Topics: /camera (JPEG), /vehicle, /fix, /estimate, /setpoint, /event; JSON with the field names
-    of `vwnav.types`, angles in radians, NaN as null. `log_time` is `t_s`, in nanoseconds.
+    of `vwnav.types`, angles in radians, NaN as null. `log_time` is `t_s`, in nanoseconds. `Tape`
+    adds what the filter was told.
 
     Args:
         path: must not exist.
@@ -59,8 +63,10 @@ class Recorder:
         self.dropped = 0
         self._picture_period_s = 1.0 / picture_rate_hz
         self._next_picture_s = 0.0
-        self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue(_QUEUE_ITEMS)
-        self._pictures_queued = 0
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._pictures_put = self._pictures_taken = 0  # by the flight, by the thread that writes
+        self._stopped = False
+        self._torn = False
         self._context = foxglove.Context()
         # Without seeking a chunk is written when it is whole: a killed recorder leaves no half.
         options = MCAPWriteOptions(
@@ -82,12 +88,12 @@ class Recorder:
 
     def frame(self, frame: Frame) -> None:
         """Keep a picture, if one is due; it must not be changed afterwards."""
-        if frame.t_s < self._next_picture_s or self._pictures_queued >= _QUEUED_PICTURES:
+        queued = self._pictures_put - self._pictures_taken
+        if frame.t_s < self._next_picture_s or queued >= _QUEUED_PICTURES:
             return
         due_s = max(self._next_picture_s, frame.t_s - 0.5 * self._picture_period_s)
         self._next_picture_s = due_s + self._picture_period_s
-        self._pictures_queued += 1
-        self._put(lambda: self._write_picture(frame))
+        self._pictures_put += self._put(lambda: self._write_picture(frame))
 
     def vehicle(self, vehicle: VehicleState) -> None:
         """Keep a snapshot of the autopilot."""
@@ -97,6 +103,11 @@ class Recorder:
         """Keep a fix or a rejection; `kind` tells which."""
         kind = "fix" if isinstance(outcome, MapFix) else "rejected"
         self._put(lambda: self._write_json("/fix", outcome.t_s, {"kind": kind} | plain(outcome)))
+
+    def describe(self, name: str, content: Mapping[str, Any]) -> None:
+        """Keep what holds for the whole recording, as JSON in a metadata record."""
+        text = json.dumps(plain(content))
+        self._put(lambda: self._writer.write_metadata(name, {"json": text}))
 
     def estimate(self, estimate: Estimate) -> None:
         """Keep an output of the filter."""
@@ -112,23 +123,39 @@ class Recorder:
 
     def message(self, topic: str, t_s: float, content: Any) -> None:
         """Keep a dataclass or mapping on a topic of its own."""
-        self._put(lambda: self._write_json(topic, t_s, plain(content)))
+        self._put(lambda: self._write_json(topic, t_s, {"t_s": t_s} | plain(content)))
+
+    def tape(self, topic: str, t_s: float, content: Callable[[], dict[str, Any]]) -> None:
+        """Keep a message of a sequence that is worth nothing after a gap.
+
+        Costs a microsecond: `content` is called by the thread that writes. When the disk falls
+        a minute behind, the sequence ends there.
+        """
+        if self._stopped or self._torn:
+            return
+        if self._queue.qsize() >= _QUEUED_TAPE:
+            self._torn = True
+            _log.warning("the disk is too slow: from here on the flight cannot be replayed")
+            return
+        self._queue.put(lambda: self._write_json(topic, t_s, content()))
 
     def close(self) -> None:
         """Write what is queued and finish the file."""
-        try:
-            self._queue.put(None, timeout=_CLOSE_TIMEOUT_S)
-        except queue.Full:
-            _log.warning("the disk is too slow: the recording lacks its end")
+        self._queue.put(None)
         self._thread.join(_CLOSE_TIMEOUT_S)
+        if self._thread.is_alive():
+            _log.warning("the disk is too slow: the recording lacks its end")
         if self.dropped:
             _log.warning("%d messages were not recorded: the disk was too slow", self.dropped)
 
-    def _put(self, write: Callable[[], None]) -> None:
-        try:
-            self._queue.put_nowait(write)
-        except queue.Full:
+    def _put(self, write: Callable[[], None]) -> bool:
+        if self._stopped:
+            return False
+        if self._queue.qsize() >= _QUEUE_ITEMS:
             self.dropped += 1
+            return False
+        self._queue.put(write)
+        return True
 
     def _write(self) -> None:
         flush_s = time.monotonic() + _FLUSH_S
@@ -138,13 +165,15 @@ class Recorder:
                 if time.monotonic() >= flush_s:
                     self._writer.flush()
                     flush_s = time.monotonic() + _FLUSH_S
-        except Exception:
-            _log.exception("recording has stopped; the flight goes on")
-        finally:
             self._writer.close()
+        except Exception as error:
+            self._stopped = True
+            _log.warning("recording has stopped, the flight goes on: %s", error)
+            with suppress(Exception):
+                self._writer.close()
 
     def _write_picture(self, frame: Frame) -> None:
-        self._pictures_queued -= 1
+        self._pictures_taken += 1
         good, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         if not good:
             return
@@ -161,7 +190,7 @@ class Recorder:
             schema = {"type": "object", "title": topic.strip("/")}
             channel = foxglove.Channel(topic, schema=schema, context=self._context)
             self._channels[topic] = channel
-        channel.log({"t_s": t_s} | content, log_time=_nanoseconds(t_s))
+        channel.log(content, log_time=_nanoseconds(t_s))
 
 
 def plain(value: Any) -> Any:
@@ -184,4 +213,5 @@ def plain(value: Any) -> Any:
 
 
 def _nanoseconds(t_s: float) -> int:
-    return max(0, round(t_s * 1e9))
+    """Whatever the time: a stamp that makes no sense must not end the recording."""
+    return round(min(max(t_s, 0.0), _LATEST_S) * 1e9) if math.isfinite(t_s) else 0

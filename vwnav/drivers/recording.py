@@ -1,10 +1,13 @@
 """Reads a recording back, with the `mcap` package of the `eval` extra; also one cut off."""
 
 import json
-from collections.abc import Generator
+import os
+import struct
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -15,6 +18,13 @@ from vwnav.types import Frame
 CAMERA_TOPIC, VEHICLE_TOPIC = "/camera", "/vehicle"
 _IMAGE_DATA_FIELD, _FRAME_ID_FIELD = 2, 4  # of foxglove.CompressedImage
 _LENGTH_DELIMITED = 2
+_END = b"\x89MCAP0\r\n"
+
+# What damaged bytes may raise in the mcap package, its decompressors, and the decoding here.
+_DAMAGE = (
+    ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, struct.error,
+    cv2.error,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,30 +44,83 @@ def read_recording(path: Path, topics: frozenset[str] | None = None) -> Generato
         topics: only these; None is all.
 
     Raises:
-        SourceError: it is missing or no MCAP file, or the mcap package is not installed.
+        SourceError: it is missing, damaged or no MCAP file, or the mcap package is not installed.
     """
-    try:
-        from mcap.exceptions import EndOfFile, McapError
-        from mcap.records import Channel, Message
-        from mcap.stream_reader import StreamReader
-    except ImportError as error:
-        raise SourceError("reading MCAP needs mcap: pip install 'vwnav[eval]'") from error
     names: dict[int, str] = {}
+    with _whatever_it_holds(path):
+        from mcap.records import Channel, Message
+
+        for record in _mcap_records(path, chunks_whole=False):
+            if isinstance(record, Channel):
+                names[record.id] = record.topic
+            elif isinstance(record, Message):
+                topic = names[record.channel_id]
+                if topics is None or topic in topics:
+                    yield _decode(topic, record.log_time / 1e9, record.data)
+
+
+def read_metadata(path: Path) -> dict[str, Any]:
+    """What `Recorder` keeps of a whole recording as JSON, by name.
+
+    Raises:
+        SourceError: it is missing, damaged or no MCAP file, or the mcap package is not installed.
+    """
+    found: dict[str, Any] = {}
+    with _whatever_it_holds(path):
+        from mcap.records import Metadata
+
+        for record in _mcap_records(path, chunks_whole=True):
+            if isinstance(record, Metadata) and "json" in record.metadata:
+                found[record.name] = json.loads(record.metadata["json"])
+    return found
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether a recording lacks its end: the recorder was killed, or the disk was full."""
+    with path.open("rb") as file:
+        file.seek(-min(len(_END), path.stat().st_size), os.SEEK_END)
+        return file.read() != _END
+
+
+class _WholeReads:
+    """A file of which a read that goes past its end gives nothing, instead of half a record."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+
+    def read(self, length: int) -> bytes:
+        left = self._size - self._file.tell()
+        return self._file.read(length) if length <= left else b""
+
+
+def _mcap_records(path: Path, chunks_whole: bool) -> Generator[Any]:
+    """What the mcap package reads, up to where the file breaks off."""
+    from mcap.exceptions import EndOfFile, McapError
+    from mcap.stream_reader import StreamReader
+
     try:
         with path.open("rb") as file:
-            for record in StreamReader(file).records:
-                if isinstance(record, Channel):
-                    names[record.id] = record.topic
-                elif isinstance(record, Message):
-                    topic = names[record.channel_id]
-                    if topics is None or topic in topics:
-                        yield _decode(topic, record.log_time / 1e9, record.data)
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror}") from error
+            whole: Any = _WholeReads(file)
+            reader = StreamReader(whole, emit_chunks=chunks_whole, validate_crcs=not chunks_whole)
+            yield from reader.records
     except EndOfFile:
         return  # the recorder was killed: everything before has been handed out
     except McapError as error:
         raise SourceError(f"{path} is not an MCAP file, or it is damaged: {error}") from error
+
+
+@contextmanager
+def _whatever_it_holds(path: Path) -> Iterator[None]:
+    """One clear error for whatever goes wrong: the bytes of a file may be anything."""
+    try:
+        yield
+    except ImportError as error:
+        raise SourceError("reading MCAP needs mcap: pip install 'vwnav[eval]'") from error
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror}") from error
+    except _DAMAGE as error:
+        raise SourceError(f"{path} is damaged: {error or type(error).__name__}") from error
 
 
 class RecordedFrames:

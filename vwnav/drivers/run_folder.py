@@ -47,7 +47,7 @@ def make_run_folder(wanted: Path | None, kind: str) -> Path:
         VwnavError: the folder cannot be made or holds another run.
     """
     folder = wanted or Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}"
-    if (folder / "trajectory.csv").exists():
+    if any((folder / name).exists() for name in ("trajectory.csv", "flight.mcap")):
         raise VwnavError(f"{folder} already holds a run; give another folder with -o")
     try:
         folder.mkdir(parents=True, exist_ok=True)

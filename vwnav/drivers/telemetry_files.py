@@ -1,4 +1,4 @@
-"""Attitude and height of a recorded flight: CSV, ULog, tlog or vwnav's own recording."""
+"""Attitude, height and IMU of a recorded flight: CSV, ULog, tlog or vwnav's own recording."""
 
 import csv
 import math
@@ -12,7 +12,7 @@ from vwnav.drivers.attitude_track import AttitudeTrack
 from vwnav.errors import SourceError
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler, rotation_from_quat
 from vwnav.pipeline import Sensors
-from vwnav.types import Attitude
+from vwnav.types import Attitude, ImuSample
 
 _MAX_GAP_S = 2.0
 _CSV_COLUMNS = ("t_s", "roll_deg", "pitch_deg", "yaw_deg", "height_m", "agl_m")
@@ -52,6 +52,32 @@ class Series:
 
 
 @dataclass
+class ImuSeries:
+    """An IMU's samples over rising time: (fx, fy, fz, p, q, r) each, m/s^2 and rad/s."""
+
+    times_s: list[float] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, t_s: float, values: tuple[float, ...]) -> None:
+        """Append; a sample that is not finite or not newer than the newest is dropped."""
+        if math.isfinite(sum(values)) and (not self.times_s or t_s > self.times_s[-1]):
+            self.times_s.append(t_s)
+            self.values.append(values)
+
+    def between(self, after_s: float, until_s: float, start_s: float) -> tuple[ImuSample, ...]:
+        """The samples of (`after_s`, `until_s`], their times counted from `start_s`."""
+        which = range(bisect_right(self.times_s, after_s), bisect_right(self.times_s, until_s))
+        return tuple(
+            ImuSample(
+                self.times_s[i] - start_s,
+                np.array(self.values[i][:3]),
+                np.array(self.values[i][3:]),
+            )
+            for i in which
+        )
+
+
+@dataclass
 class Telemetry:
     """What a flight's recording says, over its own time.
 
@@ -60,6 +86,7 @@ class Telemetry:
         height_m: above the start, up positive, by barometer.
         agl_m: above the ground below; `range_m` the same along the body's down axis.
         armed: 1 or 0.
+        imu: accelerometer and gyro.
         start_s: time of the recording at which the first picture was taken.
     """
 
@@ -68,10 +95,11 @@ class Telemetry:
     agl_m: Series = field(default_factory=Series)
     range_m: Series = field(default_factory=Series)
     armed: Series = field(default_factory=Series)
+    imu: ImuSeries = field(default_factory=ImuSeries)
     start_s: float = 0.0
 
-    def at(self, t_s: float) -> Sensors:
-        """What was known `t_s` after the first picture."""
+    def at(self, t_s: float, since_s: float = math.inf) -> Sensors:
+        """What was known `t_s` after the first picture; of the IMU, what came after `since_s`."""
         t_log_s = t_s + self.start_s
         attitude = self.attitudes.at(t_log_s)
         height_m = self.height_m.at(t_log_s)
@@ -81,6 +109,7 @@ class Telemetry:
             height_t_s=None if height_m is None else t_s,
             rangefinder_m=self._range_at(t_log_s, attitude),
             on_ground=self.armed.last_before(t_log_s) == 0.0,
+            imu=self.imu.between(since_s + self.start_s, t_log_s, self.start_s),
         )
 
     def _range_at(self, t_log_s: float, attitude: Attitude | None) -> float | None:

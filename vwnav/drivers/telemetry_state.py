@@ -10,10 +10,11 @@ import numpy as np
 from vwnav.drivers.attitude_track import AttitudeTrack
 from vwnav.drivers.barometer import BarometricHeight, hectopascal
 from vwnav.drivers.boot_clock import BootClock
+from vwnav.drivers.imu_samples import ImuSamples
 from vwnav.drivers.status_text import StatusTexts
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.safety.flight_modes import AutopilotKind, flight_mode
-from vwnav.types import Attitude, FlightMode, VehicleState
+from vwnav.types import Attitude, FlightMode, ImuSample, VehicleState
 
 Fields = Mapping[str, Any]
 
@@ -49,6 +50,7 @@ class TelemetryState:
         self.clock = BootClock()
         self.texts = StatusTexts()
         self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
+        self._imu = ImuSamples()
         self._attitudes = AttitudeTrack(_MAX_ATTITUDE_GAP_S, _KEEP_ATTITUDES)
         self._heartbeat_t_s = -math.inf
         self._mode = FlightMode.UNKNOWN
@@ -74,6 +76,7 @@ class TelemetryState:
             "LOCAL_POSITION_NED": self._handle_local_position,
             "SCALED_PRESSURE": self._handle_scaled_pressure,
             "HIGHRES_IMU": self._handle_highres_imu,
+            "RAW_IMU": self._handle_raw_imu,
             "DISTANCE_SENSOR": self._handle_distance,
             "GPS_GLOBAL_ORIGIN": self._handle_origin,
             "STATUSTEXT": self._handle_text,
@@ -98,6 +101,10 @@ class TelemetryState:
     def attitude_at(self, t_s: float) -> Attitude | None:
         """Interpolated, or carried forward by at most 0.1 s; None where too little is known."""
         return self._attitudes.at(t_s, _AHEAD_S)
+
+    def take_imu(self) -> tuple[ImuSample, ...]:
+        """The samples since the last call, oldest first."""
+        return self._imu.take()
 
     def expect_mode(self, mode: FlightMode, t_s: float) -> None:
         """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
@@ -225,9 +232,14 @@ class TelemetryState:
         self._handle_pressure("SCALED_PRESSURE", boot_s, fields["press_abs"])
 
     def _handle_highres_imu(self, fields: Fields, received_s: float) -> None:
+        self._imu.add_highres(fields, self.clock, received_s)
         if fields["abs_pressure"] is not None:
             pressure_hpa = hectopascal(fields["abs_pressure"])
             self._handle_pressure("HIGHRES_IMU", fields["time_usec"] / 1e6, pressure_hpa)
+
+    def _handle_raw_imu(self, fields: Fields, received_s: float) -> None:
+        if self.kind is AutopilotKind.ARDUPILOT:  # on others its units are the sensor's own
+            self._imu.add_raw(fields, self.clock, received_s)
 
     def _handle_pressure(self, source: str, boot_s: float, pressure_hpa: float | None) -> None:
         t_s = self.clock.to_monotonic(boot_s)

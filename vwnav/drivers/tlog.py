@@ -27,7 +27,7 @@ _AUTOPILOTS = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
 
 def read_tlog(path: Path) -> Telemetry:
-    """Attitude, barometric height, downward range and arming of a tlog, on the autopilot's clock.
+    """Attitude, height, downward range, IMU and arming of a tlog, on the autopilot's clock.
 
     Raises:
         SourceError: it is no tlog, or holds nothing of an autopilot.
@@ -89,6 +89,7 @@ class _Collector:
                 self._pressure(kind, message.time_boot_ms / 1e3, message.press_abs)
             case mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
                 self._pressure(kind, message.time_usec / 1e6, hectopascal(message.abs_pressure))
+                self._imu(message)
 
     def finish(self) -> Telemetry:
         """All that came."""
@@ -106,6 +107,12 @@ class _Collector:
         self._now_s = message.time_boot_ms / 1e3
         R_ned_body = rotation_from_euler(message.roll, message.pitch, message.yaw)
         self._telemetry.attitudes.add(self._now_s, quat_from_rotation(R_ned_body))
+
+    def _imu(self, message: Any) -> None:
+        if message.id == 0:
+            force = (message.xacc, message.yacc, message.zacc)
+            rates = (message.xgyro, message.ygyro, message.zgyro)
+            self._telemetry.imu.add(message.time_usec / 1e6, (*force, *rates))
 
     def _range(self, message: Any) -> None:
         in_range = message.min_distance <= message.current_distance <= message.max_distance

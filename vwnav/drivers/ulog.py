@@ -12,11 +12,17 @@ from vwnav.errors import SourceError
 
 _DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270, PX4's ROTATION_DOWNWARD_FACING
 _ARMED = 2  # vehicle_status.arming_state
-_TOPICS = ["vehicle_attitude", "vehicle_air_data", "distance_sensor", "vehicle_status"]
+_TOPICS = [
+    "vehicle_attitude",
+    "vehicle_air_data",
+    "distance_sensor",
+    "vehicle_status",
+    "sensor_combined",
+]
 
 
 def read_ulog(path: Path) -> Telemetry:
-    """Attitude, barometric height, downward range and arming of a ULog.
+    """Attitude, barometric height, downward range, IMU and arming of a ULog.
 
     Raises:
         SourceError: pyulog is not installed, or the file is damaged.
@@ -45,6 +51,8 @@ def read_ulog(path: Path) -> Telemetry:
     if "vehicle_status" in topics:
         status = topics["vehicle_status"]
         _fill(telemetry.armed, status["timestamp"], status["arming_state"] == _ARMED)
+    if "sensor_combined" in topics:
+        _add_imu(telemetry, topics["sensor_combined"])
     if len(telemetry.attitudes):
         telemetry.start_s = float(topics["vehicle_attitude"]["timestamp"][0]) / 1e6
     return telemetry
@@ -58,6 +66,13 @@ def _add_attitudes(telemetry: Telemetry, topic: Any) -> None:
         norm = float(np.linalg.norm(quat))
         if np.isfinite(norm) and norm > 0.5:
             telemetry.attitudes.add(float(t_us) / 1e6, quat / norm)
+
+
+def _add_imu(telemetry: Telemetry, topic: Any) -> None:
+    names = [f"{what}[{i}]" for what in ("accelerometer_m_s2", "gyro_rad") for i in range(3)]
+    values = np.stack([topic[name] for name in names], axis=1).astype(np.float64)
+    for t_us, row in zip(topic["timestamp"].tolist(), values.tolist(), strict=True):
+        telemetry.imu.add(t_us / 1e6, tuple(row))
 
 
 def _add_ranges(telemetry: Telemetry, topic: Any) -> None:

@@ -99,3 +99,9 @@ def cos_tilt(quat_wxyz: Array) -> float:
     """Cosine of the angle between the body's down axis and the vertical."""
     _, x, y, _ = quat_wxyz.tolist()
     return float(1.0 - 2.0 * (x * x + y * y))
+
+
+def level_axes(yaw_rad: float) -> Array:
+    """(2, 2) the body's level forward and right, north and east, as columns."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s], [s, c]])

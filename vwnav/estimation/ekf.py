@@ -5,6 +5,7 @@ Read `states.py` first (what is estimated, with all noises), then `process.py` (
 """
 
 import math
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -21,7 +22,8 @@ from vwnav.estimation.events import (
     Stationary,
 )
 from vwnav.estimation.fusion import apply
-from vwnav.estimation.imu import ImuHistory
+from vwnav.estimation.imu import ImuHistory, is_sensible
+from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
 from vwnav.estimation.timeline import Timeline
@@ -59,6 +61,7 @@ class Ekf:
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
+        self._tape: Callable[[Input], None] | None = None
 
     @property
     def initialised(self) -> bool:
@@ -70,6 +73,29 @@ class Ekf:
         """The state after the newest event, for recordings and tests."""
         return None if self._timeline is None else self._timeline.head
 
+    def record(self, tape: Callable[[Input], None]) -> None:
+        """Hand every input from now on to `tape` too, refused ones as well, in their order.
+
+        A new filter of the same settings and ground that takes them gives the same estimates.
+        """
+        self._tape = tape
+
+    def take(self, seen: Input) -> Estimate | None:
+        """Take an input of any kind; the estimate where one was asked for.
+
+        Raises:
+            ValueError: a start that makes no sense.
+            RuntimeError: asked before the start.
+        """
+        match seen:
+            case Start():
+                self.initialise(seen)
+            case Asked(t_s):
+                return self.estimate(t_s)
+            case _:
+                self.handle(seen)
+        return None
+
     def initialise(self, start: Start) -> None:
         """Begin, or begin anew; attitudes that came before are kept, those from the future not.
 
@@ -78,11 +104,25 @@ class Ekf:
         """
         step = partial(apply, context=self._context)
         self._timeline = Timeline(first_state(start, self._config), step, self._config.history_s)
+        self._note(start)
         self._asked_s = start.t_s
         self._attitudes.forget_after(start.t_s + self._config.ahead_s)
 
+    def handle(self, seen: Measurement) -> Innovation:
+        """Take a measurement of any kind."""
+        match seen:
+            case Attitude():
+                return self.handle_attitude(seen)
+            case ImuSample():
+                return self.handle_imu(seen)
+            case OdometryMotion():
+                return self.handle_odometry(seen)
+            case _:
+                return self._handle(seen)
+
     def handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
+        self._note(attitude)
         quat = np.asarray(attitude.quat_wxyz)
         finite = math.isfinite(attitude.t_s) and quat.shape == (4,) and np.all(np.isfinite(quat))
         if not finite or not 0.5 < float(np.linalg.norm(quat)) < 2.0:
@@ -98,8 +138,8 @@ class Ekf:
         While samples come, they move the estimate between measurements, instead of the attitude's
         thrust and the slow acceleration.
         """
-        finite = math.isfinite(sample.t_s) and np.shape(sample.specific_force_m_s2) == (3,)
-        if not finite or not np.all(np.isfinite(sample.specific_force_m_s2)):
+        self._note(sample)
+        if not is_sensible(sample):
             return Innovation(Verdict.NOT_FINITE)
         if self._timeline is not None and self._ahead(sample.t_s):
             return Innovation(Verdict.AHEAD)
@@ -124,6 +164,7 @@ class Ekf:
 
     def handle_odometry(self, motion: OdometryMotion) -> Innovation:
         """Take the motion since a keyframe, in NED as the autopilot's own heading has it."""
+        self._note(motion)
         event = Displacement(motion)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
@@ -145,12 +186,18 @@ class Ekf:
         """
         if self._timeline is None:
             raise RuntimeError("the filter is not initialised")
+        self._note(Asked(t_s))
         if math.isfinite(t_s):
             self._asked_s = t_s
         state = predict(self._timeline.head, t_s, self._context)
         return _estimate(state, self._attitudes.quat_at(state.t_s))
 
-    def _handle(self, event: Event) -> Innovation:
+    def _note(self, seen: Input) -> None:
+        if self._tape is not None:
+            self._tape(seen)
+
+    def _handle(self, event: Height | Range | Stationary | NedFix) -> Innovation:
+        self._note(event)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)

@@ -8,6 +8,8 @@ import numpy as np
 
 from vwnav.types import Array, OdometryMotion
 
+LARGEST_RANGE_M = 1e5  # no rangefinder sees further
+
 
 class Rank(IntEnum):
     """Order of events at the same time; the anchor is last, so that it clones what they left."""
@@ -92,8 +94,8 @@ class Range:
         return Rank.RANGE
 
     def sensible(self) -> bool:
-        """Whether the numbers are finite and the distance is one."""
-        return math.isfinite(self.t_s) and math.isfinite(self.distance_m) and self.distance_m > 0.0
+        """Whether the numbers are finite and the distance is one that can be."""
+        return math.isfinite(self.t_s) and 0.0 < self.distance_m < LARGEST_RANGE_M
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt, level_axes
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
@@ -17,10 +17,11 @@ from vwnav.estimation.events import (
     Stationary,
 )
 from vwnav.estimation.fixes import apply_agl, apply_fix
+from vwnav.estimation.imu import push_between
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import Anchor, EkfConfig, FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
-from vwnav.geometry.rotations import skew, wrap_pi
+from vwnav.geometry.rotations import skew, vector_from_quat, wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _DOWN = 2
@@ -36,6 +37,7 @@ _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, accelerati
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _LEAST_COS_TILT = 0.5
+_STILL_S = 0.2
 
 
 def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
@@ -54,7 +56,7 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
         case Range():
             return _apply_range(state, event, attitudes, config)
         case Stationary():
-            return _apply_stationary(state, config)
+            return _apply_stationary(state, context)
 
 
 def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
@@ -163,7 +165,7 @@ def _displacement(
     H[:, _ANCHOR_TERRAIN] = predicted_m / agl_m
     H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
     yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
-    level0, level1 = _level_axes(yaw0_rad), _level_axes(yaw0_rad + motion.yaw_increment_rad)
+    level0, level1 = level_axes(yaw0_rad), level_axes(yaw0_rad + motion.yaw_increment_rad)
     by_tilt0 = -skew(predicted_m)[:, :2] @ level0
     # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
     by_tilt1 = np.zeros((3, 2))
@@ -177,12 +179,6 @@ def _displacement(
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))
-
-
-def _level_axes(yaw_rad: float) -> Array:
-    """(2, 2) the body's level forward and right, north and east, as columns."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([[c, -s], [s, c]])
 
 
 def _apply_height(
@@ -222,13 +218,26 @@ def _apply_range(
     return apply_agl(state, event.distance_m * cos, sigma_m, config)
 
 
-def _apply_stationary(state: FilterState, config: EkfConfig) -> tuple[FilterState, Innovation]:
-    """It does not move, and the ground is right below."""
+def _apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
+    """It does not move, and the ground is right below; what the gyro still says is its bias."""
+    config = context.config
     H = np.zeros((3, States.SIZE))
     H[:, States.VELOCITY] = np.eye(3)
     R = config.stationary_sigma_m_s**2 * np.eye(3)
     state, innovation = fuse(state, Measurement(-state.x[States.VELOCITY], H, R))
     if not innovation.accepted:
         return state, innovation
+    imu = context.imu
+    felt = push_between(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
+    if felt is not None:
+        state = _at_rest(state, vector_from_quat(felt.turn_wxyz) / _STILL_S, config)
     state, height = apply_agl(state, config.stationary_agl_m, config.stationary_agl_sigma_m, config)
     return state, replace(innovation, parts=(height,))
+
+
+def _at_rest(state: FilterState, rates_rad_s: Array, config: EkfConfig) -> FilterState:
+    """What a gyro (3,) says of an aircraft that stands; one that is carried about is refused."""
+    H = np.zeros((3, States.SIZE))
+    H[:, States.GYRO_BIAS] = np.eye(3)
+    R = config.stationary_sigma_rad_s**2 * np.eye(3)
+    return fuse(state, Measurement(rates_rad_s - state.x[States.GYRO_BIAS], H, R))[0]

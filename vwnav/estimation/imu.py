@@ -1,29 +1,81 @@
-"""The autopilot's accelerometer, integrated between any two moments of the last seconds."""
+"""The autopilot's IMU, integrated: what it felt up to any moment of the last seconds."""
 
 import bisect
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory
-from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.geometry.rotations import (
+    quat_conjugate,
+    quat_from_vector,
+    quat_multiply,
+    rotation_from_quat,
+)
 from vwnav.types import Array, ImuSample
 
-_LONGEST_GAP_S = 0.05  # between samples; a longer one is a silence
-_FORGET_AT_ONCE = 1000  # samples; the sums then restart, or they would lose digits over hours
+_LONGEST_GAP_S = 0.1  # between samples; a longer one is a silence
+_FORGET_AT_ONCE = 1000  # samples
+_MOST_FORCE_M_S2 = 320.0  # 32 g and 4000 deg/s: no sensor measures more
+_MOST_RATE_RAD_S = 70.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """Integrals since the first sample, in NED as the autopilot's attitude has it.
+
+    In an hour they grow to some 4e4 m/s: differences of them keep ten digits for days.
+
+    Attributes:
+        series: samples between silences share it.
+        lasted_s: by the sensor's own clock.
+        pushed: (3, 4) integrals of R_ned_body and of R_ned_body f, side by side.
+        turned: (4,) quaternion, the product of all turns of the body.
+        shaken_m2_s2: variance per axis of the integral of force by what happened between samples:
+            rotors shake the sensor faster than it is heard.
+    """
+
+    series: int
+    lasted_s: float
+    pushed: Array
+    turned: Array
+    shaken_m2_s2: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Push:
-    """What the accelerometer felt over a span, in NED as the autopilot's attitude has it.
+    """What the IMU felt over a span, in NED as the autopilot's attitude has it.
 
     Attributes:
+        lasted_s: its length by the sensor's own clock.
         velocity_m_s: (3,) integral of R_ned_body f, gravity still in it.
-        rotation_s: (3, 3) integral of R_ned_body: what a bias of the accelerometer adds up to.
+        rotation_s: (3, 3) integral of R_ned_body: what a bias of the accelerometer or of the gyro
+            adds up to.
+        turn_wxyz: (4,) the rotation that the gyro counted, R_body0_body1.
+        shaken_m2_s2: variance of the velocity per axis.
     """
 
+    lasted_s: float
     velocity_m_s: Array
     rotation_s: Array
+    turn_wxyz: Array
+    shaken_m2_s2: float
+
+
+def push_between(zero: Felt | None, one: Felt | None) -> Push | None:
+    """What was felt from one moment to another; None where a silence lies between."""
+    if zero is None or one is None or zero.series != one.series:
+        return None
+    pushed = one.pushed - zero.pushed
+    turn = quat_multiply(quat_conjugate(zero.turned), one.turned)
+    return Push(
+        one.lasted_s - zero.lasted_s,
+        pushed[:, 3],
+        pushed[:, :3],
+        turn,
+        one.shaken_m2_s2 - zero.shaken_m2_s2,
+    )
 
 
 class ImuHistory:
@@ -33,8 +85,8 @@ class ImuHistory:
         self._attitudes = attitudes
         self._length_s = length_s
         self._times_s: list[float] = []
-        self._sums: list[Array] = []  # (3, 4): integrals of R and of R f, side by side
-        self._starts: list[bool] = []  # nothing is known between this sample and the one before
+        self._felt: list[Felt] = []
+        self._newest: tuple[Array, Array] = (np.zeros((3, 4)), np.zeros(6))
 
     def add(self, sample: ImuSample) -> bool:
         """Take the next sample; False when it is not later than the newest."""
@@ -42,42 +94,70 @@ class ImuHistory:
             return False
         R = rotation_from_quat(self._attitudes.quat_at(sample.t_s))
         now = np.column_stack([R, R @ sample.specific_force_m_s2])
-        span_s = sample.t_s - self._times_s[-1] if self._times_s else np.inf
-        silent = span_s > _LONGEST_GAP_S
-        before = self._sums[-1] if self._sums else np.zeros((3, 4))
-        self._sums.append(before if silent else before + span_s * now)
+        values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
+        self._felt.append(self._next(sample, now, values))
         self._times_s.append(sample.t_s)
-        self._starts.append(silent)
-        self._forget()
+        self._newest = now, values
+        old = bisect.bisect_left(self._times_s, sample.t_s - self._length_s) - 1
+        if old >= _FORGET_AT_ONCE:
+            del self._times_s[:old], self._felt[:old]
         return True
 
-    def between(self, t0_s: float, t1_s: float) -> Push | None:
-        """The push from `t0_s` to `t1_s`; None where samples do not cover the span."""
-        if not self._times_s or t0_s < self._times_s[0]:
-            return None
-        last_s = self._times_s[-1]
-        # The newest sample holds for a moment: estimates look a little ahead of it.
-        if t0_s > last_s or t1_s > last_s + _LONGEST_GAP_S:
-            return None
-        first = bisect.bisect_right(self._times_s, t0_s)
-        end = bisect.bisect_left(self._times_s, t1_s)
-        if any(self._starts[first : end + 1]):
-            return None
-        change = self._at(t1_s) - self._at(t0_s)
-        return Push(change[:, 3], change[:, :3])
+    def until(self, t_s: float) -> Felt | None:
+        """All that was felt until `t_s`; None before the first sample and in a silence.
 
-    def _at(self, t_s: float) -> Array:
+        The newest sample holds for a moment: estimates look a little ahead of it.
+        """
+        if not self._times_s or not self._times_s[0] <= t_s <= self._times_s[-1] + _LONGEST_GAP_S:
+            return None
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
+        one = self._felt[i]
         if i == 0:
-            return self._sums[0]
-        t0_s, t1_s = self._times_s[i - 1], self._times_s[i]
-        fraction = (t_s - t0_s) / (t1_s - t0_s)
-        return np.asarray(self._sums[i - 1] + fraction * (self._sums[i] - self._sums[i - 1]))
+            return one
+        zero, t0_s = self._felt[i - 1], self._times_s[i - 1]
+        if zero.series != one.series:
+            return one if t_s >= self._times_s[i] else None
+        fraction = (t_s - t0_s) / (self._times_s[i] - t0_s)
+        turned = (1.0 - fraction) * zero.turned + fraction * one.turned
+        return Felt(
+            one.series,
+            zero.lasted_s + fraction * (one.lasted_s - zero.lasted_s),
+            zero.pushed + fraction * (one.pushed - zero.pushed),
+            turned / math.sqrt(turned @ turned),
+            zero.shaken_m2_s2 + fraction * (one.shaken_m2_s2 - zero.shaken_m2_s2),
+        )
 
-    def _forget(self) -> None:
-        old = bisect.bisect_left(self._times_s, self._times_s[-1] - self._length_s) - 1
-        if old < _FORGET_AT_ONCE:
-            return
-        del self._times_s[:old], self._sums[:old], self._starts[:old]
-        base = self._sums[0]
-        self._sums = [total - base for total in self._sums]
+    def _next(self, sample: ImuSample, now: Array, values: Array) -> Felt:
+        """Add a sample to the integrals, by the trapezoidal rule."""
+        if not self._felt:
+            return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)
+        zero, (pushed, before) = self._felt[-1], self._newest
+        span_s = sample.span_s or sample.t_s - self._times_s[-1]
+        if span_s > _LONGEST_GAP_S:
+            return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken_m2_s2)
+        change = (values - before)[:3]
+        # Two neighbours of independent noise s^2 differ by 2 s^2 per axis; each lasts a span.
+        shaken = span_s**2 / 6.0 * float(change @ change)
+        turned = quat_multiply(
+            zero.turned, quat_from_vector((0.5 * span_s) * (before + values)[3:])
+        )
+        return Felt(
+            zero.series,
+            zero.lasted_s + span_s,
+            zero.pushed + (0.5 * span_s) * (pushed + now),
+            turned / math.sqrt(turned @ turned),
+            zero.shaken_m2_s2 + shaken,
+        )
+
+
+def is_sensible(sample: ImuSample) -> bool:
+    """Whether it is finite and within what a sensor can measure."""
+    force, rates = np.asarray(sample.specific_force_m_s2), np.asarray(sample.rates_rad_s)
+    if not math.isfinite(sample.t_s) or force.shape != (3,) or rates.shape != (3,):
+        return False
+    if sample.span_s is not None and not sample.span_s > 0.0:
+        return False
+    # Not a number is not smaller than anything.
+    return bool(
+        np.all(np.abs(force) < _MOST_FORCE_M_S2) and np.all(np.abs(rates) < _MOST_RATE_RAD_S)
+    )

@@ -7,7 +7,10 @@ import numpy as np
 
 from vwnav.estimation.attitudes import GRAVITY_M_S2, thrust_acceleration, yaw_of
 from vwnav.estimation.context import Context
+from vwnav.estimation.imu import Felt, Push, push_between
 from vwnav.estimation.states import EkfConfig, FilterState, States
+from vwnav.estimation.turning import conditioned, gyro_says
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
 _STEP_S = 0.1
@@ -19,7 +22,8 @@ _YAW = States.HEADING_BIAS.start
 _FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
 _MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
 _TERRAIN = States.TERRAIN.start
-_BIAS_X, _BIAS_Y, _BIAS_Z = range(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
+_FORCE_BIAS = np.arange(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
+_RATE_BIAS = np.arange(States.GYRO_BIAS.start, States.GYRO_BIAS.stop)
 _IDENTITY = np.eye(States.SIZE)
 
 
@@ -31,9 +35,33 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
     x, P = state.x, state.P
+    quat, felt = state.measured or _measured(state.t_s, context)
     for i in range(count):
-        x, P = _step(x, P, state.t_s + i * dt_s, dt_s, context)
-    return replace(state, t_s=t_s, x=x, P=P)
+        (quat0, felt0), (quat, felt) = (quat, felt), _measured(state.t_s + (i + 1) * dt_s, context)
+        span = _Span(dt_s, quat0, quat, push_between(felt0, felt))
+        x, P = _step(x, P, span, context)
+    return replace(state, t_s=t_s, x=x, P=P, measured=(quat, felt))
+
+
+def _measured(t_s: float, context: Context) -> tuple[Array, Felt | None]:
+    return context.attitudes.quat_at(t_s), context.imu.until(t_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Span:
+    """A step of `dt_s`: the autopilot's attitudes (4,) at its ends, and what the IMU felt in it."""
+
+    dt_s: float
+    quat0: Array
+    quat1: Array
+    push: Push | None
+
+    @property
+    def quat(self) -> Array:
+        """(4,) in the middle."""
+        same = self.quat0 @ self.quat1 >= 0.0
+        total = self.quat0 + self.quat1 if same else self.quat0 - self.quat1
+        return np.asarray(total / math.sqrt(total @ total))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,15 +78,15 @@ class _Felt:
     by_bias: Array | None = None
 
 
-def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
+def _felt(x: Array, span: _Span, config: EkfConfig) -> _Felt:
     """From the IMU or else the thrust, with heading bias and tilt error of the attitude taken out.
 
     A tilt error d = (d_n, d_e) shows the thrust g (-d_e, d_n) off.
     """
-    push = context.imu.between(t_s, t_s + dt_s)
-    if push is None and not context.config.thrust_aided:
+    push, dt_s = span.push, span.dt_s
+    if push is None and not config.thrust_aided:
         return _Felt(np.array([float(x[_AN]), float(x[_AE]), 0.0]))
-    quat = context.attitudes.quat_at(t_s + 0.5 * dt_s)
+    quat = span.quat
     bias_rad = float(x[_YAW])
     cos_b, sin_b = math.cos(bias_rad), math.sin(bias_rad)
     unturn = np.array([[cos_b, sin_b, 0.0], [-sin_b, cos_b, 0.0], [0.0, 0.0, 1.0]])
@@ -68,7 +96,7 @@ def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
     else:
         by_bias = -unturn @ push.rotation_s / dt_s
         felt = unturn @ push.velocity_m_s / dt_s + by_bias @ x[States.ACCELEROMETER_BIAS]
-        felt[_D] += GRAVITY_M_S2
+        felt[_D] += GRAVITY_M_S2 * push.lasted_s / dt_s
     yaw_rad = yaw_of(quat) - bias_rad
     c, s = GRAVITY_M_S2 * math.cos(yaw_rad), GRAVITY_M_S2 * math.sin(yaw_rad)
     forward, right = x[States.TILT].tolist()
@@ -76,10 +104,10 @@ def _felt(x: Array, t_s: float, dt_s: float, context: Context) -> _Felt:
     return _Felt(felt, (s, -c), (c, s), by_bias)
 
 
-def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tuple[Array, Array]:
+def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Array]:
     """One step of at most some tenths of a second: x' = f(x), P' = F P F^T + Q."""
-    config = context.config
-    felt = _felt(x, t_s, dt_s, context)
+    config, dt_s = context.config, span.dt_s
+    felt = _felt(x, span, config)
     keep = math.exp(-dt_s / config.acceleration_time_s)
     keep_tilt = math.exp(-dt_s / config.tilt_time_s)
     flown_m = math.hypot(x[_VN], x[_VE]) * dt_s
@@ -108,8 +136,13 @@ def _step(x: Array, P: Array, t_s: float, dt_s: float, context: Context) -> tupl
     F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
     F[_MAP_N, _MAP_N] = F[_MAP_E, _MAP_E] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
-    predicted = F @ P @ F.T
-    predicted += _process_noise(dt_s, flown_m, known, felt.by_bias is not None, config)
+    Q = _process_noise(dt_s, flown_m, known, span.push, config)
+    if span.push is None:
+        predicted = F @ P @ F.T + Q
+    else:
+        turned = gyro_says(x, span.push, (span.quat0, span.quat1), dt_s, keep_tilt, config)
+        moved, predicted = conditioned(moved, P, F, Q, turned)
+        moved[_YAW] = wrap_pi(float(moved[_YAW]))
     return moved, 0.5 * (predicted + predicted.T)
 
 
@@ -132,17 +165,18 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
 
 
 def _process_noise(
-    dt_s: float, flown_m: float, ground_known: bool, imu: bool, config: EkfConfig
+    dt_s: float, flown_m: float, ground_known: bool, push: Push | None, config: EkfConfig
 ) -> Array:
     """Q of one step: white acceleration, random walks, and what feeds the Gauss-Markov states."""
     Q = np.zeros((States.SIZE, States.SIZE))
-    level, vertical = config.acceleration_noise_m_s2, config.vertical_noise_m_s2
-    if imu:
-        level = vertical = config.imu_noise_m_s2
-        walk = config.accelerometer_walk_m_s2**2 * dt_s
-        Q[_BIAS_X, _BIAS_X] = Q[_BIAS_Y, _BIAS_Y] = Q[_BIAS_Z, _BIAS_Z] = walk
-    for p, v, noise in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
-        q = noise**2
+    level, vertical = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
+    heading = config.heading_walk_rad**2
+    if push is not None:
+        level = vertical = config.imu_noise_m_s2**2 + push.shaken_m2_s2 / dt_s
+        heading = config.heading_slew_rad**2
+        Q[_FORCE_BIAS, _FORCE_BIAS] = config.accelerometer_walk_m_s2**2 * dt_s
+        Q[_RATE_BIAS, _RATE_BIAS] = config.gyro_walk_rad_s**2 * dt_s
+    for p, v, q in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
         Q[p, p] = q * dt_s**3 / 3.0
         Q[p, v] = Q[v, p] = q * dt_s**2 / 2.0
         Q[v, v] = q * dt_s
@@ -152,7 +186,7 @@ def _process_noise(
     Q[_FORWARD, _FORWARD] = Q[_RIGHT, _RIGHT] = config.tilt_sigma_rad**2 * fed_tilt
     fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
     Q[_MAP_N, _MAP_N] = Q[_MAP_E, _MAP_E] = config.map_sigma_m**2 * fed_map
-    Q[_YAW, _YAW] = config.heading_walk_rad**2 * dt_s
+    Q[_YAW, _YAW] = heading * dt_s
     baro = States.BARO.start
     Q[baro, baro] = config.baro_walk_m**2 * dt_s
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m

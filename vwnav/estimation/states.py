@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.estimation.imu import Felt
 from vwnav.types import Array
 
 
@@ -29,7 +30,8 @@ class States:
     ANCHOR_TURN = slice(22, 23)  # rad, what the keyframe's own picture adds to every turn from it
     ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
-    SIZE = 26
+    GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
+    SIZE = 29
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,12 +44,17 @@ class EkfConfig:
     acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
+    heading_slew_rad: float = math.radians(0.5)  # the same while a gyro tells: filters realign
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
-    accelerometer_sigma_m_s2: float = 0.15  # bias at first
+    accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
     accelerometer_walk_m_s2: float = 0.003  # per root second
+    gyro_noise_rad: float = math.radians(0.1)  # per root second: what a gyro's turn wanders
+    gyro_share: float = 0.001  # of a turn: scale factor, and what happens between samples
+    gyro_sigma_rad_s: float = math.radians(0.5)  # bias at first
+    gyro_walk_rad_s: float = math.radians(0.005)  # per root second
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
@@ -62,6 +69,7 @@ class EkfConfig:
     rangefinder_sigma_m: float = 0.05
     rangefinder_sigma_ratio: float = 0.02  # of the distance
     stationary_sigma_m_s: float = 0.05
+    stationary_sigma_rad_s: float = math.radians(0.7)  # of its turning, by the gyro
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
@@ -126,7 +134,9 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (26,) see `States`. P: (26, 26) its covariance.
+        x: (29,) see `States`. P: (29, 29) its covariance.
+        measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
+            known then: the next step goes on from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
         disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
     """
@@ -136,6 +146,7 @@ class FilterState:
     P: Array
     position_known: bool
     heading_known: bool
+    measured: tuple[Array, Felt | None] | None = None
     anchor: Anchor | None = None
     t_last_fix_s: float | None = None
     reset_counter: int = 0
@@ -192,6 +203,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
+    variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
     variance[States.MAP] = config.map_sigma_m**2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known)

@@ -57,7 +57,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 26) and noise R (m, m).
+    """A linearised measurement: residual (m,), its Jacobian H (m, 29) and noise R (m, m).
 
     Attributes:
         held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
@@ -101,24 +101,26 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the gain K (26, m) for it: optimal but for held states."""
+    """What the measurement says, and the gain K (29, m) for it: optimal but for held states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
     if len(r) == 1:
-        K = PHt / S[0, 0]
-        nis = float(r[0] ** 2 / S[0, 0])
+        K, nis = PHt / S[0, 0], float(r[0] ** 2 / S[0, 0])
+    elif measurement.held:
+        K = _gain_given(state.P, PHt, measurement)
+        nis = float(r @ np.linalg.solve(S, r))
     else:
         solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
-        K, nis = solved[:, 1:].T.copy(), float(r @ solved[:, 0])
-    if measurement.held:
-        K = _gain_given(state.P, measurement)
+        K, nis = solved[:, 1:].T, float(r @ solved[:, 0])
     verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
     return Innovation(verdict, nis, len(r), r), K
 
 
-def _gain_given(P: Array, measurement: Measurement) -> Array:
-    """The gain (26, m) that would be optimal if the held states were known as they are.
+def _gain_given(P: Array, PHt: Array, measurement: Measurement) -> Array:
+    """The gain (29, m) that would be optimal if the held states were known as they are.
+
+    P given the held states is P - P_h own^-1 P_h^T; only its product with H^T is needed.
 
     With the optimal gain and its held rows at zero, places far from the last fix were moved by the
     heading error that the residual seemed to show, metres at a time, and the heading was not.
@@ -127,9 +129,8 @@ def _gain_given(P: Array, measurement: Measurement) -> Array:
     with_held = P[:, held]
     # A clone of a state that is cloned anew has all but its covariance: the ridge keeps it regular.
     own = with_held[held] + _RIDGE * np.eye(len(held))
-    given = P - with_held @ np.linalg.solve(own, with_held.T)
-    PHt = given @ H.T
-    K = np.array(np.linalg.solve(H @ PHt + measurement.R, PHt.T).T, dtype=np.float64)
+    given = PHt - with_held @ np.linalg.solve(own, PHt[held])
+    K = np.array(np.linalg.solve(H @ given + measurement.R, given.T).T, dtype=np.float64)
     K[held] = 0.0
     return K
 

@@ -51,10 +51,22 @@ def euler_from_rotation(R_ned_body: Array) -> tuple[float, float, float]:
 
 def quat_multiply(quat_a_wxyz: Array, quat_b_wxyz: Array) -> Array:
     """Hamilton product (4,): the rotation b first, then a."""
-    w0, v0 = quat_a_wxyz[0], quat_a_wxyz[1:]
-    w1, v1 = quat_b_wxyz[0], quat_b_wxyz[1:]
-    vector = w0 * v1 + w1 * v0 + np.cross(v0, v1)
-    return np.array([w0 * w1 - v0 @ v1, *vector])
+    w0, x0, y0, z0 = quat_a_wxyz.tolist()
+    w1, x1, y1, z1 = quat_b_wxyz.tolist()
+    return np.array(
+        [
+            w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1,
+            w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1,
+            w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1,
+            w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1,
+        ]
+    )
+
+
+def quat_conjugate(quat_wxyz: Array) -> Array:
+    """(4,) the way back: R_b_a of R_a_b."""
+    w, x, y, z = quat_wxyz.tolist()
+    return np.array([w, -x, -y, -z])
 
 
 def rotation_from_quat(quat_wxyz: Array) -> Array:
@@ -100,22 +112,30 @@ def quat_from_rotation(R: Array) -> Array:
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Array:
     """Matrix (3, 3) that turns about the vector (3,) by its length (exponential map)."""
-    v = np.asarray(rotation_vector_rad, dtype=np.float64)
-    half_angle = 0.5 * float(np.linalg.norm(v))
-    # np.sinc keeps the limit at zero: sin(x) / x with x = pi * argument.
-    return rotation_from_quat(
-        np.array([math.cos(half_angle), *(0.5 * np.sinc(half_angle / math.pi) * v)])
-    )
+    return rotation_from_quat(quat_from_vector(rotation_vector_rad))
+
+
+def quat_from_vector(rotation_vector_rad: ArrayLike) -> Array:
+    """quat_wxyz (4,) that turns about the vector (3,) by its length."""
+    x, y, z = np.asarray(rotation_vector_rad, dtype=np.float64).tolist()
+    half_angle = 0.5 * math.sqrt(x * x + y * y + z * z)
+    # The limit of sin(a) / a at zero is 1 - a^2 / 6.
+    sinc = math.sin(half_angle) / half_angle if half_angle > 1e-4 else 1.0 - half_angle**2 / 6.0
+    return np.array([math.cos(half_angle), 0.5 * sinc * x, 0.5 * sinc * y, 0.5 * sinc * z])
 
 
 def vector_from_rotation(R: Array) -> Array:
     """Rotation vector (3,) with length within [0, pi] (logarithmic map)."""
-    quat = quat_from_rotation(R)
-    sin_half = float(np.linalg.norm(quat[1:]))
-    if sin_half < 1e-12:
-        return 2.0 * quat[1:]
-    angle_rad = 2.0 * math.atan2(sin_half, quat[0])
-    return np.asarray(quat[1:] * (angle_rad / sin_half))
+    return vector_from_quat(quat_from_rotation(R))
+
+
+def vector_from_quat(quat_wxyz: Array) -> Array:
+    """Rotation vector (3,) of a unit quaternion, with length within [0, pi]."""
+    w, x, y, z = quat_wxyz.tolist()
+    sin_half = math.sqrt(x * x + y * y + z * z)
+    sign = -1.0 if w < 0.0 else 1.0
+    ratio = math.atan2(sin_half, abs(w)) / sin_half if sin_half > 1e-12 else 1.0
+    return (2.0 * sign * ratio) * np.array([x, y, z])
 
 
 def slerp(quat0_wxyz: Array, quat1_wxyz: Array, fraction: float) -> Array:

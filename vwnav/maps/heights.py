@@ -1,5 +1,6 @@
 """Terrain heights under a map."""
 
+import hashlib
 import zlib
 from dataclasses import dataclass
 
@@ -41,6 +42,13 @@ class HeightGrid:
         weights = np.outer([r + 1 - row, row - r], [c + 1 - column, column - c])
         height = float((weights * self.heights_m[r : r + 2, c : c + 2]).sum())
         return height if np.isfinite(height) else None
+
+    @property
+    def identity(self) -> str:
+        """Equal for grids that give the same heights everywhere."""
+        return hashlib.sha256(
+            repr((self.bounds, self.heights_m.shape)).encode() + self.heights_m.tobytes()
+        ).hexdigest()
 
     def encoded(self) -> bytes:
         """The heights, compressed."""

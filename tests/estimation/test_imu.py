@@ -1,0 +1,215 @@
+"""What accelerometer and gyro add to the filter, simulated and recorded by real autopilots."""
+
+import gzip
+import itertools
+import math
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from scipy.spatial.transform import Rotation
+
+from vwnav.drivers.telemetry_state import TelemetryState
+from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.ekf import Ekf, EkfConfig, Start
+from vwnav.estimation.imu import ImuHistory, push_between
+from vwnav.estimation.states import States
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    quat_from_rotation,
+    rotation_from_euler,
+    rotation_from_quat,
+)
+from vwnav.safety.mavlink_framing import packet_at
+from vwnav.types import Attitude, Estimate, ImuSample
+
+RATE = st.floats(-3.0, 3.0)
+AT_REST = np.array([0.0, 0.0, -9.80665])
+STEP_S = 0.02
+
+
+def flying(sigma_heading_rad: float = math.radians(1.0)) -> Ekf:
+    ekf = Ekf(EkfConfig(heading_sigma_rad=sigma_heading_rad))
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=0.5, agl_m=50.0))
+    return ekf
+
+
+def hover(ekf: Ekf, start_s: float, seconds: float, yaw, rates=(0.0, 0.0, 0.0), on_ground=False):
+    """Attitude, IMU and barometer of an aircraft that stays; `yaw(t)` is what its filter says."""
+    for i in range(1, round(seconds / STEP_S) + 1):
+        t_s = start_s + i * STEP_S
+        quat = quat_from_rotation(rotation_from_euler(0.0, 0.0, yaw(t_s)))
+        ekf.handle_attitude(Attitude(t_s, quat))
+        ekf.handle_imu(ImuSample(t_s, AT_REST, np.array(rates)))
+        ekf.handle_height(t_s, 50.0)
+        if on_ground:
+            ekf.handle_stationary(t_s)
+    return start_s + seconds
+
+
+def yaw_deg(estimate: Estimate) -> float:
+    return math.degrees(euler_from_rotation(rotation_from_quat(estimate.quat_wxyz))[2])
+
+
+@given(rates=st.lists(st.tuples(RATE, RATE, RATE), min_size=3, max_size=12))
+def test_turns_are_counted_as_scipy_composes_them(rates):
+    history = ImuHistory(AttitudeHistory(10.0), 10.0)
+    for i, rate in enumerate(rates):
+        history.add(ImuSample(STEP_S * i, AT_REST, np.array(rate)))
+    last_s = STEP_S * (len(rates) - 1)
+    push = push_between(history.until(0.0), history.until(last_s))
+    expected = Rotation.identity()
+    for before, after in itertools.pairwise(rates):
+        mean = 0.5 * (np.array(before) + np.array(after))
+        expected *= Rotation.from_rotvec(STEP_S * mean)
+    w, x, y, z = push.turn_wxyz
+    assert (expected.inv() * Rotation.from_quat([x, y, z, w])).magnitude() < 1e-9
+    assert push.velocity_m_s == pytest.approx(AT_REST * last_s)
+
+
+def test_a_silence_is_not_integrated_over():
+    history = ImuHistory(AttitudeHistory(10.0), 10.0)
+    for t_s in (0.0, 0.02, 0.04, 1.0, 1.02):
+        history.add(ImuSample(t_s, AT_REST, np.zeros(3)))
+    assert history.until(0.5) is None
+    assert push_between(history.until(0.02), history.until(1.01)) is None
+    assert push_between(history.until(1.0), history.until(1.02)) is not None
+
+
+def test_a_correction_of_our_clock_makes_no_turn_longer():
+    history = ImuHistory(AttitudeHistory(10.0), 10.0)
+    rates = np.array([0.0, 0.0, 1.0])
+    for i in range(50):
+        slipped_s = 0.04 if i > 25 else 0.0
+        history.add(ImuSample(STEP_S * i + slipped_s, AT_REST, rates, STEP_S))
+    push = push_between(history.until(0.0), history.until(STEP_S * 49 + 0.04))
+    assert 2.0 * math.atan2(push.turn_wxyz[3], push.turn_wxyz[0]) == pytest.approx(STEP_S * 49)
+    assert push.lasted_s == pytest.approx(STEP_S * 49)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.06])
+@pytest.mark.parametrize(("imu", "wrong_deg"), [(True, 0.0), (False, 15.0)])
+def test_a_heading_that_the_autopilot_resets_by_15_degrees_is_not_a_turn(imu, wrong_deg, late_s):
+    """No fix comes. Barometric heights may be newer than the attitude: it is then carried on."""
+    ekf, step_s = flying(), 0.06
+    for i in range(1, 400):
+        t_s = i * step_s
+        yaw_rad = math.radians(15.0 if i > 200 else 0.0)
+        quat = quat_from_rotation(rotation_from_euler(0.0, 0.0, yaw_rad))
+        ekf.handle_attitude(Attitude(t_s, quat))
+        if imu:
+            ekf.handle_imu(ImuSample(t_s, AT_REST, np.zeros(3)))
+        ekf.handle_height(t_s + late_s, 50.0)
+    assert abs(yaw_deg(ekf.estimate(t_s))) == pytest.approx(wrong_deg, abs=1.0)
+
+
+def test_the_more_rotors_shake_the_imu_the_less_it_is_believed():
+    sigmas = []
+    for shake_m_s2 in (0.0, 5.0):
+        ekf = flying()
+        for i in range(1, 101):
+            t_s, shake = STEP_S * i, np.array([shake_m_s2 * (-1.0) ** i, 0.0, 0.0])
+            ekf.handle_attitude(Attitude(t_s, np.array([1.0, 0.0, 0.0, 0.0])))
+            ekf.handle_imu(ImuSample(t_s, AT_REST + shake, np.zeros(3)))
+        ekf.handle_height(t_s, 50.0)
+        sigmas.append(math.sqrt(ekf.estimate(t_s).covariance[3, 3]))
+    assert sigmas[1] > 1.2 * sigmas[0]
+
+
+def test_a_true_turn_is_one():
+    ekf = flying()
+    turning = hover(ekf, 0.0, 4.0, lambda t: 0.0)
+    t_s = hover(ekf, turning, 1.5, lambda t: t - turning, rates=(0.0, 0.0, 1.0))
+    assert math.radians(yaw_deg(ekf.estimate(t_s))) == pytest.approx(1.5, abs=0.02)
+
+
+def test_standing_on_the_ground_tells_the_gyros_bias():
+    ekf = Ekf(EkfConfig())
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3)))
+    bias = np.radians([0.2, -0.4, 0.5])
+    hover(ekf, 0.0, 10.0, lambda t: 0.0, rates=bias, on_ground=True)
+    assert ekf.state.x[States.GYRO_BIAS] == pytest.approx(bias, abs=math.radians(0.05))
+
+
+def test_being_carried_to_the_start_is_not_a_bias():
+    ekf = Ekf(EkfConfig())
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3)))
+    hover(ekf, 0.0, 5.0, lambda t: 0.0, on_ground=True)
+    hover(ekf, 5.0, 3.0, lambda t: 0.5 * (t - 5.0), rates=(0.0, 0.0, 0.5), on_ground=True)
+    assert np.max(np.abs(ekf.state.x[States.GYRO_BIAS])) < math.radians(0.1)
+
+
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(t_s=ANY, values=st.lists(ANY, min_size=6, max_size=6), span_s=st.none() | ANY)
+def test_no_sample_whatever_breaks_it(t_s, values, span_s):
+    ekf = flying()
+    now_s = hover(ekf, 0.0, 0.2, lambda t: 0.0)
+    ekf.handle_imu(ImuSample(t_s, np.array(values[:3]), np.array(values[3:]), span_s))
+    hover(ekf, now_s, 0.2, lambda t: 0.0)
+    found = ekf.estimate(now_s + 0.2)
+    assert np.all(np.isfinite(found.position_ned_m))
+    assert np.linalg.eigvalsh(ekf.state.P)[0] > -1e-9
+    assert np.linalg.norm(found.quat_wxyz) == pytest.approx(1.0)
+
+
+def recorded(path):
+    """(received, name, fields) of what an autopilot said; NaN comes as None, as in flight."""
+    decoder, data, at = mavlink.MAVLink(None), gzip.decompress(path.read_bytes()), 0
+    while at + 8 < len(data):
+        received_s = struct.unpack_from(">Q", data, at)[0] / 1e6
+        packet = packet_at(data, at + 8)
+        at += 8 + len(packet.data)
+        if packet.component_id != 1 or packet.message_id not in mavlink.mavlink_map:
+            continue
+        message = decoder.decode(bytearray(packet.data))
+        values = {name: getattr(message, name) for name in message.fieldnames}
+        fields = {name: None if value != value else value for name, value in values.items()}
+        yield received_s, message.get_type(), fields
+
+
+def headings_deg(path):
+    """(n, 3) at 50 Hz: time, heading of the autopilot, heading of the filter without any fix."""
+    telemetry, ekf, rows, first_s = TelemetryState(), Ekf(EkfConfig()), [], None
+    for received_s, name, fields in recorded(path):
+        first_s = first_s or received_s
+        t_s = received_s - first_s
+        telemetry.handle(name, fields, t_s)
+        attitude = telemetry.newest_attitude
+        if attitude is None or (rows and t_s < rows[-1][0] + STEP_S):
+            continue
+        if not ekf.initialised:
+            ekf.initialise(Start(t_s=t_s, position_ned_m=np.zeros(3)))
+        state = telemetry.state(t_s)
+        ekf.handle_attitude(attitude)
+        for sample in telemetry.take_imu():
+            ekf.handle_imu(sample)
+        if state.height_m is not None:
+            ekf.handle_height(state.height_t_s, state.height_m)
+        if not state.armed:
+            ekf.handle_stationary(t_s)
+        measured = replace(ekf.estimate(t_s), quat_wxyz=attitude.quat_wxyz)
+        rows.append((t_s, yaw_deg(measured), yaw_deg(ekf.estimate(t_s))))
+    return np.array(rows)
+
+
+def test_px4s_heading_resets_on_the_ground_leave_ours_alone(data_folder):
+    """It stands; its filter moves its heading from -8 to -15 and then to -2 degrees."""
+    rows = headings_deg(data_folder / "mavlink/px4-1.18_vpe_nogps_from_boot.tlog.gz")
+    on_ground = rows[(rows[:, 0] > 3.0) & (rows[:, 0] < 20.0)]
+    assert np.ptp(on_ground[:, 1]) > 12.0
+    assert np.ptp(on_ground[:, 2]) < 2.0
+
+
+def test_arducopters_realignment_leaves_ours_alone(data_folder):
+    """In four seconds its heading slews by eight degrees, on the ground, step by small step."""
+    rows = headings_deg(data_folder / "mavlink/arducopter-4.7dev_extnav_nogps.tlog.gz")
+    slewing = rows[(rows[:, 0] > 14.0) & (rows[:, 0] < 24.0)]
+    assert np.ptp(slewing[:, 1]) > 8.0
+    assert np.ptp(slewing[:, 2]) < 2.5

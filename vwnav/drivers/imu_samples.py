@@ -1,0 +1,68 @@
+"""Samples of the autopilot's IMU, from whichever message carries them, on our clock."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from vwnav.drivers.boot_clock import BootClock
+from vwnav.types import ImuSample
+
+_KEPT = 500  # when nobody takes them
+_STRANGE_S = 1.0  # further from now a stamp is not of the clock that attitudes are stamped with
+_SILENT_S = 1.0  # of HIGHRES_IMU, then RAW_IMU counts
+_MILLI_G_M_S2 = 9.80665e-3
+_MILLI = 1e-3
+
+
+class ImuSamples:
+    """Collects what HIGHRES_IMU says, or ArduPilot's RAW_IMU where that one does not come.
+
+    Attitude and IMU share the autopilot's clock since boot, so they fit together to the
+    millisecond however late they arrive.
+    """
+
+    def __init__(self) -> None:
+        self._samples: deque[ImuSample] = deque(maxlen=_KEPT)
+        self._newest_s = -math.inf
+        self._newest_us = 0
+        self._highres_s = -math.inf
+
+    def take(self) -> tuple[ImuSample, ...]:
+        """The samples since the last call, oldest first."""
+        taken = tuple(self._samples)
+        self._samples.clear()
+        return taken
+
+    def add_highres(self, fields: Mapping[str, Any], clock: BootClock, received_s: float) -> None:
+        """HIGHRES_IMU: m/s^2 and rad/s; of several sensors, the first one."""
+        names = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
+        values = [fields[name] for name in names]
+        if fields.get("id", 0) != 0 or any(value is None for value in values):
+            return
+        self._highres_s = received_s
+        self._add(fields["time_usec"], np.array(values), clock, received_s)
+
+    def add_raw(self, fields: Mapping[str, Any], clock: BootClock, received_s: float) -> None:
+        """RAW_IMU as ArduPilot fills it: thousandths of g and of rad/s."""
+        if fields.get("id", 0) != 0 or received_s - self._highres_s < _SILENT_S:
+            return
+        force = np.array([fields[name] for name in ("xacc", "yacc", "zacc")], dtype=np.float64)
+        rates = np.array([fields[name] for name in ("xgyro", "ygyro", "zgyro")], dtype=np.float64)
+        values = np.concatenate([force * _MILLI_G_M_S2, rates * _MILLI])
+        self._add(fields["time_usec"], values, clock, received_s)
+
+    def _add(self, t_us: int, values: Any, clock: BootClock, received_s: float) -> None:
+        t_s = clock.to_monotonic(t_us / 1e6)
+        if t_s is None or abs(t_s - received_s) > _STRANGE_S:
+            return
+        if t_us < self._newest_us - _STRANGE_S * 1e6:
+            self._samples.clear()  # the autopilot has started anew
+        elif t_us <= self._newest_us or t_s <= self._newest_s:
+            return
+        span_s = (t_us - self._newest_us) / 1e6
+        self._newest_s, self._newest_us = t_s, t_us
+        known = 0.0 < span_s < _STRANGE_S
+        self._samples.append(ImuSample(t_s, values[:3], values[3:], span_s if known else None))
