@@ -9,7 +9,6 @@ from vwnav.geometry.pose import (
     pose_from_map_homography,
     pose_from_rectified,
     pose_without_attitude,
-    turned_where_reported,
 )
 from vwnav.geometry.rectify import rectification
 from vwnav.geometry.rotations import (
@@ -20,7 +19,8 @@ from vwnav.geometry.rotations import (
 )
 
 seeds = st.integers(0, 2**31)
-EXACT = PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0)
+EXACT = PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0, sigma_lean_rad=0.0)
+LEANING = PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0, sigma_lean_rad=0.09)
 
 
 def error_ne_m(pose, shot) -> np.ndarray:
@@ -181,8 +181,8 @@ def heading_without_tilt(shot) -> float:
 def test_heading_and_scale_of_a_tilted_picture_are_those_of_its_middle(shot_of, seed: int) -> None:
     shot, view, uv_rect, map_px = one_sided(shot_of, seed)
     fit = estimate_homography(uv_rect, map_px, 2.0, seed)
-    seen = fit.H, view, uv_rect, map_px, shot.px_per_m, EXACT
-    pose = turned_where_reported(pose_from_rectified(*seen), *seen, 0.09)
+    seen = fit.H, view, uv_rect, map_px, shot.px_per_m, LEANING
+    pose = pose_from_rectified(*seen)
     assert wrap_pi(0.3 + pose.yaw_correction_rad - heading_without_tilt(shot)) == pytest.approx(
         0.0, abs=2e-3
     )
@@ -193,13 +193,13 @@ def test_heading_and_scale_of_a_tilted_picture_are_those_of_its_middle(shot_of, 
 
 def test_the_sigmas_in_the_middle_are_what_noise_on_the_pairs_does(shot_of) -> None:
     shot, view, uv_rect, map_px = one_sided(shot_of, 3)
-    rng, errors = np.random.default_rng(0), PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0)
+    rng = np.random.default_rng(0)
     yaws, ratios, sigmas = [], [], []
     for _ in range(200):
         noisy_px = map_px + 0.5 * rng.normal(size=map_px.shape)
         H = estimate_homography(uv_rect, noisy_px, 5.0, 0).H
-        seen = H, view, uv_rect, noisy_px, shot.px_per_m, errors
-        pose = turned_where_reported(pose_from_rectified(*seen), *seen, 0.09)
+        seen = H, view, uv_rect, noisy_px, shot.px_per_m, LEANING
+        pose = pose_from_rectified(*seen)
         yaws.append(pose.yaw_correction_rad)
         ratios.append(pose.scale_ratio)
         sigmas.append((pose.sigma_yaw_rad, pose.sigma_agl_m / pose.agl_m))
@@ -214,7 +214,7 @@ def test_a_similarity_on_one_side_of_a_tilted_picture_knows_its_heading_less(
 ) -> None:
     shot, view, uv_rect, map_px = one_sided(shot_of, seed)
     fit = estimate_similarity(uv_rect, map_px, 60.0, seed)
-    seen = fit.H, view, uv_rect, map_px, shot.px_per_m, EXACT
-    pose = turned_where_reported(pose_from_rectified(*seen), *seen, 0.09)
+    seen = fit.H, view, uv_rect, map_px, shot.px_per_m, LEANING
+    pose = pose_from_rectified(*seen)
     error_rad = wrap_pi(0.3 + pose.yaw_correction_rad - heading_without_tilt(shot))
     assert abs(error_rad) < 4.0 * pose.sigma_yaw_rad

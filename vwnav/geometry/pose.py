@@ -5,7 +5,7 @@ differ on a web-mercator map. Angles are clockwise positive as seen from above.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,12 +24,15 @@ class PoseErrors:
 
     Attributes:
         sigma_px: of a matched pair on the map, per axis.
-        sigma_tilt_rad: of roll and of pitch.
+        sigma_tilt_rad: of roll and of pitch, which move the nadir.
+        sigma_lean_rad: of what was taken for the vertical of the view, per axis. A view that leans
+            is larger on one side than on the other.
         sigma_georeference_m: of the map itself, per axis.
     """
 
     sigma_px: float = 1.0
-    sigma_tilt_rad: float = 0.017
+    sigma_tilt_rad: float = 0.035
+    sigma_lean_rad: float = 0.035
     sigma_georeference_m: float = 0.0
 
 
@@ -78,7 +81,10 @@ def pose_from_rectified(
 ) -> MapPose | None:
     """Pose of a nadir view that was fitted to the map.
 
-    The tilt was taken from the attitude, so its error moves the nadir by AGL times itself. None
+    The tilt was taken from the attitude, so its error moves the nadir by AGL times itself. It also
+    makes the view larger on one side: over inliers that lie to one side the mean heading and scale
+    are not those of the nadir, but 1 degree and 4 % off at 6 degrees of error half-way to the edge.
+    A homography knows them at the nadir; a similarity does not, and the sigmas then say so. None
     when the pairs do not fix the pose.
 
     Args:
@@ -92,67 +98,69 @@ def pose_from_rectified(
     is_similarity = not np.any(H_map_rect[2, :2])
     propagate = similarity_covariance if is_similarity else homography_covariance
     covariance_px2 = propagate(uv_rect, uv_map, H_map_rect, errors.sigma_px, view.nadir_uv)
-    turn = _turn_and_scale(H_map_rect, view.m_per_px, uv_rect, px_per_m, errors.sigma_px)
+    turn_of = _turn_of_similarity if is_similarity else _turn_of_homography
+    turn = turn_of(H_map_rect, view, uv_rect, uv_map, px_per_m, errors)
     nadir_px = transform_points(H_map_rect, view.nadir_uv)[0]
     if covariance_px2 is None or turn is None or not np.all(np.isfinite(nadir_px)):
         return None
-    yaw_correction_rad, scale_ratio, sigma_relative = turn
-    agl_m = view.agl_m * scale_ratio
+    agl_m = view.agl_m * turn.scale
     return MapPose(
         nadir_px=nadir_px,
         covariance_ne_m2=_covariance_ne_m2(covariance_px2, px_per_m, agl_m, errors),
-        yaw_correction_rad=yaw_correction_rad,
-        sigma_yaw_rad=sigma_relative,
-        scale_ratio=scale_ratio,
+        yaw_correction_rad=turn.rotation_rad,
+        sigma_yaw_rad=turn.sigma_rad,
+        scale_ratio=turn.scale,
         agl_m=agl_m,
-        sigma_agl_m=agl_m * sigma_relative,
+        sigma_agl_m=agl_m * turn.sigma_scale,
     )
 
 
-def turned_where_reported(
-    pose: MapPose,
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """Rotation, clockwise, and scale of a view against the map; `sigma_scale` is relative."""
+
+    rotation_rad: float
+    scale: float
+    sigma_rad: float
+    sigma_scale: float
+
+
+def _turn_of_similarity(
+    H_map_rect: Array,
+    view: Rectification,
+    uv_rect: Array,
+    _uv_map: Array,
+    px_per_m: tuple[float, float],
+    errors: PoseErrors,
+) -> _Turn | None:
+    """The same everywhere: what a lean of the view adds to it, nobody knows."""
+    turn = _turn_and_scale(H_map_rect, view.m_per_px, uv_rect, px_per_m, errors.sigma_px)
+    if turn is None:
+        return None
+    rotation_rad, scale, sigma = turn
+    off_m = float(np.linalg.norm(uv_rect.mean(axis=0) - view.nadir_uv)) * view.m_per_px
+    lean = errors.sigma_lean_rad * off_m / view.agl_m
+    return _Turn(rotation_rad, scale, math.hypot(sigma, 0.5 * lean), math.hypot(sigma, 1.5 * lean))
+
+
+def _turn_of_homography(
     H_map_rect: Array,
     view: Rectification,
     uv_rect: Array,
     uv_map: Array,
     px_per_m: tuple[float, float],
     errors: PoseErrors,
-    sigma_level_rad: float,
-) -> MapPose:
-    """The pose with heading and scale of the place it is reported for, `view.nadir_uv`.
-
-    A view that was made without knowing the tilt is larger on one side than on the other. Over
-    inliers that lie to one side its mean heading and scale are not those of its middle: 1 degree
-    and 4 % at 6 degrees of tilt and half-way to the edge. A homography knows them in the middle; a
-    similarity does not, and the sigmas then say so. `pose` is that of `pose_from_rectified` with
-    the same arguments, `sigma_level_rad` that of the tilt that was taken for level.
-    """
+) -> _Turn | None:
+    """At the nadir, from where four places around it fall."""
     reach_px = _REACH * max(view.size_wh)
     around = view.nadir_uv + reach_px * _CROSS
     turn = _turn_and_scale(H_map_rect, view.m_per_px, around, px_per_m, errors.sigma_px)
-    if turn is None:
-        return pose
-    sigma_yaw_rad, sigma_scale = pose.sigma_yaw_rad, pose.sigma_agl_m / pose.agl_m
-    if np.any(H_map_rect[2, :2]):
-        covariance_px2 = homography_covariance(uv_rect, uv_map, H_map_rect, errors.sigma_px, around)
-        if covariance_px2 is None:
-            return pose
-        step_px = reach_px * view.m_per_px * math.sqrt(px_per_m[0] * px_per_m[1]) * turn[1]
-        sigma_yaw_rad, sigma_scale = _cross_sigmas(covariance_px2 / step_px**2, turn[0])
-    else:
-        off_m = float(np.linalg.norm(uv_rect.mean(axis=0) - view.nadir_uv)) * view.m_per_px
-        lean = sigma_level_rad * off_m / pose.agl_m
-        sigma_yaw_rad = math.hypot(sigma_yaw_rad, 0.5 * lean)
-        sigma_scale = math.hypot(sigma_scale, 1.5 * lean)
-    agl_m = view.agl_m * turn[1]
-    return replace(
-        pose,
-        yaw_correction_rad=turn[0],
-        sigma_yaw_rad=sigma_yaw_rad,
-        scale_ratio=turn[1],
-        agl_m=agl_m,
-        sigma_agl_m=sigma_scale * agl_m,
-    )
+    covariance_px2 = homography_covariance(uv_rect, uv_map, H_map_rect, errors.sigma_px, around)
+    if turn is None or covariance_px2 is None:
+        return None
+    rotation_rad, scale, _ = turn
+    step_px = reach_px * view.m_per_px * math.sqrt(px_per_m[0] * px_per_m[1]) * scale
+    return _Turn(rotation_rad, scale, *_cross_sigmas(covariance_px2 / step_px**2, rotation_rad))
 
 
 def _cross_sigmas(covariance: Array, turn_rad: float) -> tuple[float, float]:

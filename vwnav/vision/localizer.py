@@ -15,12 +15,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.mercator import mercator_px_per_m
-from vwnav.geometry.pose import (
-    MapPose,
-    PoseErrors,
-    pose_from_rectified,
-    turned_where_reported,
-)
+from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import (
@@ -81,7 +76,7 @@ class LocalizerConfig:
     min_decades: float = 5.0
     min_contrast: float = 2.5
     search_agl_m: tuple[float, float] = (20.0, 600.0)
-    sigma_tilt_rad: float = math.radians(1.0)
+    sigma_tilt_rad: float = math.radians(2.0)
     max_sigma_m: float = 20.0
     max_track_radius_px: float = 1500.0
 
@@ -248,12 +243,13 @@ class Localizer:
         errors = PoseErrors(
             sigma_px=scatter_px * math.sqrt(repeats),
             sigma_tilt_rad=self._config.sigma_tilt_rad if known else 0.0,
+            sigma_lean_rad=self._config.sigma_tilt_rad if known else SIGMA_LEVEL_RAD,
             sigma_georeference_m=math.hypot(
                 self._looker.pack.georeference_sigma_m,
                 SYSTEMATIC_PX * view.rectification.m_per_px,
             ),
         )
-        seen = (
+        return pose_from_rectified(
             placement.H_map_view,
             replace(view.rectification, nadir_uv=point_uv),
             placement.uv_view,
@@ -261,10 +257,6 @@ class Localizer:
             mercator_px_per_m(lat_deg, found.zoom),
             errors,
         )
-        pose = pose_from_rectified(*seen)
-        if known or pose is None:
-            return pose
-        return turned_where_reported(pose, *seen, SIGMA_LEVEL_RAD)
 
     def _fix(self, frame: Frame, job: Job, found: Found) -> MapFix | Rejected:
         prior, pose = job.prior, self._pose(job, found)
