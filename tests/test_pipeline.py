@@ -87,6 +87,19 @@ def test_a_fix_moves_the_estimate_and_the_next_prior_is_tighter():
     assert localizer.priors[-1].sigma_m < localizer.priors[0].sigma_m
 
 
+def test_a_sure_filter_that_finds_nothing_is_doubted_until_it_finds_something():
+    localizer = FakeLocalizer(None)
+    pipeline = make_pipeline(localizer, start=above_home(sigma_m=0.5))
+    fly(pipeline, 2.0)
+    assert max(prior.sigma_m for prior in localizer.priors) < 6.0
+    fly(pipeline, 28.0, t0_s=2.0)
+    assert max(prior.sigma_m for prior in localizer.priors) > 20.0
+    assert 0.1 < localizer.priors[-1].sigma_agl_ratio <= 0.3
+    localizer.north_east_m = (0.0, 0.0)
+    fly(pipeline, 2.0, t0_s=30.0)
+    assert localizer.priors[-1].sigma_m < 6.0
+
+
 def test_without_a_start_the_whole_map_is_searched_and_the_first_fix_begins():
     localizer = FakeLocalizer((100.0, 50.0))
     steps = fly(make_pipeline(localizer), 1.0)

@@ -36,6 +36,8 @@ from vwnav.types import (
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
+MAX_DOUBT = 8.0
+MAX_DOUBTED_AGL_RATIO = 0.3
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 UNKNOWN_AGL_M = 50.0
 AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
@@ -51,6 +53,9 @@ class PipelineConfig:
     max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
     fallback_after: int = 8  # rejections in a row before the fallback is tried
     primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
+    doubt_after: int = (
+        25  # attempts in a row without a fix; then, and every so many, look twice as far
+    )
     most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
 
 
@@ -197,6 +202,7 @@ class Pipeline:
         self._lock = threading.Lock()
         self._pending: tuple[Localizing, Future[MapFix | Rejected]] | None = None
         self._next_attempt_s = -np.inf
+        self._misses = 0  # attempts since the last fix
         self.attempts = 0
         self.accepted = 0
 
@@ -281,11 +287,16 @@ class Pipeline:
             outcome = self._fuse_fix(outcome)
         self.attempts += 1
         self.accepted += isinstance(outcome, MapFix)
+        self._misses = 0 if isinstance(outcome, MapFix) else self._misses + 1
         self._features.report(localizer, isinstance(outcome, MapFix))
         return outcome
 
     def _prior(self, now: Estimate | None, sensors: Sensors) -> Prior:
-        """What the filter knows, as the localizer wants it."""
+        """What the filter knows, as the localizer wants it.
+
+        A filter that is sure of itself and finds nothing is doubted: its place may be wrong by
+        more than it says, and what the localizer does not look for can never put it right.
+        """
         if now is None:
             return Prior()
         yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
@@ -293,18 +304,20 @@ class Pipeline:
         # count it twice if the picture were rectified with its corrected attitude.
         measured = sensors.attitude
         tilt = euler_from_rotation(rotation_from_quat(measured.quat_wxyz)) if measured else None
+        doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
+        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), MIN_AGL_SIGMA_RATIO)
         prior = Prior(
             yaw_rad=yaw_rad if now.sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
             sigma_yaw_rad=now.sigma_yaw_rad,
             agl_m=now.agl_m,
-            sigma_agl_ratio=max(now.sigma_agl_m / max(now.agl_m, 1.0), MIN_AGL_SIGMA_RATIO),
+            sigma_agl_ratio=max(agl_ratio, min(doubt * agl_ratio, MAX_DOUBTED_AGL_RATIO)),
             roll_rad=tilt[0] if tilt else None,
             pitch_rad=tilt[1] if tilt else None,
         )
         if now.sigma_horizontal_m > self._config.max_prior_sigma_m:
             return prior
         lat_deg, lon_deg, _ = self.local_frame.to_geodetic(now.position_ned_m)
-        sigma_m = max(now.sigma_horizontal_m, MIN_PRIOR_SIGMA_M)
+        sigma_m = doubt * max(now.sigma_horizontal_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 
     def _fuse_fix(self, fix: MapFix) -> MapFix | Rejected:

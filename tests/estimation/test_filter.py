@@ -14,6 +14,7 @@ from vwnav.bench.estimator_streams import Stream, sense
 from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
+from vwnav.estimation.events import Height
 from vwnav.estimation.states import States
 from vwnav.types import Attitude, ImuSample, OdometryMotion
 
@@ -110,6 +111,29 @@ def test_height_above_a_hill_of_40_m_comes_from_the_terrain_table():
     ratio = np.abs(rows.error_agl_m / rows.agl_m)
     assert np.ptp(rows.agl_m[rows.t_s > 40.0]) > 25.0
     assert np.sqrt(np.mean(ratio[rows.t_s > 40.0] ** 2)) < 0.03
+
+
+@pytest.mark.parametrize(("height_m", "imu_hz"), [(90.0, 0.0), (140.0, 0.0), (90.0, 50.0)])
+def test_a_climb_faster_than_thought_is_no_reason_to_refuse_the_barometer(height_m, imu_hz):
+    """At 11 and 17 m/s, after 10 m/s^2 at the start: heights and ways are refused at first."""
+    world = replace(USUAL, seconds=40.0, height_m=height_m, imu_hz=imu_hz)
+    rows = play(stream_of(world, 0)).rows
+    ratio = np.abs(rows.error_agl_m / rows.agl_m)
+    assert np.max(ratio[rows.t_s > 15.0]) < 0.05
+
+
+def test_a_barometer_that_jumps_for_good_costs_no_height_above_ground():
+    """A hatch that opens: 12 m. Fixes put it right within seconds."""
+    stream = stream_of(replace(USUAL, seconds=60.0), 2)
+    jumped = [
+        replace(event, seen=Height(event.seen.t_s, event.seen.height_m + 12.0))
+        if isinstance(event.seen, Height) and event.seen.t_s > 40.0
+        else event
+        for event in stream.events
+    ]
+    rows = play(replace(stream, events=jumped)).rows
+    ratio = np.abs(rows.error_agl_m / rows.agl_m)
+    assert np.max(ratio[rows.t_s > 45.0]) < 0.03
 
 
 def test_the_imu_is_used_where_it_is_streamed():

@@ -9,6 +9,7 @@ from vwnav.estimation.attitudes import AttitudeHistory
 from vwnav.estimation.consensus import agreeing, convinces, remember
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
+from vwnav.estimation.heights import apply_agl
 from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
@@ -17,7 +18,6 @@ from vwnav.estimation.updates import (
     Verdict,
     correct,
     freed,
-    fuse,
     innovate,
 )
 from vwnav.geometry.rotations import wrap_pi
@@ -53,31 +53,6 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config)
         parts.append(part)
     return state, replace(innovation, parts=tuple(parts))
-
-
-def apply_agl(
-    state: FilterState, agl_m: float, sigma_m: float, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
-    """Fuse a height above ground, of a fix or a rangefinder.
-
-    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    """
-    H = np.zeros((1, States.SIZE))
-    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
-    measurement = Measurement(np.array([agl_m - state.agl_m]), H, np.array([[sigma_m**2]]))
-    fused, innovation = fuse(state, measurement)
-    if innovation.accepted:
-        return replace(fused, disputed_agls=()), innovation
-    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
-    state = replace(state, disputed_agls=disputes)
-    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
-        return state, innovation
-    open_m = 2.0 * abs(float(measurement.residual[0]))
-    # Whether the keyframe's ground was believed wrong too is not known.
-    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
-    fused = correct(state, measurement)
-    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def _position(state: FilterState, fix: NedFix, attitudes: AttitudeHistory) -> Measurement:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt, level_axes
+from vwnav.estimation.attitudes import AttitudeHistory, level_axes
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
@@ -16,7 +16,8 @@ from vwnav.estimation.events import (
     Range,
     Stationary,
 )
-from vwnav.estimation.fixes import apply_agl, apply_fix
+from vwnav.estimation.fixes import apply_fix
+from vwnav.estimation.heights import apply_agl, apply_height, apply_range
 from vwnav.estimation.imu import push_between
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import Anchor, EkfConfig, FilterState, States
@@ -36,7 +37,6 @@ _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
 _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
-_LEAST_COS_TILT = 0.5
 _STILL_S = 0.2
 
 
@@ -52,9 +52,9 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
         case Keyframe():
             return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
-            return _apply_height(state, event, config)
+            return apply_height(state, event, config)
         case Range():
-            return _apply_range(state, event, attitudes, config)
+            return apply_range(state, event, attitudes, config)
         case Stationary():
             return _apply_stationary(state, context)
 
@@ -179,43 +179,6 @@ def _displacement(
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))
-
-
-def _apply_height(
-    state: FilterState, event: Height, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
-    H = np.zeros((1, States.SIZE))
-    H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
-    R = np.array([[config.height_sigma_m**2]])
-    state, innovation = fuse(state, Measurement(event.height_m - H @ state.x, H, R))
-    return _touch(state, config), innovation
-
-
-def _touch(state: FilterState, config: EkfConfig) -> FilterState:
-    """Near the ground an aircraft hardly moves sideways, whatever its attitude seems to say.
-
-    Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
-    if the wind blew it away, at a height where no picture tells otherwise. The gate refuses this
-    where it really flies.
-    """
-    if state.agl_m > config.touching_agl_m:
-        return state
-    H = np.zeros((2, States.SIZE))
-    H[:, States.VELOCITY.start : States.VELOCITY.start + 2] = np.eye(2)
-    R = config.touching_sigma_m_s**2 * np.eye(2)
-    return fuse(state, Measurement(-state.x[States.VELOCITY][:2], H, R))[0]
-
-
-def _apply_range(
-    state: FilterState, event: Range, attitudes: AttitudeHistory, config: EkfConfig
-) -> tuple[FilterState, Innovation]:
-    cos = cos_tilt(attitudes.quat_at(event.t_s))
-    if cos < _LEAST_COS_TILT:
-        return state, Innovation(Verdict.NOT_FINITE)
-    sigma_m = math.hypot(
-        config.rangefinder_sigma_m, config.rangefinder_sigma_ratio * event.distance_m
-    )
-    return apply_agl(state, event.distance_m * cos, sigma_m, config)
 
 
 def _apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:

@@ -138,7 +138,8 @@ class FilterState:
         measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
             known then: the next step goes on from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
-        disputed_fixes, disputed_headings, disputed_agls: refused since the last accepted one.
+        disputed_fixes, disputed_headings, disputed_agls, disputed_heights: refused since the last
+            accepted one.
     """
 
     t_s: float
@@ -153,6 +154,7 @@ class FilterState:
     disputed_fixes: tuple[Dispute, ...] = ()
     disputed_headings: tuple[Dispute, ...] = ()
     disputed_agls: tuple[Dispute, ...] = ()
+    disputed_heights: tuple[Dispute, ...] = ()
 
     @property
     def agl_m(self) -> float:

@@ -1,0 +1,100 @@
+"""Heights meet the state: barometer, rangefinder, and the height of a fix above ground."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.consensus import convinces, remember
+from vwnav.estimation.events import Height, Range
+from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
+from vwnav.estimation.updates import Innovation, Measurement, Verdict, correct, freed, fuse
+
+_DOWN = 2
+_CLIMB = 5
+_TERRAIN = States.TERRAIN.start
+_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
+_LEAST_COS_TILT = 0.5
+_CLIMB_SIGMA_M_S = 5.0  # of an aircraft whose barometer was not believed
+_CLIMB_DRIFT_M_S = 15.0  # by which agreeing barometric heights may part: it climbs meanwhile
+
+
+def apply_height(
+    state: FilterState, event: Height, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse a barometric height.
+
+    A gust at the port is refused. When several heights agree, the aircraft has climbed or sunk as
+    nobody thought, and height and climb are freed: a filter that refused its barometer for good
+    flew at 90 m and took it for 60.
+    """
+    H = np.zeros((1, States.SIZE))
+    H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
+    R = np.array([[config.height_sigma_m**2]])
+    measurement = Measurement(event.height_m - H @ state.x, H, R)
+    fused, innovation = fuse(state, measurement)
+    if innovation.accepted:
+        return _touch(replace(fused, disputed_heights=()), config), innovation
+    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
+    disputes = remember(state.disputed_heights, dispute, config.dispute_window_s)
+    state = replace(state, disputed_heights=disputes)
+    if not convinces(disputes, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
+        return state, innovation
+    state = freed(state, _DOWN, 2.0 * abs(float(measurement.residual[0])))
+    state = freed(state, _CLIMB, _CLIMB_SIGMA_M_S)
+    fused = correct(state, measurement)
+    return replace(fused, disputed_heights=()), replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _touch(state: FilterState, config: EkfConfig) -> FilterState:
+    """Near the ground an aircraft hardly moves sideways, whatever its attitude seems to say.
+
+    Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
+    if the wind blew it away, at a height where no picture tells otherwise. The gate refuses this
+    where it really flies.
+    """
+    if state.agl_m > config.touching_agl_m:
+        return state
+    H = np.zeros((2, States.SIZE))
+    H[:, States.VELOCITY.start : States.VELOCITY.start + 2] = np.eye(2)
+    R = config.touching_sigma_m_s**2 * np.eye(2)
+    return fuse(state, Measurement(-state.x[States.VELOCITY][:2], H, R))[0]
+
+
+def apply_range(
+    state: FilterState, event: Range, attitudes: AttitudeHistory, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse the distance to the ground along the body's down axis, unless that is far from down."""
+    cos = cos_tilt(attitudes.quat_at(event.t_s))
+    if cos < _LEAST_COS_TILT:
+        return state, Innovation(Verdict.NOT_FINITE)
+    sigma_m = math.hypot(
+        config.rangefinder_sigma_m, config.rangefinder_sigma_ratio * event.distance_m
+    )
+    return apply_agl(state, event.distance_m * cos, sigma_m, config)
+
+
+def apply_agl(
+    state: FilterState, agl_m: float, sigma_m: float, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Fuse a height above ground, of a fix or a rangefinder.
+
+    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
+    """
+    H = np.zeros((1, States.SIZE))
+    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
+    measurement = Measurement(np.array([agl_m - state.agl_m]), H, np.array([[sigma_m**2]]))
+    fused, innovation = fuse(state, measurement)
+    if innovation.accepted:
+        return replace(fused, disputed_agls=()), innovation
+    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
+    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
+    state = replace(state, disputed_agls=disputes)
+    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
+        return state, innovation
+    open_m = 2.0 * abs(float(measurement.residual[0]))
+    # Whether the keyframe's ground was believed wrong too is not known.
+    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
+    fused = correct(state, measurement)
+    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
