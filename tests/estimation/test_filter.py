@@ -113,6 +113,28 @@ def test_height_above_a_hill_of_40_m_comes_from_the_terrain_table():
     assert np.sqrt(np.mean(ratio[rows.t_s > 40.0] ** 2)) < 0.03
 
 
+def test_a_hundred_fixes_of_one_place_do_not_take_away_what_they_share():
+    """The map may be turned and scaled there, and a view may lean: each of them says the same."""
+    sigmas = []
+    for config in (EkfConfig(), EkfConfig(map_turn_rad=1e-6, map_scale=1e-6)):
+        ekf = _flying(config)
+        for i in range(1, 101):
+            t = 1.0 + 0.4 * i
+            ekf.handle_attitude(Attitude(t, LEVEL))
+            ekf.handle_height(t, 50.0)
+            ekf.handle_fix(
+                NedFix(
+                    t_s=t, position_ne_m=np.zeros(2), covariance_ne_m2=0.1 * np.eye(2),
+                    yaw_rad=0.0, sigma_yaw_rad=0.005, agl_m=50.0, sigma_agl_m=0.5,
+                )
+            )  # fmt: skip
+        found = ekf.estimate(t)
+        sigmas.append((found.sigma_yaw_rad, found.sigma_agl_m))
+    (yaw_rad, agl_m), (sure_yaw_rad, sure_agl_m) = sigmas
+    assert yaw_rad > EkfConfig().map_turn_rad > 1.5 * sure_yaw_rad
+    assert agl_m > 1.3 * sure_agl_m
+
+
 @pytest.mark.parametrize(("height_m", "imu_hz"), [(90.0, 0.0), (140.0, 0.0), (90.0, 50.0)])
 def test_a_climb_faster_than_thought_is_no_reason_to_refuse_the_barometer(height_m, imu_hz):
     """At 11 and 17 m/s, after 10 m/s^2 at the start: heights and ways are refused at first."""
@@ -317,8 +339,8 @@ def test_a_distance_that_cannot_be_is_refused(distance_m):
     assert _flying().handle_rangefinder(1.1, distance_m).verdict is Verdict.NOT_FINITE
 
 
-def _flying() -> Ekf:
-    ekf = Ekf(EkfConfig())
+def _flying(config: EkfConfig | None = None) -> Ekf:
+    ekf = Ekf(config or EkfConfig())
     start = np.array([0.0, 0.0, -50.0])
     ekf.initialise(Start(t_s=0.0, position_ned_m=start, sigma_m=2.0, agl_m=50.0))
     for i in range(6):

@@ -28,7 +28,7 @@ def bench(scenario: Scenario, runs: int, seed: int, folder: Path | None, say: Sa
     if folder is not None:
         same = _replays_alike(flown[0], scenario, folder / f"{scenario.name}.mcap")
         metrics.append(Metric("replays bit for bit from MCAP", float(same), "", 1.0, None))
-        if scenario.name in ("nominal", "outage"):
+        if scenario.name.startswith(("nominal", "outage")):
             save_nees_plot(flown, folder / f"{scenario.name}.png")
     if scenario.name == "turns":
         metrics += _with_lambda(flown, scenario, folder)

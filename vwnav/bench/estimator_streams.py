@@ -182,7 +182,7 @@ def _odometry(
 ) -> list[Event]:
     """Ways from keyframes that are replaced as the view changes; the first picture is one."""
     events: list[Event] = []
-    sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])  # keyframe's and picture's alike
+    sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])
     covariance = np.diag(2.0 * sigma**2) * _HANDED_AGL_M**2
     sigma_yaw_rad = math.sqrt(2.0) * world.odometry_yaw_rad
     shift = world.tilt_in_odometry * errors.nadir_shift
@@ -217,7 +217,9 @@ def _fixes(
     world: World, truth: Truth, errors: _AttitudeErrors, rng: np.random.Generator
 ) -> list[Event]:
     events: list[Event] = []
-    map_error = _map_error(world, truth, rng)
+    map_error = world.map_error_m * _waves(truth, 2, rng)
+    map_turn_rad = math.radians(world.map_turn_deg) * _waves(truth, 1, rng)[:, 0]
+    map_scale = world.map_scale * _waves(truth, 1, rng)[:, 0]
     wrong_left, wrong_m = 0, np.zeros(2)
     starts = sorted(world.wrong_runs_s, reverse=True)
     covariance = np.eye(2) * (world.fix_sigma_m**2 + world.map_error_m**2)
@@ -243,9 +245,9 @@ def _fixes(
             t_s=t_s,
             position_ne_m=truth.position_ned_m[i, :2] + agl_m * errors.nadir_shift[i] + error,
             covariance_ne_m2=covariance,
-            yaw_rad=float(errors.map_yaw[i] + yaw_sigma_rad * noise[2]),
+            yaw_rad=float(errors.map_yaw[i] + map_turn_rad[i] + yaw_sigma_rad * noise[2]),
             sigma_yaw_rad=yaw_sigma_rad,
-            agl_m=agl_m * (1.0 + world.fix_agl_ratio * float(noise[3])),
+            agl_m=agl_m * (1.0 + float(map_scale[i]) + world.fix_agl_ratio * float(noise[3])),
             sigma_agl_m=world.fix_agl_ratio * agl_m,
             sigma_map_m=world.map_error_m,
         )
@@ -259,13 +261,13 @@ def _offset(rng: np.random.Generator) -> Array:
     return far_m * np.array([math.cos(angle), math.sin(angle)])
 
 
-def _map_error(world: World, truth: Truth, rng: np.random.Generator) -> Array:
-    """(n, 2) error of the map below: waves of random length and direction, some 50 m."""
+def _waves(truth: Truth, count: int, rng: np.random.Generator) -> Array:
+    """(n, count) errors of unit size of the map below: waves of random length, some 50 m."""
     waves = rng.normal(size=(_MAP_WAVES, 2)) / _MAP_LENGTH_M
-    phases = rng.uniform(0.0, 2.0 * math.pi, (2, _MAP_WAVES))
+    phases = rng.uniform(0.0, 2.0 * math.pi, (count, _MAP_WAVES))
     along = truth.position_ned_m[:, :2] @ waves.T
-    size_m = world.map_error_m * math.sqrt(2.0 / _MAP_WAVES)
-    return np.stack([size_m * np.sum(np.cos(along + p), axis=1) for p in phases], axis=1)
+    size = math.sqrt(2.0 / _MAP_WAVES)
+    return np.stack([size * np.sum(np.cos(along + p), axis=1) for p in phases], axis=1)
 
 
 def _table(world: World, rng: np.random.Generator) -> Table:

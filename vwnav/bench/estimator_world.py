@@ -66,15 +66,17 @@ class World:
     map_error_m: float = 0.3  # of the map itself, the same for neighbours within some 50 m
     fix_yaw_deg: float = 0.5
     fix_agl_ratio: float = 0.02
+    map_turn_deg: float = 0.2  # of headings by fixes, shared as the map's error is
+    map_scale: float = 0.007  # of their heights above ground, likewise
     fix_latency_s: tuple[float, float] = (0.1, 0.4)
     outages_s: tuple[tuple[float, float], ...] = ()
     wrong_share: float = 0.0  # of fixes 10 to 200 m off, each on its own
     wrong_runs_s: tuple[float, ...] = ()  # here begin ten wrong fixes that agree
     # Odometry
     odometry_hz: float = 15.0
-    odometry_sigma: float = 0.0009  # of the AGL
+    odometry_sigma: float = 0.0016  # of the AGL, a picture's own and its keyframe's alike
     odometry_yaw_rad: float = 0.002
-    tilt_in_odometry: float = 0.1  # 0: the picture itself tells tilting from moving
+    tilt_in_odometry: float = 0.2  # 0: the picture itself tells tilting from moving
     # Terrain table of the map
     table: bool = False
     table_offset_m: float = 2.0

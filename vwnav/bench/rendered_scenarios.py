@@ -8,7 +8,7 @@ import numpy as np
 
 from vwnav.bench.estimator_run import Run
 from vwnav.bench.estimator_scenarios import Metric, judge_nominal
-from vwnav.bench.estimator_scores import position_nees, rms
+from vwnav.bench.estimator_scores import SETTLED_S, position_nees, rms
 from vwnav.bench.estimator_world import World
 from vwnav.bench.rendered_errors import (
     fix_errors,
@@ -69,6 +69,7 @@ def judge_rendered(flown: list[Flown]) -> list[Metric]:
     )
     return [
         *judge_nominal(runs),
+        *_unseen(runs),
         Metric("fixes accepted, of attempts", 100.0 * taken / max(attempts, 1), "%"),
         Metric("fix error, RMS, tilt left aside", rms(errors_m), "m"),
         Metric("fix error, 95 %", float(np.quantile(errors_m, 0.95)), "m"),
@@ -77,6 +78,19 @@ def judge_rendered(flown: list[Flown]) -> list[Metric]:
         *_fix_model(runs),
         *_odometry_model(runs),
     ]  # fmt: skip
+
+
+def _unseen(runs: list[Run]) -> list[Metric]:
+    """Whether the filter knows its heading and height, which nothing else asks."""
+    rows = [run.rows for run in runs]
+    yaw = np.concatenate(
+        [((r.error_yaw_rad / r.sigma_yaw_rad) ** 2)[r.t_s > SETTLED_S] for r in rows]
+    )
+    agl = np.concatenate([((r.error_agl_m / r.sigma_agl_m) ** 2)[r.t_s > SETTLED_S] for r in rows])
+    return [
+        Metric("NEES of heading (1) mean", float(np.mean(yaw))),
+        Metric("NEES of AGL (1) mean", float(np.mean(agl))),
+    ]
 
 
 def _assumed(field: str) -> str:
@@ -93,9 +107,9 @@ def _fix_model(runs: list[Run]) -> list[Metric]:
         Metric(_assumed("fix_sigma_m"), place.white, "m"),
         Metric(_assumed("map_error_m"), place.slow, "m"),
         Metric(_assumed("fix_yaw_deg"), yaw.white, "deg"),
-        Metric("fix heading, slow part (0 assumed)", yaw.slow, "deg"),
+        Metric(_assumed("map_turn_deg"), yaw.slow, "deg"),
         Metric(_assumed("fix_agl_ratio"), agl.white),
-        Metric("fix AGL, slow part (0 assumed)", agl.slow),
+        Metric(_assumed("map_scale"), agl.slow),
     ]
 
 

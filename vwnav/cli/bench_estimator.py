@@ -77,12 +77,14 @@ def _matching(features: str) -> "FeatureName":
 def _choose(names: list[str], seconds: float | None) -> "list[Scenario | RenderedScenario]":
     from dataclasses import replace
 
-    from vwnav.bench.estimator_scenarios import SCENARIOS
+    from vwnav.bench.estimator_scenarios import SCENARIOS, Scenario
     from vwnav.bench.rendered_scenarios import RENDERED
 
     known: dict[str, Scenario | RenderedScenario] = {s.name: s for s in SCENARIOS}
-    nominal = SCENARIOS[0]
-    known["nominal"] = replace(nominal, world=replace(nominal.world, seconds=seconds or _NOMINAL_S))
+    for name in ("nominal", "nominal-imu"):
+        flown = known[name]
+        assert isinstance(flown, Scenario)
+        known[name] = replace(flown, world=replace(flown.world, seconds=seconds or _NOMINAL_S))
     unasked = list(known)
     known |= {s.name: s for s in RENDERED}
     unknown = [name for name in names if name not in known]

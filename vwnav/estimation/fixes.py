@@ -28,6 +28,7 @@ _ANCHOR_NE = slice(States.ANCHOR_POSITION.start, States.ANCHOR_POSITION.start + 
 _DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
+_MAP_TURN = States.MAP_TURN.start
 _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _SMALLEST_SIGMA_M = 0.03
@@ -50,7 +51,7 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config)
         parts.append(part)
     if fix.agl_m is not None and fix.sigma_agl_m is not None:
-        state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config)
+        state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config, by_map=True)
         parts.append(part)
     return state, replace(innovation, parts=tuple(parts))
 
@@ -69,9 +70,11 @@ def _position(state: FilterState, fix: NedFix, attitudes: AttitudeHistory) -> Me
     H[:, States.TILT] = lever
     H[:, States.MAP] = np.eye(2)
     residual = fix.position_ne_m - H @ state.x
-    own_m2 = (max(state.agl_m, 0.0) * fix.sigma_tilt_rad) ** 2 + fix.sigma_map_m**2
+    # With the height that the fix itself was computed with: the tilt's share is most of the whole.
+    agl_m = state.agl_m if fix.agl_m is None else fix.agl_m
+    own_m2 = (max(agl_m, 0.0) * fix.sigma_tilt_rad) ** 2 + fix.sigma_map_m**2
     variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
-    rest = np.maximum(variances - own_m2, np.maximum(0.1 * variances, _SMALLEST_SIGMA_M**2))
+    rest = np.maximum(variances - own_m2, np.maximum(0.01 * variances, _SMALLEST_SIGMA_M**2))
     return Measurement(residual, H, axes @ np.diag(rest) @ axes.T)
 
 
@@ -129,7 +132,7 @@ def _on_other_ground(before: FilterState, after: FilterState, context: Context) 
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (26, m) says which states move with the residual. The new error is
+    `jump` (31, m) says which states move with the residual. The new error is
     e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
     """
     A = np.eye(States.SIZE) - jump @ measurement.H
@@ -140,13 +143,13 @@ def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> F
 def _apply_heading(
     state: FilterState, bias_rad: float, sigma_rad: float, config: EkfConfig
 ) -> tuple[FilterState, Innovation]:
-    """Fuse the heading bias that a fix shows.
+    """Fuse the heading bias that a fix shows: less what the map is turned by.
 
     A compass that suddenly errs is refused at first; when several fixes agree, the bias is freed.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, _YAW] = 1.0
-    residual = np.array([wrap_pi(bias_rad - state.x[_YAW])])
+    H[0, _YAW], H[0, _MAP_TURN] = 1.0, -1.0
+    residual = np.array([wrap_pi(float(bias_rad - H[0] @ state.x))])
     measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
     jump = np.zeros((States.SIZE, 1))
     jump[[_YAW, _ANCHOR_YAW]] = 1.0

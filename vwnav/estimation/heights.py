@@ -76,15 +76,17 @@ def apply_range(
 
 
 def apply_agl(
-    state: FilterState, agl_m: float, sigma_m: float, config: EkfConfig
+    state: FilterState, agl_m: float, sigma_m: float, config: EkfConfig, by_map: bool = False
 ) -> tuple[FilterState, Innovation]:
     """Fuse a height above ground, of a fix or a rangefinder.
 
     A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
+    Heights `by_map` share the error of its scale.
     """
     H = np.zeros((1, States.SIZE))
     H[0, _DOWN] = H[0, _TERRAIN] = -1.0
-    measurement = Measurement(np.array([agl_m - state.agl_m]), H, np.array([[sigma_m**2]]))
+    H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
+    measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
     fused, innovation = fuse(state, measurement)
     if innovation.accepted:
         return replace(fused, disputed_agls=()), innovation

@@ -20,7 +20,7 @@ _VN, _VE, _VD = 3, 4, 5
 _AN, _AE = 6, 7
 _YAW = States.HEADING_BIAS.start
 _FORWARD, _RIGHT = States.TILT.start, States.TILT.start + 1
-_MAP_N, _MAP_E = States.MAP.start, States.MAP.start + 1
+_MAP = np.r_[States.MAP, States.MAP_TURN, States.MAP_SCALE]
 _TERRAIN = States.TERRAIN.start
 _FORCE_BIAS = np.arange(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
 _RATE_BIAS = np.arange(States.GYRO_BIAS.start, States.GYRO_BIAS.stop)
@@ -117,7 +117,7 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     moved[States.VELOCITY] += dt_s * felt.acceleration
     moved[States.ACCELERATION] *= keep
     moved[States.TILT] *= keep_tilt
-    moved[States.MAP] *= keep_map
+    moved[_MAP] *= keep_map
 
     F = _IDENTITY.copy()
     F[_N, _VN] = F[_E, _VE] = F[_D, _VD] = dt_s
@@ -134,7 +134,7 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     F[_VN, _FORWARD], F[_VE, _FORWARD] = (dt_s * by for by in felt.by_forward)
     F[_VN, _RIGHT], F[_VE, _RIGHT] = (dt_s * by for by in felt.by_right)
     F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
-    F[_MAP_N, _MAP_N] = F[_MAP_E, _MAP_E] = keep_map
+    F[_MAP, _MAP] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
     Q = _process_noise(dt_s, flown_m, known, span.push, config)
     if span.push is None:
@@ -185,7 +185,8 @@ def _process_noise(
     fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s)
     Q[_FORWARD, _FORWARD] = Q[_RIGHT, _RIGHT] = config.tilt_sigma_rad**2 * fed_tilt
     fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
-    Q[_MAP_N, _MAP_N] = Q[_MAP_E, _MAP_E] = config.map_sigma_m**2 * fed_map
+    sigmas = config.map_sigma_m, config.map_sigma_m, config.map_turn_rad, config.map_scale
+    Q[_MAP, _MAP] = np.square(sigmas) * fed_map
     Q[_YAW, _YAW] = heading * dt_s
     baro = States.BARO.start
     Q[baro, baro] = config.baro_walk_m**2 * dt_s

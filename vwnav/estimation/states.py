@@ -31,7 +31,9 @@ class States:
     ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
     GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
-    SIZE = 29
+    MAP_TURN = slice(29, 30)  # rad, by how much headings by this map, and matching on it, are off
+    MAP_SCALE = slice(30, 31)  # the same of heights above ground, as a share of them
+    SIZE = 31
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +60,8 @@ class EkfConfig:
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
+    map_turn_rad: float = math.radians(0.25)  # likewise: a tilt that matching took for a turn, too
+    map_scale: float = 0.008
     map_length_m: float = 100.0  # waves of 50 m, and ways that lead back over the same ground
     thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
     # How sure the states are at first
@@ -75,7 +79,7 @@ class EkfConfig:
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
-    odometry_tilt_share: float = 0.1  # of a change of tilt error that odometry takes for motion
+    odometry_tilt_share: float = 0.2  # of a change of tilt error that odometry takes for motion
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
     # Time
@@ -134,7 +138,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (29,) see `States`. P: (29, 29) its covariance.
+        x: (31,) see `States`. P: (31, 31) its covariance.
         measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
             known then: the next step goes on from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
@@ -207,5 +211,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
     variance[States.MAP] = config.map_sigma_m**2
+    variance[States.MAP_TURN] = config.map_turn_rad**2
+    variance[States.MAP_SCALE] = config.map_scale**2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known)

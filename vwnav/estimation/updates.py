@@ -57,7 +57,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 29) and noise R (m, m).
+    """A linearised measurement: residual (m,), its Jacobian H (m, 31) and noise R (m, m).
 
     Attributes:
         held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
@@ -101,7 +101,7 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the gain K (29, m) for it: optimal but for held states."""
+    """What the measurement says, and the gain K (31, m) for it: optimal but for held states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
@@ -118,7 +118,7 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
 
 
 def _gain_given(P: Array, PHt: Array, measurement: Measurement) -> Array:
-    """The gain (29, m) that would be optimal if the held states were known as they are.
+    """The gain (31, m) that would be optimal if the held states were known as they are.
 
     P given the held states is P - P_h own^-1 P_h^T; only its product with H^T is needed.
 

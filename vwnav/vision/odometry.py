@@ -49,7 +49,7 @@ class OdometryConfig:
     widest_px: int = 480  # pictures are reduced to at most this width
     cell_px: int = 20  # one corner from each cell
     threshold_px: float = 2.5  # a track further off the ground plane is an outlier
-    sigma_px: float = 0.5  # of a track: what it shares with its neighbours (rolling shutter, lens)
+    sigma_px: float = 0.55  # of a track: what it shares with its neighbours (rolling shutter, lens)
     least_contrast: float = 2.0  # standard deviation of gray levels, of 255
     least_corners: int = 20
     least_inliers: int = 12
@@ -60,9 +60,10 @@ class OdometryConfig:
     keep_turn_rad: float = math.radians(8.0)  # Lucas-Kanade does not turn its windows
     keep_zoom: float = 0.12  # nor does it scale them: relative change of height
     # What attitudes leave open
-    # Keyframe to picture: an error of 2 degrees that turns with the body by `keep_turn_rad` changes
-    # by 0.28. The smaller this is, the larger a share of it is taken for motion.
-    tilt_increment_rad: float = math.radians(0.3)
+    tilt_increment_rad: float = math.radians(0.2)  # between keyframe and picture
+    # Of the attitude, fixed to the body: in a turn it changes by as much of itself. The less of
+    # that is allowed for, the larger a share of it is taken for motion.
+    tilt_rad: float = math.radians(2.0)
     tilt_increment_level_rad: float = math.radians(2.0)  # when level is assumed
     yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
     slope: float = 0.05  # of the ground, with the attitude's own error
@@ -244,7 +245,7 @@ class Odometry:
             view.R_ned_camera,
             float(self._camera.K[0, 0]),
         )
-        motion = fit_motion(seen, self._prior(view.level), config.threshold_px)
+        motion = fit_motion(seen, self._prior(keyframe.view, view), config.threshold_px)
         count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
         stats = replace(stats, inliers=count)
         if motion is None or count < max(
@@ -255,11 +256,14 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
         return self._accept(keyframe, view, _off_plane(motion, count / stats.matches), count)
 
-    def _prior(self, level: bool) -> MotionPrior:
+    def _prior(self, keyframe: _View, view: _View) -> MotionPrior:
         c = self._config
-        if level:
+        if view.level:
             return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.sigma_px)
-        return MotionPrior(c.tilt_increment_rad, c.slope, c.sigma_px)
+        headings = (_heading(v.R_ned_camera, self._camera) for v in (keyframe, view))
+        turned_rad = abs(wrap_pi(next(headings) - next(headings)))
+        tilt_rad = math.hypot(c.tilt_increment_rad, c.tilt_rad * turned_rad)
+        return MotionPrior(tilt_rad, c.slope, c.sigma_px)
 
     def _accept(
         self, keyframe: _Keyframe, view: _View, motion: Motion, count: int
