@@ -46,7 +46,7 @@ class EkfConfig:
     acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
-    heading_slew_rad: float = math.radians(0.5)  # the same while a gyro tells: filters realign
+    heading_slew_rad: float = math.radians(0.3)  # the same while a gyro tells: filters realign
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
@@ -73,7 +73,7 @@ class EkfConfig:
     rangefinder_sigma_m: float = 0.05
     rangefinder_sigma_ratio: float = 0.02  # of the distance
     stationary_sigma_m_s: float = 0.05
-    stationary_sigma_rad_s: float = math.radians(0.7)  # of its turning, by the gyro
+    stationary_sigma_rad_s: float = math.radians(0.4)  # of its turning, by the gyro
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
