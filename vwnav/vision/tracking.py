@@ -1,7 +1,7 @@
 """Corners, and where they went: pyramidal Lucas-Kanade with a check backwards.
 
-Against matching of ORB features between the same pictures it is three times as fast and four times
-as exact (docs/estimation.md has the table).
+Dense flow and matching of ORB, SIFT or learned features between the same pictures are slower and no
+more exact (docs/estimation.md has the table).
 """
 
 import math
