@@ -17,6 +17,8 @@ from vwnav.types import Array, ImuSample
 
 _LONGEST_GAP_S = 0.1  # between samples; a longer one is a silence
 _FORGET_AT_ONCE = 1000  # samples
+_SHAKE_S = 1.0  # over which the scatter of the samples is averaged
+_SCATTER_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
 _MOST_FORCE_M_S2 = 320.0  # 32 g and 4000 deg/s: no sensor measures more
 _MOST_RATE_RAD_S = 70.0
 
@@ -32,15 +34,15 @@ class Felt:
         lasted_s: by the sensor's own clock.
         pushed: (3, 4) integrals of R_ned_body and of R_ned_body f, side by side.
         turned: (4,) quaternion, the product of all turns of the body.
-        shaken_m2_s2: variance per axis of the integral of force by what happened between samples:
-            rotors shake the sensor faster than it is heard.
+        shaken: (2,) variances per axis of the integrals of force and of rates by what happened
+            between samples: rotors shake the sensors faster than they are heard.
     """
 
     series: int
     lasted_s: float
     pushed: Array
     turned: Array
-    shaken_m2_s2: float
+    shaken: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +55,7 @@ class Push:
         rotation_s: (3, 3) integral of R_ned_body: what a bias of the accelerometer or of the gyro
             adds up to.
         turn_wxyz: (4,) the rotation that the gyro counted, R_body0_body1.
-        shaken_m2_s2: variance of the velocity per axis.
+        shaken_m2_s2, shaken_rad2: variance per axis of velocity and of turn.
     """
 
     lasted_s: float
@@ -61,20 +63,22 @@ class Push:
     rotation_s: Array
     turn_wxyz: Array
     shaken_m2_s2: float
+    shaken_rad2: float
 
 
 def push_between(zero: Felt | None, one: Felt | None) -> Push | None:
     """What was felt from one moment to another; None where a silence lies between."""
     if zero is None or one is None or zero.series != one.series:
         return None
-    pushed = one.pushed - zero.pushed
+    pushed, shaken = one.pushed - zero.pushed, one.shaken - zero.shaken
     turn = quat_multiply(quat_conjugate(zero.turned), one.turned)
     return Push(
         one.lasted_s - zero.lasted_s,
         pushed[:, 3],
         pushed[:, :3],
         turn,
-        one.shaken_m2_s2 - zero.shaken_m2_s2,
+        float(shaken[0]),
+        float(shaken[1]),
     )
 
 
@@ -87,6 +91,8 @@ class ImuHistory:
         self._times_s: list[float] = []
         self._felt: list[Felt] = []
         self._newest: tuple[Array, Array] = (np.zeros((3, 4)), np.zeros(6))
+        self._slope = np.zeros(6)  # of the newest sample against the one before
+        self._scatter = np.zeros(2)  # variance per axis of force and rates
 
     def add(self, sample: ImuSample) -> bool:
         """Take the next sample; False when it is not later than the newest."""
@@ -124,20 +130,18 @@ class ImuHistory:
             zero.lasted_s + fraction * (one.lasted_s - zero.lasted_s),
             zero.pushed + fraction * (one.pushed - zero.pushed),
             turned / math.sqrt(turned @ turned),
-            zero.shaken_m2_s2 + fraction * (one.shaken_m2_s2 - zero.shaken_m2_s2),
+            zero.shaken + fraction * (one.shaken - zero.shaken),
         )
 
     def _next(self, sample: ImuSample, now: Array, values: Array) -> Felt:
         """Add a sample to the integrals, by the trapezoidal rule."""
         if not self._felt:
-            return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), 0.0)
+            return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
         span_s = sample.span_s or sample.t_s - self._times_s[-1]
         if span_s > _LONGEST_GAP_S:
-            return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken_m2_s2)
-        change = (values - before)[:3]
-        # Two neighbours of independent noise s^2 differ by 2 s^2 per axis; each lasts a span.
-        shaken = span_s**2 / 6.0 * float(change @ change)
+            return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
+        self._learn_scatter(values - before, span_s)
         turned = quat_multiply(
             zero.turned, quat_from_vector((0.5 * span_s) * (before + values)[3:])
         )
@@ -146,8 +150,14 @@ class ImuHistory:
             zero.lasted_s + span_s,
             zero.pushed + (0.5 * span_s) * (pushed + now),
             turned / math.sqrt(turned @ turned),
-            zero.shaken_m2_s2 + shaken,
+            zero.shaken + span_s**2 * self._scatter,
         )
+
+    def _learn_scatter(self, slope: Array, span_s: float) -> None:
+        """From how the samples bend: a manoeuvre is smooth beside what rotors do."""
+        bend, self._slope = slope - self._slope, slope
+        seen = np.array([bend[:3] @ bend[:3], bend[3:] @ bend[3:]]) / _SCATTER_OF_BEND
+        self._scatter += -math.expm1(-span_s / _SHAKE_S) * (seen - self._scatter)
 
 
 def is_sensible(sample: ImuSample) -> bool:

@@ -74,7 +74,7 @@ def gyro_says(
     C[:2, _TILT] = keep_tilt * level1 - level0
     C[:, States.GYRO_BIAS] = -push.rotation_s
     turn_rad = vector_from_quat(push.turn_wxyz)
-    variance = config.gyro_noise_rad**2 * span_s
+    variance = config.gyro_noise_rad**2 * span_s + push.shaken_rad2
     variance += config.gyro_share**2 * float(turn_rad @ turn_rad)
     unsure = _TURN_UNSURE * config.tilt_sigma_rad * float(turn_rad[_DOWN])
     R = np.diag([variance + unsure**2, variance + unsure**2, variance])
