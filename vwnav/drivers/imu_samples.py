@@ -1,5 +1,6 @@
 """Samples of the autopilot's IMU, from whichever message carries them, on our clock."""
 
+import logging
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -8,20 +9,27 @@ from typing import Any
 import numpy as np
 
 from vwnav.drivers.boot_clock import BootClock
-from vwnav.types import ImuSample
+from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.types import Array, Attitude, ImuSample
 
+_log = logging.getLogger(__name__)
 _KEPT = 500  # when nobody takes them
 _STRANGE_S = 1.0  # further from now a stamp is not of the clock that attitudes are stamped with
 _SILENT_S = 1.0  # of HIGHRES_IMU, then RAW_IMU counts
 _MILLI_G_M_S2 = 9.80665e-3
 _MILLI = 1e-3
+_AT_REST_M_S2 = np.array([0.0, 0.0, -9.80665])
+_MOST_M_S2 = 160.0  # 16 g: one absurd sample shall not count for minutes
+_AVERAGE_S = 10.0
+_FOREIGN_M_S2 = 3.0  # on that average: no aircraft accelerates so for so long
 
 
 class ImuSamples:
     """Collects what HIGHRES_IMU says, or ArduPilot's RAW_IMU where that one does not come.
 
     Attitude and IMU share the autopilot's clock since boot, so they fit together to the
-    millisecond however late they arrive.
+    millisecond however late they arrive. An IMU that does not feel gravity where the attitude has
+    it is mounted otherwise than the autopilot was told, or broken: none of it is handed on.
     """
 
     def __init__(self) -> None:
@@ -29,12 +37,26 @@ class ImuSamples:
         self._newest_s = -math.inf
         self._newest_us = 0
         self._highres_s = -math.inf
+        self._felt_ned: Array = _AT_REST_M_S2
+        self._foreign = False
 
-    def take(self) -> tuple[ImuSample, ...]:
-        """The samples since the last call, oldest first."""
+    def take(self, attitude: Attitude | None) -> tuple[ImuSample, ...]:
+        """The samples since the last call, oldest first; `attitude` is the newest one."""
         taken = tuple(self._samples)
         self._samples.clear()
-        return taken
+        if attitude is None:
+            return ()
+        R_ned_body = rotation_from_quat(attitude.quat_wxyz)
+        for sample in taken:
+            share = min(sample.span_s or 0.0, _STRANGE_S) / _AVERAGE_S
+            force_ned = R_ned_body @ np.clip(sample.specific_force_m_s2, -_MOST_M_S2, _MOST_M_S2)
+            self._felt_ned = self._felt_ned + share * (force_ned - self._felt_ned)
+        off_m_s2 = float(np.linalg.norm(self._felt_ned - _AT_REST_M_S2))
+        if self._foreign != (off_m_s2 > _FOREIGN_M_S2):
+            self._foreign = not self._foreign
+            what = "not used" if self._foreign else "used again"
+            _log.warning("the autopilot's IMU is %s: gravity %.1f m/s^2 off", what, off_m_s2)
+        return () if self._foreign else taken
 
     def add_highres(self, fields: Mapping[str, Any], clock: BootClock, received_s: float) -> None:
         """HIGHRES_IMU: m/s^2 and rad/s; of several sensors, the first one."""

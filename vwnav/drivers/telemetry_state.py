@@ -104,7 +104,7 @@ class TelemetryState:
 
     def take_imu(self) -> tuple[ImuSample, ...]:
         """The samples since the last call, oldest first."""
-        return self._imu.take()
+        return self._imu.take(self._attitudes.newest)
 
     def expect_mode(self, mode: FlightMode, t_s: float) -> None:
         """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
