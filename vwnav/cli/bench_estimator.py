@@ -1,6 +1,7 @@
 """`vwnav bench estimator`: Monte-Carlo of the filter on sensor streams and rendered pictures."""
 
 import json
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,7 +54,9 @@ def estimator(
     for chosen in scenarios:
         with LiveLine() as line:
             if isinstance(chosen, Scenario):
-                metrics = bench(chosen, runs, seed, output, lambda text: line.show(0.0, text))
+                metrics = bench(
+                    chosen, runs, seed, output, lambda text: line.show(time.monotonic(), text)
+                )
             else:
                 metrics = bench_rendered(chosen, runs, seed, seconds, matching, output, line.show)
         results[chosen.name] = as_json(metrics)
