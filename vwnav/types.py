@@ -189,6 +189,8 @@ class OdometryMotion:
         yaw_increment_rad: clockwise positive; `sigma_yaw_rad` its sigma.
         agl_m: the AGL that scaled it (displacement is proportional to it).
         tracks: inliers that carried it.
+        tilt_share: of a change of the attitude's tilt error between the two, how much was taken
+            for motion, 0 to 1: pictures tell tilting from moving only as well as they can.
     """
 
     t0_s: float
@@ -199,6 +201,7 @@ class OdometryMotion:
     sigma_yaw_rad: float
     agl_m: float
     tracks: int
+    tilt_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Frame, OdometryMotion
 from vwnav.vision.odometry import Odometry, OdometryConfig
 
@@ -67,3 +68,21 @@ def test_a_roof_makes_it_less_sure_and_does_not_pull_it_away():
     assert np.trace(roofed.covariance_ned_m2) > 1.5 * np.trace(flat.covariance_ned_m2)
     error_m = roofed.displacement_ned_m - [10.0 * M_PER_PX, 0.0, 0.0]
     assert np.linalg.norm(error_m[:2]) < 4.0 * math.sqrt(np.trace(roofed.covariance_ned_m2[:2, :2]))
+
+
+@pytest.mark.parametrize("hfov_deg", [40.0, 70.0, 95.0])
+def test_it_says_how_much_of_a_tilt_that_nobody_told_it_takes_for_motion(hfov_deg):
+    """The camera tilts by 0.2 degrees about its right axis; both attitudes are told to be level."""
+    camera = Camera.from_hfov(WIDTH, HEIGHT, hfov_deg)
+    tilt_rad = math.radians(0.2)
+    turn = rotation_from_vector([tilt_rad, 0.0, 0.0])
+    still = picture(ground(3), 0.0)
+    H = camera.K @ turn @ np.linalg.inv(camera.K)
+    tilted = cv2.warpPerspective(still, H, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    odometry = Odometry(camera, OdometryConfig())
+    odometry.step(Frame(0.0, still, 0), LEVEL, AGL_M)
+    motion = odometry.step(Frame(0.1, tilted, 1), LEVEL, AGL_M)
+    assert isinstance(motion, OdometryMotion)
+    taken = abs(motion.displacement_ned_m[0]) / (AGL_M * tilt_rad)
+    assert taken == pytest.approx(motion.tilt_share, abs=0.12)
+    assert 0.05 < motion.tilt_share <= 1.0

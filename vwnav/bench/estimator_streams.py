@@ -200,7 +200,7 @@ def _odometry(
             increment_rad = turned_rad + world.odometry_yaw_rad * float(rng.normal()) + key_yaw
             motion = OdometryMotion(
                 float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
-                increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150,
+                increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
             )  # fmt: skip
             events.append(Event(motion.t1_s + _ODOMETRY_LATE_S, motion))
             moved = math.hypot(way[0], way[1]) > _KEYFRAME_WAY or abs(way[2]) > _KEYFRAME_CLIMB

@@ -143,6 +143,7 @@ class Displacement:
             and _pair_sensible(m.yaw_increment_rad, m.sigma_yaw_rad)
             and math.isfinite(m.agl_m)
             and m.agl_m > 0.0
+            and 0.0 <= m.tilt_share <= 1.0
         )
 
 

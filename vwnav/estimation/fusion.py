@@ -169,8 +169,8 @@ def _displacement(
     by_tilt0 = -skew(predicted_m)[:, :2] @ level0
     # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
     by_tilt1 = np.zeros((3, 2))
-    by_tilt1[:2] = config.odometry_tilt_share * agl_m * _QUARTER_TURN @ level1
-    by_tilt0[:2] -= config.odometry_tilt_share * agl_m * _QUARTER_TURN @ level0
+    by_tilt1[:2] = motion.tilt_share * agl_m * _QUARTER_TURN @ level1
+    by_tilt0[:2] -= motion.tilt_share * agl_m * _QUARTER_TURN @ level0
     H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]

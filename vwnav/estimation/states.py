@@ -79,7 +79,6 @@ class EkfConfig:
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
-    odometry_tilt_share: float = 0.2  # of a change of tilt error that odometry takes for motion
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
     # Time
@@ -111,7 +110,6 @@ class EkfConfig:
             tilt_sigma_rad=math.radians(0.01),
             heading_sigma_rad=math.pi,
             thrust_aided=False,
-            odometry_tilt_share=0.0,
             odometry_turns_attitude=True,
         )
 

@@ -245,7 +245,8 @@ class Odometry:
             view.R_ned_camera,
             float(self._camera.K[0, 0]),
         )
-        motion = fit_motion(seen, self._prior(keyframe.view, view), config.threshold_px)
+        prior = self._prior(keyframe.view, view)
+        motion = fit_motion(seen, prior, config.threshold_px)
         count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
         stats = replace(stats, inliers=count)
         if motion is None or count < max(
@@ -254,7 +255,8 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        return self._accept(keyframe, view, _off_plane(motion, count / stats.matches), count)
+        share = 0.0 if view.level else _tilt_share(motion, prior)
+        return self._accept(keyframe, view, _off_plane(motion, count / stats.matches), count, share)
 
     def _prior(self, keyframe: _View, view: _View) -> MotionPrior:
         c = self._config
@@ -266,7 +268,7 @@ class Odometry:
         return MotionPrior(tilt_rad, c.slope, c.sigma_px)
 
     def _accept(
-        self, keyframe: _Keyframe, view: _View, motion: Motion, count: int
+        self, keyframe: _Keyframe, view: _View, motion: Motion, count: int, tilt_share: float
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
         heading0_rad = _heading(keyframe.view.R_ned_camera, self._camera)
@@ -293,6 +295,7 @@ class Odometry:
             ),
             agl_m=agl_m,
             tracks=count,
+            tilt_share=tilt_share,
         )
 
     def _turned(self, view: _View, heading_rad: float) -> _View:
@@ -320,6 +323,17 @@ class Odometry:
 
 def _heading(R_ned_camera: Array, camera: Camera) -> float:
     return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
+
+
+def _tilt_share(motion: Motion, prior: MotionPrior) -> float:
+    """How much of a change of tilt error, which the prior says is none, the fit takes for motion.
+
+    With true tilts p and a prior of mean zero and information L, the fit's mean is off by
+    -Cov L p (the posterior of a linear model); of that, the way's part along the tilt.
+    """
+    covariance = motion.covariance
+    along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
+    return min(float(along) / prior.tilt_increment_rad**2, 1.0)
 
 
 def _off_plane(motion: Motion, share: float) -> Motion:
