@@ -31,7 +31,7 @@ def bench(scenario: Scenario, runs: int, seed: int, folder: Path | None, say: Sa
         if scenario.name.startswith(("nominal", "outage")):
             save_nees_plot(flown, folder / f"{scenario.name}.png")
     if scenario.name == "turns":
-        metrics += _with_lambda(flown, scenario, folder)
+        metrics += _with_lambda(flown[0], scenario, runs, seed, folder)
     return metrics
 
 
@@ -49,13 +49,15 @@ def _replays_alike(run: Run, scenario: Scenario, path: Path) -> bool:
     )
 
 
-def _with_lambda(flown: list[Run], scenario: Scenario, folder: Path | None) -> list[Metric]:
-    """The effect of the thesis' correction on the same flights."""
+def _with_lambda(
+    plain: Run, scenario: Scenario, runs: int, seed: int, folder: Path | None
+) -> list[Metric]:
+    """The effect of the thesis' correction on the same flights, of which `plain` is the first."""
     config = replace(scenario.config, visual_weight=LAMBDA)
-    pulled = [play(run.stream, config) for run in flown]
+    pulled = fly_scenario(replace(scenario, config=config), runs, seed)
     if folder is not None:
-        save_yaw_table(flown[0], pulled[0], folder / "yaw.csv")
-        save_yaw_plot(flown[0], pulled[0], folder / "yaw.png")
+        save_yaw_table(plain, pulled[0], folder / "yaw.csv")
+        save_yaw_plot(plain, pulled[0], folder / "yaw.png")
     return [
         replace(metric, name=f"lambda {LAMBDA}: {metric.name}", low=None, high=None)
         for metric in scenario.judge(pulled)
