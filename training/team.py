@@ -76,4 +76,5 @@ class Team:
     def leave(self) -> None:
         """Say goodbye to the others."""
         if self.size > 1:
+            dist.barrier()  # gloo aborts one that leaves while another still speaks
             dist.destroy_process_group()

@@ -8,8 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from vwnav.bench.estimator import as_json
-from vwnav.bench.estimator_scenarios import Scenario, fly_scenario, judge_nominal
-from vwnav.bench.estimator_world import World
+from vwnav.bench.estimator_run import Run, play
+from vwnav.bench.estimator_streams import sense
+from vwnav.bench.estimator_world import World, fly
 from vwnav.bench.rendered_errors import fix_errors, odometry_errors, parts, way_errors
 from vwnav.bench.rendered_flight import RENDERED_S, pictures, plan_flight
 from vwnav.bench.rendered_scenarios import Flown, judge_odometry, judge_rendered
@@ -94,9 +95,15 @@ def test_fixes_are_late_and_end_when_there_were_enough(short_flight):
     assert sum(isinstance(o, MapFix) for o in few.outcomes) == 2
 
 
+def played(world: World) -> list[Run]:
+    """Two flights of the fast benchmark, whole."""
+    rngs = [np.random.default_rng(seed) for seed in range(2)]
+    return [play(sense(world, t, rng)) for t, rng in zip(fly(world, rngs), rngs, strict=True)]
+
+
 def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
     world = World(seconds=130.0, odometry_sigma=0.0015, fix_sigma_m=0.4, tilt_in_odometry=0.3)
-    runs = fly_scenario(Scenario("x", world, judge_nominal), 2, 0)
+    runs = played(world)
     found = odometry_errors([way_errors(run) for run in runs])
     fixes = [fix_errors(run) for run in runs]
     assert found.picture == pytest.approx(0.0015, rel=0.1)
@@ -110,7 +117,7 @@ def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
 
 def test_every_number_has_a_name_of_its_own():
     world = World(seconds=60.0)
-    flown = [Flown(run, []) for run in fly_scenario(Scenario("x", world, judge_nominal), 2, 0)]
+    flown = [Flown(run, []) for run in played(world)]
     for judged in (judge_rendered(flown), judge_odometry(flown)):
         assert len(as_json(judged)) == len(judged)
 

@@ -73,10 +73,10 @@ class WayErrors:
 class _Told:
     """The attitude as the autopilot said it, and its error."""
 
-    def __init__(self, answers: list[tuple[Event, Innovation]], truth: Truth) -> None:
+    def __init__(self, events: list[Event], truth: Truth) -> None:
         self._truth = truth
         self._said = AttitudeHistory(_ALL_S)
-        for event, _ in answers:
+        for event in events:
             if isinstance(event.seen, Attitude):
                 self._said.add(event.seen)
 
@@ -97,7 +97,7 @@ def with_errors(
     answers: list[tuple[Event, Innovation]], truth: Truth
 ) -> list[tuple[Event, Innovation]]:
     """The same events, each fix with how wrong it was, tilt left aside."""
-    told = _Told(answers, truth)
+    told = _Told([event for event, _ in answers], truth)
     return [
         (replace(event, error_m=float(np.hypot(*_fix_error(event.seen, truth, told)[0]))), answer)
         if isinstance(event.seen, NedFix)
@@ -120,7 +120,7 @@ def _fix_error(fix: NedFix, truth: Truth, told: _Told) -> tuple[Array, float, fl
 def fix_errors(run: Run) -> FixErrors:
     """Of the fixes that the filter took once it had settled."""
     truth = run.stream.truth
-    told = _Told(run.answers, truth)
+    told = _Told(run.stream.events, truth)
     steps = np.hypot(*np.diff(truth.position_ned_m[:, :2], axis=0, prepend=0.0).T)
     way_m = np.cumsum(steps)
     taken = [
@@ -148,7 +148,7 @@ def parts(flights: list[Array]) -> Parts:
 def way_errors(run: Run) -> WayErrors:
     """Of the motions that the filter took once it had settled."""
     truth = run.stream.truth
-    told = _Told(run.answers, truth)
+    told = _Told(run.stream.events, truth)
     taken = [
         event.seen
         for event, answer in run.answers
