@@ -30,7 +30,9 @@ def test_float_features_come_back_with_unit_length_and_nearly_unchanged(seed, co
     features = random_features(seed, count, negative=negative)
     kind = "int8" if negative else "uint8"
     back = decode_features(encode_features(features, kind), count, 64, kind)
-    assert np.abs(back.uv - features.uv).max(initial=0) <= 0.5 / 256 + 1e-4
+    # At the far edge there is no step to round up to: the last one stands for half a step more.
+    allowed = np.where(features.uv > 255.5 - 1.0 / 256, 1.0, 0.5) / 256
+    assert np.all(np.abs(back.uv - features.uv) <= allowed + 1e-4)
     assert np.array_equal(back.scores, features.scores)
     cosines = (back.descriptors * features.descriptors).sum(axis=1)
     assert cosines.min(initial=1.0) > 0.9998
