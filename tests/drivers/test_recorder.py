@@ -121,7 +121,7 @@ def test_the_flight_never_waits_for_the_disk(tmp_path):
     for i in range(30_000):
         recorder.frame(Frame(i / 1000, big, i))
         recorder.event(i / 1000, "x")
-    assert time.perf_counter() - start_s < 10.0  # to write them all takes minutes
+    assert time.perf_counter() - start_s < 7.5  # a quarter of a millisecond each
     assert recorder.dropped > 0
     recorder.close()
 

@@ -75,8 +75,10 @@ def fly_scenario(
         for truth, rng in zip(fly(scenario.world, rngs), rngs, strict=True):
             stream = sense(scenario.world, truth, rng)
             gc.disable()  # as timeit does: a sweep through all flights so far is not the filter's
-            run = play(stream, scenario.config)
-            gc.enable()
+            try:
+                run = play(stream, scenario.config)
+            finally:
+                gc.enable()
             flown.append(replace(run, stream=replace(run.stream, events=[])) if flown else run)
             say(f"{scenario.name}: flight {len(flown)} of {runs}")
     return flown

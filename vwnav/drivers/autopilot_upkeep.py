@@ -95,9 +95,8 @@ class Upkeep:
         rates = _RATES_HZ | (_RATES_PX4_HZ if px4 else _RATES_ARDUPILOT_HZ)
         for number, rate_hz in rates.items():
             self._ask_for(number, rate_hz)
-        if (
-            not self._ask_for(_HIGHRES_IMU, _IMU_HZ) and not px4
-        ):  # an ArduPilot that does not know it
+        known = self._ask_for(_HIGHRES_IMU, _IMU_HZ)
+        if not known and not px4:
             self._ask_for(_RAW_IMU, _IMU_HZ)
 
     def _ask_for(self, number: int, rate_hz: float) -> bool:

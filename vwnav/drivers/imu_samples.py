@@ -55,7 +55,12 @@ class ImuSamples:
         if self._foreign != (off_m_s2 > _FOREIGN_M_S2):
             self._foreign = not self._foreign
             what = "not used" if self._foreign else "used again"
-            _log.warning("the autopilot's IMU is %s: gravity %.1f m/s^2 off", what, off_m_s2)
+            _log.warning(
+                "the autopilot's IMU is %s: gravity %.1f m/s^2 from where its attitude has it; "
+                "check its orientation and calibration",
+                what,
+                off_m_s2,
+            )
         return () if self._foreign else taken
 
     def add_highres(self, fields: Mapping[str, Any], clock: BootClock, received_s: float) -> None:
