@@ -5,6 +5,7 @@ Times `t_s` are seconds on one monotonic clock, at exposure for pictures. NaN ne
 unknown values are None.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, Protocol
@@ -17,6 +18,8 @@ FEATURE_NAMES: tuple[FeatureName, ...] = ("learned", "sift", "orb")
 PointKind = Literal["nadir", "center"]
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
+
+LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,6 +230,44 @@ class ImuSample:
     specific_force_m_s2: Array
     rates_rad_s: Array
     span_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Height:
+    """Barometric height above the place where the link came up."""
+
+    t_s: float
+    height_m: float
+
+    def sensible(self) -> bool:
+        """Whether the numbers are finite."""
+        return math.isfinite(self.t_s) and math.isfinite(self.height_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Distance to the ground along the body's down axis."""
+
+    t_s: float
+    distance_m: float
+
+    def sensible(self) -> bool:
+        """Whether the numbers are finite and the distance is one that can be."""
+        return math.isfinite(self.t_s) and 0.0 < self.distance_m < LARGEST_RANGE_M
+
+
+@dataclass(frozen=True, slots=True)
+class Stationary:
+    """The aircraft stands on the ground."""
+
+    t_s: float
+
+    def sensible(self) -> bool:
+        """Whether the time is finite."""
+        return math.isfinite(self.t_s)
+
+
+Telemetry = Attitude | ImuSample | Height | Range | Stationary
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,8 @@ from vwnav.bench.estimator_streams import Stream, sense
 from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
-from vwnav.estimation.events import Height
 from vwnav.estimation.states import States
-from vwnav.types import Attitude, ImuSample, OdometryMotion
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 USUAL = World(seconds=90.0)

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from vwnav.errors import SourceError
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
-from vwnav.estimation.events import Height, Range, Stationary
 from vwnav.estimation.inputs import Asked, decode, encode
-from vwnav.types import Attitude, ImuSample, OdometryMotion
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range, Stationary
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
 MAYBE = st.none() | ANY

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator_world import DT_S, G_M_S2, Truth, World, ground_m
-from vwnav.estimation.events import Height, NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
 from vwnav.geometry.rotations import rotation_from_quat, rotation_from_vector, wrap_pi
-from vwnav.types import Array, Attitude, ImuSample, OdometryMotion
+from vwnav.types import Array, Attitude, Height, ImuSample, OdometryMotion
 
 LEAST_FIX_AGL_M = 15.0
 LEAST_ODOMETRY_AGL_M = 1.5

@@ -13,9 +13,8 @@ import numpy as np
 from vwnav.bench.estimator_streams import Event
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix
-from vwnav.estimation.events import Height
 from vwnav.estimation.inputs import Measurement
-from vwnav.types import Attitude, ImuSample, OdometryMotion
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
 
 class SimulatedClock:

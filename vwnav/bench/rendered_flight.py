@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from vwnav.bench.estimator_streams import Event, sense
 from vwnav.bench.estimator_world import DT_S, Truth, World, fly
-from vwnav.estimation.events import Height
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
 from vwnav.sim.camera_source import FRAME_HZ
@@ -21,7 +20,7 @@ from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Attitude, Frame, ImuSample
+from vwnav.types import Array, Attitude, Frame, Height, ImuSample
 
 RENDERED_S = 130.0
 _HEIGHTS_M = (40.0, 90.0)

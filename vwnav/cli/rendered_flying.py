@@ -24,12 +24,20 @@ from vwnav.config import Config
 from vwnav.drivers.attitude_track import AttitudeTrack
 from vwnav.drivers.track_picture import TrackPicture
 from vwnav.estimation.ekf import Start
-from vwnav.estimation.events import Height
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, Sensors, StepResult
 from vwnav.sim.renderer import default_camera
-from vwnav.types import Attitude, Estimate, FeatureName, Frame, ImuSample, Rejected, RejectReason
+from vwnav.types import (
+    Attitude,
+    Estimate,
+    FeatureName,
+    Frame,
+    Height,
+    ImuSample,
+    Rejected,
+    RejectReason,
+)
 
 PICTURE_LATE_S = 0.04  # from exposure to the pipeline
 _ESTIMATES_HZ = 5.0

@@ -15,11 +15,8 @@ from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
     Event,
-    Height,
     Keyframe,
     NedFix,
-    Range,
-    Stationary,
 )
 from vwnav.estimation.fusion import apply
 from vwnav.estimation.imu import ImuHistory, is_sensible
@@ -33,7 +30,16 @@ from vwnav.geometry.rotations import (
     rotation_from_quat,
     rotation_from_vector,
 )
-from vwnav.types import Array, Attitude, Estimate, ImuSample, OdometryMotion
+from vwnav.types import (
+    Array,
+    Attitude,
+    Estimate,
+    Height,
+    ImuSample,
+    OdometryMotion,
+    Range,
+    Stationary,
+)
 
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 

@@ -6,9 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from vwnav.types import Array, OdometryMotion
-
-LARGEST_RANGE_M = 1e5  # no rangefinder sees further
+from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
 
 
 class Rank(IntEnum):
@@ -45,11 +43,6 @@ class NedFix:
     sigma_tilt_rad: float = 0.0
     sigma_map_m: float = 0.0
 
-    @property
-    def rank(self) -> Rank:
-        """Its place among events of the same time."""
-        return Rank.FIX
-
     def sensible(self) -> bool:
         """Whether every number is finite and every covariance positive."""
         return (
@@ -64,56 +57,6 @@ class NedFix:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Height:
-    """Barometric height above the place where the link came up."""
-
-    t_s: float
-    height_m: float
-
-    @property
-    def rank(self) -> Rank:
-        """Its place among events of the same time."""
-        return Rank.HEIGHT
-
-    def sensible(self) -> bool:
-        """Whether the numbers are finite."""
-        return math.isfinite(self.t_s) and math.isfinite(self.height_m)
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Distance to the ground along the body's down axis."""
-
-    t_s: float
-    distance_m: float
-
-    @property
-    def rank(self) -> Rank:
-        """Its place among events of the same time."""
-        return Rank.RANGE
-
-    def sensible(self) -> bool:
-        """Whether the numbers are finite and the distance is one that can be."""
-        return math.isfinite(self.t_s) and 0.0 < self.distance_m < LARGEST_RANGE_M
-
-
-@dataclass(frozen=True, slots=True)
-class Stationary:
-    """The aircraft stands on the ground."""
-
-    t_s: float
-
-    @property
-    def rank(self) -> Rank:
-        """Its place among events of the same time."""
-        return Rank.STATIONARY
-
-    def sensible(self) -> bool:
-        """Whether the time is finite."""
-        return math.isfinite(self.t_s)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
     """Odometry between its keyframe and a picture."""
@@ -124,11 +67,6 @@ class Displacement:
     def t_s(self) -> float:
         """Exposure of the later picture."""
         return self.motion.t1_s
-
-    @property
-    def rank(self) -> Rank:
-        """Its place among events of the same time."""
-        return Rank.ODOMETRY
 
     def sensible(self) -> bool:
         """Whether it is finite, forward in time, and its covariances are positive."""
@@ -159,17 +97,22 @@ class Keyframe:
     covariance_ned_m2: Array
     sigma_yaw_rad: float
 
-    @property
-    def rank(self) -> Rank:
-        """Its place among events of the same time."""
-        return Rank.ANCHOR
-
     def sensible(self) -> bool:
         """Always: it is made of a sensible displacement."""
         return True
 
 
 Event = NedFix | Height | Range | Stationary | Displacement | Keyframe
+
+_RANKS = {
+    Stationary: Rank.STATIONARY, Height: Rank.HEIGHT, Range: Rank.RANGE,
+    NedFix: Rank.FIX, Displacement: Rank.ODOMETRY, Keyframe: Rank.ANCHOR,
+}  # fmt: skip
+
+
+def rank_of(event: Event) -> Rank:
+    """Its place among events of the same time."""
+    return _RANKS[type(event)]
 
 
 def is_covariance(matrix: Array, n: int) -> bool:

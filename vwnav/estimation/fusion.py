@@ -10,11 +10,8 @@ from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
     Event,
-    Height,
     Keyframe,
     NedFix,
-    Range,
-    Stationary,
 )
 from vwnav.estimation.fixes import apply_fix
 from vwnav.estimation.heights import apply_agl, apply_height, apply_range
@@ -23,7 +20,7 @@ from vwnav.estimation.process import predict
 from vwnav.estimation.states import Anchor, EkfConfig, FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import skew, vector_from_quat, wrap_pi
-from vwnav.types import Array, OdometryMotion
+from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
 
 _DOWN = 2
 _YAW = States.HEADING_BIAS.start

@@ -7,9 +7,9 @@ import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
 from vwnav.estimation.consensus import convinces, remember
-from vwnav.estimation.events import Height, Range
 from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, correct, freed, fuse
+from vwnav.types import Height, Range
 
 _DOWN = 2
 _CLIMB = 5

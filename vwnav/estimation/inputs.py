@@ -12,9 +12,18 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from vwnav.errors import SourceError
-from vwnav.estimation.events import Height, NedFix, Range, Stationary
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import Start
-from vwnav.types import Array, Attitude, ImuSample, OdometryMotion
+from vwnav.types import (
+    Array,
+    Attitude,
+    Height,
+    ImuSample,
+    OdometryMotion,
+    Range,
+    Stationary,
+    Telemetry,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +33,7 @@ class Asked:
     t_s: float
 
 
-Measurement = Attitude | ImuSample | Height | Range | Stationary | NedFix | OdometryMotion
+Measurement = Telemetry | NedFix | OdometryMotion
 Input = Start | Measurement | Asked
 
 _KINDS: dict[str, type[Input]] = {

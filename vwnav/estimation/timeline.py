@@ -4,7 +4,7 @@ import bisect
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.estimation.events import Event, Rank
+from vwnav.estimation.events import Event, Rank, rank_of
 from vwnav.estimation.states import FilterState
 from vwnav.estimation.updates import Innovation, Verdict
 
@@ -55,11 +55,11 @@ class Timeline:
         """Apply an event at its time, and everything after it again."""
         if event.t_s < self._base.t_s:
             return Innovation(Verdict.TOO_LATE)
-        if self.holds(event.t_s, event.rank):
+        if self.holds(event.t_s, rank_of(event)):
             return Innovation(Verdict.DUPLICATE)
-        i = self._place(event.t_s, event.rank)
+        i = self._place(event.t_s, rank_of(event))
         state, innovation = self._apply(self._before(i), event)
-        self._entries.insert(i, _Entry((event.t_s, event.rank), event, state))
+        self._entries.insert(i, _Entry((event.t_s, rank_of(event)), event, state))
         for entry in self._entries[i + 1 :]:
             state, _ = self._apply(state, entry.event)
             entry.state = state
