@@ -21,7 +21,7 @@ from vwnav.cli.simulation import (
     start_embedded_vehicle,
 )
 from vwnav.config import Config, load_config, save_config
-from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
@@ -175,7 +175,7 @@ def is_same_link(truth_url: str, link: str) -> bool:
 def _say_parameters(autopilot: MavsdkAutopilot) -> None:
     """Say which parameters are not as vision wants them: an autopilot set up otherwise may fly."""
     try:
-        findings = autopilot.preflight()
+        findings = wait_for_findings(autopilot)
     except LinkError as error:
         say(f"parameters are not checked: {error}")
         return
