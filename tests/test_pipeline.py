@@ -172,3 +172,30 @@ def test_matching_in_a_thread_fuses_at_the_exposure():
 
 def test_gray_and_colour_pictures_are_taken():
     assert to_gray(PICTURE).shape == to_gray(PICTURE[..., 0]).shape == (48, 64)
+
+
+class EveryAttitude(NoOdometry):
+    """Odometry that remembers which attitudes it was handed."""
+
+    def __init__(self):
+        self.seen = []
+
+    def step(self, frame, R_ned_body, agl_m):
+        self.seen.append(R_ned_body)
+        return super().step(frame, R_ned_body, agl_m)
+
+
+def test_a_picture_whose_attitude_is_missing_tells_the_filter_nothing_of_attitude_or_way():
+    odometry, localizer, told = EveryAttitude(), FakeLocalizer(), []
+    ekf = Ekf(EkfConfig())
+    ekf.initialise(above_home())
+    config = PipelineConfig()
+    choice = FeatureChoice(localizer, None, config, print)
+    pipeline = Pipeline(choice, odometry, ekf, HOME, 0.02, config, InlineExecutor())
+    fly(pipeline, 1.0)
+    seen, asked = len(odometry.seen), len(localizer.priors)
+    ekf.record(told.append)
+    step = pipeline.step(Frame(1.3, PICTURE, 99), Sensors())
+    assert not [each for each in told if isinstance(each, Attitude)]
+    assert (len(odometry.seen), len(localizer.priors)) == (seen, asked)
+    assert "attitude" in step.motion.detail

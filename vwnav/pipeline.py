@@ -239,13 +239,19 @@ class Pipeline:
                 self._ekf.handle_stationary(t_s)
 
     def _track(self, frame: Frame, sensors: Sensors) -> OdometryMotion | Rejected:
-        """Motion since the keyframe. Without telemetry the pictures' own turning is the gyro."""
+        """Motion since the keyframe. Of a video alone the pictures' own turning is the gyro.
+
+        In a flight with telemetry a picture without attitude is left out: counted in a level,
+        north-facing frame, a way over the ground is a wrong one.
+        """
+        known = sensors.attitude
+        if known is None and not self._ekf.config.odometry_turns_attitude:
+            return Rejected(frame.t_s, RejectReason.NOT_TRIED, "attitude at exposure not known")
         now = self.estimate(frame.t_s)
         if now is None:
             with self._lock:
-                self._ekf.handle_attitude(sensors.attitude or Attitude(frame.t_s, LEVEL_QUAT_WXYZ))
+                self._ekf.handle_attitude(known or Attitude(frame.t_s, LEVEL_QUAT_WXYZ))
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground not known yet")
-        known = sensors.attitude
         R_ned_body = rotation_from_quat(known.quat_wxyz) if known else None
         motion = self._odometry.step(frame, R_ned_body, now.agl_m)
         with self._lock:
@@ -262,6 +268,8 @@ class Pipeline:
             return None
         if 0 < self._config.most_fixes <= self.accepted:
             return None
+        if sensors.attitude is None and not self._ekf.config.odometry_turns_attitude:
+            return None  # the map would be matched to a picture rectified as if it were level
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None

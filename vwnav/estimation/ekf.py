@@ -70,6 +70,11 @@ class Ekf:
         self._tape: Callable[[Input], None] | None = None
 
     @property
+    def config(self) -> EkfConfig:
+        """Its noises and limits."""
+        return self._config
+
+    @property
     def initialised(self) -> bool:
         """Whether there is a state."""
         return self._timeline is not None
