@@ -63,11 +63,15 @@ class Path:
     def estimate(self, t_s):
         return replace(self.believed, t_s=t_s)
 
-    def sense(self, t_s, sensors):
-        self.sensed += 1
-        self.imu += sensors.imu
+    def covers(self, t_s):
+        return True
 
-    def step(self, frame, sensors):
+    def feed(self, measurement):
+        if isinstance(measurement, ImuSample):
+            self.sensed += 1
+            self.imu.append(measurement)
+
+    def step(self, frame):
         self.steps += 1
         time.sleep(self.stall_s)
         if self.broken:

@@ -5,30 +5,31 @@ Pictures go through the pipeline as they come; the estimate goes to the autopilo
 """
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from vwnav.flight import Flight, FlightEnd
-from vwnav.pipeline import Pipeline, Sensors, StepResult
+from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
 from vwnav.safety.envelope import is_flyable
-from vwnav.types import Autopilot, Estimate, Frame, FrameSource, ImuSample, VehicleState
+from vwnav.types import (
+    Autopilot,
+    Estimate,
+    Frame,
+    FrameSource,
+    Height,
+    Range,
+    Stationary,
+    VehicleState,
+)
 
 log = logging.getLogger(__name__)
 
 ESTIMATE_HZ = 50.0
 TICK_HZ = 20.0
 MAX_BAD_FRAMES = 30  # pictures in a row that break the pipeline before vision is given up
-
-
-def _between_pictures(vehicle: VehicleState, imu: tuple[ImuSample, ...]) -> Sensors:
-    return Sensors(
-        attitude=vehicle.attitude,
-        height_m=vehicle.height_m,
-        height_t_s=vehicle.height_t_s,
-        imu=imu,
-    )
 
 
 class Watcher(Protocol):
@@ -65,6 +66,7 @@ class FlightRuntime:
         self._source = source
         self._watcher = watcher
         self._clock = clock
+        self._height_t_s = -math.inf
         self._stop = threading.Event()
         self._failure: BaseException | None = None
 
@@ -108,8 +110,7 @@ class FlightRuntime:
     def _stream_estimates(self) -> None:
         trusted = True
         for t_s in self._beats(ESTIMATE_HZ):
-            sensors = _between_pictures(self._autopilot.state(), self._autopilot.take_imu())
-            self._pipeline.sense(t_s, sensors)
+            self._feed(self._autopilot.state())
             estimate = self._pipeline.estimate(t_s)
             if estimate is None:
                 continue
@@ -133,7 +134,8 @@ class FlightRuntime:
                 log.warning("the camera has stopped: flying on without pictures")
                 return
             try:
-                step = self._pipeline.step(frame, self._sensors(frame.t_s))
+                self._await_attitude(frame.t_s)
+                step = self._pipeline.step(frame)
             except Exception:
                 bad += 1
                 log.exception("picture %d could not be used", frame.index)
@@ -143,15 +145,25 @@ class FlightRuntime:
         if bad:
             log.error("%d pictures in a row could not be used: vision is off", bad)
 
-    def _sensors(self, t_s: float) -> Sensors:
-        vehicle = self._autopilot.state()
-        return Sensors(
-            attitude=self._autopilot.attitude_at(t_s),
-            height_m=vehicle.height_m,
-            height_t_s=vehicle.height_t_s,
-            rangefinder_m=vehicle.rangefinder_m,
-            on_ground=not vehicle.armed,
-        )
+    def _feed(self, vehicle: VehicleState) -> None:
+        if vehicle.attitude is not None:
+            self._pipeline.feed(vehicle.attitude)
+        for sample in self._autopilot.take_imu():
+            self._pipeline.feed(sample)
+        if vehicle.height_m is None or vehicle.height_t_s is None:
+            return
+        if vehicle.height_t_s <= self._height_t_s:
+            return
+        self._height_t_s = vehicle.height_t_s
+        self._pipeline.feed(Height(vehicle.height_t_s, vehicle.height_m))
+        if vehicle.rangefinder_m is not None:
+            self._pipeline.feed(Range(vehicle.height_t_s, vehicle.rangefinder_m))
+        if not vehicle.armed:
+            self._pipeline.feed(Stationary(vehicle.height_t_s))
+
+    def _await_attitude(self, t_s: float) -> None:
+        while not self._pipeline.covers(t_s) and self._clock() < t_s + ATTITUDE_WAIT_S:
+            time.sleep(0.005)
 
     def _beats(self, rate_hz: float) -> Iterator[float]:
         """Times of a steady beat; after a stall it goes on from now instead of catching up."""
