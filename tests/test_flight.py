@@ -394,6 +394,19 @@ def test_a_route_that_turns_out_to_leave_the_map_is_not_flown():
 # ---- in the air
 
 
+@pytest.mark.parametrize("phase", [Phase.CLIMB, Phase.ROUTE, Phase.RETURN, Phase.DESCEND])
+def test_a_flight_taken_up_in_the_air_goes_on_to_its_end(phase):
+    scene = Scene()
+    scene.vehicle.be(armed=True, in_air=True, mode=FlightMode.OFFBOARD)
+    scene.vehicle.position = np.array(
+        [20.0, 10.0, -40.0] if phase is Phase.ROUTE else [2, 1, -40.0]
+    )
+    scene.flight.take_up(phase, scene.navigation().estimate)
+    scene.run()
+    assert scene.flight.end.reason is None
+    assert "arm" not in scene.vehicle.asked
+
+
 def test_a_landing_that_was_not_heard_is_asked_for_again_and_the_beat_is_held_until_it_is_flown():
     scene = on_route()
     scene.vehicle.refuse = {"land": ["no answer"] * 3}

@@ -202,6 +202,20 @@ class Flight:
             assert navigation.estimate is not None
             self._fly(t_s, navigation.estimate, vehicle)
 
+    def take_up(self, phase: Phase, estimate: Estimate) -> None:
+        """Begin in the air, in Offboard and with home given, as if it had flown there.
+
+        For simulations that start where something is going to break.
+        """
+        assert self._mission.home_ne_m is not None
+        self._home.take(self._mission.home_ne_m)
+        self._hold_ne_m = estimate.position_ned_m[:2].copy()
+        if phase is Phase.RETURN:
+            self._return(estimate.t_s, estimate)
+        elif phase is Phase.ROUTE:
+            self._follower = RouteFollower(self._route_ned_m(), self._limits)
+        self.phase, self._phase_since_s = phase, estimate.t_s
+
     def abort(self, reason: str) -> None:
         """Land where we are; the next tick does it. A flight that has ended stays as it ended."""
         self._abort_reason = reason
@@ -436,19 +450,22 @@ class Flight:
         told = self._home.settle(estimate)
         if told:
             self._crew.say(told)
-        home_ne_m = self._home.place_ne_m
-        assert home_ne_m is not None
-        route = self._mission.route_ned_m
-        if self._mission.about_home:
-            route = np.add(route, [*home_ne_m, 0.0])
-        route = np.vstack([route, [*home_ne_m, route[-1, 2]]])
-        refused = self._mission.refuse(route)
+        route_ned_m = self._route_ned_m()
+        refused = self._mission.refuse(route_ned_m)
         if refused:
             self._begin_landing(t_s, vehicle, refused)
             return
-        self._follower = RouteFollower(route, self._limits)
+        self._follower = RouteFollower(route_ned_m, self._limits)
         self._enter(Phase.ROUTE, t_s)
         self._steer(self._hold(estimate, self._height_error(estimate)))
+
+    def _route_ned_m(self) -> Array:
+        """(n + 1, 3) the waypoints and the way back to above home."""
+        home_ne_m, route_ned_m = self._home.place_ne_m, self._mission.route_ned_m
+        assert home_ne_m is not None
+        if self._mission.about_home:
+            route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
+        return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
 
     def _return(self, t_s: float, estimate: Estimate) -> None:
         told = self._home.settle(estimate)

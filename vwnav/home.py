@@ -25,6 +25,10 @@ class Home:
         if not self._settled:
             self._way_ne_m = self._way_ne_m + step_ne_m
 
+    def take(self, place_ne_m: Array) -> None:
+        """It is known for sure."""
+        self.place_ne_m, self._settled = place_ne_m, True
+
     def settle(self, estimate: Estimate) -> str:
         """Fix it by an estimate that fixes have placed; what a person should know of it, if so."""
         if self._settled:
