@@ -11,7 +11,7 @@ from vehicles import FLYING
 
 from vwnav.flight import FlightEnd
 from vwnav.runtime import FlightRuntime
-from vwnav.safety.envelope import is_flyable
+from vwnav.safety.estimate_guard import is_flyable
 from vwnav.types import Attitude, Estimate, Frame, ImuSample
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

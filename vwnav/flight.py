@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
-from vwnav.safety.envelope import is_flyable
+from vwnav.safety.estimate_guard import is_flyable
 from vwnav.safety.keepalive import GuardState, WatchdogReport
 from vwnav.safety.monitor import Action, SafetyMonitor
 from vwnav.types import (

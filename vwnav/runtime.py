@@ -12,7 +12,7 @@ from typing import Protocol
 
 from vwnav.flight import Flight, FlightEnd
 from vwnav.pipeline import Pipeline, Sensors, StepResult
-from vwnav.safety.envelope import is_flyable
+from vwnav.safety.estimate_guard import is_flyable
 from vwnav.types import Autopilot, Estimate, Frame, FrameSource, ImuSample, VehicleState
 
 log = logging.getLogger(__name__)
