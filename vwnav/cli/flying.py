@@ -26,7 +26,7 @@ from vwnav.cli.simulation import (
     start_embedded_vehicle,
 )
 from vwnav.config import Config, load_config, save_config
-from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
+from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
