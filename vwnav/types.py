@@ -305,6 +305,22 @@ class Estimate:
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigation:
+    """What there is to fly on.
+
+    Attributes:
+        estimate: the one that is also sent to the autopilot; None while there is none that we
+            would fly on.
+        lost: why there is none any more; empty before the first and while there is one.
+        seen_s: exposure of the newest picture that told a motion or a place.
+    """
+
+    estimate: Estimate | None
+    lost: str = ""
+    seen_s: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class VelocitySetpoint:
     """What the autopilot is asked to fly: NED velocity, and a heading (None holds the present)."""
@@ -337,6 +353,13 @@ class VehicleState:
         height_m: barometric height above the place where the link came up, up positive.
         rangefinder_m: distance to the ground along the body's down axis.
         local_position_ok: the autopilot's own filter has a horizontal position.
+        intended_mode: the mode that somebody asked for: in a failsafe PX4 flies another one. It is
+            `mode` where the autopilot cannot tell the two apart, and UNKNOWN for the moment between
+            a change of mode and PX4's word on who asked for it.
+        failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
+        aiding: its filter predicts the position from what we send; None when it does not say.
+        own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
+            when that is older than a second, or the two have not agreed upon an origin.
     """
 
     t_s: float
@@ -353,6 +376,43 @@ class VehicleState:
     local_position_ok: bool
     armable: bool
     heartbeat_age_s: float
+    intended_mode: FlightMode = FlightMode.UNKNOWN
+    failsafe: bool = False
+    aiding: bool | None = None
+    own_position_ned_m: Array | None = None
+
+
+Severity = Literal["fail", "warn"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """A parameter of the autopilot that is not as it should be.
+
+    Attributes:
+        present: its value, None when the autopilot does not have it.
+        wanted: the value it should have, in words.
+        severity: "fail" when the aircraft cannot fly on vision with it.
+    """
+
+    parameter: str
+    present: float | None
+    wanted: str
+    why: str
+    severity: Severity
+
+
+@dataclass(slots=True)
+class Request:
+    """A command on its way to the autopilot; the link's `step` carries it on.
+
+    Attributes:
+        done: it has been answered, given up, or replaced by a newer one.
+        refused: why, once done; None when the autopilot has accepted it.
+    """
+
+    done: bool = False
+    refused: str | None = None
 
 
 class FrameSource(Protocol):
@@ -368,21 +428,32 @@ class FrameSource(Protocol):
 
 
 class Autopilot(Protocol):
-    """The link as the flight loop sees it: thread-safe, never blocks for long.
+    """The link as the flight loop sees it: thread-safe, and no call ever waits.
 
-    Commands return None when accepted and a reason when refused.
+    Commands are carried on by `step`; each returns a `Request` that says how it went. A new one
+    replaces the one under way.
     """
+
+    def step(self, t_s: float) -> None:
+        """Keep the link up and carry commands on; to be called at 20 Hz or more."""
+        ...
 
     def state(self) -> VehicleState:
         """The newest telemetry."""
         ...
 
-    def attitude_at(self, t_s: float) -> Attitude | None:
-        """Attitude at an exposure, None where telemetry does not reach."""
+    def take_measurements(self) -> tuple[Telemetry, ...]:
+        """What was measured since the last call, in order of arrival, each once."""
         ...
 
-    def take_imu(self) -> tuple[ImuSample, ...]:
-        """The IMU's samples since the last call, oldest first; none where it is not streamed."""
+    @property
+    def findings(self) -> tuple[Finding, ...] | None:
+        """Parameters that are not as they should be, worst first; None until they are read."""
+        ...
+
+    @property
+    def budget_refusal(self) -> str | None:
+        """Why the link cannot carry what a flight needs, None when it can."""
         ...
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
@@ -397,32 +468,36 @@ class Autopilot(Protocol):
         """Ask for a velocity, in Offboard."""
         ...
 
-    def arm(self) -> str | None:
+    def arm(self) -> Request:
         """Start the motors."""
         ...
 
-    def takeoff(self, height_m: float) -> str | None:
+    def takeoff(self, height_m: float) -> Request:
         """Climb to a height above home in the autopilot's own mode."""
         ...
 
-    def start_offboard(self) -> str | None:
+    def start_offboard(self) -> Request:
         """Take the steering: PX4 Offboard, ArduPilot GUIDED."""
         ...
 
-    def hold(self) -> str | None:
+    def hold(self) -> Request:
         """Stop and hover in the autopilot's own mode."""
         ...
 
-    def land(self) -> str | None:
+    def land(self) -> Request:
         """Land here in the autopilot's own mode."""
         ...
 
-    def return_home(self) -> str | None:
+    def return_home(self) -> Request:
         """Return in the autopilot's own mode."""
         ...
 
-    def disarm(self) -> str | None:
+    def disarm(self) -> Request:
         """Stop the motors, on the ground."""
+        ...
+
+    def withdraw(self) -> None:
+        """Ask no more for what is under way: somebody else has the aircraft."""
         ...
 
     def close(self) -> None:

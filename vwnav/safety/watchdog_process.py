@@ -109,8 +109,11 @@ class WatchdogPorts:
         config = WatchdogConfig(calls_first=address.kind != "udpin", limit_s=options.limit_s)
         successor = None
         if options.standby:
-            url = f"udpout://127.0.0.1:{self._navigator.port}"
-            successor = SuccessorProcess(options.standby, url)
+            successor = SuccessorProcess(
+                options.standby,
+                f"udpout://127.0.0.1:{self._navigator.port}",
+                f"udpout://127.0.0.1:{self._observer.port}",
+            )
         self._watchdog = Watchdog(links, config, successor)
         self._parent = ParentWatch(options.parent) if options.parent is not None else None
         self._told_to_end = False
