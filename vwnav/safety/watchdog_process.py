@@ -1,6 +1,7 @@
 """The watchdog's process around `Watchdog`: ports, the navigator's process, signals, the clock."""
 
 import contextlib
+import logging
 import os
 import selectors
 import signal
@@ -15,6 +16,7 @@ from vwnav.safety.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.safety.watchdog_successor import SuccessorProcess
 
+_log = logging.getLogger(__name__)
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _PARENT_CHECK_S = 0.1
@@ -145,7 +147,7 @@ class WatchdogPorts:
             now_s = time.monotonic()
             if self._told_to_end or (self._parent is not None and self._parent.has_ended(now_s)):
                 self._watchdog.handle_navigator_end(now_s)
-            self._watchdog.step(now_s)
+            self._step(now_s)
 
     def close(self) -> None:
         """Give the link and the ports back."""
@@ -153,6 +155,14 @@ class WatchdogPorts:
         self._watchdog.close()
         if self._parent is not None:
             self._parent.close()
+
+    def _step(self, now_s: float) -> None:
+        """One that fails is said, and the guard goes on: nobody else would land the aircraft."""
+        try:
+            self._watchdog.step(now_s)
+        except Exception:
+            _log.exception("a step of the watchdog failed")
+            time.sleep(_TICK_S)
 
     def _wait(self) -> None:
         """Until something arrives, or the next tick."""
