@@ -201,10 +201,16 @@ class SimulatedPx4:
         return 0.0 < reach < far or 0.0 < top < down - estimator.down.x
 
     def _detect_landing(self, dt_s: float) -> None:
-        """Landed after a second on the ground without a push to leave it."""
-        controller = self.controller
+        """Landed after a second on the ground, by its own estimate still, without a push to leave.
+
+        As PX4's land detector: a velocity that it believes in keeps it armed on the ground
+        (recorded: 8 s, while estimates of 60 m/s came).
+        """
+        controller, estimator = self.controller, self.estimator
         leaving = not controller.setpoint.idle and controller.velocity_sp[2] < -0.1
-        if not self.body.on_ground:
+        speed_m_s = math.hypot(estimator.north.v, estimator.east.v)
+        moving = estimator.local_position_ok and speed_m_s > self.parameters["LNDMC_XY_VEL_MAX"]
+        if not self.body.on_ground or moving:
             self._contact_s = 0.0
         elif not leaving:
             self._contact_s += dt_s
