@@ -4,15 +4,16 @@ Both ends are what `vwnav.safety.links.Link` asks for, so that the watchdog, the
 and the simulated vehicle talk over it as they do over UDP or a serial line.
 """
 
+import heapq
 import random
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 _BITS_PER_BYTE = 10  # start bit, eight, stop bit
 _UNSENT_LIMIT_BYTES = 65536  # more than a serial port's queue is dropped, as `StreamLink` does
 
 Clock = Callable[[], float]
+Tap = Callable[[bytes], Iterable[tuple[float, bytes]]]  # packet -> (delay in s, packet) of each
 
 
 @dataclass(slots=True, kw_only=True)
@@ -24,27 +25,36 @@ class LineState:
         loss: share of the packets that never arrive.
         baud: bits per second of a serial line; None carries whatever comes.
         cut: nothing gets in.
+        tap: what becomes of each packet: dropped, altered, delayed, doubled; None lets them be.
     """
 
     latency_s: float = 0.0
     loss: float = 0.0
     baud: float | None = None
     cut: bool = False
+    tap: Tap | None = None
 
 
 class Line:
-    """One direction: packets in the order in which they were written."""
+    """One direction: packets in the order of their arrival."""
 
     def __init__(self, clock: Clock, state: LineState, rng: random.Random) -> None:
         self._clock = clock
         self._state = state
         self._rng = rng
-        self._flying: deque[tuple[float, bytes]] = deque()  # (arrival, packet)
+        self._flying: list[tuple[float, int, bytes]] = []  # (arrival, number, packet)
+        self._order = 0
         self._free_s = 0.0  # when the last bit written so far has left
         self.carried_bytes = 0
 
     def put(self, packet: bytes) -> None:
         """Send one packet."""
+        for delay_s, each in (
+            ((0.0, packet),) if self._state.tap is None else self._state.tap(packet)
+        ):
+            self._put(each, delay_s)
+
+    def _put(self, packet: bytes, delay_s: float) -> None:
         state, now_s = self._state, self._clock()
         if state.cut or (state.loss > 0.0 and self._rng.random() < state.loss):
             return
@@ -55,14 +65,14 @@ class Line:
             self._free_s = now_s + waiting_s + _BITS_PER_BYTE * len(packet) / state.baud
             now_s = self._free_s
         self.carried_bytes += len(packet)
-        earliest_s = self._flying[-1][0] if self._flying else now_s
-        self._flying.append((max(now_s + state.latency_s, earliest_s), packet))
+        self._order += 1
+        heapq.heappush(self._flying, (now_s + state.latency_s + delay_s, self._order, packet))
 
     def take(self) -> bytes:
         """The next packet that has arrived; empty when none has."""
         if not self._flying or self._flying[0][0] > self._clock():
             return b""
-        return self._flying.popleft()[1]
+        return heapq.heappop(self._flying)[2]
 
 
 class MemoryEnd:

@@ -57,6 +57,22 @@ class Airframe:
         self.on_ground = True
         self.rotation = rotation_of(self.qw, self.qx, self.qy, self.qz)
 
+    def fly_at(
+        self,
+        place_ned_m: tuple[float, float, float],
+        velocity_ned_m_s: tuple[float, float, float],
+        quat_wxyz: tuple[float, float, float, float],
+        lift_m_s2: float,
+    ) -> None:
+        """Be in the air, turning nowhere, with rotors that push so much along the body's up."""
+        self.n, self.e, self.d = place_ned_m
+        self.vn, self.ve, self.vd = velocity_ned_m_s
+        self.qw, self.qx, self.qy, self.qz = quat_wxyz
+        self.p = self.q = self.r = 0.0
+        self.rotation = rotation_of(*quat_wxyz)
+        self.rotors = [lift_m_s2 * MASS_KG / (4.0 * ROTOR_MAX_N)] * 4
+        self.on_ground = False
+
     def step(
         self,
         commands: tuple[float, float, float, float],
@@ -124,6 +140,11 @@ class Airframe:
         self.ve *= friction
         self.vd = 0.0
         self.d = 0.0
+
+
+def hover_force(un: float, ue: float, ud: float) -> tuple[float, float, float]:
+    """Lift in NED (m/s^2) that keeps a velocity through the air (m/s)."""
+    return DRAG_PER_S * un, DRAG_PER_S * ue, DRAG_PER_S * ud - GRAVITY_M_S2
 
 
 def turned(
