@@ -305,6 +305,22 @@ class Estimate:
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigation:
+    """What there is to fly on.
+
+    Attributes:
+        estimate: the one that is also sent to the autopilot; None while there is none that we
+            would fly on.
+        lost: why there is none any more; empty before the first and while there is one.
+        seen_s: exposure of the newest picture that told a motion or a place.
+    """
+
+    estimate: Estimate | None
+    lost: str = ""
+    seen_s: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class VelocitySetpoint:
     """What the autopilot is asked to fly: NED velocity, and a heading (None holds the present)."""
@@ -353,6 +369,27 @@ class VehicleState:
     local_position_ok: bool
     armable: bool
     heartbeat_age_s: float
+    intended_mode: FlightMode = FlightMode.UNKNOWN
+    failsafe: bool = False
+    aiding: bool | None = None
+    own_position_ned_m: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """A parameter of the autopilot that is not as it should be.
+
+    Attributes:
+        present: its value, None when the autopilot does not have it.
+        wanted: the value it should have, in words.
+        severity: "fail" when the aircraft cannot fly on vision with it.
+    """
+
+    parameter: str
+    present: float | None
+    wanted: str
+    why: str
+    severity: Literal["fail", "warn"]
 
 
 class FrameSource(Protocol):
@@ -367,22 +404,44 @@ class FrameSource(Protocol):
         ...
 
 
-class Autopilot(Protocol):
-    """The link as the flight loop sees it: thread-safe, never blocks for long.
+@dataclass(slots=True)
+class Request:
+    """A command on its way to the autopilot; the link's `step` carries it on.
 
-    Commands return None when accepted and a reason when refused.
+    Attributes:
+        refused: why, once `done`; None when it was accepted.
     """
+
+    done: bool = False
+    refused: str | None = None
+
+
+class Autopilot(Protocol):
+    """The link as the flight loop sees it: thread-safe, never waits.
+
+    One command is under way at a time; a new one replaces it.
+    """
+
+    @property
+    def findings(self) -> tuple[Finding, ...] | None:
+        """Parameters that are not as vision wants them; None until they have been read."""
+        ...
+
+    @property
+    def budget_refusal(self) -> str | None:
+        """Why the link cannot carry a flight; None when it can."""
+        ...
+
+    def step(self, t_s: float) -> None:
+        """Carry on what is under way: commands, rates, clocks, origin. At 20 Hz or more."""
+        ...
 
     def state(self) -> VehicleState:
         """The newest telemetry."""
         ...
 
-    def attitude_at(self, t_s: float) -> Attitude | None:
-        """Attitude at an exposure, None where telemetry does not reach."""
-        ...
-
-    def take_imu(self) -> tuple[ImuSample, ...]:
-        """The IMU's samples since the last call, oldest first; none where it is not streamed."""
+    def take_measurements(self) -> tuple[Telemetry, ...]:
+        """What was measured, in order of arrival, since the last call."""
         ...
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
@@ -397,32 +456,36 @@ class Autopilot(Protocol):
         """Ask for a velocity, in Offboard."""
         ...
 
-    def arm(self) -> str | None:
+    def arm(self) -> Request:
         """Start the motors."""
         ...
 
-    def takeoff(self, height_m: float) -> str | None:
+    def takeoff(self, height_m: float) -> Request:
         """Climb to a height above home in the autopilot's own mode."""
         ...
 
-    def start_offboard(self) -> str | None:
+    def start_offboard(self) -> Request:
         """Take the steering: PX4 Offboard, ArduPilot GUIDED."""
         ...
 
-    def hold(self) -> str | None:
+    def hold(self) -> Request:
         """Stop and hover in the autopilot's own mode."""
         ...
 
-    def land(self) -> str | None:
+    def land(self) -> Request:
         """Land here in the autopilot's own mode."""
         ...
 
-    def return_home(self) -> str | None:
+    def return_home(self) -> Request:
         """Return in the autopilot's own mode."""
         ...
 
-    def disarm(self) -> str | None:
+    def disarm(self) -> Request:
         """Stop the motors, on the ground."""
+        ...
+
+    def withdraw(self) -> None:
+        """Ask no more for what is under way: somebody else has the aircraft."""
         ...
 
     def close(self) -> None:

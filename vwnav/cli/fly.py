@@ -6,11 +6,12 @@ from pathlib import Path
 import typer
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FlyOptions:
     """The command line of `vwnav fly`."""
 
     sim: bool
+    arm: bool
     features: str
     map_source: str | None
     route: Path | None
@@ -27,9 +28,17 @@ class FlyOptions:
     config_path: Path | None
     output: Path | None
 
+    @property
+    def arms(self) -> bool:
+        """A person arms a real aircraft; simulated ones hurt nobody."""
+        return self.arm or self.sim or self.truth is not None
+
 
 def fly(
     sim: bool = typer.Option(False, "--sim", help="Everything embedded: site, vehicle, camera."),
+    arm: bool = typer.Option(
+        False, "--arm", help="Arm by itself once ready; else a person arms a real aircraft."
+    ),
     features: str = typer.Option("learned", help="learned, sift or orb."),
     map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
     route: Path | None = typer.Option(None, help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text."),
@@ -65,6 +74,7 @@ def fly(
     vwnav fly --map field.mbtiles --route field.plan --camera cam.toml --video /dev/video0
     --connection serial:///dev/ttyAMA0:921600
     """
+    options = FlyOptions(**locals())
     needed = {"--map": map_source, "--route": route, "--video": video, "--connection": connection}
     missing = [name for name, value in needed.items() if not value]
     if missing and not sim:
@@ -73,23 +83,4 @@ def fly(
         raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
     from vwnav.cli.flying import fly_route
 
-    fly_route(
-        FlyOptions(
-            sim,
-            features,
-            map_source,
-            route,
-            route_frame,
-            camera,
-            video,
-            connection,
-            truth,
-            home,
-            home_sigma_m,
-            wind_m_s,
-            seed,
-            model,
-            config_path,
-            output,
-        )
-    )
+    fly_route(options)
