@@ -353,6 +353,13 @@ class VehicleState:
         height_m: barometric height above the place where the link came up, up positive.
         rangefinder_m: distance to the ground along the body's down axis.
         local_position_ok: the autopilot's own filter has a horizontal position.
+        intended_mode: the mode that somebody asked for: in a failsafe PX4 flies another one. It is
+            `mode` where the autopilot cannot tell the two apart, and UNKNOWN for the moment between
+            a change of mode and PX4's word on who asked for it.
+        failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
+        aiding: its filter predicts the position from what we send; None when it does not say.
+        own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
+            when that is older than a second, or the two have not agreed upon an origin.
     """
 
     t_s: float
@@ -375,6 +382,9 @@ class VehicleState:
     own_position_ned_m: Array | None = None
 
 
+Severity = Literal["fail", "warn"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """A parameter of the autopilot that is not as it should be.
@@ -389,7 +399,20 @@ class Finding:
     present: float | None
     wanted: str
     why: str
-    severity: Literal["fail", "warn"]
+    severity: Severity
+
+
+@dataclass(slots=True)
+class Request:
+    """A command on its way to the autopilot; the link's `step` carries it on.
+
+    Attributes:
+        done: it has been answered, given up, or replaced by a newer one.
+        refused: why, once done; None when the autopilot has accepted it.
+    """
+
+    done: bool = False
+    refused: str | None = None
 
 
 class FrameSource(Protocol):
@@ -404,36 +427,15 @@ class FrameSource(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class Request:
-    """A command on its way to the autopilot; the link's `step` carries it on.
-
-    Attributes:
-        refused: why, once `done`; None when it was accepted.
-    """
-
-    done: bool = False
-    refused: str | None = None
-
-
 class Autopilot(Protocol):
-    """The link as the flight loop sees it: thread-safe, never waits.
+    """The link as the flight loop sees it: thread-safe, and no call ever waits.
 
-    One command is under way at a time; a new one replaces it.
+    Commands are carried on by `step`; each returns a `Request` that says how it went. A new one
+    replaces the one under way.
     """
-
-    @property
-    def findings(self) -> tuple[Finding, ...] | None:
-        """Parameters that are not as vision wants them; None until they have been read."""
-        ...
-
-    @property
-    def budget_refusal(self) -> str | None:
-        """Why the link cannot carry a flight; None when it can."""
-        ...
 
     def step(self, t_s: float) -> None:
-        """Carry on what is under way: commands, rates, clocks, origin. At 20 Hz or more."""
+        """Keep the link up and carry commands on; to be called at 20 Hz or more."""
         ...
 
     def state(self) -> VehicleState:
@@ -441,7 +443,17 @@ class Autopilot(Protocol):
         ...
 
     def take_measurements(self) -> tuple[Telemetry, ...]:
-        """What was measured, in order of arrival, since the last call."""
+        """What was measured since the last call, in order of arrival, each once."""
+        ...
+
+    @property
+    def findings(self) -> tuple[Finding, ...] | None:
+        """Parameters that are not as they should be, worst first; None until they are read."""
+        ...
+
+    @property
+    def budget_refusal(self) -> str | None:
+        """Why the link cannot carry what a flight needs, None when it can."""
         ...
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:

@@ -22,9 +22,9 @@ def heard(samples: ImuSamples, clock: BootClock, count: int, force, start: int =
         clock.handle_stamp(t_us / 1e6, 50.0 + t_us / 1e6)
         fields = dict(zip(("xacc", "yacc", "zacc"), force, strict=True))
         rates = dict.fromkeys(("xgyro", "ygyro", "zgyro"), 0.0)
-        samples.add_highres(fields | rates | {"time_usec": t_us}, clock, 50.0 + t_us / 1e6)
-        taken += samples.take(attitude)
-    return taken
+        values = fields | rates | {"time_usec": t_us}
+        taken.append(samples.highres(values, clock, 50.0 + t_us / 1e6, attitude))
+    return [sample for sample in taken if sample is not None]
 
 
 def test_samples_are_on_our_clock_with_the_sensors_own_span():

@@ -4,9 +4,10 @@ import time
 
 import numpy as np
 import pytest
+from autopilot_links import stepped
 from link_peer import free_port, wait_for
 
-from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.safety.watchdog import start_watchdog
@@ -22,7 +23,8 @@ def link():
     config = VehicleConfig(companion_url=companion, ground_url="", truth_url="", system_id=5)
     with start_vehicle(config), start_watchdog(f"udpin://127.0.0.1:{port}") as watchdog:
         autopilot = MavsdkAutopilot(watchdog.navigator_url)
-        yield autopilot, watchdog
+        with stepped(autopilot):
+            yield autopilot, watchdog
         autopilot.close()
 
 
@@ -41,12 +43,12 @@ def test_it_is_a_px4_on_the_ground_with_attitude_and_height(px4):
 
 
 def test_its_parameters_can_be_read(px4):
-    assert all(finding.present is not None for finding in px4.preflight())
+    assert all(finding.present is not None for finding in wait_for_findings(px4))
 
 
 def test_it_has_a_position_only_once_it_gets_estimates(px4):
     assert not px4.state().local_position_ok
-    assert px4.arm() is not None
+    assert px4.arm().refused is not None
     px4.set_origin(41.1, 29.0, 40.0)
     level = np.array([1.0, 0.0, 0.0, 0.0])
     until_s = time.monotonic() + 15.0
@@ -58,7 +60,7 @@ def test_it_has_a_position_only_once_it_gets_estimates(px4):
         )
         time.sleep(0.03)
     assert px4.state().local_position_ok
-    assert px4.aiding()
+    assert px4.state().aiding
 
 
 def test_truth_on_the_same_link_is_read_through_the_watchdog(link):

@@ -5,15 +5,14 @@ import struct
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from vwnav.drivers.telemetry_state import TelemetryState
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.safety.mavlink_framing import packet_at
-from vwnav.types import FlightMode, VehicleState
+from vwnav.types import FlightMode, ImuSample, VehicleState
 
 MAV = mavlink.MAVLink(None)
-# CURRENT_MODE is not in this dialect.
 UNDERSTOOD = {
     number
     for number, kind in mavlink.mavlink_map.items()
@@ -56,7 +55,8 @@ def imu_of(path, without: str = ""):
         fields = {name: None if value != value else value for name, value in values.items()}
         telemetry.handle(message.get_type(), fields, t_s)
         if t_s >= next_s:
-            samples += telemetry.take_imu()
+            taken = telemetry.take_measurements()
+            samples += [each for each in taken if isinstance(each, ImuSample)]
             next_s = t_s + 0.5
     return samples
 
@@ -189,9 +189,10 @@ def test_flights_of_every_kind_are_taken_in_whole(data):
 
 def test_another_component_with_the_autopilots_id_changes_nothing():
     telemetry = TelemetryState()
-    beat = {"autopilot": 12, "base_mode": 128, "custom_mode": 6 << 16}
+    beat = {"autopilot": 12, "base_mode": 128, "custom_mode": 6 << 16, "system_status": 4}
     telemetry.handle("HEARTBEAT", beat, 1.0)
-    telemetry.handle("HEARTBEAT", {"autopilot": 8, "base_mode": 0, "custom_mode": 0}, 1.1)
+    other = {"autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 0}
+    telemetry.handle("HEARTBEAT", other, 1.1)
     state = telemetry.state(1.2)
     assert telemetry.kind is AutopilotKind.PX4
     assert state.armed
@@ -199,7 +200,7 @@ def test_another_component_with_the_autopilots_id_changes_nothing():
 
 
 def beat(telemetry: TelemetryState, custom_mode: int, t_s: float) -> None:
-    fields = {"autopilot": 12, "base_mode": 129, "custom_mode": custom_mode}
+    fields = {"autopilot": 12, "base_mode": 129, "custom_mode": custom_mode, "system_status": 4}
     telemetry.handle("HEARTBEAT", fields, t_s)
 
 

@@ -198,8 +198,9 @@ def headings_deg(path):
             ekf.initialise(Start(t_s=t_s, position_ned_m=np.zeros(3)))
         state = telemetry.state(t_s)
         ekf.handle_attitude(attitude)
-        for sample in telemetry.take_imu():
-            ekf.handle_imu(sample)
+        for measured in telemetry.take_measurements():
+            if isinstance(measured, ImuSample):
+                ekf.handle_imu(measured)
         if state.height_m is not None:
             ekf.handle_height(state.height_t_s, state.height_m)
         if not state.armed:

@@ -103,9 +103,9 @@ def test_a_late_beat_does_not_regain_the_aircraft_but_a_new_claim_does():
     guard = beating()
     run(guard, 0.0, 1.0)
     guard.handle_beat(Beat(True, 2, 100), 1.0)
-    assert guard.blocks_setpoints
+    assert guard.has_taken_over
     guard.handle_beat(Beat(False, 3, 101), 1.0)
-    assert guard.blocks_setpoints
+    assert guard.has_taken_over
     guard.handle_beat(Beat(True, 4, 101), 1.0)
     assert guard.state is GuardState.RELAY
 

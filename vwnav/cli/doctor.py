@@ -167,15 +167,15 @@ def _camera(video: str) -> Check:
 
 
 def _autopilot(url: str) -> list[Check]:
-    from vwnav.drivers.autopilot import MavsdkAutopilot
+    from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
 
     try:
         autopilot = MavsdkAutopilot(url)
     except VwnavError as error:
         return [Check("autopilot", "FAIL", str(error))]
     try:
-        findings = autopilot.preflight()
-        checks = [Check("autopilot", "PASS", f"{autopilot.kind.value} on {url}")]
+        findings = wait_for_findings(autopilot)
+        checks = [Check("autopilot", "PASS", f"{autopilot.kind} on {url}")]
         checks += [
             Check(
                 finding.parameter,

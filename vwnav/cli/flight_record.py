@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 from vwnav import __version__
@@ -133,8 +134,8 @@ class FlightRecord:
     def close(self, options: FlyOptions, assembled: Assembled) -> None:
         """Finish the files and print the table; what cannot be written is said, the rest is."""
         self._line.__exit__(None, None, None)
-        endings = (
-            ("trajectory.csv", lambda: self._trajectory and self._trajectory.close()),
+        endings: tuple[tuple[str, Callable[[], None]], ...] = (
+            ("trajectory.csv", self._close_trajectory),
             ("flight.mcap", self._recorder.close),
             ("run.json", lambda: self._write_summary(options, assembled)),
             ("track.png", lambda: self._picture.save(self._folder / "track.png")),
@@ -146,6 +147,10 @@ class FlightRecord:
                 _log.exception("%s could not be finished", name)
                 say(f"{name} could not be finished: {error}")
         print_table("flight", self._rows(assembled))
+
+    def _close_trajectory(self) -> None:
+        if self._trajectory is not None:
+            self._trajectory.close()
 
     def _write_summary(self, options: FlyOptions, assembled: Assembled) -> None:
         write_json(self._folder / "run.json", self._summary(options, assembled))

@@ -1,11 +1,17 @@
-"""MAVLink commands with their acknowledgement, and why one was refused, in words."""
+"""MAVLink commands with their acknowledgement, and why one was refused, in words.
 
-import threading
-import time
-from collections.abc import Callable, Mapping
+Nothing here waits. A procedure is a generator that does a little and yields; whoever steps the link
+resumes it, and what it returns is None when the autopilot agreed, else the reason why not.
+"""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from typing import Any
 
+from vwnav.drivers.port import Fields, Send
 from vwnav.safety.flight_modes import Command
+
+Procedure = Generator[None, None, str | None]
 
 # MAV_RESULT: https://mavlink.io/en/messages/common.html#MAV_RESULT
 _ACCEPTED, _IN_PROGRESS = 0, 5
@@ -17,112 +23,115 @@ _RESULTS = {
     6: "cancelled",
 }
 _TRIES = 3
-_TRY_S = 0.15
 _PROGRESS_S = 2.0
+_FORGOTTEN_S = 3.0  # an answer that comes later is taken for one to something else
 
-Send = Callable[[str, Mapping[str, Any]], None]
+
+@dataclass(slots=True)
+class _Transmission:
+    """One COMMAND_LONG on the air; several are of the same command."""
+
+    number: int
+    sent_s: float
+    answer: "_Answer"
+
+
+@dataclass(slots=True)
+class _Answer:
+    result: int | None = None
+    at_s: float = 0.0
+
+
+def _never() -> bool:
+    return False
+
+
+def _no_reason() -> str | None:
+    return None
 
 
 class CommandSender:
-    """Sends one command at a time and waits for its COMMAND_ACK: half a second at the longest.
+    """Sends commands and knows which answer belongs to which.
 
-    Half a second, because the watchdog takes a control loop that waits longer for dead.
+    Args:
+        system_id: of the autopilot.
+        clock: monotonic clock, in seconds.
+        patience_s: how long an answer may take on this link before it is asked for again.
     """
 
-    def __init__(self, send: Send, system_id: int) -> None:
+    def __init__(
+        self,
+        send: Send,
+        system_id: Callable[[], int],
+        clock: Callable[[], float],
+        patience_s: Callable[[], float],
+    ) -> None:
         self._send = send
         self._system_id = system_id
-        self._one_at_a_time = threading.Lock()
-        self._acknowledged = threading.Condition()
-        self._waiting_for: int | None = None
-        self._result: int | None = None
+        self._clock = clock
+        self._patience_s = patience_s
+        self._unanswered: list[_Transmission] = []
 
-    def handle_ack(self, fields: Mapping[str, Any]) -> None:
-        """Take a COMMAND_ACK in; to be called from another thread than `command`."""
-        with self._acknowledged:
-            if fields["command"] == self._waiting_for:
-                self._result = fields["result"]
-                self._acknowledged.notify_all()
+    def handle_ack(self, fields: Fields, received_s: float) -> None:
+        """Take a COMMAND_ACK in: it answers the oldest transmission of that command."""
+        self._unanswered = [t for t in self._unanswered if received_s - t.sent_s < _FORGOTTEN_S]
+        number, result = fields["command"], fields["result"]
+        transmission = next((t for t in self._unanswered if t.number == number), None)
+        if transmission is None:
+            return
+        if result != _IN_PROGRESS:
+            self._unanswered.remove(transmission)
+        transmission.answer.result, transmission.answer.at_s = result, received_s
 
-    def command(self, command: Command) -> str | None:
-        """Send until it is answered; None when accepted, else the answer in words."""
-        with self._one_at_a_time, self._acknowledged:
-            self._waiting_for, self._result = command.number, None
-            for attempt in range(_TRIES):
-                self._send("COMMAND_LONG", self._fields(command, attempt))
-                if self._acknowledged.wait_for(self._has_result, _TRY_S):
-                    break
-            if self._result == _IN_PROGRESS:
-                self._acknowledged.wait_for(self._has_final_result, _PROGRESS_S)
-            result, self._waiting_for = self._result, None
-        if result in (_ACCEPTED, _IN_PROGRESS):
-            return None
-        if result is None:
-            return f"no answer within {_TRIES * _TRY_S:.2f} s"
-        return _RESULTS.get(result, f"refused with code {result}")
+    def tell(self, command: Command) -> None:
+        """Send once and forget: what comes of it shows in the telemetry."""
+        self._send("COMMAND_LONG", self._fields(command, 0))
 
-    def _has_result(self) -> bool:
-        return self._result is not None
+    def command(
+        self,
+        command: Command,
+        seen: Callable[[], bool] = _never,
+        overtaken: Callable[[], str | None] = _no_reason,
+    ) -> Procedure:
+        """Send, and send again where no answer comes, three times at most.
 
-    def _has_final_result(self) -> bool:
-        return self._result != _IN_PROGRESS
+        Args:
+            command: what is asked for.
+            seen: whether telemetry shows that it was done: as good as an answer.
+            overtaken: why it must not be sent again (the pilot has acted since), None while it may.
+        """
+        answer = _Answer()
+        for attempt in range(_TRIES):
+            sent_s = self._clock()
+            self._unanswered.append(_Transmission(command.number, sent_s, answer))
+            self._send("COMMAND_LONG", self._fields(command, attempt))
+            while answer.result is None and self._clock() - sent_s < self._patience_s():
+                yield
+                if seen():
+                    return None
+                reason = overtaken()
+                if reason is not None:
+                    return reason
+            if answer.result is not None:
+                break
+        while answer.result == _IN_PROGRESS and self._clock() - answer.at_s < _PROGRESS_S:
+            yield
+        return _in_words(answer.result)
 
     def _fields(self, command: Command, attempt: int) -> dict[str, Any]:
         params = [*command.params, *[0.0] * (7 - len(command.params))]
         numbered = {f"param{i}": value for i, value in enumerate(params, start=1)}
         return {
-            "target_system": self._system_id,
+            "target_system": self._system_id(),
             "target_component": 1,
             "command": command.number,
             "confirmation": attempt,
         } | numbered
 
 
-class ParameterReader:
-    """Asks for parameters by name, all at once, and notices which do not exist."""
-
-    def __init__(self, send: Send, system_id: int) -> None:
-        self._send = send
-        self._system_id = system_id
-        self._arrived = threading.Condition()
-        self._values: dict[str, tuple[float | None, int]] = {}
-
-    def handle_value(self, fields: Mapping[str, Any]) -> None:
-        """Take a PARAM_VALUE in."""
-        with self._arrived:
-            name = fields["param_id"].rstrip("\0")
-            self._values[name] = (fields["param_value"], fields["param_type"])
-            self._arrived.notify_all()
-
-    def read(self, names: tuple[str, ...], wait_s: float) -> dict[str, tuple[float | None, int]]:
-        """(value as a float, MAV_PARAM_TYPE) of those `names` that exist, within `wait_s`."""
-        with self._arrived:
-            self._values.clear()
-        for _ in range(2):
-            missing = [name for name in names if name not in self._values]
-            for name in missing:
-                self._send("PARAM_REQUEST_READ", self._address(name) | {"param_index": -1})
-                time.sleep(0.002)  # a serial link's buffer is small
-            with self._arrived:
-                if self._arrived.wait_for(
-                    lambda: all(n in self._values for n in names), wait_s / 2
-                ):
-                    break
-        with self._arrived:
-            return {name: self._values[name] for name in names if name in self._values}
-
-    def write_float(self, name: str, value: float, wait_s: float = 0.5) -> bool:
-        """Set a parameter of type float; True when the autopilot has confirmed it."""
-        fields = {"param_value": value, "param_type": 9}  # MAV_PARAM_TYPE_REAL32
-        for _ in range(2):
-            with self._arrived:
-                self._values.pop(name, None)
-            self._send("PARAM_SET", self._address(name) | fields)
-            with self._arrived:
-                if self._arrived.wait_for(lambda: name in self._values, wait_s / 2):
-                    answer = self._values[name][0]
-                    return answer is not None and abs(answer - value) < 1e-3 * max(1.0, abs(value))
-        return False
-
-    def _address(self, name: str) -> dict[str, Any]:
-        return {"target_system": self._system_id, "target_component": 1, "param_id": name}
+def _in_words(result: int | None) -> str | None:
+    if result in (_ACCEPTED, _IN_PROGRESS):
+        return None
+    if result is None:
+        return f"no answer to {_TRIES} tries"
+    return _RESULTS.get(result, f"refused with code {result}")

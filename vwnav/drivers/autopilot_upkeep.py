@@ -1,30 +1,27 @@
 """What a link needs all the time: joined clocks, message rates, and one common origin."""
 
 import logging
-import threading
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.drivers.autopilot_commands import CommandSender, Send
+from vwnav.drivers.autopilot_commands import CommandSender
+from vwnav.drivers.boot_clock import BootClock
+from vwnav.drivers.port import Fields, Send
 from vwnav.drivers.telemetry_state import TelemetryState
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.safety.flight_modes import AutopilotKind, Command
 from vwnav.types import Array
 
 _log = logging.getLogger(__name__)
-_PERIOD_S = 0.2
-_RATES_CHECK_S = 2.0
-_STOP_WAIT_S = 1.0
-# MAVLink message ids and the rates that are asked for, Hz: HEARTBEAT, SYS_STATUS,
-# SCALED_PRESSURE, ATTITUDE, LOCAL_POSITION_NED, DISTANCE_SENSOR, EXTENDED_SYS_STATE.
-_RATES_HZ = {0: 5.0, 1: 5.0, 29: 20.0, 30: 50.0, 32: 5.0, 132: 10.0, 245: 5.0}
-_RATES_PX4_HZ = {230: 5.0, 436: 5.0}  # ESTIMATOR_STATUS, CURRENT_MODE
-_RATES_ARDUPILOT_HZ = {193: 5.0}  # EKF_STATUS_REPORT
-_HIGHRES_IMU, _RAW_IMU = 105, 27
-_IMU_HZ = 50.0  # 3.7 kB/s; PX4 sends as much unasked
-_SLOW_ATTITUDE_S = 0.3
+_TIMESYNC_S = 0.2
+_QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
+_ASK_S = 0.02  # one message after another: a serial link's buffer is small
+_LOOK_S = 2.0  # so long a message's rate is counted
+_SLOWEST_ASK_S = 60.0  # for a message that never comes at the rate asked for
+_ENOUGH = 0.6  # of the rate asked for: PX4 divides its own
 _CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
 _GPS_GLOBAL_ORIGIN = 49
 _ORIGIN_TRIES = 6
@@ -34,160 +31,207 @@ _ORIGIN_PERIOD_S = 0.3
 _ORIGIN_DIFFERS_M = 0.5
 
 
-class Upkeep:
-    """A thread that asks for clocks and rates until it is closed.
+class Timesync:
+    """Asks for the autopilot's clock, and answers when it asks for ours."""
 
-    Args:
-        telemetry, lock: the state and what guards it.
-    """
-
-    def __init__(
-        self,
-        send: Send,
-        commands: CommandSender,
-        telemetry: TelemetryState,
-        lock: threading.Lock,
-        clock: Callable[[], float],
-    ) -> None:
+    def __init__(self, send: Send, clock: Callable[[], float], boot_clock: BootClock) -> None:
         self._send = send
-        self._commands = commands
-        self._telemetry = telemetry
-        self._lock = lock
         self._clock = clock
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="autopilot link", daemon=True)
-        self._thread.start()
+        self._boot_clock = boot_clock
+        self._asked_ns: deque[int] = deque(maxlen=_QUESTIONS)
+        self._asked_s = -np.inf
 
-    def handle_timesync(self, _: str, fields: Mapping[str, Any], received_s: float) -> None:
+    def step(self, t_s: float) -> None:
+        """Ask, five times a second."""
+        if t_s - self._asked_s < _TIMESYNC_S:
+            return
+        self._asked_s = t_s
+        now_ns = int(self._clock() * 1e9)
+        self._asked_ns.append(now_ns)
+        self._send("TIMESYNC", {"tc1": 0, "ts1": now_ns})
+
+    def handle(self, fields: Fields, received_s: float) -> None:
         """Answer the autopilot's question (it stamps our estimates by it), learn from answers."""
         if fields["tc1"] == 0:
             self._send("TIMESYNC", {"tc1": int(received_s * 1e9), "ts1": fields["ts1"]})
+        elif fields["ts1"] in self._asked_ns:  # others ask too, and their answers come by here
+            self._asked_ns.remove(fields["ts1"])
+            self._boot_clock.handle_round_trip(fields["ts1"] / 1e9, fields["tc1"] / 1e9, received_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A message that is wanted, and how often; `instead_of` another where that does not come."""
+
+    name: str
+    number: int
+    rate_hz: float
+    instead_of: str | None = None
+
+
+@dataclass(slots=True)
+class _Watched:
+    """When a stream is asked for next, and how long is waited after that."""
+
+    due_s: float
+    wait_s: float = _LOOK_S
+    heard: int = 0
+
+
+class StreamKeeper:
+    """Asks for messages until they come, and anew when they stop: a restarted autopilot forgets.
+
+    What the autopilot answers is not looked at: an answer does not say which message it is about.
+    """
+
+    def __init__(self, commands: CommandSender, streams: tuple[Stream, ...]) -> None:
+        self._commands = commands
+        self._streams = streams
+        self._watched = {stream.name: _Watched(-np.inf) for stream in streams}
+        self._asked_s = -np.inf
+        self._looked_s = -np.inf
+        self._rates_hz: dict[str, float] = {}
+
+    @property
+    def rates_hz(self) -> Mapping[str, float]:
+        """How often each message came in the last two seconds that were looked at."""
+        return self._rates_hz
+
+    def count(self, name: str) -> None:
+        """A message has come."""
+        watched = self._watched.get(name)
+        if watched is not None:
+            watched.heard += 1
+
+    def step(self, t_s: float) -> None:
+        """Look at what comes, and ask for at most one message."""
+        if t_s - self._looked_s >= _LOOK_S:
+            self._look(t_s)
+        if t_s - self._asked_s < _ASK_S:
             return
-        with self._lock:
-            self._telemetry.clock.handle_round_trip(
-                fields["ts1"] / 1e9, fields["tc1"] / 1e9, received_s
-            )
+        for stream in self._streams:
+            watched = self._watched[stream.name]
+            if t_s >= watched.due_s and not self._is_spare(stream):
+                self._asked_s = t_s
+                watched.due_s = t_s + watched.wait_s
+                watched.wait_s = min(2.0 * watched.wait_s, _SLOWEST_ASK_S)
+                interval_us = 1e6 / stream.rate_hz
+                self._commands.tell(
+                    Command(_CMD_MESSAGE_INTERVAL, (float(stream.number), interval_us))
+                )
+                return
 
-    def close(self) -> None:
-        """End the thread."""
-        self._stop.set()
-        self._thread.join(_STOP_WAIT_S)
+    def restart(self) -> None:
+        """Ask for everything anew: the autopilot has started anew."""
+        for watched in self._watched.values():
+            watched.due_s, watched.wait_s = -np.inf, _LOOK_S
 
-    def _run(self) -> None:
-        self._ask_for_rates()
-        checked_s = self._clock()
-        while not self._stop.wait(_PERIOD_S):
-            now_s = self._clock()
-            self._send("TIMESYNC", {"tc1": 0, "ts1": int(now_s * 1e9)})
-            if now_s - checked_s > _RATES_CHECK_S:
-                checked_s = now_s
-                if self._starves(now_s):  # an autopilot that restarts forgets
-                    self._ask_for_rates()
+    def _is_spare(self, stream: Stream) -> bool:
+        """Whether the message that it would stand in for comes, or has not been waited for yet."""
+        return stream.instead_of is not None and self._rates_hz.get(stream.instead_of) != 0.0
 
-    def _starves(self, now_s: float) -> bool:
-        with self._lock:
-            attitude = self._telemetry.newest_attitude
-            has_height = self._telemetry.has_height(now_s)
-        return not has_height or attitude is None or now_s - attitude.t_s > _SLOW_ATTITUDE_S
-
-    def _ask_for_rates(self) -> None:
-        px4 = self._telemetry.kind is AutopilotKind.PX4
-        rates = _RATES_HZ | (_RATES_PX4_HZ if px4 else _RATES_ARDUPILOT_HZ)
-        for number, rate_hz in rates.items():
-            self._ask_for(number, rate_hz)
-        known = self._ask_for(_HIGHRES_IMU, _IMU_HZ)
-        if not known and not px4:
-            self._ask_for(_RAW_IMU, _IMU_HZ)
-
-    def _ask_for(self, number: int, rate_hz: float) -> bool:
-        """Whether the autopilot agrees to send a message so often."""
-        refused = self._commands.command(
-            Command(_CMD_MESSAGE_INTERVAL, (float(number), 1e6 / rate_hz))
-        )
-        if refused:
-            _log.info("message %d at %.0f Hz: %s", number, rate_hz, refused)
-        return refused is None
+    def _look(self, t_s: float) -> None:
+        span_s = t_s - self._looked_s
+        self._looked_s = t_s
+        if not np.isfinite(span_s):
+            return
+        self._rates_hz = {name: each.heard / span_s for name, each in self._watched.items()}
+        if not any(self._rates_hz.values()):
+            self.restart()  # the link is silent: whoever comes back may have forgotten
+            return
+        for stream in self._streams:
+            watched = self._watched[stream.name]
+            if watched.heard / span_s >= _ENOUGH * stream.rate_hz:
+                watched.due_s, watched.wait_s = np.inf, _LOOK_S
+            elif watched.due_s == np.inf:
+                watched.due_s = t_s
+            watched.heard = 0
 
 
 class OriginAgreement:
     """Reads the autopilot's origin, or sets it, and finds where ours lies about it.
 
     PX4 1.18 must have the origin before the first vision message, or its position jumps by
-    thousands of kilometres: until there is agreement, `offset_ned_m` is None. An origin that is
-    there already, of an earlier flight or of GPS, is kept for the same reason.
-
-    Attributes:
-        offset_ned_m: (3,) our origin in the frame about the autopilot's.
+    thousands of kilometres: until there is agreement, `TelemetryState.origin_offset_ned_m` is None.
+    An origin that is there already, of an earlier flight or of GPS, is kept for the same reason.
     """
 
     def __init__(
         self,
         send: Send,
-        system_id: int,
+        system_id: Callable[[], int],
         commands: CommandSender,
         telemetry: TelemetryState,
-        lock: threading.Lock,
-        frame: LocalFrame,
+        clock: Callable[[], float],
+        patience_s: Callable[[], float],
     ) -> None:
         self._send = send
         self._system_id = system_id
         self._commands = commands
         self._telemetry = telemetry
-        self._lock = lock
-        self._frame = frame
-        self._stop = threading.Event()
-        self.offset_ned_m: Array | None = None
-        with lock:
-            telemetry.origin = None
-        self._thread = threading.Thread(target=self._run, name="origin", daemon=True)
-        self._thread.start()
+        self._clock = clock
+        self._patience_s = patience_s
 
-    def close(self) -> None:
-        """End the thread."""
-        self._stop.set()
-        self._thread.join(_STOP_WAIT_S)
-
-    def _run(self) -> None:
-        offset_ned_m = self._ask()
+    def agree(self, frame: LocalFrame) -> Generator[None, None, None]:
+        """Agree upon the origin of `frame`."""
+        self._telemetry.origin = self._telemetry.origin_offset_ned_m = None
+        offset_ned_m = yield from self._ask(frame)
         tries = 0
-        while _is_far(offset_ned_m) and not self._stop.is_set():
+        while _is_far(offset_ned_m):
             tries += 1
             if tries > (_UNCONFIRMED_TRIES if offset_ned_m is None else _ORIGIN_TRIES):
                 break
-            self._send("SET_GPS_GLOBAL_ORIGIN", self._fields())
-            offset_ned_m = self._ask()
-        if self._stop.is_set():
-            return
+            self._send("SET_GPS_GLOBAL_ORIGIN", self._fields(frame))
+            offset_ned_m = yield from self._ask(frame)
         if offset_ned_m is None:
             _log.warning("the autopilot does not confirm its origin; estimates are sent anyway")
             offset_ned_m = np.zeros(3)
         elif np.linalg.norm(offset_ned_m) >= _ORIGIN_DIFFERS_M:
             distance_m = np.linalg.norm(offset_ned_m)
             _log.warning("the autopilot keeps its own origin, %.1f m from ours", distance_m)
-        self.offset_ned_m = offset_ned_m
+        self._telemetry.origin_offset_ned_m = offset_ned_m
 
-    def _ask(self) -> Array | None:
-        self._commands.command(Command(_CMD_REQUEST_MESSAGE, (float(_GPS_GLOBAL_ORIGIN),)))
-        self._stop.wait(_ORIGIN_PERIOD_S)
-        return self._offset()
-
-    def _offset(self) -> Array | None:
-        """Our origin about the one that the autopilot last told."""
-        with self._lock:
-            origin = self._telemetry.origin
+    def _ask(self, frame: LocalFrame) -> Generator[None, None, Array | None]:
+        """Our origin about the one that the autopilot tells."""
+        self._commands.tell(Command(_CMD_REQUEST_MESSAGE, (float(_GPS_GLOBAL_ORIGIN),)))
+        asked_s = self._clock()
+        while self._clock() - asked_s < max(_ORIGIN_PERIOD_S, self._patience_s()):
+            yield
+        origin = self._telemetry.origin
         if origin is None:
             return None
-        frame = self._frame
         return LocalFrame(*origin).to_ned(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
 
-    def _fields(self) -> dict[str, int]:
+    def _fields(self, frame: LocalFrame) -> dict[str, int]:
         return {
-            "target_system": self._system_id,
-            "latitude": round(self._frame.lat_deg * 1e7),
-            "longitude": round(self._frame.lon_deg * 1e7),
-            "altitude": round(self._frame.alt_amsl_m * 1e3),
+            "target_system": self._system_id(),
+            "latitude": round(frame.lat_deg * 1e7),
+            "longitude": round(frame.lon_deg * 1e7),
+            "altitude": round(frame.alt_amsl_m * 1e3),
             "time_usec": 0,
         }
+
+
+def wanted_streams(kind: AutopilotKind) -> tuple[Stream, ...]:
+    """Every message that is understood, at the rate that it is used, the most needed first."""
+    return _COMMON + (_PX4 if kind is AutopilotKind.PX4 else _ARDUPILOT)
+
+
+_COMMON = (
+    Stream("ATTITUDE", 30, 50.0),
+    Stream("SCALED_PRESSURE", 29, 20.0),
+    Stream("HEARTBEAT", 0, 5.0),
+    Stream("SYS_STATUS", 1, 5.0),
+    Stream("EXTENDED_SYS_STATE", 245, 5.0),
+    Stream("HIGHRES_IMU", 105, 50.0),  # 3.7 kB/s; PX4 sends as much unasked
+    Stream("DISTANCE_SENSOR", 132, 10.0),
+    Stream("LOCAL_POSITION_NED", 32, 5.0),
+)
+_PX4 = (Stream("CURRENT_MODE", 436, 10.0), Stream("ESTIMATOR_STATUS", 230, 5.0))
+_ARDUPILOT = (
+    Stream("EKF_STATUS_REPORT", 193, 5.0),
+    Stream("RAW_IMU", 27, 50.0, instead_of="HIGHRES_IMU"),
+)
 
 
 def _is_far(offset_ned_m: Array | None) -> bool:

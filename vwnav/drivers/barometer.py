@@ -5,7 +5,7 @@ _SEA_LEVEL_HPA = 1013.25
 _SEA_LEVEL_K = 288.15
 _LAPSE_K_PER_M = 0.0065
 _EXPONENT = 5.255876
-_HIGHEST_HPA = 1200.0
+_LOWEST_HPA, _HIGHEST_HPA = 100.0, 1200.0  # 16 km up, and below every sea
 
 
 def pressure_altitude_m(pressure_hpa: float) -> float:
@@ -16,6 +16,11 @@ def pressure_altitude_m(pressure_hpa: float) -> float:
     """
     ratio: float = (pressure_hpa / _SEA_LEVEL_HPA) ** (1.0 / _EXPONENT)
     return _SEA_LEVEL_K / _LAPSE_K_PER_M * (1.0 - ratio)
+
+
+def is_pressure(pressure_hpa: float) -> bool:
+    """Whether an aircraft can be where the air is like that."""
+    return _LOWEST_HPA <= pressure_hpa <= _HIGHEST_HPA
 
 
 def hectopascal(abs_pressure: float) -> float:

@@ -5,6 +5,7 @@ from collections import deque
 _WINDOW_S = 20.0
 _BUCKET_S = 1.0
 _MAX_ROUND_TRIP_S = 0.05
+_RECENT_TRIPS = 5
 _REBOOT_S = 2.0
 _SLIPPED_S = 0.03
 _SLIPPED_BUCKETS = 3  # in a row that long: no latency, the clock itself
@@ -25,6 +26,12 @@ class BootClock:
         self._one_way: deque[tuple[float, float]] = deque()  # (bucket start, least offset in it)
         self._round_trips: deque[tuple[float, float, float]] = deque()  # (t, round trip, offset)
         self._last_boot_s = 0.0
+        self._spent_s: deque[float] = deque(maxlen=_RECENT_TRIPS)
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """The longest of the last few question and answers; None before the first."""
+        return max(self._spent_s, default=None)
 
     def handle_stamp(self, boot_s: float, received_s: float) -> bool:
         """Learn from a message stamped at `boot_s`; True when the autopilot has started anew."""
@@ -59,6 +66,7 @@ class BootClock:
     def handle_round_trip(self, sent_s: float, autopilot_s: float, received_s: float) -> None:
         """Learn from a TIMESYNC answer: asked and received here, answered there in between."""
         round_trip_s = received_s - sent_s
+        self._spent_s.append(max(round_trip_s, 0.0))
         if not 0.0 <= round_trip_s <= _MAX_ROUND_TRIP_S:
             return
         offset_s = 0.5 * (sent_s + received_s) - autopilot_s

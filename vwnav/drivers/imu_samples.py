@@ -2,18 +2,16 @@
 
 import logging
 import math
-from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from vwnav.drivers.boot_clock import BootClock
+from vwnav.drivers.port import Fields
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, Attitude, ImuSample
 
 _log = logging.getLogger(__name__)
-_KEPT = 500  # when nobody takes them
 _STRANGE_S = 1.0  # further from now a stamp is not of the clock that attitudes are stamped with
 _SILENT_S = 1.0  # of HIGHRES_IMU, then RAW_IMU counts
 _MILLI_G_M_S2 = 9.80665e-3
@@ -25,7 +23,7 @@ _FOREIGN_M_S2 = 3.0  # on that average: no aircraft accelerates so for so long
 
 
 class ImuSamples:
-    """Collects what HIGHRES_IMU says, or ArduPilot's RAW_IMU where that one does not come.
+    """Makes samples of what HIGHRES_IMU says, or ArduPilot's RAW_IMU where that one does not come.
 
     Attitude and IMU share the autopilot's clock since boot, so they fit together to the
     millisecond however late they arrive. An IMU that does not feel gravity where the attitude has
@@ -33,24 +31,65 @@ class ImuSamples:
     """
 
     def __init__(self) -> None:
-        self._samples: deque[ImuSample] = deque(maxlen=_KEPT)
         self._newest_s = -math.inf
         self._newest_us = 0
         self._highres_s = -math.inf
         self._felt_ned: Array = _AT_REST_M_S2
         self._foreign = False
 
-    def take(self, attitude: Attitude | None) -> tuple[ImuSample, ...]:
-        """The samples since the last call, oldest first; `attitude` is the newest one."""
-        taken = tuple(self._samples)
-        self._samples.clear()
-        if attitude is None:
-            return ()
+    def highres(
+        self, fields: Fields, clock: BootClock, received_s: float, attitude: Attitude | None
+    ) -> ImuSample | None:
+        """Of a HIGHRES_IMU: m/s^2 and rad/s; of several sensors, the first one.
+
+        Args:
+            fields: of the message.
+            clock: joins the autopilot's clock to ours.
+            received_s: when it came.
+            attitude: the newest one; without any a sample cannot be judged.
+        """
+        names = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
+        values = [fields[name] for name in names]
+        if fields.get("id", 0) != 0 or any(value is None for value in values):
+            return None
+        self._highres_s = received_s
+        sample = self._sample(fields["time_usec"], np.array(values), clock, received_s)
+        return self._trusted(sample, attitude)
+
+    def raw(
+        self, fields: Fields, clock: BootClock, received_s: float, attitude: Attitude | None
+    ) -> ImuSample | None:
+        """Of a RAW_IMU as ArduPilot fills it: thousandths of g and of rad/s."""
+        if fields.get("id", 0) != 0 or received_s - self._highres_s < _SILENT_S:
+            return None
+        force = np.array([fields[name] for name in ("xacc", "yacc", "zacc")], dtype=np.float64)
+        rates = np.array([fields[name] for name in ("xgyro", "ygyro", "zgyro")], dtype=np.float64)
+        values = np.concatenate([force * _MILLI_G_M_S2, rates * _MILLI])
+        sample = self._sample(fields["time_usec"], values, clock, received_s)
+        return self._trusted(sample, attitude)
+
+    def _sample(
+        self, t_us: int, values: Any, clock: BootClock, received_s: float
+    ) -> ImuSample | None:
+        t_s = clock.to_monotonic(t_us / 1e6)
+        if t_s is None or abs(t_s - received_s) > _STRANGE_S or not np.isfinite(values).all():
+            return None
+        started_anew = t_us < self._newest_us - _STRANGE_S * 1e6
+        if not started_anew and (t_us <= self._newest_us or t_s <= self._newest_s):
+            return None  # a duplicate, or overtaken by a newer one on its way
+        span_s = (t_us - self._newest_us) / 1e6
+        self._newest_s, self._newest_us = t_s, t_us
+        known = 0.0 < span_s < _STRANGE_S
+        return ImuSample(t_s, values[:3], values[3:], span_s if known else None)
+
+    def _trusted(self, sample: ImuSample | None, attitude: Attitude | None) -> ImuSample | None:
+        """The sample, unless gravity is felt elsewhere than where the attitude has it."""
+        if sample is None or attitude is None:
+            return None
         R_ned_body = rotation_from_quat(attitude.quat_wxyz)
-        for sample in taken:
-            share = min(sample.span_s or 0.0, _STRANGE_S) / _AVERAGE_S
-            force_ned = R_ned_body @ np.clip(sample.specific_force_m_s2, -_MOST_M_S2, _MOST_M_S2)
-            self._felt_ned = self._felt_ned + share * (force_ned - self._felt_ned)
+        share = min(sample.span_s or 0.0, _STRANGE_S) / _AVERAGE_S
+        force_ned = R_ned_body @ np.clip(sample.specific_force_m_s2, -_MOST_M_S2, _MOST_M_S2)
+        self._felt_ned = self._felt_ned + share * (force_ned - self._felt_ned)
         off_m_s2 = float(np.linalg.norm(self._felt_ned - _AT_REST_M_S2))
         if self._foreign != (off_m_s2 > _FOREIGN_M_S2):
             self._foreign = not self._foreign
@@ -61,35 +100,4 @@ class ImuSamples:
                 what,
                 off_m_s2,
             )
-        return () if self._foreign else taken
-
-    def add_highres(self, fields: Mapping[str, Any], clock: BootClock, received_s: float) -> None:
-        """HIGHRES_IMU: m/s^2 and rad/s; of several sensors, the first one."""
-        names = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
-        values = [fields[name] for name in names]
-        if fields.get("id", 0) != 0 or any(value is None for value in values):
-            return
-        self._highres_s = received_s
-        self._add(fields["time_usec"], np.array(values), clock, received_s)
-
-    def add_raw(self, fields: Mapping[str, Any], clock: BootClock, received_s: float) -> None:
-        """RAW_IMU as ArduPilot fills it: thousandths of g and of rad/s."""
-        if fields.get("id", 0) != 0 or received_s - self._highres_s < _SILENT_S:
-            return
-        force = np.array([fields[name] for name in ("xacc", "yacc", "zacc")], dtype=np.float64)
-        rates = np.array([fields[name] for name in ("xgyro", "ygyro", "zgyro")], dtype=np.float64)
-        values = np.concatenate([force * _MILLI_G_M_S2, rates * _MILLI])
-        self._add(fields["time_usec"], values, clock, received_s)
-
-    def _add(self, t_us: int, values: Any, clock: BootClock, received_s: float) -> None:
-        t_s = clock.to_monotonic(t_us / 1e6)
-        if t_s is None or abs(t_s - received_s) > _STRANGE_S:
-            return
-        if t_us < self._newest_us - _STRANGE_S * 1e6:
-            self._samples.clear()  # the autopilot has started anew
-        elif t_us <= self._newest_us or t_s <= self._newest_s:
-            return
-        span_s = (t_us - self._newest_us) / 1e6
-        self._newest_s, self._newest_us = t_s, t_us
-        known = 0.0 < span_s < _STRANGE_S
-        self._samples.append(ImuSample(t_s, values[:3], values[3:], span_s if known else None))
+        return None if self._foreign else sample

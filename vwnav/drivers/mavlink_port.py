@@ -10,7 +10,7 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from mavsdk import (  # type: ignore[import-untyped]
@@ -26,8 +26,8 @@ from mavsdk.plugins.mavlink_direct import (  # type: ignore[import-untyped]
     MavlinkDirectResult,
     MavlinkMessage,
 )
-from mavsdk.plugins.param import Param, ParamError  # type: ignore[import-untyped]
 
+from vwnav.drivers.port import Fields, Handler
 from vwnav.errors import LinkError
 
 _log = logging.getLogger(__name__)
@@ -43,8 +43,6 @@ _LEVELS = {
 _ANY = (0, None)  # target of a broadcast, or of a message from before there were targets
 _MISTAKES = (MavlinkDirectResult.INVALID_MESSAGE, MavlinkDirectResult.INVALID_FIELD)
 
-Handler = Callable[[str, Mapping[str, Any], float], None]
-
 
 def _log_line(level: LogLevel, message: str, _file: str | None, _line: int) -> bool:
     _mavsdk_log.log(_LEVELS[level], "%s", message)
@@ -52,17 +50,13 @@ def _log_line(level: LogLevel, message: str, _file: str | None, _line: int) -> b
 
 
 class MavlinkPort:
-    """The link to one autopilot.
+    """The link to one autopilot: a `port.Port`.
 
     Args:
         url: MAVSDK connection URL.
         as_ground_station: call ourselves a ground station instead of a companion computer.
         timeout_s: how long an autopilot is waited for.
         clock: monotonic clock that stamps what is received.
-
-    Attributes:
-        system_id: of the autopilot. Whatever is meant for it has to say so: PX4 takes commands,
-            parameters and the origin for its own id only, and ignores the broadcast one, 0.
 
     Raises:
         LinkError: the URL is wrong, or no autopilot is on the link.
@@ -81,14 +75,18 @@ class MavlinkPort:
         self._mavsdk = Mavsdk(configuration)
         try:
             system = self._find_autopilot(url, timeout_s)
-            self.system_id = int(system.get_system_id())
+            self._system_id = int(system.get_system_id())
             self._direct = MavlinkDirect(system)
-            self._param = Param(system)
         except BaseException:
             self._mavsdk.destroy()
             raise
         self._closed = False
         self._closing = threading.Lock()
+
+    @property
+    def system_id(self) -> int:
+        """Of the autopilot."""
+        return self._system_id
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, on MAVSDK's thread."""
@@ -101,14 +99,14 @@ class MavlinkPort:
 
         self._direct.subscribe_message(name, receive)
 
-    def is_for_us(self, fields: Mapping[str, Any]) -> bool:
+    def is_for_us(self, fields: Fields) -> bool:
         """Whether a message that has a target is ours; others speak with the autopilot too."""
         return (
             fields.get("target_system") in (*_ANY, self._own_system)
             and fields.get("target_component") in (*_ANY, self._own_component)
         )  # fmt: skip
 
-    def send(self, name: str, fields: Mapping[str, Any]) -> None:
+    def send(self, name: str, fields: Fields) -> None:
         """Send one message; a link that is down or closed loses it, as the air would.
 
         Raises:
@@ -124,14 +122,6 @@ class MavlinkPort:
                 if error.result in _MISTAKES:
                     raise ValueError(f"{name} {fields}: {error.result.name}") from error
                 _log.debug("%s was not sent: %s", name, error.result.name)
-
-    def read_int_parameter(self, name: str) -> int | None:
-        """A PX4 integer parameter, which no float of PARAM_VALUE can carry; None without answer."""
-        try:
-            return int(self._param.get_param_int(name))
-        except ParamError as error:
-            _log.debug("parameter %s: %s", name, error)
-            return None
 
     def close(self) -> None:
         """Give the link back."""

@@ -5,28 +5,9 @@ Each with its reason; all were flown or measured on PX4 1.16 and 1.18 and ArduCo
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 from vwnav.safety.flight_modes import AutopilotKind
-
-Severity = Literal["fail", "warn"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """A parameter that is not as it should be.
-
-    Attributes:
-        present: its value, None when the autopilot does not have it.
-        wanted: the value it should have, in words.
-        severity: "fail" when the aircraft cannot fly on vision with it.
-    """
-
-    parameter: str
-    present: float | None
-    wanted: str
-    why: str
-    severity: Severity
+from vwnav.types import Finding, Severity
 
 
 @dataclass(frozen=True, slots=True)

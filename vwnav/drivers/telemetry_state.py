@@ -1,22 +1,37 @@
-"""What the autopilot's messages add up to: a `VehicleState`. No I/O; times are arguments."""
+"""What the autopilot's messages add up to: measurements one by one, and a `VehicleState`.
+
+No I/O; times are arguments.
+"""
 
 import math
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from vwnav.drivers.attitude_track import AttitudeTrack
-from vwnav.drivers.barometer import BarometricHeight, hectopascal
+from vwnav.drivers.barometer import BarometricHeight, hectopascal, is_pressure
 from vwnav.drivers.boot_clock import BootClock
 from vwnav.drivers.imu_samples import ImuSamples
+from vwnav.drivers.port import Fields
 from vwnav.drivers.status_text import StatusTexts
-from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
+from vwnav.geometry.rotations import (
+    quat_from_rotation,
+    rotation_from_euler,
+    rotation_from_quat,
+    rotation_from_vector,
+)
 from vwnav.safety.flight_modes import AutopilotKind, flight_mode
-from vwnav.types import Attitude, FlightMode, ImuSample, VehicleState
-
-Fields = Mapping[str, Any]
+from vwnav.types import (
+    Array,
+    Attitude,
+    FlightMode,
+    Height,
+    Range,
+    Stationary,
+    Telemetry,
+    VehicleState,
+)
 
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _RC_RECEIVER, _PREARM = 0x10000, 0x10000000  # MAV_SYS_STATUS_SENSOR
@@ -30,9 +45,11 @@ _STALE_S = 3.0
 _RANGE_STALE_S = 0.5
 _PRESSURE_STALE_S = 0.5
 _INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
-_KEEP_ATTITUDES = 1000
-_MAX_ATTITUDE_GAP_S = 0.25
-_AHEAD_S = 0.1
+_OWN_POSITION_STALE_S = 1.0
+_CARRIED_S = 0.25  # an attitude is turned on by its rates for no longer
+_QUEUED = 4000  # measurements that nobody takes: twenty seconds of them
+_CRITICAL = 5  # MAV_STATE: ArduPilot flies a failsafe
+_UNDECIDED_S = 1.0  # so long PX4 may take to say who asked for a new mode
 _MODE_SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
 
 
@@ -40,6 +57,27 @@ _MODE_SETTLES_S = 0.3  # after a command was accepted, older modes may still be 
 class _Stamped:
     t_s: float
     value: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Intent:
+    """PX4's CURRENT_MODE: what it flies, and what it was asked for."""
+
+    t_s: float
+    flown: FlightMode
+    asked: FlightMode
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OwnPosition:
+    """LOCAL_POSITION_NED, about the autopilot's own origin."""
+
+    t_s: float
+    ned_m: Array
+
+    @property
+    def insane(self) -> bool:
+        return not bool(np.hypot(*self.ned_m[:2]) <= _INSANE_POSITION_M)
 
 
 class TelemetryState:
@@ -51,17 +89,25 @@ class TelemetryState:
         self.texts = StatusTexts()
         self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
         self._imu = ImuSamples()
-        self._attitudes = AttitudeTrack(_MAX_ATTITUDE_GAP_S, _KEEP_ATTITUDES)
+        self.origin_offset_ned_m: Array | None = None  # (3,) the run's origin about the above one
+        self.restarts = 0
+        self._queue: deque[Telemetry] = deque(maxlen=_QUEUED)
+        self._attitude: Attitude | None = None
+        self._attitude_boot_s = -math.inf
+        self._rates_rad_s = np.zeros(3)
         self._heartbeat_t_s = -math.inf
         self._mode = FlightMode.UNKNOWN
         self._mode_t_s = -math.inf
+        self._mode_changed_s = -math.inf
+        self._intent: _Intent | None = None
+        self._critical = False
         self._commanded: tuple[FlightMode, FlightMode, float] | None = None  # new, old, when
         self._armed = False
         self._landed_state = 0
         self._sensors: tuple[int, int] | None = None  # present, healthy
         self._battery_ratio: float | None = None
         self._estimator: tuple[float, int] | None = None  # time, flags
-        self._insane_position = False
+        self._own_position: _OwnPosition | None = None
         self._range: _Stamped | None = None
         self._heights: dict[str, _Stamped] = {}
         self._barometers = {name: BarometricHeight() for name in ("SCALED_PRESSURE", "HIGHRES_IMU")}
@@ -90,7 +136,7 @@ class TelemetryState:
     @property
     def newest_attitude(self) -> Attitude | None:
         """The newest attitude."""
-        return self._attitudes.newest
+        return self._attitude
 
     def handle(self, name: str, fields: Fields, received_s: float) -> None:
         """Take one message in; unknown ones do nothing."""
@@ -98,13 +144,19 @@ class TelemetryState:
         if handler is not None:
             handler(fields, received_s)
 
-    def attitude_at(self, t_s: float) -> Attitude | None:
-        """Interpolated, or carried forward by at most 0.1 s; None where too little is known."""
-        return self._attitudes.at(t_s, _AHEAD_S)
+    def take_measurements(self) -> tuple[Telemetry, ...]:
+        """What was measured since the last call, in order of arrival."""
+        taken = tuple(self._queue)
+        self._queue.clear()
+        return taken
 
-    def take_imu(self) -> tuple[ImuSample, ...]:
-        """The samples since the last call, oldest first."""
-        return self._imu.take(self._attitudes.newest)
+    def attitude_near(self, t_s: float) -> Attitude | None:
+        """The newest attitude, turned on by its body rates; None when it is of another time."""
+        if self._attitude is None or abs(t_s - self._attitude.t_s) > _CARRIED_S:
+            return None
+        turn = rotation_from_vector(self._rates_rad_s * (t_s - self._attitude.t_s))
+        R_ned_body = rotation_from_quat(self._attitude.quat_wxyz) @ turn
+        return Attitude(t_s, quat_from_rotation(R_ned_body))
 
     def expect_mode(self, mode: FlightMode, t_s: float) -> None:
         """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
@@ -130,13 +182,14 @@ class TelemetryState:
         height = self._height(t_s)
         fresh_range = self._range is not None and t_s - self._range.t_s < _RANGE_STALE_S
         present, healthy = self._sensors or (0, 0)
+        mode = self._mode_now(t_s)
         return VehicleState(
             t_s=t_s,
             connected=beat_age_s < _LINK_LOST_S,
             armed=self._armed,
             in_air=self._landed_state in _IN_AIR or (self._landed_state == 0 and self._armed),
-            mode=self._mode_now(t_s),
-            attitude=self._attitudes.newest,
+            mode=mode,
+            attitude=self._attitude,
             height_m=None if height is None else height.value,
             height_t_s=None if height is None else height.t_s,
             rangefinder_m=self._range.value if self._range is not None and fresh_range else None,
@@ -145,7 +198,32 @@ class TelemetryState:
             local_position_ok=self._position_ok(t_s),
             armable=bool(healthy & _PREARM) and self._can_take_off(),
             heartbeat_age_s=beat_age_s,
+            intended_mode=self._intended_mode(mode, t_s),
+            failsafe=self._flies_failsafe(mode, t_s),
+            aiding=self.aiding(t_s),
+            own_position_ned_m=self._own_position_about_run(t_s),
         )
+
+    def _intended_mode(self, mode: FlightMode, t_s: float) -> FlightMode:
+        """Who asked: PX4 says it a moment after the mode itself has changed."""
+        intent = self._intent
+        if intent is None or mode is not self._mode:
+            return mode
+        if intent.flown is mode and intent.t_s >= self._mode_changed_s:
+            return intent.asked
+        return FlightMode.UNKNOWN if t_s - self._mode_changed_s < _UNDECIDED_S else mode
+
+    def _flies_failsafe(self, mode: FlightMode, t_s: float) -> bool:
+        if self.kind is AutopilotKind.ARDUPILOT:
+            return self._critical
+        intended = self._intended_mode(mode, t_s)
+        return intended is not mode and intended is not FlightMode.UNKNOWN
+
+    def _own_position_about_run(self, t_s: float) -> Array | None:
+        own, offset_ned_m = self._own_position, self.origin_offset_ned_m
+        if own is None or offset_ned_m is None or t_s - own.t_s > _OWN_POSITION_STALE_S:
+            return None
+        return own.ned_m - offset_ned_m
 
     def _height(self, t_s: float) -> _Stamped | None:
         """SCALED_PRESSURE, unless it comes too seldom and HIGHRES_IMU can stand in."""
@@ -170,7 +248,9 @@ class TelemetryState:
         return commanded
 
     def _position_ok(self, t_s: float) -> bool:
-        if self._estimator is None or t_s - self._estimator[0] > _STALE_S or self._insane_position:
+        if self._estimator is None or t_s - self._estimator[0] > _STALE_S:
+            return False
+        if self._own_position is not None and self._own_position.insane:
             return False
         return bool(self._estimator[1] & _POSITION) and self._can_take_off()
 
@@ -186,26 +266,41 @@ class TelemetryState:
             self.kind = AutopilotKind(fields["autopilot"])
         except ValueError:
             return  # a gimbal or camera that uses the autopilot's component id
-        self._heartbeat_t_s = self._mode_t_s = received_s
+        self._heartbeat_t_s = received_s
         self._armed = bool(fields["base_mode"] & _ARMED_FLAG)
-        self._mode = flight_mode(self.kind, fields["custom_mode"])
+        self._critical = fields["system_status"] >= _CRITICAL
+        self._told_mode(fields["custom_mode"], received_s)
 
     def _handle_current_mode(self, fields: Fields, received_s: float) -> None:
-        if self.kind is not None:
-            self._mode_t_s = received_s
-            self._mode = flight_mode(self.kind, fields["custom_mode"])
+        if self.kind is None:
+            return
+        self._told_mode(fields["custom_mode"], received_s)
+        asked = fields["intended_custom_mode"]  # 0: not known
+        if asked:
+            intended = flight_mode(self.kind, asked)
+            self._intent = _Intent(received_s, self._mode, intended)
+
+    def _told_mode(self, custom_mode: int, received_s: float) -> None:
+        assert self.kind is not None
+        mode = flight_mode(self.kind, custom_mode)
+        if mode is not self._mode:
+            self._mode_changed_s = received_s
+        self._mode, self._mode_t_s = mode, received_s
 
     def _handle_attitude(self, fields: Fields, received_s: float) -> None:
         boot_s = fields["time_boot_ms"] / 1e3
         if self.clock.handle_stamp(boot_s, received_s):
-            self._attitudes.clear()
+            self.restarts += 1
+            self._attitude, self._attitude_boot_s = None, -math.inf
         t_s = self.clock.to_monotonic(boot_s)
         angles = (fields["roll"], fields["pitch"], fields["yaw"])
         rates = (fields["rollspeed"], fields["pitchspeed"], fields["yawspeed"])
-        if t_s is None or any(value is None for value in (*angles, *rates)):
-            return  # NaN: the autopilot has no attitude yet
+        if t_s is None or boot_s <= self._attitude_boot_s or not _all_finite(*angles, *rates):
+            return  # a duplicate, or overtaken on its way, or NaN: it has no attitude yet
+        self._attitude_boot_s = boot_s
         quat_wxyz = quat_from_rotation(rotation_from_euler(*angles))
-        self._attitudes.add(t_s, quat_wxyz, np.array(rates))
+        self._attitude, self._rates_rad_s = Attitude(t_s, quat_wxyz), np.array(rates)
+        self._queue.append(self._attitude)
 
     def _handle_sys_status(self, fields: Fields, received_s: float) -> None:
         self._sensors = (
@@ -222,32 +317,51 @@ class TelemetryState:
         self._estimator = (received_s, fields["flags"])
 
     def _handle_local_position(self, fields: Fields, received_s: float) -> None:
-        x_m, y_m = fields["x"], fields["y"]
-        self._insane_position = (
-            x_m is None or y_m is None or math.hypot(x_m, y_m) > _INSANE_POSITION_M
-        )
+        ned_m = np.array([np.nan if fields[axis] is None else fields[axis] for axis in "xyz"])
+        self._own_position = _OwnPosition(received_s, ned_m)
 
     def _handle_scaled_pressure(self, fields: Fields, received_s: float) -> None:
         boot_s = fields["time_boot_ms"] / 1e3
-        self._handle_pressure("SCALED_PRESSURE", boot_s, fields["press_abs"])
+        self._handle_pressure("SCALED_PRESSURE", boot_s, fields["press_abs"], received_s)
 
     def _handle_highres_imu(self, fields: Fields, received_s: float) -> None:
-        self._imu.add_highres(fields, self.clock, received_s)
+        sample = self._imu.highres(fields, self.clock, received_s, self._attitude)
+        if sample is not None:
+            self._queue.append(sample)
         if fields["abs_pressure"] is not None:
             pressure_hpa = hectopascal(fields["abs_pressure"])
-            self._handle_pressure("HIGHRES_IMU", fields["time_usec"] / 1e6, pressure_hpa)
+            boot_s = fields["time_usec"] / 1e6
+            self._handle_pressure("HIGHRES_IMU", boot_s, pressure_hpa, received_s)
 
     def _handle_raw_imu(self, fields: Fields, received_s: float) -> None:
-        if self.kind is AutopilotKind.ARDUPILOT:  # on others its units are the sensor's own
-            self._imu.add_raw(fields, self.clock, received_s)
+        if self.kind is not AutopilotKind.ARDUPILOT:
+            return  # on others its units are the sensor's own
+        sample = self._imu.raw(fields, self.clock, received_s, self._attitude)
+        if sample is not None:
+            self._queue.append(sample)
 
-    def _handle_pressure(self, source: str, boot_s: float, pressure_hpa: float | None) -> None:
+    def _handle_pressure(
+        self, source: str, boot_s: float, pressure_hpa: float | None, received_s: float
+    ) -> None:
         t_s = self.clock.to_monotonic(boot_s)
-        if t_s is None or pressure_hpa is None or pressure_hpa <= 0.0:
+        if t_s is None or pressure_hpa is None or not is_pressure(pressure_hpa):
             return
+        before = self._heights.get(source)
+        if before is not None and t_s <= before.t_s and t_s > before.t_s - _STALE_S:
+            return  # a duplicate, or overtaken by a newer one on its way
         height_m = self._barometers[source].height_m(pressure_hpa)
-        if height_m is not None:
-            self._heights[source] = _Stamped(t_s, height_m)
+        if height_m is None:
+            return
+        height = self._heights[source] = _Stamped(t_s, height_m)
+        if self._height(received_s) is height:
+            self._queue.append(Height(t_s, height_m))
+            if self._stands(received_s):
+                self._queue.append(Stationary(t_s))
+
+    def _stands(self, t_s: float) -> bool:
+        """Known to be disarmed, and not falling."""
+        heard = t_s - self._heartbeat_t_s < _LINK_LOST_S
+        return heard and not self._armed and self._landed_state not in _IN_AIR
 
     def _handle_distance(self, fields: Fields, received_s: float) -> None:
         distance_cm = fields["current_distance"]
@@ -255,10 +369,17 @@ class TelemetryState:
         # signal_quality: 0 unknown, 1 invalid, though PX4's simulator says 1 for good ones too.
         if fields["orientation"] == _DOWNWARD and in_range and distance_cm > 0:
             self._range = _Stamped(received_s, distance_cm / 100.0)
+            self._queue.append(Range(received_s, distance_cm / 100.0))
 
     def _handle_origin(self, fields: Fields, received_s: float) -> None:
         lat_deg, lon_deg = fields["latitude"] / 1e7, fields["longitude"] / 1e7
+        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+            return
         self.origin = (lat_deg, lon_deg, fields["altitude"] / 1e3)
 
     def _handle_text(self, fields: Fields, received_s: float) -> None:
         self.texts.handle(fields, received_s)
+
+
+def _all_finite(*values: float | None) -> bool:
+    return all(value is not None and math.isfinite(value) for value in values)

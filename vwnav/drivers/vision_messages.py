@@ -1,4 +1,4 @@
-"""An `Estimate` as the MAVLink messages by which an autopilot takes vision in."""
+"""Estimates and setpoints as the MAVLink messages by which an autopilot takes them in."""
 
 import math
 from typing import Any
@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.types import Array, Estimate
+from vwnav.types import Array, Estimate, VelocitySetpoint
 
 # Attitude is the autopilot's own: sent back with the variance of no knowledge at all, so that it
 # can never be fused as if it were independent.
 _NO_ATTITUDE_VARIANCE_RAD2 = math.pi**2
+_FRAME_LOCAL_NED = 1
+_VELOCITY_AND_YAW = 0b100111000111  # POSITION_TARGET_TYPEMASK: ignore all the rest
 
 
 def vision_position(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
@@ -49,4 +51,22 @@ def vision_speed(estimate: Estimate) -> dict[str, Any]:
         "z": z,
         "covariance": [float(v) for v in estimate.covariance[3:, 3:].ravel()],
         "reset_counter": estimate.reset_counter & 0xFF,
+    }
+
+
+def velocity_target(
+    setpoint: VelocitySetpoint, yaw_rad: float, t_s: float, system_id: int
+) -> dict[str, Any]:
+    """Fields of SET_POSITION_TARGET_LOCAL_NED: a velocity, and a heading by the compass."""
+    return {
+        "time_boot_ms": int(t_s * 1e3) & 0xFFFFFFFF,
+        "target_system": system_id,
+        "target_component": 1,
+        "coordinate_frame": _FRAME_LOCAL_NED,
+        "type_mask": _VELOCITY_AND_YAW,
+        **dict.fromkeys(("x", "y", "z", "afx", "afy", "afz", "yaw_rate"), 0.0),
+        "vx": setpoint.north_m_s,
+        "vy": setpoint.east_m_s,
+        "vz": setpoint.down_m_s,
+        "yaw": yaw_rad,
     }

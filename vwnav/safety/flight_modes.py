@@ -20,6 +20,10 @@ class AutopilotKind(Enum):
     PX4 = 12
     ARDUPILOT = 3
 
+    def __str__(self) -> str:
+        """The name that people use."""
+        return "PX4" if self is AutopilotKind.PX4 else "ArduPilot"
+
 
 _PX4_MAIN = {
     1: FlightMode.MANUAL,  # Manual
