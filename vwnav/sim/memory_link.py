@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 _BITS_PER_BYTE = 10  # start bit, eight, stop bit
+_SOON_S = 0.02
 _UNSENT_LIMIT_BYTES = 65536  # more than a serial port's queue is dropped, as `StreamLink` does
 
 Clock = Callable[[], float]
@@ -68,6 +69,10 @@ class Line:
         self._order += 1
         heapq.heappush(self._flying, (now_s + state.latency_s + delay_s, self._order, packet))
 
+    def has_room(self) -> bool:
+        """Whether what is put now leaves soon, and does not wait behind what was before."""
+        return self._free_s - self._clock() < _SOON_S
+
     def take(self) -> bytes:
         """The next packet that has arrived; empty when none has."""
         if not self._flying or self._flying[0][0] > self._clock():
@@ -76,7 +81,7 @@ class Line:
 
 
 class MemoryEnd:
-    """One end of a link in memory: a `Link` without a descriptor."""
+    """One end of a link in memory: a `Link` without a descriptor, and a `keepalive.Channel`."""
 
     def __init__(self, incoming: Line, outgoing: Line) -> None:
         self._incoming = incoming
@@ -90,10 +95,22 @@ class MemoryEnd:
         """One packet that has arrived; empty when none has."""
         return self._incoming.take()
 
+    def has_room(self) -> bool:
+        """Whether what is written now leaves soon."""
+        return self._outgoing.has_room()
+
     def write(self, data: bytes) -> None:
         """One packet on its way, unless the line takes none."""
         if data:
             self._outgoing.put(data)
+
+    def receive(self) -> bytes:
+        """As `read`."""
+        return self.read()
+
+    def send(self, data: bytes) -> None:
+        """As `write`."""
+        self.write(data)
 
     def close(self) -> None:
         """Nothing is held."""

@@ -48,6 +48,9 @@ class SimulatedPx4:
     Args:
         config: where it stands and what goes wrong.
         parameters: kept over a reboot, fresh ones when None.
+
+    Attributes:
+        refuses: numbers of commands that it does not take, whatever the reason.
     """
 
     def __init__(self, config: VehicleConfig, parameters: Parameters | None = None) -> None:
@@ -79,6 +82,7 @@ class SimulatedPx4:
         self.offboard: Setpoint | None = None
         self.offboard_s = -math.inf
         self.gcs_heard_s: float | None = None
+        self.refuses: set[int] = set()
         self._contact_s = _LANDED_AFTER_S
         self._position_lost_s = 0.0
         self._count = 0
