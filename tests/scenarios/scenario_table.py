@@ -6,7 +6,7 @@ one of each kind; all of them by `make test-long`.
 
 import math
 
-from seen import down, mode, phase, said
+from scenario_seen import down, mode, phase, said
 
 from vwnav.bench.flights import faults as broken
 from vwnav.bench.flights.scenario import Break, Ending, Scenario

@@ -1,4 +1,4 @@
-"""Fly rows of the table by hand: `python tests/scenarios/run.py [part of a name ...]`."""
+"""Fly rows of the table by hand: `python tests/scenarios/fly_rows.py [part of a name ...]`."""
 
 import sys
 import time
@@ -6,8 +6,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from flown import default_place
-from table import TABLE
+from scenario_place import default_place
+from scenario_table import TABLE
 
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import fly
