@@ -6,15 +6,31 @@ import numpy as np
 import pytest
 from vehicles import FLYING
 
-from vwnav.flight import Flight, FlightConfig, Phase
+from vwnav.flight import Crew, Flight, FlightConfig, Mission, Phase
 from vwnav.guidance.controller import LimitsConfig
 from vwnav.safety.keepalive import GuardState, WatchdogReport
-from vwnav.safety.monitor import SafetyConfig, SafetyMonitor
-from vwnav.types import Estimate, FlightMode, VehicleState, VelocitySetpoint
+from vwnav.safety.monitor import SafetyConfig
+from vwnav.safety.readiness import Check
+from vwnav.types import (
+    Estimate,
+    FlightMode,
+    Navigation,
+    Request,
+    VehicleState,
+    VelocitySetpoint,
+)
 
 ROUTE = np.array([[60.0, 0.0, -50.0], [60.0, 60.0, -50.0]])
 DT_S = 0.1
-READY = replace(FLYING, armed=False, in_air=False, mode=FlightMode.HOLD, height_m=0.0)
+READY = replace(
+    FLYING,
+    armed=False,
+    in_air=False,
+    mode=FlightMode.HOLD,
+    intended_mode=FlightMode.HOLD,
+    height_m=0.0,
+)
+NOT_READY = Check("autopilot", "FAIL", "it reports no local position")
 
 
 @dataclass
@@ -34,63 +50,99 @@ class Handle:
 
 @dataclass
 class PointVehicle:
-    """Flies each setpoint at once; lands by itself when asked to."""
+    """Flies each setpoint at once; answers a command `answers_after` ticks later.
+
+    A command that is refused or unheard changes nothing.
+    """
 
     position: np.ndarray = field(default_factory=lambda: np.zeros(3))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
     vehicle: VehicleState = READY
     asked: list[str] = field(default_factory=list)
-    refuse: str | None = None
-    refusals: int = 10**6
-    refuse_takeoff: str | None = None
-    deaf_to_land: int = 0
+    refuse: dict[str, list[str]] = field(default_factory=dict)  # words, one for each asking
+    answers_after: int = 1
+    stays_armed: bool = False
+    setpoints: int = 0
+    under_way: tuple[str, Request, int] | None = None
 
     def state(self) -> VehicleState:
         return self.vehicle
 
-    def arm(self) -> str | None:
-        self.asked.append("arm")
-        if self.refuse is not None and self.refusals > 0:
-            self.refusals -= 1
-            return self.refuse
-        self.vehicle = replace(self.vehicle, armed=True)
-        return None
+    def ask(self, name: str) -> Request:
+        self.asked.append(name)
+        self.withdraw()
+        request = Request()
+        self.under_way = (name, request, self.answers_after)
+        return request
 
-    def takeoff(self, height_m: float) -> str | None:
-        self.asked.append("takeoff")
-        if self.refuse_takeoff is not None:
-            return self.refuse_takeoff
-        self.vehicle = replace(self.vehicle, mode=FlightMode.TAKEOFF, in_air=True)
-        self.position[2] = -height_m
-        return None
+    def withdraw(self) -> None:
+        if self.under_way is not None:
+            self.under_way[1].done, self.under_way[1].refused = True, "replaced by a newer command"
+        self.under_way = None
 
-    def disarm(self) -> str | None:
-        self.asked.append("disarm")
-        self.vehicle = replace(self.vehicle, armed=False)
-        return None
+    def arm(self) -> Request:
+        return self.ask("arm")
 
-    def start_offboard(self) -> str | None:
-        self.asked.append("offboard")
-        self.vehicle = replace(self.vehicle, mode=FlightMode.OFFBOARD)
-        return None
+    def takeoff(self, height_m: float) -> Request:
+        return self.ask("takeoff")
 
-    def land(self) -> str | None:
-        self.asked.append("land")
-        if self.deaf_to_land > 0:
-            self.deaf_to_land -= 1
-            return "no answer within 0.45 s"
-        self.vehicle = replace(self.vehicle, mode=FlightMode.LAND)
-        self.velocity = np.array([0.0, 0.0, 2.0])
-        return None
+    def disarm(self) -> Request:
+        return self.ask("disarm")
+
+    def start_offboard(self) -> Request:
+        return self.ask("offboard")
+
+    def hold(self) -> Request:
+        return self.ask("hold")
+
+    def land(self) -> Request:
+        return self.ask("land")
 
     def send_velocity(self, setpoint: VelocitySetpoint) -> None:
-        self.velocity = np.array([setpoint.north_m_s, setpoint.east_m_s, setpoint.down_m_s])
+        self.setpoints += 1
+        if self.vehicle.mode is FlightMode.OFFBOARD:
+            self.velocity = np.array([setpoint.north_m_s, setpoint.east_m_s, setpoint.down_m_s])
+
+    def be(self, **changes) -> None:
+        """A change of the vehicle's state; a mode alone is one that a person chose."""
+        if "mode" in changes and "intended_mode" not in changes:
+            changes["intended_mode"] = changes["mode"]
+        self.vehicle = replace(self.vehicle, **changes)
 
     def move(self) -> None:
+        self.answer()
         if self.vehicle.mode in (FlightMode.OFFBOARD, FlightMode.LAND):
             self.position = self.position + self.velocity * DT_S
         if self.vehicle.mode is FlightMode.LAND and self.position[2] >= 0.0:
-            self.vehicle = replace(self.vehicle, armed=False, in_air=False)
+            self.be(armed=self.stays_armed, in_air=False)
+
+    def answer(self) -> None:
+        if self.under_way is None:
+            return
+        name, request, ticks = self.under_way
+        if ticks > 1:
+            self.under_way = (name, request, ticks - 1)
+            return
+        self.under_way = None
+        words = self.refuse.get(name)
+        request.done, request.refused = True, words.pop(0) if words else None
+        if request.refused is None:
+            self.obey(name)
+
+    def obey(self, name: str) -> None:
+        match name:
+            case "arm" | "disarm":
+                self.be(armed=name == "arm")
+            case "takeoff":
+                self.be(mode=FlightMode.TAKEOFF, in_air=True)
+                self.position[2] = -4.0
+            case "offboard":
+                self.be(mode=FlightMode.OFFBOARD)
+            case "hold":
+                self.be(mode=FlightMode.HOLD)
+            case "land":
+                self.be(mode=FlightMode.LAND)
+                self.velocity = np.array([0.0, 0.0, 2.0])
 
 
 @dataclass
@@ -100,29 +152,46 @@ class Scene:
     vehicle: PointVehicle = field(default_factory=PointVehicle)
     handle: Handle = field(default_factory=Handle)
     said: list[str] = field(default_factory=list)
+    mission: Mission = field(default_factory=lambda: Mission(ROUTE, home_ne_m=np.zeros(2)))
+    arms: bool = True
+    checks: tuple[Check, ...] = ()
     fixes: bool = True
+    sees: bool = True
+    lost: str = ""
+    frame_ne_m: np.ndarray = field(default_factory=lambda: np.zeros(2))  # where truth is believed
+    reset_counter: int = 0
     variance: float = 0.25
     t_s: float = 0.0
+    seen_s: float | None = None
     t_last_fix_s: float | None = None
     farthest_m: float = 0.0
 
     def __post_init__(self) -> None:
+        crew = Crew(
+            self.said.append,
+            lambda *_: self.checks,
+            arms=self.arms,
+        )
         self.flight = Flight(
             self.vehicle,
-            ROUTE,
-            SafetyMonitor(SafetyConfig()),
+            self.mission,
             self.handle,
+            crew,
             FlightConfig(),
             LimitsConfig(),
-            self.said.append,
+            SafetyConfig(),
         )
 
-    def estimate(self) -> Estimate:
+    def navigation(self) -> Navigation:
+        if self.sees:
+            self.seen_s = self.t_s
+        if self.lost:
+            return Navigation(None, self.lost, self.seen_s)
         if self.fixes and self.vehicle.position[2] < -20.0:
             self.t_last_fix_s = self.t_s
-        return Estimate(
+        estimate = Estimate(
             t_s=self.t_s,
-            position_ned_m=self.vehicle.position.copy(),
+            position_ned_m=np.add(self.vehicle.position, [*self.frame_ne_m, 0.0]),
             velocity_ned_m_s=self.vehicle.velocity.copy(),
             covariance=np.eye(6) * self.variance,
             quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
@@ -130,21 +199,29 @@ class Scene:
             agl_m=float(-self.vehicle.position[2]),
             sigma_agl_m=0.5,
             t_last_fix_s=self.t_last_fix_s,
-            reset_counter=0,
+            reset_counter=self.reset_counter,
         )
+        return Navigation(estimate, "", self.seen_s)
 
     def run(self, until=lambda scene: False, limit_s: float = 400.0) -> "Scene":
         while self.flight.end is None and self.t_s < limit_s and not until(self):
             self.t_s += DT_S
-            self.vehicle.vehicle = replace(self.vehicle.vehicle, t_s=self.t_s)
-            self.flight.tick(self.t_s, self.estimate())
+            self.vehicle.be(t_s=self.t_s)
+            self.flight.tick(self.t_s, self.navigation())
             self.vehicle.move()
             self.farthest_m = max(self.farthest_m, float(np.hypot(*self.vehicle.position[:2])))
         return self
 
+    def go_on(self, seconds: float) -> "Scene":
+        return self.run(limit_s=self.t_s + seconds)
+
 
 def in_phase(phase: Phase):
     return lambda scene: scene.flight.phase is phase
+
+
+def on_route() -> Scene:
+    return Scene().run(in_phase(Phase.ROUTE)).go_on(3.0)
 
 
 def test_a_whole_route_is_flown_and_ends_landed_at_home():
@@ -155,63 +232,187 @@ def test_a_whole_route_is_flown_and_ends_landed_at_home():
     assert scene.vehicle.asked == ["arm", "takeoff", "offboard", "land"]
 
 
-def test_without_a_fix_it_stays_above_home_lands_and_says_why():
-    scene = Scene(fixes=False).run()
-    assert "no fix above home" in scene.flight.end.reason
-    assert scene.farthest_m < 1.0
+def test_answers_that_take_half_a_second_change_nothing_and_the_loop_never_waits():
+    scene = Scene(vehicle=PointVehicle(answers_after=6)).run()
+    assert scene.flight.end.reason is None
+    assert scene.vehicle.asked == ["arm", "takeoff", "offboard", "land"]
 
 
-def test_nothing_is_asked_while_the_autopilot_has_no_position():
-    scene = Scene()
-    scene.vehicle.vehicle = replace(READY, local_position_ok=False)
-    scene.run()
+# ---- on the ground
+
+
+def test_nothing_is_asked_while_the_list_is_not_complete_and_that_is_unsafe():
+    scene = Scene(checks=(NOT_READY,)).run()
     assert scene.vehicle.asked == []
     assert "local position" in scene.flight.end.reason
+    assert scene.flight.end.unsafe
 
 
 def test_a_refused_arming_ends_the_flight_with_the_autopilots_words():
-    scene = Scene()
-    scene.vehicle.refuse = "denied: compass"
-    assert "denied: compass" in scene.run().flight.end.reason
+    scene = Scene(vehicle=PointVehicle(refuse={"arm": ["denied: compass"] * 9})).run()
+    assert "denied: compass" in scene.flight.end.reason
 
 
 def test_a_moments_refusal_to_arm_is_waited_out():
     """PX4 1.18 was ready for 2.1 s, then not for 6 s, while its heading settled."""
-    scene = Scene()
-    scene.vehicle.refuse, scene.vehicle.refusals = "not now (heading estimate invalid)", 2
-    scene.run(in_phase(Phase.TAKEOFF))
+    refusals = ["not now (heading estimate invalid)"] * 2
+    scene = Scene(vehicle=PointVehicle(refuse={"arm": refusals})).run(in_phase(Phase.TAKEOFF))
     assert scene.flight.phase is Phase.TAKEOFF
     assert sum("heading estimate invalid" in line for line in scene.said) == 2
 
 
 def test_readiness_of_two_seconds_is_none():
+    assert Scene().run(limit_s=2.2).vehicle.asked == []
+
+
+def test_an_aircraft_that_arms_but_does_not_take_off_is_disarmed_and_never_armed_again():
+    scene = Scene(vehicle=PointVehicle(refuse={"takeoff": ["failed"] * 9})).run()
+    assert scene.vehicle.asked == ["arm", "takeoff", "disarm"]
+    assert "failed" in scene.flight.end.reason
+
+
+def test_an_aircraft_that_the_pilot_disarms_before_take_off_is_not_armed_again():
+    scene = Scene(vehicle=PointVehicle(refuse={"takeoff": ["x"]}, answers_after=60))
+    scene.run(lambda s: s.vehicle.asked[-1:] == ["takeoff"])
+    scene.vehicle.be(armed=False)
+    scene.go_on(60.0)
+    assert scene.vehicle.asked == ["arm", "takeoff"]
+    assert "disarmed" in scene.flight.end.reason
+
+
+@pytest.mark.parametrize("in_air", [False, True])
+def test_an_aircraft_that_somebody_armed_is_asked_for_nothing_until_it_is_disarmed(in_air):
     scene = Scene()
-    scene.run(limit_s=2.2)
+    scene.vehicle.be(armed=True, in_air=in_air, mode=FlightMode.MANUAL)
+    scene.run(limit_s=60.0)
+    assert (scene.vehicle.asked, scene.vehicle.setpoints) == ([], 0)
+    assert not any(scene.handle.beats)
+    assert scene.flight.end is None
+    scene.vehicle.be(armed=False, in_air=False)
+    assert "not by vwnav" in scene.run().flight.end.reason
     assert scene.vehicle.asked == []
 
 
-def test_an_aircraft_that_arms_but_does_not_take_off_is_disarmed():
-    scene = Scene()
-    scene.vehicle.refuse_takeoff = "failed"
-    scene.run()
-    assert scene.vehicle.asked[-1] == "disarm"
-    assert "failed" in scene.flight.end.reason
+def test_without_leave_to_arm_it_waits_for_a_person():
+    scene = Scene(arms=False).run(limit_s=300.0)
+    assert scene.vehicle.asked == []
+    assert any("press Enter" in line for line in scene.said)
+    scene.flight.go()
+    scene.go_on(10.0)
+    assert scene.vehicle.asked[:2] == ["arm", "takeoff"]
+
+
+@pytest.mark.parametrize(("mode", "goes"), [(FlightMode.HOLD, True), (FlightMode.MANUAL, False)])
+def test_a_pilot_who_arms_in_hold_lets_it_take_off_and_one_who_arms_to_fly_does_not(mode, goes):
+    scene = Scene(arms=False).run(limit_s=10.0)
+    scene.vehicle.be(armed=True, mode=mode)
+    scene.go_on(10.0)
+    assert ("takeoff" in scene.vehicle.asked) is goes
+
+
+# ---- taking off
 
 
 def test_no_setpoint_disturbs_the_autopilots_own_take_off():
     scene = Scene().run(in_phase(Phase.TAKEOFF))
     scene.vehicle.position = np.zeros(3)
     scene.t_last_fix_s, scene.variance = scene.t_s, 12.0**2  # uncertain: a reason to hold
-    scene.vehicle.velocity = np.full(3, np.nan)
-    scene.vehicle.vehicle = replace(scene.vehicle.vehicle, mode=FlightMode.OFFBOARD)  # GUIDED
-    scene.flight.tick(scene.t_s + DT_S, scene.estimate())
-    assert np.all(np.isnan(scene.vehicle.velocity)), "a setpoint was sent"
+    scene.vehicle.be(mode=FlightMode.OFFBOARD)  # ArduCopter's GUIDED
+    scene.go_on(DT_S)
+    assert scene.vehicle.setpoints == 0
 
 
-def test_a_landing_that_was_not_heard_is_asked_for_again():
-    scene = Scene().run(in_phase(Phase.ROUTE))
-    scene.vehicle.deaf_to_land = 3
+@pytest.mark.parametrize("answers_after", [1, 30])
+def test_a_pilot_who_takes_over_while_offboard_is_asked_for_has_the_aircraft(answers_after):
+    scene = Scene()
+    scene.run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.answers_after = 100
+    scene.run(lambda s: s.vehicle.asked[-1] == "offboard")
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.vehicle.answers_after = answers_after
+    asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
+    scene.go_on(30.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert (scene.vehicle.asked, scene.vehicle.setpoints) == (asked, setpoints)
+    assert scene.vehicle.under_way is None, "the request was not withdrawn"
+
+
+def test_a_refused_offboard_is_landed():
+    scene = Scene(vehicle=PointVehicle(refuse={"offboard": ["denied"]})).run()
+    assert scene.vehicle.asked[-1] == "land"
+    assert "refused Offboard: denied" in scene.flight.end.reason
+
+
+# ---- home
+
+
+def test_without_a_fix_it_stays_above_home_lands_and_says_why():
+    scene = Scene(fixes=False).run()
+    assert "no fix above home" in scene.flight.end.reason
+    assert scene.farthest_m < 1.0
+
+
+def jump_at_first_fix(scene: Scene, to_ne_m: tuple[float, float]) -> Scene:
+    """The frame's origin is nowhere near: the first fix shows where that is."""
+    scene.run(in_phase(Phase.FIRST_FIX))
+    scene.frame_ne_m, scene.reset_counter = np.array(to_ne_m), scene.reset_counter + 1
+    return scene
+
+
+def test_an_unknown_home_is_where_it_stood_and_never_the_origin_of_the_frame():
+    scene = Scene(mission=Mission(ROUTE, about_home=True))
+    jump_at_first_fix(scene, (400.0, -300.0)).run()
+    assert scene.flight.end.reason is None
+    assert scene.flight.home_ne_m == pytest.approx([400.0, -300.0], abs=0.5)
+    assert np.hypot(*scene.vehicle.position[:2]) < 2.0
+    assert 80.0 < scene.farthest_m < 100.0
+
+
+def test_a_home_given_wrong_is_not_returned_to():
+    scene = Scene(mission=Mission(np.add(ROUTE, [20.0, 0.0, 0.0]), home_ne_m=np.zeros(2)))
+    jump_at_first_fix(scene, (20.0, 0.0)).run()
+    assert np.hypot(*scene.vehicle.position[:2]) < 2.0
+    assert any("20 m from the home" in line for line in scene.said)
+
+
+def test_a_return_before_anybody_knows_where_home_is_is_a_landing():
+    scene = Scene(mission=Mission(ROUTE, about_home=True), fixes=False)
+    scene.run(in_phase(Phase.CLIMB))
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run()
+    assert scene.vehicle.asked[-1] == "land"
+    assert scene.farthest_m < 1.0
+
+
+def test_a_route_that_turns_out_to_leave_the_map_is_not_flown():
+    mission = Mission(ROUTE, about_home=True, refuse=lambda _: "the map does not cover the route")
+    scene = Scene(mission=mission).run()
+    assert "does not cover" in scene.flight.end.reason
+    assert scene.farthest_m < 1.0
+
+
+# ---- in the air
+
+
+@pytest.mark.parametrize("phase", [Phase.CLIMB, Phase.ROUTE, Phase.RETURN, Phase.DESCEND])
+def test_a_flight_taken_up_in_the_air_goes_on_to_its_end(phase):
+    scene = Scene()
+    scene.vehicle.be(armed=True, in_air=True, mode=FlightMode.OFFBOARD)
+    scene.vehicle.position = np.array(
+        [20.0, 10.0, -40.0] if phase is Phase.ROUTE else [2, 1, -40.0]
+    )
+    scene.flight.take_up(phase, scene.navigation().estimate)
+    scene.run()
+    assert scene.flight.end.reason is None
+    assert "arm" not in scene.vehicle.asked
+
+
+def test_a_landing_that_was_not_heard_is_asked_for_again_and_the_beat_is_held_until_it_is_flown():
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["no answer"] * 3}
     scene.flight.abort("interrupted by the operator")
+    scene.run(lambda s: s.vehicle.refuse["land"] == [])
+    assert scene.handle.beats[-1]
     scene.run()
     assert scene.vehicle.asked[-4:] == ["land"] * 4
     assert sum("refused to land" in line for line in scene.said) == 1
@@ -219,35 +420,121 @@ def test_a_landing_that_was_not_heard_is_asked_for_again():
     assert not scene.vehicle.vehicle.armed
 
 
-def test_an_estimate_that_is_not_sent_any_more_is_landed_before_the_autopilot_gives_up():
-    scene = Scene().run(in_phase(Phase.ROUTE))
-    scene.variance, lost_s = 25.0, scene.t_s  # velocity unknown to 5 m/s
+def test_it_is_not_left_while_it_stands_armed_and_land_is_not_asked_for_again():
+    scene = on_route()
+    scene.vehicle.stays_armed = True
+    scene.flight.abort("interrupted")
+    scene.go_on(45.0)
+    assert scene.flight.end is None
+    assert scene.vehicle.asked[-1] == "disarm"
+    assert scene.vehicle.asked.count("land") == 1
+    scene.vehicle.stays_armed = False
+    assert scene.run().flight.end is not None
+
+
+def test_without_an_estimate_to_fly_on_it_stops_and_is_landed_before_the_autopilot_gives_up():
+    scene = on_route()
+    scene.lost, lost_s = "its velocity is unknown", scene.t_s
+    scene.go_on(0.5)
+    assert np.all(scene.vehicle.velocity == 0.0)
     scene.run(in_phase(Phase.LAND))
     assert 1.9 < scene.t_s - lost_s < 3.0
-    assert "lost" in scene.run().flight.end.reason
+    assert "velocity is unknown" in scene.run().flight.end.reason
+
+
+def test_blind_for_good_it_comes_down_within_seconds_and_blind_for_two_it_flies_on():
+    scene = on_route()
+    scene.sees = False
+    scene.go_on(2.0)
+    assert np.all(scene.vehicle.velocity == 0.0)
+    scene.sees = True
+    scene.go_on(2.0)
+    assert scene.flight.phase is Phase.ROUTE
+    scene.sees, blind_s = False, scene.t_s
+    scene.run(in_phase(Phase.LAND))
+    assert scene.t_s - blind_s < 5.0
+    assert "camera" in scene.run().flight.end.reason
 
 
 @pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD, FlightMode.MISSION])
 def test_after_the_pilots_mode_change_nothing_is_asked_again(mode):
-    scene = Scene().run(in_phase(Phase.ROUTE))
-    scene.run(lambda s: s.farthest_m > 20.0)
-    scene.vehicle.vehicle = replace(scene.vehicle.vehicle, mode=mode)
+    scene = on_route()
+    scene.vehicle.be(mode=mode)
+    asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
+    scene.go_on(30.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert (scene.vehicle.asked, scene.vehicle.setpoints) == (asked, setpoints)
+    assert not scene.handle.beats[-1]
+    scene.vehicle.be(armed=False)
+    assert scene.run().flight.end.reason
+
+
+def test_a_pilot_who_takes_over_a_landing_has_it():
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(5.0)
+    scene.vehicle.be(mode=FlightMode.MANUAL)
     asked = list(scene.vehicle.asked)
-    scene.run(limit_s=scene.t_s + 30.0)
+    scene.go_on(20.0)
     assert scene.flight.phase is Phase.RELEASED
     assert scene.vehicle.asked == asked
-    assert not scene.handle.beats[-1]
+
+
+def failsafe(scene: Scene, mode: FlightMode) -> Scene:
+    """The autopilot flies `mode` though ours is still the intended one."""
+    scene.vehicle.be(mode=mode, intended_mode=FlightMode.OFFBOARD, failsafe=True)
+    return scene
+
+
+def gap(scene: Scene, seconds: float) -> Scene:
+    scene.vehicle.be(heartbeat_age_s=seconds)
+    scene.go_on(seconds)
+    scene.vehicle.be(heartbeat_age_s=0.1)
+    return scene
+
+
+def test_after_a_gap_of_a_second_the_route_goes_on_when_the_autopilot_comes_back():
+    scene = failsafe(gap(on_route(), 0.8), FlightMode.LAND).go_on(1.0)
+    assert scene.flight.phase is Phase.FAILSAFE
+    scene.vehicle.be(mode=FlightMode.OFFBOARD, failsafe=False)
+    scene.run()
+    assert scene.flight.end.reason is None
+
+
+def test_after_a_longer_gap_hold_and_land_are_asked_for_once_the_autopilot_agrees_with_us():
+    scene = failsafe(gap(on_route(), 4.0), FlightMode.DESCEND)
+    asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
+    scene.vehicle.be(own_position_ned_m=scene.vehicle.position + 60.0)
+    scene.go_on(5.0)
+    assert (scene.vehicle.asked, scene.vehicle.setpoints) == (asked, setpoints)
+    scene.vehicle.be(own_position_ned_m=scene.vehicle.position.copy())
+    scene.go_on(0.8)
+    assert scene.vehicle.asked == asked
+    scene.run()
+    assert scene.vehicle.asked[len(asked) :] == ["hold", "land"]
+    assert "lost for too long" in scene.flight.end.reason
+
+
+@pytest.mark.parametrize("trouble", ["battery", "nothing on our side"])
+def test_a_failsafe_that_is_not_for_want_of_us_is_not_touched(trouble):
+    scene = on_route()
+    if trouble == "battery":
+        scene.vehicle.be(battery_ratio=0.2)
+        gap(scene, 4.0)
+    asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
+    failsafe(scene, FlightMode.RETURN).go_on(20.0)
+    assert (scene.vehicle.asked, scene.vehicle.setpoints) == (asked, setpoints)
+    assert scene.flight.phase is Phase.RELEASED
 
 
 def test_a_critical_battery_lands_at_once():
-    scene = Scene().run(in_phase(Phase.ROUTE))
-    scene.vehicle.vehicle = replace(scene.vehicle.vehicle, battery_ratio=0.05)
-    scene.run()
-    assert "battery critical" in scene.flight.end.reason
+    scene = on_route()
+    scene.vehicle.be(battery_ratio=0.05)
+    assert "battery critical" in scene.run().flight.end.reason
 
 
 def test_losing_all_fixes_on_the_route_holds_then_comes_home():
-    scene = Scene().run(in_phase(Phase.ROUTE))
+    scene = on_route()
     scene.fixes = False
     scene.run()
     assert scene.flight.end.reason
@@ -255,23 +542,22 @@ def test_losing_all_fixes_on_the_route_holds_then_comes_home():
 
 
 def test_an_abort_lands_where_it_is():
-    scene = Scene().run(in_phase(Phase.ROUTE))
+    scene = on_route()
     scene.flight.abort("interrupted by the operator")
-    scene.run()
-    assert scene.flight.end.reason == "interrupted by the operator"
+    assert scene.run().flight.end.reason == "interrupted by the operator"
 
 
 def test_the_watchdog_keeps_what_it_took():
-    scene = Scene().run(in_phase(Phase.ROUTE))
+    scene = on_route()
     scene.handle.report = WatchdogReport(GuardState.LANDING, 1, 0.1)
-    scene.run(limit_s=scene.t_s + 5.0)
+    scene.go_on(5.0)
     assert scene.flight.phase is Phase.RELEASED
 
 
 def test_a_short_stall_is_taken_back_from_a_braking_watchdog():
-    scene = Scene().run(in_phase(Phase.ROUTE))
+    scene = on_route()
     scene.handle.report = WatchdogReport(GuardState.BRAKING, 1, 0.1)
-    scene.run(limit_s=scene.t_s + 0.15)
+    scene.go_on(0.15)
     assert scene.handle.rejoined
     assert scene.flight.phase is Phase.ROUTE
 

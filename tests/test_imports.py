@@ -25,11 +25,18 @@ ALLOWED = {
     "guidance": BASE | {"geometry"},
     "safety": BASE | {"geometry"},
     "pipeline": BASE | {"geometry", "estimation"},
-    "flight": BASE | {"geometry", "guidance", "safety"},
+    "home": BASE,
+    "landing": BASE,
+    "departure": BASE | {"safety"},
+    "flight": BASE | {"geometry", "guidance", "safety", "home", "landing", "departure"},
     "runtime": BASE | {"safety", "pipeline", "flight"},
     "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
-    "bench": BASE | {"geometry", "maps", "vision", "estimation", "drivers", "sim"},
+    "assemble": BASE
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "drivers", "config"},
+    "bench": BASE
+    | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "drivers", "sim"}
+    | {"pipeline", "flight", "runtime", "config", "assemble"},
     "config": BASE
     | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "drivers"},
 }

@@ -8,15 +8,15 @@ import pytest
 
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.pipeline import (
     FeatureChoice,
     InlineExecutor,
     Pipeline,
     PipelineConfig,
-    Sensors,
     to_gray,
 )
-from vwnav.types import Attitude, Frame, MapFix, Prior, Rejected, RejectReason
+from vwnav.types import Attitude, Frame, Height, MapFix, Prior, Rejected, RejectReason
 
 HOME = LocalFrame(60.4, 22.5, 0.0)
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -50,30 +50,42 @@ class FakeLocalizer:
         )
 
 
+@dataclass
 class NoOdometry:
-    attitude = None
+    """Finds nothing; remembers the attitudes it was handed."""
+
+    attitudes: list = field(default_factory=list)
 
     def step(self, frame, R_ned_body, agl_m):
+        self.attitudes.append(R_ned_body)
         return Rejected(frame.t_s, RejectReason.FEW_KEYPOINTS)
 
+    def counted_attitude(self, t_s):
+        return Attitude(t_s, LEVEL)
 
-def make_pipeline(primary, fallback=None, start=None, executor=None, said=None, most_fixes=0):
+
+def make_pipeline(
+    primary, fallback=None, start=None, executor=None, said=None, most_fixes=0, ekf_config=None
+):
     config = PipelineConfig(fallback_after=3, primary_retry_every=2, most_fixes=most_fixes)
     choice = FeatureChoice(primary, fallback, config, (said if said is not None else []).append)
-    ekf = Ekf(EkfConfig())
+    ekf = Ekf(ekf_config or EkfConfig())
     if start is not None:
         ekf.initialise(start)
     executor = executor or InlineExecutor()
     return Pipeline(choice, NoOdometry(), ekf, HOME, 0.02, config, executor)
 
 
-def airborne(t_s: float) -> Sensors:
-    return Sensors(attitude=Attitude(t_s, LEVEL), height_m=50.0, height_t_s=t_s)
-
-
-def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0):
+def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0, attitude=LEVEL):
+    """Hovers at 50 m; without attitude where that is None."""
     times = t0_s + np.arange(1, round(seconds * rate_hz) + 1) / rate_hz
-    return [pipeline.step(Frame(t, PICTURE, i), airborne(t)) for i, t in enumerate(times)]
+    steps = []
+    for i, t_s in enumerate(times):
+        if attitude is not None:
+            pipeline.feed(Attitude(t_s, attitude))
+        pipeline.feed(Height(t_s, 50.0))
+        steps.append(pipeline.step(Frame(t_s, PICTURE, i)))
+    return steps
 
 
 def above_home(sigma_m: float = 5.0) -> Start:
@@ -113,6 +125,61 @@ def test_a_start_of_unknown_position_searches_but_knows_the_height():
     fly(make_pipeline(localizer, start=start), 1.0)
     assert localizer.priors[0].lat_deg is None
     assert localizer.priors[0].agl_m == pytest.approx(50.0, abs=2.0)
+
+
+def test_a_picture_without_attitude_moves_nothing_and_says_why():
+    """In place of what is missing nothing is put: no level attitude, no fix of a lean unknown."""
+    localizer = FakeLocalizer((30.0, 0.0))
+    pipeline = make_pipeline(localizer, start=above_home())
+    fly(pipeline, 1.0, attitude=rotated())
+    asked, handed = len(localizer.priors), len(pipeline._odometry.attitudes)
+    steps = fly(pipeline, 2.0, t0_s=1.2, attitude=None)
+    assert len(localizer.priors) == asked
+    assert all(R is None for R in pipeline._odometry.attitudes[handed:])
+    assert all(isinstance(step.outcome, Rejected) for step in steps)
+    assert pipeline._ekf.attitude_at(3.0) is None
+
+
+def test_the_estimate_begins_with_the_first_attitude():
+    pipeline = make_pipeline(FakeLocalizer(), start=above_home())
+    assert fly(pipeline, 1.0, attitude=None)[-1].estimate is None
+    assert fly(pipeline, 0.2, t0_s=1.0)[-1].estimate is not None
+
+
+def test_a_picture_is_covered_when_telemetry_has_reached_its_exposure():
+    pipeline = make_pipeline(FakeLocalizer(), start=above_home())
+    pipeline.feed(Attitude(0.10, LEVEL))
+    assert not pipeline.covers(0.11)
+    pipeline.feed(Attitude(0.12, LEVEL))
+    assert pipeline.covers(0.11)
+
+
+def test_the_attitude_at_exposure_is_that_of_the_one_history():
+    pipeline, R = make_pipeline(FakeLocalizer(), start=above_home()), rotation_from_euler
+    for t_s, yaw_rad in ((0.0, 0.2), (0.2, 0.4)):
+        pipeline.feed(Attitude(t_s, quat_from_rotation(R(0.1, 0.0, yaw_rad))))
+    pipeline.step(Frame(0.1, PICTURE, 0))
+    assert pipeline._odometry.attitudes[-1] == pytest.approx(R(0.1, 0.0, 0.3), abs=1e-6)
+
+
+def test_a_video_alone_needs_no_attitude_and_its_localizer_is_told_none():
+    config = EkfConfig().without_telemetry()
+    localizer = FakeLocalizer((3.0, 0.0))
+    pipeline = make_pipeline(localizer, ekf_config=config)
+    steps = [pipeline.step(Frame(0.1 * i, PICTURE, i)) for i in range(30)]
+    assert pipeline.covers(99.0)
+    assert localizer.priors[-1].roll_rad is None
+    assert steps[-1].estimate.position_ned_m[0] == pytest.approx(3.0, abs=0.5)
+
+
+def test_a_first_search_in_the_air_is_told_the_tilt():
+    localizer = FakeLocalizer()
+    fly(make_pipeline(localizer), 0.2, attitude=rotated())
+    assert localizer.priors[0].roll_rad == pytest.approx(0.1)
+
+
+def rotated():
+    return quat_from_rotation(rotation_from_euler(0.1, 0.0, 2.0))
 
 
 def test_a_fix_that_the_filter_refuses_counts_as_rejected():

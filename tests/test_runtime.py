@@ -1,4 +1,4 @@
-"""Real time around the pipeline: what reaches the autopilot, and what stops it."""
+"""The flight's steps and threads: what reaches the autopilot, and what must not end a flight."""
 
 import threading
 import time
@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 from vehicles import FLYING
 
-from vwnav.flight import FlightEnd
+from vwnav.flight import FlightEnd, Phase
+from vwnav.pipeline import StepResult
 from vwnav.runtime import FlightRuntime
-from vwnav.safety.envelope import is_flyable
-from vwnav.types import Attitude, Estimate, Frame, ImuSample
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.types import (
+    Estimate,
+    Frame,
+    ImuSample,
+    OdometryMotion,
+    Rejected,
+    RejectReason,
+)
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 ESTIMATE = Estimate(
@@ -27,21 +36,28 @@ ESTIMATE = Estimate(
     t_last_fix_s=None,
     reset_counter=0,
 )
-VEHICLE = replace(FLYING, attitude=Attitude(0.0, LEVEL))
+STANDING = replace(FLYING, armed=False, in_air=False)
 
 
 @dataclass
 class Link:
+    """An autopilot that stands; remembers what it was sent and when."""
+
+    vehicle = STANDING
     sent: list = field(default_factory=list)
     sent_s: list = field(default_factory=list)
+    steps: int = 0
+    broken_steps: int = 0
+
+    def step(self, t_s):
+        self.steps += 1
+        if self.steps <= self.broken_steps:
+            raise OSError("link")
 
     def state(self):
-        return VEHICLE
+        return self.vehicle
 
-    def attitude_at(self, t_s):
-        return VEHICLE.attitude
-
-    def take_imu(self):
+    def take_measurements(self):
         return (ImuSample(time.monotonic(), np.array([0.0, 0.0, -9.8]), np.zeros(3)),)
 
     def send_estimate(self, estimate):
@@ -51,37 +67,52 @@ class Link:
 
 @dataclass
 class Path:
-    """A pipeline that always believes `estimate`; a picture takes `stall_s` or breaks it."""
+    """A pipeline that always believes `believed`; a picture takes `stall_s` or breaks it."""
 
     believed: Estimate = ESTIMATE
     stall_s: float = 0.0
     broken: bool = False
-    sensed: int = 0
-    imu: list = field(default_factory=list)
-    steps: int = 0
+    covered: bool = True
+    fed: list = field(default_factory=list)
+    seen: list = field(default_factory=list)
 
     def estimate(self, t_s):
         return replace(self.believed, t_s=t_s)
 
-    def sense(self, t_s, sensors):
-        self.sensed += 1
-        self.imu += sensors.imu
+    def feed(self, measurement):
+        self.fed.append(measurement)
 
-    def step(self, frame, sensors):
-        self.steps += 1
+    def covers(self, t_s):
+        return self.covered
+
+    def step(self, frame):
+        self.seen.append((frame.index, time.monotonic() - frame.t_s))
         time.sleep(self.stall_s)
         if self.broken:
             raise ValueError("bad picture")
-        return SimpleNamespace()
+        motion = OdometryMotion(
+            frame.t_s - 0.1, frame.t_s, np.zeros(3), np.eye(3), 0.0, 0.01, 50.0, 100
+        )
+        return StepResult(frame.t_s, motion, Rejected(frame.t_s, RejectReason.NOT_TRIED), None)
 
 
 class Pictures:
-    def __init__(self):
+    """A noisy camera; `failures` are raised first, one a call."""
+
+    def __init__(self, failures=(), frozen=False, size=(48, 64)):
         self.closed = threading.Event()
+        self.failures = list(failures)
+        self.frozen, self.size, self.count = frozen, size, 0
+        self.rng = np.random.default_rng(1)
 
     def next_frame(self):
         time.sleep(0.005)
-        return None if self.closed.is_set() else Frame(time.monotonic(), np.zeros((4, 4)), 0)
+        if self.failures:
+            raise self.failures.pop()
+        self.count += 1
+        rng = np.random.default_rng(1) if self.frozen else self.rng
+        image = rng.integers(0, 255, self.size, dtype=np.uint8)
+        return None if self.closed.is_set() else Frame(time.monotonic(), image, self.count)
 
 
 @dataclass
@@ -91,70 +122,134 @@ class Mission:
     ticks: int = 8
     end: FlightEnd | None = None
     error: Exception | None = None
+    phase: Phase = Phase.ROUTE
+    navigation: list = field(default_factory=list)
 
-    def tick(self, t_s, estimate):
+    def tick(self, t_s, navigation):
         self.ticks -= 1
+        self.navigation.append(navigation)
         if self.error is not None:
             raise self.error
         if self.ticks == 0:
             self.end = FlightEnd(None)
 
 
-def fly(path, mission=None):
-    link, pictures = Link(), Pictures()
-    watcher = SimpleNamespace(saw_frame=lambda *_: None, saw_tick=lambda *_: None)
-    mission = mission or Mission()
+@dataclass
+class Record:
+    events: list = field(default_factory=list)
+    frames: list = field(default_factory=list)
+    full: bool = False
+
+    def saw_frame(self, frame, step):
+        self.frames.append(step)
+        if self.full:
+            raise OSError(28, "No space left on device")
+
+    def saw_tick(self, *_):
+        if self.full:
+            raise OSError(28, "No space left on device")
+
+    def event(self, text):
+        self.events.append(text)
+
+
+def fly(path=None, mission=None, pictures=None, link=None, record=None):
+    path, mission, link = path or Path(), mission or Mission(), link or Link()
+    pictures, record = pictures or Pictures(), record or Record()
+    handle = SimpleNamespace(report=None)
+    runtime = FlightRuntime(
+        path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48), record, time.monotonic
+    )
     try:
-        return link, FlightRuntime(path, mission, link, pictures, watcher).run()
+        end = runtime.run(pictures)
     finally:
         pictures.closed.set()
+    return SimpleNamespace(end=end, link=link, path=path, record=record, mission=mission)
 
 
 def test_estimates_and_telemetry_go_on_while_a_picture_stalls():
-    path = Path(stall_s=5.0)
-    link, end = fly(path)
-    assert end.reason is None
-    assert path.steps == 1
-    assert len(link.sent) >= 5
-    assert path.sensed >= 5
-    assert len(path.imu) == path.sensed  # each sample once
+    flown = fly(Path(stall_s=5.0))
+    assert flown.end.reason is None
+    assert len(flown.path.seen) == 1
+    assert len(flown.link.sent) >= 5
+    assert len(flown.path.fed) == flown.link.steps  # each measurement once
 
 
 def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix():
     fixed_s = time.monotonic()
-    path = Path(believed=replace(ESTIMATE, t_last_fix_s=fixed_s))
-    link, _ = fly(path, Mission(ticks=25))
+    flown = fly(Path(believed=replace(ESTIMATE, t_last_fix_s=fixed_s)), Mission(ticks=25))
+    link = flown.link
     assert np.median(np.diff(link.sent_s)) == pytest.approx(0.02, abs=0.005)
     late_s = np.array(link.sent_s) - [estimate.t_s for estimate in link.sent]
     assert np.median(late_s) < 0.01
-    ages_s = [estimate.fix_age_s for estimate in link.sent]
-    assert ages_s == pytest.approx(np.array(link.sent_s) - fixed_s, abs=0.2)
-    assert np.all(np.diff(ages_s) > 0.0)
+    assert np.all(np.diff([estimate.fix_age_s for estimate in link.sent]) > 0.0)
 
 
-def test_pictures_that_break_the_pipeline_do_not_end_the_flight():
-    path = Path(broken=True)
-    _, end = fly(path)
-    assert end.reason is None
-    assert path.steps > 1
+def test_pictures_that_break_the_pipeline_never_switch_vision_off():
+    flown = fly(Path(broken=True), Mission(ticks=20))
+    assert flown.end.reason is None
+    assert len(flown.path.seen) > 40
+    assert sum("could not be used" in text for text in flown.record.events) == 1
 
 
-def test_a_runaway_estimate_is_not_sent():
-    path = Path(believed=replace(ESTIMATE, covariance=np.eye(6) * 400.0))
-    link, _ = fly(path)
-    assert link.sent == []
+def test_a_camera_that_fails_is_asked_again_and_the_flight_goes_on():
+    flown = fly(mission=Mission(ticks=40), pictures=Pictures([OSError("cable")]))
+    assert flown.end.reason is None
+    assert flown.path.seen
+    assert sum("camera fails" in text for text in flown.record.events) == 1
 
 
-def test_what_breaks_the_mission_is_raised():
-    with pytest.raises(ZeroDivisionError):
-        fly(Path(), Mission(error=ZeroDivisionError()))
+def test_a_disk_that_is_full_ends_no_flight_and_is_said_once():
+    flown = fly(record=Record(full=True))
+    assert flown.end.reason is None
+    assert flown.path.seen
+    assert sum("recording fails" in text for text in flown.record.events) == 1
+
+
+def test_a_step_of_the_link_that_fails_is_tried_again():
+    flown = fly(link=Link(broken_steps=3))
+    assert flown.end.reason is None
+    assert flown.link.sent
+
+
+def test_a_runaway_estimate_is_neither_sent_nor_flown_on_and_the_mission_knows_why():
+    flown = fly(Path(believed=replace(ESTIMATE, velocity_ned_m_s=np.array([60.0, 0.0, 0.0]))))
+    assert flown.link.sent == []
+    assert flown.mission.navigation[-1].estimate is None
+    assert "60 m/s" in flown.mission.navigation[-1].lost
+
+
+def test_the_mission_flies_on_the_estimate_that_was_sent():
+    flown = fly()
+    assert flown.mission.navigation[-1].estimate in flown.link.sent
+
+
+def test_a_picture_waits_for_telemetry_of_its_exposure_and_not_for_ever():
+    flown = fly(Path(covered=False), Mission(ticks=20))
+    waits_s = [waited_s for _, waited_s in flown.path.seen]
+    assert waits_s[0] >= 0.25  # the last one may have been cut short by the end of the flight
 
 
 @pytest.mark.parametrize(
-    ("speed_m_s", "sigma_m_s", "good"), [(9.0, 0.5, True), (60.0, 0.5, False), (9.0, 8.0, False)]
+    ("pictures", "word"),
+    [(Pictures(frozen=True), "repeats one picture"), (Pictures(size=(60, 80)), "calibration")],
+    ids=["frozen", "another size"],
 )
-def test_an_estimate_is_flown_on_while_its_velocity_is_known(speed_m_s, sigma_m_s, good):
-    covariance = np.eye(6) * sigma_m_s**2
-    velocity = np.array([speed_m_s, 0.0, 0.0])
-    estimate = replace(ESTIMATE, velocity_ned_m_s=velocity, covariance=covariance)
-    assert is_flyable(estimate) is good
+def test_pictures_that_cannot_be_true_are_not_seen_but_have_their_row(pictures, word):
+    flown = fly(pictures=pictures, mission=Mission(ticks=15))
+    assert len(flown.path.seen) <= 1
+    assert len(flown.record.frames) > 10
+    seen_s = flown.mission.navigation[-1].seen_s
+    assert seen_s is None or time.monotonic() - seen_s > 0.3
+    assert any(word in text for text in flown.record.events)
+
+
+def test_what_breaks_the_mission_is_raised_once_it_is_down_and_estimates_go_on_till_then():
+    link = Link()
+    link.vehicle = FLYING
+    threading.Timer(1.0, lambda: setattr(link, "vehicle", STANDING)).start()
+    began_s = time.monotonic()
+    with pytest.raises(ZeroDivisionError):
+        fly(mission=Mission(error=ZeroDivisionError()), link=link)
+    assert time.monotonic() - began_s > 0.9
+    assert link.steps > 30

@@ -14,7 +14,8 @@ from vwnav.estimation.states import EkfConfig
 from vwnav.flight import FlightConfig
 from vwnav.guidance.controller import LimitsConfig
 from vwnav.pipeline import PipelineConfig
-from vwnav.safety.monitor import SafetyConfig
+from vwnav.safety.estimate_guard import EstimateLimits
+from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vision.localizer import LocalizerConfig
 from vwnav.vision.odometry import OdometryConfig
 
@@ -31,6 +32,7 @@ class Config(BaseSettings):
     flight: FlightConfig = FlightConfig()
     limits: LimitsConfig = LimitsConfig()
     safety: SafetyConfig = SafetyConfig()
+    estimate: EstimateLimits = EstimateLimits()
 
     @classmethod
     def settings_customise_sources(

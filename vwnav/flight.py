@@ -1,7 +1,7 @@
 """The mission as a state machine over estimates: what is asked of the autopilot, tick by tick.
 
-`Flight.tick` is called at a steady rate with the newest estimate; it never looks at a picture.
-Safety may overrule each setpoint, and the pilot overrules everything.
+`Flight.tick` is called at a steady rate with what there is to fly on; it never looks at a picture
+and never waits. Safety may overrule each setpoint, and the pilot overrules everything.
 """
 
 import math
@@ -12,37 +12,40 @@ from typing import Protocol
 
 import numpy as np
 
+from vwnav.departure import Departure, DepartureConfig
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
-from vwnav.safety.envelope import is_flyable
+from vwnav.home import Home
+from vwnav.landing import COMING_DOWN, Landing, LandingState
 from vwnav.safety.keepalive import GuardState, WatchdogReport
 from vwnav.safety.monitor import Action, SafetyMonitor
+from vwnav.safety.readiness import Check
+from vwnav.safety.recovery import Recovery, Wish
+from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import (
     Array,
     Autopilot,
     Estimate,
     FlightMode,
+    Navigation,
+    Request,
     VehicleState,
     VelocitySetpoint,
 )
 
+_STILL = VelocitySetpoint(0.0, 0.0, 0.0)
+_MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
+
 
 @dataclass(frozen=True, slots=True)
-class FlightConfig:
+class FlightConfig(DepartureConfig):
     """Times and heights of a mission."""
 
-    ready_timeout_s: float = 90.0  # the autopilot's filter must trust our estimate within this
-    ready_steady_s: float = 4.0  # PX4 was seen ready for 2.1 s, then for 6 s not, then for good
-    departure_tries: int = 3  # readiness may go in the very moment of arming
-    takeoff_height_m: float = 4.0  # flown by the autopilot's own take-off
     climb_m_s: float = 3.0
     descend_m_s: float = 2.0
     land_from_m: float = 5.0  # below this the autopilot's own landing takes over
     first_fix_timeout_s: float = 20.0  # hovering at height without any fix
     fixes_to_start: int = 3
     takeoff_timeout_s: float = 40.0
-    landing_timeout_s: float = 120.0
-    land_again_s: float = 1.0  # a landing that was refused or not heard is asked for again
-    lost_land_s: float = 2.0  # PX4 gives up 4.6 s, ArduCopter 8 s after the last estimate
     hold_gain_per_s: float = 0.5
     hold_speed_m_s: float = 1.5
 
@@ -58,15 +61,22 @@ class Phase(Enum):
     RETURN = "returning"
     DESCEND = "descending"
     LAND = "landing"
+    FAILSAFE = "autopilot's failsafe"
     RELEASED = "pilot flies"
     DONE = "done"
 
 
 @dataclass(frozen=True, slots=True)
 class FlightEnd:
-    """How the flight ended; `reason` is None when the whole route was flown."""
+    """How the flight ended.
+
+    Attributes:
+        reason: None when the whole route was flown.
+        unsafe: it never began, because it was not safe to.
+    """
 
     reason: str | None
+    unsafe: bool = False
 
 
 class DeadMansHandle(Protocol):
@@ -86,44 +96,76 @@ class DeadMansHandle(Protocol):
         ...
 
 
-class Flight:
-    """Flies a route and comes home.
+@dataclass(frozen=True, slots=True, eq=False)
+class Mission:
+    """What is to be flown.
 
-    Args:
-        route_ned_m: (n, 3) waypoints about home; the way back to above home is added.
-        say: receives one line per event.
+    Attributes:
+        route_ned_m: (n, 3) waypoints; the way back to above home is added.
+        about_home: the waypoints are counted from home, wherever that turns out to be; else from
+            the frame's origin.
+        home_ne_m: (2,) where the aircraft is thought to stand; None when nobody knows.
+        refuse: says why a route (n, 3) must not be flown, "" when it may; asked once home is known
+            if it was not before.
     """
+
+    route_ned_m: Array
+    about_home: bool = False
+    home_ne_m: Array | None = None
+    refuse: Callable[[Array], str] = lambda _: ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crew:
+    """Who the mission speaks with.
+
+    Attributes:
+        say: receives one line per event.
+        show: receives the readiness list when what is missing changes.
+        checks: makes the readiness list.
+        arms: arms by itself; else a person does.
+    """
+
+    say: Callable[[str], None]
+    checks: Callable[[VehicleState, Navigation, float], tuple[Check, ...]]
+    show: Callable[[tuple[Check, ...]], None] = lambda _: None
+    arms: bool = True
+
+
+class Flight:
+    """Flies a route and comes home."""
 
     def __init__(
         self,
         autopilot: Autopilot,
-        route_ned_m: Array,
-        safety: SafetyMonitor,
+        mission: Mission,
         keep_alive: DeadMansHandle,
+        crew: Crew,
         config: FlightConfig,
         limits: LimitsConfig,
-        say: Callable[[str], None],
+        safety: SafetyConfig,
     ) -> None:
         self._autopilot = autopilot
-        self._safety = safety
+        self._mission = mission
         self._keep_alive = keep_alive
+        self._crew = crew
         self._config = config
         self._limits = limits
-        self._say = say
-        self._height_m = float(-route_ned_m[0, 2])
-        home_ned_m = np.array([[0.0, 0.0, route_ned_m[-1, 2]]])
-        self._follower = RouteFollower(np.vstack([route_ned_m, home_ned_m]), limits)
-        self._hold_ne_m: Array | None = None
+        self._safety_config = safety
+        self._safety = SafetyMonitor(safety)
+        self._departure = Departure(autopilot, config, crew.arms, crew.say, crew.show)
+        self._home = Home(mission.home_ne_m)
+        self._height_m = float(-mission.route_ned_m[0, 2])
+        self._follower: RouteFollower | None = None
+        self._hold_ne_m = np.zeros(2)
         self._fixes = 0
-        self._t_last_fix_s: float | None = None
-        self._ready_since_s: float | None = None
+        self._before: Estimate | None = None
         self._phase_since_s: float | None = None
-        self._refusals = 0
-        self._lost_since_s: float | None = None
-        self._asked_to_land_s = 0.0
-        self._comes_down = False
-        self._said_refused = False
-        self._mode_before_landing: FlightMode | None = None
+        self._offboard: Request | None = None
+        self._landing: Landing | None = None
+        self._recovery: Recovery | None = None
+        self._phase_before_failsafe = Phase.GET_READY
+        self._lost_s: float | None = None
         self._trouble: str | None = None
         self._abort_reason: str | None = None
         self.phase = Phase.GET_READY
@@ -132,10 +174,16 @@ class Flight:
 
     @property
     def engaged(self) -> bool:
-        """We steer: setpoints are ours and the watchdog listens for the beat."""
-        return self.phase in _STEERING
+        """We steer, or have asked for a landing that is not flown yet: the watchdog listens."""
+        landing_is_flown = self._autopilot.state().mode in COMING_DOWN
+        return self.phase in _STEERING or (self.phase is Phase.LAND and not landing_is_flown)
 
-    def tick(self, t_s: float, estimate: Estimate | None) -> None:
+    @property
+    def home_ne_m(self) -> Array | None:
+        """(2,) where the aircraft stood, as far as it is known."""
+        return self._home.place_ne_m
+
+    def tick(self, t_s: float, navigation: Navigation) -> None:
         """Advance the mission; to be called at 10 Hz or more until `end` is set."""
         if self.end is not None:
             return
@@ -143,83 +191,99 @@ class Flight:
         if self._phase_since_s is None:
             self._phase_since_s = t_s
         self._keep_alive.beat(self.engaged, self.phase.value)
-        if self._abort_reason and self.phase not in (Phase.LAND, Phase.RELEASED):
+        self._note(navigation.estimate)
+        if self._abort_reason and self.phase not in (Phase.LAND, Phase.RELEASED, Phase.FAILSAFE):
             self._abort(t_s, vehicle)
-            return
-        if estimate is None:
-            self._wait_for_estimate(t_s)
-            return
-        self._count_fixes(estimate)
-        if self.engaged and self._taken_by_watchdog(t_s):
-            return
-        if self.phase is not Phase.GET_READY and not self._overruled(t_s, estimate, vehicle):
-            self._fly(t_s, estimate, vehicle)
         elif self.phase is Phase.GET_READY:
-            self._get_ready(t_s, vehicle)
+            self._get_ready(t_s, vehicle, navigation)
+        elif self.phase in _OURS_NO_MORE:
+            self._wait_for_ground(t_s, vehicle, navigation)
+        elif not self._taken_by_watchdog(t_s) and not self._overruled(t_s, navigation, vehicle):
+            assert navigation.estimate is not None
+            self._fly(t_s, navigation.estimate, vehicle)
+
+    def take_up(self, phase: Phase, estimate: Estimate) -> None:
+        """Begin in the air, in Offboard and with home given, as if it had flown there.
+
+        For simulations that start where something is going to break.
+        """
+        assert self._mission.home_ne_m is not None
+        self._home.take(self._mission.home_ne_m)
+        self._hold_ne_m = estimate.position_ned_m[:2].copy()
+        if phase is Phase.RETURN:
+            self._return(estimate.t_s, estimate)
+        elif phase is Phase.ROUTE:
+            self._follower = RouteFollower(self._route_ned_m(), self._limits)
+        self.phase, self._phase_since_s = phase, estimate.t_s
+
+    def ride(self, t_s: float, reason: str) -> None:
+        """Ask for nothing: estimates alone go out, until the aircraft is disarmed."""
+        self._release(t_s, reason)
 
     def abort(self, reason: str) -> None:
         """Land where we are; the next tick does it. A flight that has ended stays as it ended."""
         self._abort_reason = reason
 
+    def go(self) -> None:
+        """A person at the keyboard lets it arm, once it is ready."""
+        self._departure.go()
+
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
-        self._say(phase.value)
+        self._crew.say(phase.value)
 
     def _in_phase_s(self, t_s: float) -> float:
         return t_s - (self._phase_since_s if self._phase_since_s is not None else t_s)
 
-    def _finish(self, reason: str | None) -> None:
+    def _finish(self, reason: str | None, unsafe: bool = False) -> None:
         self.phase, self.setpoint = Phase.DONE, None
         self._keep_alive.beat(False, self.phase.value)
-        self.end = FlightEnd(reason)
+        self.end = FlightEnd(reason, unsafe)
 
     def _abort(self, t_s: float, vehicle: VehicleState) -> None:
-        if vehicle.armed:
-            self._begin_landing(t_s, self._abort_reason)
+        if vehicle.armed and self.phase is not Phase.GET_READY:
+            self._begin_landing(t_s, vehicle, self._abort_reason)
         else:
+            self._autopilot.withdraw()
+            if vehicle.armed and not vehicle.in_air and self._departure.has_armed:
+                self._autopilot.disarm()
             self._finish(self._abort_reason)
 
-    def _wait_for_estimate(self, t_s: float) -> None:
-        if self._in_phase_s(t_s) > self._config.ready_timeout_s:
-            self._finish("no estimate: neither attitude nor height came from the autopilot")
-
-    def _count_fixes(self, estimate: Estimate) -> None:
-        if estimate.t_last_fix_s is not None and estimate.t_last_fix_s != self._t_last_fix_s:
-            self._t_last_fix_s = estimate.t_last_fix_s
+    def _note(self, estimate: Estimate | None) -> None:
+        """Count fixes, and let what is relative move along with a jump of the position."""
+        if estimate is None:
+            return
+        before, self._before = self._before, estimate
+        if before is None:
+            return
+        if estimate.t_last_fix_s is not None and estimate.t_last_fix_s != before.t_last_fix_s:
             self._fixes += 1
+        flown_m = (
+            0.5
+            * (estimate.velocity_ned_m_s + before.velocity_ned_m_s)[:2]
+            * (estimate.t_s - before.t_s)
+        )
+        if estimate.reset_counter != before.reset_counter:
+            jump_m = (estimate.position_ned_m - before.position_ned_m)[:2] - flown_m
+            self._hold_ne_m = self._hold_ne_m + jump_m
+        if self.phase is not Phase.GET_READY:
+            self._home.flown(flown_m)
 
-    def _get_ready(self, t_s: float, vehicle: VehicleState) -> None:
-        """Arm and take off once the autopilot has trusted our estimate steadily."""
-        if not (vehicle.armable and vehicle.local_position_ok):
-            self._ready_since_s = None
-        elif self._ready_since_s is None:
-            self._ready_since_s = t_s
-        elif t_s - self._ready_since_s >= self._config.ready_steady_s:
-            self._depart(t_s)
+    # ---- on the ground
+
+    def _get_ready(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
+        checks = self._crew.checks(vehicle, navigation, t_s)
+        outcome = self._departure.step(vehicle, checks, t_s)
+        if outcome is None:
             return
-        if self._in_phase_s(t_s) > self._config.ready_timeout_s:
-            missing = "local position" if vehicle.armable else "readiness to arm"
-            self._finish(
-                f"the autopilot reported no {missing} in {self._config.ready_timeout_s:.0f} s: "
-                "is it set up for vision? `vwnav doctor --connection URL` checks its parameters"
-            )
-
-    def _depart(self, t_s: float) -> None:
-        """Arm and take off; when that is refused, wait until it is ready once more."""
-        height_m = self._config.takeoff_height_m
-        refused = self._autopilot.arm() or self._autopilot.takeoff(height_m)
-        if refused is None:
+        if outcome.airborne:
             self._enter(Phase.TAKEOFF, t_s)
-            return
-        self._refusals += 1
-        self._ready_since_s = None
-        reason = f"the autopilot refused to take off: {refused}"
-        if self._refusals < self._config.departure_tries:
-            self._say(reason)
-            return
-        if self._autopilot.state().armed:
-            self._autopilot.disarm()
-        self._finish(reason)
+        elif outcome.not_ours:
+            self._release(t_s, str(outcome.reason))
+        else:
+            self._finish(outcome.reason, outcome.unsafe)
+
+    # ---- who decides
 
     def _taken_by_watchdog(self, t_s: float) -> bool:
         """Whether it acts in our place. While it only brakes, a loop that stalled may take over."""
@@ -227,55 +291,102 @@ class Flight:
         if report is None or report.state is GuardState.RELAY:
             return False
         if report.state is GuardState.BRAKING:
-            self._say("the control loop had stalled: taking over from the watchdog again")
+            self._crew.say("the control loop had stalled: taking over from the watchdog again")
             self._keep_alive.rejoin()
             return False
-        self._trouble = "the watchdog has the aircraft: the control loop was silent for too long"
-        self.setpoint = None
-        self._enter(Phase.RELEASED, t_s)
+        self._release(
+            t_s, "the watchdog has the aircraft: the control loop was silent for too long"
+        )
         return True
 
-    def _overruled(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> bool:
+    def _overruled(self, t_s: float, navigation: Navigation, vehicle: VehicleState) -> bool:
         """True when safety, not the mission, decided this tick."""
-        if self.phase in (Phase.LAND, Phase.RELEASED):
-            return False
-        decision = self._safety.step(estimate, vehicle, t_s)
-        if decision.action is not Action.RELEASE and self._is_lost(estimate, t_s):
-            decision = replace(decision, action=Action.LAND, reason="the estimate is lost")
+        if navigation.estimate is None:
+            self._lost_s = t_s
+        decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
         match decision.action:
             case Action.NAVIGATE:
                 return False
             case Action.RELEASE:
-                self._trouble = decision.reason
-                self.setpoint = None
-                self._enter(Phase.RELEASED, t_s)
+                self._release(t_s, decision.reason)
+            case Action.YIELD:
+                self._yield(t_s, decision.reason)
             case Action.LAND:
-                self._begin_landing(t_s, decision.reason)
-            case Action.HOLD | Action.RETURN if self.phase is Phase.DESCEND:
-                return False  # near the ground the map shows nothing: down is the way out
+                self._begin_landing(t_s, vehicle, decision.reason)
             case Action.HOLD | Action.RETURN if self.phase is Phase.TAKEOFF:
-                return False  # a setpoint would end ArduCopter's take-off where it is
+                return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
+            case Action.HOLD | Action.RETURN if self.phase is Phase.DESCEND:
+                # Near the ground the map shows nothing: down is the way out.
+                if navigation.estimate is not None:
+                    return False
+                self._steer(replace(_STILL, down_m_s=self._config.descend_m_s))
             case Action.HOLD:
-                self._steer(VelocitySetpoint(0.0, 0.0, 0.0))
+                self._steer(_STILL)
             case Action.RETURN:
                 if self.phase is Phase.RETURN:
                     return False
+                assert navigation.estimate is not None
                 self._trouble = decision.reason
-                home = np.array([[0.0, 0.0, estimate.position_ned_m[2]]])
-                self._follower = RouteFollower(home, self._limits)
-                self._enter(Phase.RETURN, t_s)
+                self._return(t_s, navigation.estimate)
         return True
 
-    def _is_lost(self, estimate: Estimate, t_s: float) -> bool:
-        """It has not been sent for a while: down, before the autopilot gives up by itself.
+    def _sighted(self, t_s: float, navigation: Navigation) -> Navigation:
+        """Pictures count from the climb on: standing and lifting off there is little to see."""
+        if self.phase is Phase.TAKEOFF or self._phase_since_s is None:
+            return replace(navigation, seen_s=t_s)
+        if self.phase is Phase.CLIMB:
+            newest_s = max(navigation.seen_s or -math.inf, self._phase_since_s)
+            return replace(navigation, seen_s=newest_s)
+        return navigation
 
-        Without sticks PX4 of the 1.16 era would then drift in Altitude mode, and nobody land it.
-        """
-        if is_flyable(estimate):
-            self._lost_since_s = None
-            return False
-        self._lost_since_s = t_s if self._lost_since_s is None else self._lost_since_s
-        return t_s - self._lost_since_s >= self._config.lost_land_s
+    def _release(self, t_s: float, reason: str) -> None:
+        """Somebody else has the aircraft: nothing more is asked for, estimates go on."""
+        self._autopilot.withdraw()
+        self._trouble = self._trouble or reason
+        self.setpoint = None
+        self._crew.say(reason)
+        self._enter(Phase.RELEASED, t_s)
+
+    def _yield(self, t_s: float, reason: str) -> None:
+        """The autopilot flies a failsafe that may be ours to end, later."""
+        self._autopilot.withdraw()
+        missed = self._lost_lately(t_s) or self._safety.gap_s > 0.0
+        explained = self._safety.battery_is_enough and missed
+        self._recovery = Recovery(self._safety_config, explained)
+        self._phase_before_failsafe = self.phase
+        self.setpoint = None
+        self._crew.say(reason)
+        self._enter(Phase.FAILSAFE, t_s)
+
+    def _recover(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
+        """What a failsafe of the autopilot lets us do."""
+        assert self._recovery is not None
+        decision = self._safety.step(navigation, vehicle, t_s)
+        if decision.action is Action.RELEASE and not self._recovery.has_asked:
+            self._release(t_s, decision.reason)
+            return
+        if navigation.estimate is None:
+            self._lost_s = t_s
+        gap_s = math.inf if self._lost_lately(t_s) else self._safety.gap_s
+        match self._recovery.step(vehicle, navigation.estimate, gap_s, t_s):
+            case Wish.RELEASE:
+                self._release(t_s, "the autopilot flies its failsafe, and not for want of us")
+            case Wish.GO_ON:
+                self._enter(self._phase_before_failsafe, t_s)
+            case Wish.STAY:
+                self._steer(_STILL)
+            case Wish.HOLD:
+                self._autopilot.hold()
+            case Wish.LAND:
+                self._begin_landing(t_s, vehicle, "the link or the estimate was lost for too long")
+            case Wish.WAIT:
+                pass
+
+    def _lost_lately(self, t_s: float) -> bool:
+        memory_s = self._safety_config.gap_memory_s
+        return self._lost_s is not None and t_s - self._lost_s < memory_s
+
+    # ---- the mission
 
     def _fly(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         match self.phase:
@@ -284,29 +395,39 @@ class Flight:
             case Phase.CLIMB:
                 self._climb(t_s, estimate)
             case Phase.FIRST_FIX:
-                self._wait_for_fix(t_s, estimate)
+                self._wait_for_fix(t_s, estimate, vehicle)
             case Phase.ROUTE | Phase.RETURN:
                 self._follow(t_s, estimate)
             case Phase.DESCEND:
-                self._descend(t_s, estimate)
-            case Phase.LAND | Phase.RELEASED:
-                self._wait_for_ground(t_s, vehicle)
+                self._descend(t_s, estimate, vehicle)
 
     def _take_off(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
-        """The autopilot climbs by itself; then it is asked for Offboard, once."""
+        """The autopilot climbs by itself; then it is asked for Offboard."""
         height_m = -float(estimate.position_ned_m[2])
-        if not vehicle.armed and self._in_phase_s(t_s) > 3.0:
-            self._finish("the autopilot disarmed during take-off")
+        if vehicle.mode is FlightMode.MANUAL and self._in_phase_s(t_s) > _MODE_SHOWS_S:
+            self._release(t_s, "the pilot took over")
+        elif not vehicle.armed:
+            if self._in_phase_s(t_s) > self._config.arming_shows_s:
+                self._autopilot.withdraw()
+                self._finish("the aircraft was disarmed during take-off")
+        elif self._offboard is not None:
+            self._ask_for_offboard(t_s, vehicle)
         elif height_m >= 0.85 * self._config.takeoff_height_m or self._hovers(vehicle, height_m):
             self._hold_ne_m = estimate.position_ned_m[:2].copy()
-            self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
-            refused = self._autopilot.start_offboard()
-            if refused:
-                self._begin_landing(t_s, f"the autopilot refused Offboard: {refused}")
-            else:
-                self._enter(Phase.CLIMB, t_s)
+            self._offboard = self._autopilot.start_offboard()
         elif self._in_phase_s(t_s) > self._config.takeoff_timeout_s:
-            self._begin_landing(t_s, "the take-off did not reach its height")
+            self._begin_landing(t_s, vehicle, "the take-off did not reach its height")
+
+    def _ask_for_offboard(self, t_s: float, vehicle: VehicleState) -> None:
+        request = self._offboard
+        assert request is not None
+        if not request.done:
+            return
+        if request.refused is None:
+            self._enter(Phase.CLIMB, t_s)
+        else:
+            reason = f"the autopilot refused Offboard: {request.refused}"
+            self._begin_landing(t_s, vehicle, reason)
 
     def _hovers(self, vehicle: VehicleState, height_m: float) -> bool:
         """The autopilot's take-off is over, at what it takes for the height."""
@@ -319,33 +440,64 @@ class Flight:
             self._enter(Phase.FIRST_FIX, t_s)
         self._steer(self._hold(estimate, -min(self._config.climb_m_s, max(missing_m, 0.0) * 0.8)))
 
-    def _wait_for_fix(self, t_s: float, estimate: Estimate) -> None:
+    def _wait_for_fix(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         if self._fixes >= self._config.fixes_to_start:
-            self._enter(Phase.ROUTE, t_s)
+            self._begin_route(t_s, estimate, vehicle)
         elif self._in_phase_s(t_s) > self._config.first_fix_timeout_s:
-            self._begin_landing(
-                t_s, "no fix above home: the map shows another place, or the camera does not work"
-            )
+            reason = "no fix above home: the map shows another place, or the camera does not work"
+            self._begin_landing(t_s, vehicle, reason)
+        else:
+            self._steer(self._hold(estimate, self._height_error(estimate)))
+
+    def _begin_route(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
+        """Now it is known where the aircraft stood, and with that where the route lies."""
+        told = self._home.settle(estimate)
+        if told:
+            self._crew.say(told)
+        route_ned_m = self._route_ned_m()
+        refused = self._mission.refuse(route_ned_m)
+        if refused:
+            self._begin_landing(t_s, vehicle, refused)
             return
+        self._follower = RouteFollower(route_ned_m, self._limits)
+        self._enter(Phase.ROUTE, t_s)
         self._steer(self._hold(estimate, self._height_error(estimate)))
 
+    def _route_ned_m(self) -> Array:
+        """(n + 1, 3) the waypoints and the way back to above home."""
+        home_ne_m, route_ned_m = self._home.place_ne_m, self._mission.route_ned_m
+        assert home_ne_m is not None
+        if self._mission.about_home:
+            route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
+        return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
+
+    def _return(self, t_s: float, estimate: Estimate) -> None:
+        told = self._home.settle(estimate)
+        if told:
+            self._crew.say(told)
+        assert self._home.place_ne_m is not None
+        home_ned_m = np.array([[*self._home.place_ne_m, estimate.position_ned_m[2]]])
+        self._follower = RouteFollower(home_ned_m, self._limits)
+        self._enter(Phase.RETURN, t_s)
+
     def _follow(self, t_s: float, estimate: Estimate) -> None:
+        assert self._follower is not None
+        assert self._home.place_ne_m is not None
         step = self._follower.step(estimate)
         self._steer(step.setpoint)
         if step.done:
-            self._hold_ne_m = np.zeros(2)
+            self._hold_ne_m = self._home.place_ne_m
             self._enter(Phase.DESCEND, t_s)
 
-    def _descend(self, t_s: float, estimate: Estimate) -> None:
+    def _descend(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         height_m = -float(estimate.position_ned_m[2])
         if height_m < self._config.land_from_m:
-            self._begin_landing(t_s, None)
+            self._begin_landing(t_s, vehicle, None)
             return
         self._steer(self._hold(estimate, self._config.descend_m_s))
 
     def _hold(self, estimate: Estimate, down_m_s: float) -> VelocitySetpoint:
         """Stay over the held point while moving vertically."""
-        assert self._hold_ne_m is not None
         wanted = (self._hold_ne_m - estimate.position_ned_m[:2]) * self._config.hold_gain_per_s
         speed = float(np.hypot(*wanted))
         wanted *= min(1.0, self._config.hold_speed_m_s / max(speed, 1e-9))
@@ -363,54 +515,33 @@ class Flight:
         self.setpoint = setpoint
         self._autopilot.send_velocity(setpoint)
 
-    def _begin_landing(self, t_s: float, trouble: str | None) -> None:
+    # ---- down
+
+    def _begin_landing(self, t_s: float, vehicle: VehicleState, trouble: str | None) -> None:
         """Hand over to the autopilot's own landing; `trouble` is why, None after a whole route."""
         self._trouble = self._trouble or trouble
         if trouble:
-            self._say(trouble)
+            self._crew.say(trouble)
         self.setpoint = None
+        self._landing = Landing(self._autopilot, vehicle, t_s, self._crew.say)
         self._enter(Phase.LAND, t_s)
-        self._keep_alive.beat(False, self.phase.value)
-        self._mode_before_landing = self._autopilot.state().mode
-        self._land(t_s)
 
-    def _land(self, t_s: float) -> None:
-        self._asked_to_land_s = t_s
-        refused = self._autopilot.land()
-        if refused and not self._said_refused:
-            self._said_refused = True  # once: it is asked for every second
-            self._trouble = self._trouble or f"the autopilot refused to land: {refused}"
-            self._say(f"the autopilot refused to land: {refused}")
-
-    def _landing_is_not_begun(self, vehicle: VehicleState) -> bool:
-        """The mode is still the one that we wanted to leave: nobody has chosen another."""
-        waits = self.phase is Phase.LAND and not self._comes_down
-        return waits and vehicle.mode is self._mode_before_landing
-
-    def _wait_for_ground(self, t_s: float, vehicle: VehicleState) -> None:
-        self._comes_down = self._comes_down or vehicle.mode in _COMING_DOWN
+    def _wait_for_ground(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
+        """The aircraft comes down, or is somebody else's; it is left when the motors stop."""
         if not vehicle.armed:
             self._finish(self._trouble)
-        elif self.phase is Phase.LAND and self._in_phase_s(t_s) > self._config.landing_timeout_s:
-            self._finish(self._trouble or "the autopilot did not report the landing")
-        elif self._landing_is_not_begun(vehicle):
-            # Not heard, or refused: without setpoints ArduCopter would coast for three seconds.
-            if vehicle.mode is FlightMode.OFFBOARD:
-                self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
-            if t_s - self._asked_to_land_s >= self._config.land_again_s:
-                self._land(t_s)
-        elif (
-            self.phase is Phase.LAND
-            and vehicle.in_air
-            and vehicle.mode not in _COMING_DOWN
-            and self._in_phase_s(t_s) > 3.0
-        ):
-            self._trouble = self._trouble or "the pilot took over while landing"
-            self._enter(Phase.RELEASED, t_s)
+        elif self.phase is Phase.FAILSAFE:
+            self._recover(t_s, vehicle, navigation)
+        elif self.phase is Phase.LAND:
+            assert self._landing is not None
+            state = self._landing.step(vehicle, t_s)
+            self._trouble = self._trouble or self._landing.refused
+            if state is LandingState.TAKEN:
+                self._release(t_s, "the pilot took over while landing")
 
 
 # In the autopilot's own take-off too: if we die in it, nobody else would bring the aircraft down.
 _STEERING = frozenset(
     {Phase.TAKEOFF, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN, Phase.DESCEND}
 )
-_COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
+_OURS_NO_MORE = frozenset({Phase.LAND, Phase.FAILSAFE, Phase.RELEASED})

@@ -2,8 +2,9 @@
 
     frame -> undistort -> rectify -> features -> match -> homography -> fix -> EKF -> guidance
 
-`Pipeline.step` takes a picture and the autopilot's sensors to an `Estimate`; `fly`, `replay`
-and the tests all run it. Guidance and safety (`vwnav.flight`) turn estimates into setpoints.
+`Pipeline.feed` takes the autopilot's measurements as they come, `Pipeline.step` a picture to an
+`Estimate`; `fly`, `replay` and the tests all run them. Guidance and safety (`vwnav.flight`) turn
+estimates into setpoints.
 """
 
 import threading
@@ -25,14 +26,15 @@ from vwnav.types import (
     Estimate,
     Frame,
     Gray,
-    ImuSample,
     MapFix,
     OdometryMotion,
     Prior,
     Rejected,
     RejectReason,
+    Telemetry,
 )
 
+ATTITUDE_WAIT_S = 0.25  # a picture waits so long after its exposure for its attitude to come
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
@@ -41,7 +43,6 @@ MAX_DOUBTED_AGL_RATIO = 0.3
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 UNKNOWN_AGL_M = 50.0
 AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
-LEVEL_QUAT_WXYZ: Array = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,26 +58,6 @@ class PipelineConfig:
         25  # attempts in a row without a fix; then, and every so many, look twice as far
     )
     most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensors:
-    """What the autopilot says at a picture's exposure; every field may be unknown.
-
-    Attributes:
-        attitude: at exposure; None when there is no telemetry: level is then assumed.
-        height_m: barometric, above the start, up positive, taken at `height_t_s`.
-        rangefinder_m: along the body's down axis.
-        on_ground: the vehicle stands still.
-        imu: samples since the last time, where the autopilot streams them.
-    """
-
-    attitude: Attitude | None = None
-    height_m: float | None = None
-    height_t_s: float | None = None
-    rangefinder_m: float | None = None
-    on_ground: bool = False
-    imu: tuple[ImuSample, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,9 +81,8 @@ class Localizing(Protocol):
 class Tracking(Protocol):
     """What the pipeline needs of `vwnav.vision.odometry.Odometry`."""
 
-    @property
-    def attitude(self) -> Attitude | None:
-        """Level, with the heading counted from pictures, where none was handed in."""
+    def counted_attitude(self, t_s: float) -> Attitude:
+        """Of a video alone: level, with the heading counted from its pictures."""
         ...
 
     def step(
@@ -166,9 +146,9 @@ class FeatureChoice:
 
 
 class Pipeline:
-    """From pictures and sensors to the estimate of position, velocity and heading.
+    """From pictures and measurements to the estimate of position, velocity and heading.
 
-    `estimate` may be called from another thread at any time; `step` from one thread only.
+    `feed` and `estimate` may be called from other threads at any time; `step` from one only.
     """
 
     def __init__(
@@ -209,63 +189,69 @@ class Pipeline:
     def estimate(self, t_s: float) -> Estimate | None:
         """The estimate predicted to `t_s`; None while there is nothing to predict from."""
         with self._lock:
-            return self._ekf.estimate(t_s) if self._ekf.initialised else None
+            return self._ekf.estimate(t_s)
 
-    def sense(self, t_s: float, sensors: Sensors) -> None:
-        """Take telemetry between pictures, so that the estimate lives on when pictures stall."""
-        self._fuse_sensors(t_s, sensors)
+    def feed(self, measurement: Telemetry) -> None:
+        """Take a measurement of the autopilot; the estimate lives on it when pictures stall."""
+        with self._lock:
+            self._ekf.handle(measurement)
 
-    def step(self, frame: Frame, sensors: Sensors) -> StepResult:
-        """Take one picture through the whole path."""
+    def covers(self, t_s: float) -> bool:
+        """Whether telemetry has reached an exposure: waiting tells no more of the attitude there.
+
+        A picture handed to `step` before that has an attitude carried on from before it, or none.
+        Wait no longer than `ATTITUDE_WAIT_S` after the exposure.
+        """
+        with self._lock:
+            newest_s = self._ekf.newest_attitude_s
+            return self._ekf.counts_heading or (newest_s is not None and newest_s >= t_s)
+
+    def step(self, frame: Frame) -> StepResult:
+        """Take one picture through the whole path.
+
+        A picture whose attitude is not known moves nothing. Which way the ground passed in it is
+        not known, and how far beside the aircraft its centre lies neither: 10 degrees are 9 m at
+        50 m, all pictures of the gap to the same side, which no covariance of a fix can say.
+        """
         picture = replace(frame, image=to_gray(frame.image))
-        self._fuse_sensors(frame.t_s, sensors)
-        motion = self._track(picture, sensors)
+        with self._lock:
+            alone = self._ekf.counts_heading
+            attitude = None if alone else self._ekf.attitude_at(frame.t_s)
+        motion = self._track(picture, attitude)
         finished = self._collect()
-        started = self._attempt_if_due(picture, sensors)
+        started = self._attempt_if_due(picture, attitude)
         outcome = started or finished or Rejected(frame.t_s, RejectReason.NOT_TRIED)
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
-    def _fuse_sensors(self, t_s: float, sensors: Sensors) -> None:
-        with self._lock:
-            if sensors.attitude is not None:
-                self._ekf.handle_attitude(sensors.attitude)
-            for sample in sensors.imu:
-                self._ekf.handle_imu(sample)
-            if sensors.height_m is not None and sensors.height_t_s is not None:
-                self._ekf.handle_height(sensors.height_t_s, sensors.height_m)
-            if sensors.rangefinder_m is not None:
-                self._ekf.handle_rangefinder(t_s, sensors.rangefinder_m)
-            if sensors.on_ground:
-                self._ekf.handle_stationary(t_s)
-
-    def _track(self, frame: Frame, sensors: Sensors) -> OdometryMotion | Rejected:
-        """Motion since the keyframe. Without telemetry the pictures' own turning is the gyro."""
+    def _track(self, frame: Frame, attitude: Attitude | None) -> OdometryMotion | Rejected:
+        """Motion since the keyframe. In a video alone the pictures' own turning is the gyro."""
         now = self.estimate(frame.t_s)
+        R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
+        motion: OdometryMotion | Rejected
         if now is None:
-            with self._lock:
-                self._ekf.handle_attitude(sensors.attitude or Attitude(frame.t_s, LEVEL_QUAT_WXYZ))
-            return Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground not known yet")
-        known = sensors.attitude
-        R_ned_body = rotation_from_quat(known.quat_wxyz) if known else None
-        motion = self._odometry.step(frame, R_ned_body, now.agl_m)
+            why = "height above ground not known yet"
+            motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, why)
+        else:
+            motion = self._odometry.step(frame, R_ned_body, now.agl_m)
         with self._lock:
-            if known is None:
-                turned = self._odometry.attitude or Attitude(frame.t_s, LEVEL_QUAT_WXYZ)
-                self._ekf.handle_attitude(turned)
+            if self._ekf.counts_heading:
+                self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
             if isinstance(motion, OdometryMotion):
-                self._ekf.handle_odometry(motion)
+                self._ekf.handle(motion)
         return motion
 
-    def _attempt_if_due(self, frame: Frame, sensors: Sensors) -> MapFix | Rejected | None:
+    def _attempt_if_due(self, frame: Frame, attitude: Attitude | None) -> MapFix | Rejected | None:
         """Start matching this picture when it is time to; the outcome if it is there at once."""
         if self._pending is not None or frame.t_s < self._next_attempt_s:
+            return None
+        if attitude is None and not self._ekf.counts_heading:
             return None
         if 0 < self._config.most_fixes <= self.accepted:
             return None
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
-        prior = self._prior(now, sensors)
+        prior = self._prior(now, attitude)
         searching = prior.lat_deg is None
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval
@@ -291,19 +277,21 @@ class Pipeline:
         self._features.report(localizer, isinstance(outcome, MapFix))
         return outcome
 
-    def _prior(self, now: Estimate | None, sensors: Sensors) -> Prior:
+    def _prior(self, now: Estimate | None, measured: Attitude | None) -> Prior:
         """What the filter knows, as the localizer wants it.
 
         A filter that is sure of itself and finds nothing is doubted: its place may be wrong by
         more than it says, and what the localizer does not look for can never put it right.
         """
-        if now is None:
-            return Prior()
-        yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
         # count it twice if the picture were rectified with its corrected attitude.
-        measured = sensors.attitude
-        tilt = euler_from_rotation(rotation_from_quat(measured.quat_wxyz)) if measured else None
+        roll_rad, pitch_rad = None, None
+        if measured is not None:
+            R_ned_body = rotation_from_quat(measured.quat_wxyz)
+            roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
+        if now is None:
+            return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
+        yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
         agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), MIN_AGL_SIGMA_RATIO)
         prior = Prior(
@@ -311,8 +299,8 @@ class Pipeline:
             sigma_yaw_rad=now.sigma_yaw_rad,
             agl_m=now.agl_m,
             sigma_agl_ratio=max(agl_ratio, min(doubt * agl_ratio, MAX_DOUBTED_AGL_RATIO)),
-            roll_rad=tilt[0] if tilt else None,
-            pitch_rad=tilt[1] if tilt else None,
+            roll_rad=roll_rad,
+            pitch_rad=pitch_rad,
         )
         if now.sigma_horizontal_m > self._config.max_prior_sigma_m:
             return prior
@@ -326,7 +314,7 @@ class Pipeline:
         with self._lock:
             if not self._ekf.initialised:
                 self._begin_at(fix, ned_m)
-            innovation = self._ekf.handle_fix(
+            innovation = self._ekf.handle(
                 NedFix(
                     t_s=fix.t_s,
                     position_ne_m=ned_m[:2],

@@ -1,34 +1,42 @@
-"""Real time around `Pipeline.step`: three loops that must not wait for each other.
+"""The flight as three steps that must not wait for each other, and the threads that call them.
 
-Pictures go through the pipeline as they come; the estimate goes to the autopilot at a steady 50 Hz
-(a gap of 200 ms stops its fusion); the mission ticks at 20 Hz and may wait for acknowledgements.
+Pictures go through the pipeline as they come; telemetry goes into it and the estimate goes out at a
+steady 50 Hz (a gap of 200 ms stops the autopilot's fusion); the mission ticks at 20 Hz. In life
+each step has a thread; a simulation in lockstep calls them one after the other.
 """
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from vwnav.flight import Flight, FlightEnd
-from vwnav.pipeline import Pipeline, Sensors, StepResult
-from vwnav.safety.envelope import is_flyable
-from vwnav.types import Autopilot, Estimate, Frame, FrameSource, ImuSample, VehicleState
+from vwnav.flight import DeadMansHandle, Flight, FlightEnd, Phase
+from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.types import (
+    Autopilot,
+    Estimate,
+    Frame,
+    FrameSource,
+    MapFix,
+    Navigation,
+    OdometryMotion,
+    Rejected,
+    RejectReason,
+    VehicleState,
+)
 
 log = logging.getLogger(__name__)
 
-ESTIMATE_HZ = 50.0
+LINK_HZ = 50.0
 TICK_HZ = 20.0
-MAX_BAD_FRAMES = 30  # pictures in a row that break the pipeline before vision is given up
-
-
-def _between_pictures(vehicle: VehicleState, imu: tuple[ImuSample, ...]) -> Sensors:
-    return Sensors(
-        attitude=vehicle.attitude,
-        height_m=vehicle.height_m,
-        height_t_s=vehicle.height_t_s,
-        imu=imu,
-    )
+HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
+SILENT_S = 1.0  # of telemetry: gaps up to this are bridged, by the filter and by autopilots
+_ATTITUDE_POLL_S = 0.01
+_CAMERA_AGAIN_S = 1.0
 
 
 class Watcher(Protocol):
@@ -42,9 +50,18 @@ class Watcher(Protocol):
         """The mission ticked."""
         ...
 
+    def event(self, text: str) -> None:
+        """Something worth a line."""
+        ...
+
 
 class FlightRuntime:
-    """Runs a flight to its end.
+    """A flight's steps; `run` calls them in threads until the flight has ended.
+
+    Whatever breaks, the aircraft is not left: a watcher that fails (a full disk) is left out, a
+    picture or a camera that fails is a missing picture, a link step that fails is tried again, and
+    when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
+    estimates go on until the motors stop.
 
     Args:
         clock: the monotonic clock that stamps pictures and telemetry.
@@ -55,35 +72,113 @@ class FlightRuntime:
         pipeline: Pipeline,
         flight: Flight,
         autopilot: Autopilot,
-        source: FrameSource,
+        guard: EstimateGuard,
+        keep_alive: DeadMansHandle,
+        camera: CameraWatch,
         watcher: Watcher,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float],
     ) -> None:
         self._pipeline = pipeline
         self._flight = flight
         self._autopilot = autopilot
-        self._source = source
+        self._guard = guard
+        self._keep_alive = keep_alive
+        self._camera = camera
         self._watcher = watcher
         self._clock = clock
+        self._lock = threading.Lock()
+        self._navigation = Navigation(None)
+        self._seen_s: float | None = None
+        self._held_back_since_s = -math.inf
+        self._said: set[str] = set()
         self._stop = threading.Event()
-        self._failure: BaseException | None = None
+        self._failure: Exception | None = None
 
-    def run(self) -> FlightEnd:
+    @property
+    def navigation(self) -> Navigation:
+        """What there is to fly on."""
+        with self._lock:
+            return self._navigation
+
+    # ---- the steps
+
+    def step_link(self, t_s: float) -> None:
+        """Telemetry into the pipeline, the guarded estimate out to the autopilot."""
+        self._autopilot.step(t_s)
+        for measurement in self._autopilot.take_measurements():
+            self._pipeline.feed(measurement)
+        believed = self._pipeline.estimate(t_s)
+        vehicle = self._autopilot.state()
+        self._lose_what_is_not_heard(vehicle, t_s)
+        sent = None if believed is None else self._guard.admit(believed, t_s, vehicle.armed)
+        lost = self._guard.reason if believed is not None and sent is None else ""
+        with self._lock:
+            before = self._navigation
+            self._navigation = Navigation(sent, lost, self._seen_s)
+        if sent is not None:
+            self._autopilot.send_estimate(sent)
+        if believed is not None and bool(lost) != bool(before.lost):
+            self._event(f"the estimate is not sent any more: {lost}" if lost else "estimates again")
+
+    def _lose_what_is_not_heard(self, vehicle: VehicleState, t_s: float) -> None:
+        """What the guard cannot see: a silent autopilot, a watchdog that hands nothing on.
+
+        An estimate that has run on its own through a gap comes back as a new one, or not at all.
+        """
+        report = self._keep_alive.report
+        if vehicle.armed and _silence_s(vehicle, t_s) > SILENT_S:
+            self._guard.lose("the autopilot is not heard", t_s)
+        if report is None or report.relays_estimates or self._guard.lost_since_s is not None:
+            self._held_back_since_s = t_s
+        elif vehicle.armed and t_s - self._held_back_since_s > HELD_BACK_S:
+            self._guard.lose("the watchdog does not hand it on", t_s)
+
+    def step_control(self, t_s: float) -> None:
+        """One tick of the mission."""
+        navigation = self.navigation
+        self._flight.tick(t_s, navigation)
+        vehicle = self._autopilot.state()
+        self._watch(lambda: self._watcher.saw_tick(t_s, navigation.estimate, vehicle))
+
+    def step_vision(self, frame: Frame) -> None:
+        """One picture through the pipeline; one that breaks it is a picture that told nothing."""
+        trouble = self._camera.look(frame)
+        try:
+            step = self._without(frame, trouble) if trouble else self._pipeline.step(frame)
+        except Exception as error:
+            log.exception("picture %d could not be used", frame.index)
+            self._say_once("broken picture", f"a picture could not be used: {error!r}")
+            return
+        if trouble:
+            self._say_once(trouble, f"pictures are not used: {trouble}")
+        if isinstance(step.motion, OdometryMotion) or isinstance(step.outcome, MapFix):
+            with self._lock:
+                self._seen_s = frame.t_s
+        self._watch(lambda: self._watcher.saw_frame(frame, step))
+
+    def covers(self, frame: Frame) -> bool:
+        """Whether telemetry reaches to a picture's exposure."""
+        return self._pipeline.covers(frame.t_s)
+
+    # ---- life
+
+    def run(self, source: FrameSource) -> FlightEnd:
         """Fly; returns when the mission has ended. An interrupt lands first.
 
         Raises:
-            Exception: whatever broke the control loop; the watchdog has the aircraft then.
+            Exception: what broke the mission, after the aircraft has been brought down.
         """
         loops = [
-            threading.Thread(target=self._guard, args=(loop,), name=loop.__name__, daemon=True)
-            for loop in (self._stream_estimates, self._control, self._see)
+            threading.Thread(target=loop, name=name, daemon=True)
+            for name, loop in (
+                ("link", self._link_loop),
+                ("mission", self._mission_loop),
+                ("vision", lambda: self._vision_loop(source)),
+            )
         ]
         for thread in loops:
             thread.start()
         try:
-            self._wait()
-        except KeyboardInterrupt:
-            self._flight.abort("interrupted by the operator: landing")
             self._wait()
         finally:
             self._stop.set()
@@ -95,63 +190,65 @@ class FlightRuntime:
         return self._flight.end
 
     def _wait(self) -> None:
-        while self._flight.end is None and self._failure is None:
-            time.sleep(0.1)
-
-    def _guard(self, loop: Callable[[], None]) -> None:
-        try:
-            loop()
-        except BaseException as error:
-            log.exception("%s stopped", loop.__name__)
-            self._failure = error
-
-    def _stream_estimates(self) -> None:
-        trusted = True
-        for t_s in self._beats(ESTIMATE_HZ):
-            sensors = _between_pictures(self._autopilot.state(), self._autopilot.take_imu())
-            self._pipeline.sense(t_s, sensors)
-            estimate = self._pipeline.estimate(t_s)
-            if estimate is None:
-                continue
-            if trusted != (trusted := is_flyable(estimate)):
-                log.warning("the estimate is %s", "sent again" if trusted else "not sent: lost")
-            if trusted:
-                self._autopilot.send_estimate(estimate)
-
-    def _control(self) -> None:
-        for t_s in self._beats(TICK_HZ):
-            estimate = self._pipeline.estimate(t_s)
-            self._flight.tick(t_s, estimate)
-            self._watcher.saw_tick(t_s, estimate, self._autopilot.state())
-
-    def _see(self) -> None:
-        """Pictures through the pipeline; one that breaks it is skipped, the flight goes on."""
-        bad = 0
-        while not self._stop.is_set() and bad < MAX_BAD_FRAMES:
-            frame = self._source.next_frame()
-            if frame is None:
-                log.warning("the camera has stopped: flying on without pictures")
-                return
+        """Until the flight has ended. An interrupt lands; one who does not steer cannot."""
+        while True:
             try:
-                step = self._pipeline.step(frame, self._sensors(frame.t_s))
-            except Exception:
-                bad += 1
-                log.exception("picture %d could not be used", frame.index)
-                continue
-            bad = 0
-            self._watcher.saw_frame(frame, step)
-        if bad:
-            log.error("%d pictures in a row could not be used: vision is off", bad)
+                if self._flight.end is not None or self._is_down_after_failure():
+                    return
+                time.sleep(0.1)
+            except KeyboardInterrupt:
+                self._interrupted()
 
-    def _sensors(self, t_s: float) -> Sensors:
-        vehicle = self._autopilot.state()
-        return Sensors(
-            attitude=self._autopilot.attitude_at(t_s),
-            height_m=vehicle.height_m,
-            height_t_s=vehicle.height_t_s,
-            rangefinder_m=vehicle.rangefinder_m,
-            on_ground=not vehicle.armed,
-        )
+    def _interrupted(self) -> None:
+        if self._flight.phase is Phase.RELEASED:
+            self._event(
+                "interrupted, but somebody else flies the aircraft on these estimates: they go on "
+                "until it is disarmed"
+            )
+        else:
+            self._flight.abort("interrupted by the operator: landing")
+
+    def _is_down_after_failure(self) -> bool:
+        return self._failure is not None and not self._autopilot.state().armed
+
+    def _link_loop(self) -> None:
+        for t_s in self._beats(LINK_HZ):
+            try:
+                self.step_link(t_s)
+            except Exception as error:
+                log.exception("a step of the link failed")
+                self._say_once("link", f"a step of the link failed, it goes on: {error!r}")
+
+    def _mission_loop(self) -> None:
+        for t_s in self._beats(TICK_HZ):
+            try:
+                self.step_control(t_s)
+            except Exception as error:
+                log.exception("the mission broke")
+                self._failure = error
+                self._event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
+                return
+
+    def _vision_loop(self, source: FrameSource) -> None:
+        """Pictures as they come; a camera that fails is asked again every second."""
+        while not self._stop.is_set():
+            try:
+                frame = source.next_frame()
+            except Exception as error:
+                self._say_once("camera", f"the camera fails, flying on without pictures: {error}")
+                self._stop.wait(_CAMERA_AGAIN_S)
+                continue
+            if frame is None:
+                if not self._stop.is_set():
+                    self._event("the camera has stopped: flying on without pictures")
+                return
+            self._await_telemetry(frame)
+            self.step_vision(frame)
+
+    def _await_telemetry(self, frame: Frame) -> None:
+        until_s = frame.t_s + ATTITUDE_WAIT_S
+        while not self.covers(frame) and self._clock() < until_s and not self._stop.is_set():
+            time.sleep(_ATTITUDE_POLL_S)
 
     def _beats(self, rate_hz: float) -> Iterator[float]:
         """Times of a steady beat; after a stall it goes on from now instead of catching up."""
@@ -160,3 +257,33 @@ class FlightRuntime:
             yield self._clock()
             next_s = max(next_s + 1.0 / rate_hz, self._clock())
             time.sleep(max(0.0, next_s - self._clock()))
+
+    # ---- what must never end a flight
+
+    def _without(self, frame: Frame, trouble: str) -> StepResult:
+        """The step of a picture that is not used."""
+        nothing = Rejected(frame.t_s, RejectReason.NO_FRAME, trouble)
+        return StepResult(frame.t_s, nothing, nothing, self._pipeline.estimate(frame.t_s))
+
+    def _watch(self, see: Callable[[], None]) -> None:
+        try:
+            see()
+        except Exception as error:
+            log.exception("the record failed")
+            self._say_once("record", f"recording fails, the flight goes on: {error!r}")
+
+    def _event(self, text: str) -> None:
+        try:
+            self._watcher.event(text)
+        except Exception:
+            log.exception("could not record: %s", text)
+
+    def _say_once(self, about: str, text: str) -> None:
+        if about not in self._said:
+            self._said.add(about)
+            self._event(text)
+
+
+def _silence_s(vehicle: VehicleState, t_s: float) -> float:
+    newest_s = t_s - vehicle.heartbeat_age_s
+    return t_s - max(newest_s, vehicle.attitude.t_s if vehicle.attitude else newest_s)

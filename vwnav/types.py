@@ -305,6 +305,22 @@ class Estimate:
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigation:
+    """What there is to fly on.
+
+    Attributes:
+        estimate: the one that is also sent to the autopilot; None while there is none that we
+            would fly on.
+        lost: why there is none any more; empty before the first and while there is one.
+        seen_s: exposure of the newest picture that told a motion or a place.
+    """
+
+    estimate: Estimate | None
+    lost: str = ""
+    seen_s: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class VelocitySetpoint:
     """What the autopilot is asked to fly: NED velocity, and a heading (None holds the present)."""
@@ -478,6 +494,10 @@ class Autopilot(Protocol):
 
     def disarm(self) -> Request:
         """Stop the motors, on the ground."""
+        ...
+
+    def withdraw(self) -> None:
+        """Ask no more for what is under way: somebody else has the aircraft."""
         ...
 
     def close(self) -> None:

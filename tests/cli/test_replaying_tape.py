@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 from vehicles import FLYING
 
-from vwnav.cli.assemble import Assembled, about_run, ground_of
+from vwnav.assemble import Assembled, about_run, ground_of
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
 from vwnav.config import Config
@@ -107,7 +107,6 @@ class Localizer:
 
 @dataclass
 class Odometry:
-    attitude = None
     last_s: float | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
 
@@ -283,6 +282,14 @@ def test_what_cannot_be_replayed_says_why(pack_file, tmp_path, config, tape, why
     with pytest.raises(SourceError, match=why):
         raise done.exception
     assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_older_than_a_setting_replays_with_its_default(pack_file, tmp_path):
+    older = {"ekf": {name: value for name, value in SETTINGS["ekf"].items() if name != "ahead_s"}}
+    path = record_nothing(tmp_path / "flight.mcap", older, True)
+    done = replay(path, pack_file, tmp_path / "out")
+    assert "whose filter lacked ahead_s: defaults" in done.stderr
+    assert "broke off before the first picture" in str(done.exception)
 
 
 def test_an_input_that_breaks_the_filter_ends_its_replay_no_more_than_the_flight(

@@ -18,9 +18,11 @@ from vwnav.types import (
     Attitude,
     FlightMode,
     Frame,
+    Height,
     MapFix,
     Rejected,
     RejectReason,
+    Stationary,
     VehicleState,
     VelocitySetpoint,
 )
@@ -77,8 +79,9 @@ def test_a_recording_is_a_source_of_pictures_with_its_own_telemetry(tmp_path):
         recorder.frame(Frame(50.5 + i, IMAGE, i))
     recorder.close()
     telemetry = load_telemetry(tmp_path / "a.mcap")
-    assert telemetry.at(1.0).height_m == 15.0
-    assert not telemetry.at(1.0).on_ground
+    told = telemetry.measurements(50.5)
+    assert [seen for seen in told if isinstance(seen, Height)][1] == Height(51.0, 10.0)
+    assert not any(isinstance(seen, Stationary) for seen in told)
     assert open_source(str(tmp_path / "a.mcap")).next_frame().t_s == 50.5
 
 

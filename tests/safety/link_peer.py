@@ -17,6 +17,7 @@ PX4 = mavlink.MAV_AUTOPILOT_PX4
 NEVER_BROADCAST = ("COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_SET", "SET_GPS_GLOBAL_ORIGIN")
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 HIGHRES_IMU, RAW_IMU = 105, 27
+ON_GROUND, IN_AIR = 1, 2
 
 
 class Peer:
@@ -28,7 +29,7 @@ class Peer:
     def __init__(self, port: int, kind: int = mavlink.MAV_AUTOPILOT_PX4, system_id: int = 7):
         self.system_id = system_id
         self.kind, self.custom_mode, self.armed = kind, PX4_HOLD, False
-        self.flags, self.prearm, self.landed_state = 0x1FF, True, 1
+        self.flags, self.prearm, self.landed_state = 0x1FF, True, ON_GROUND
         self.pressure_hpa, self.yaw_rad, self.time_skew_s = 1008.0, 0.5, 0.0
         self.refuse: dict[int, int] = {}
         self.unknown: set[int] = set()  # messages that it cannot stream

@@ -55,7 +55,7 @@ def test_a_tcp_link_that_breaks_comes_back():
         first.close()
         wait_for(lambda: link.read() == b"" and link._port is None)
         assert link.fileno() == -1
-        wait_for(lambda: link.fileno() >= 0)
+        wait_for(lambda: link.read() == b"" and link.fileno() >= 0)
         second, _ = server.accept()
         link.write(b"again")
         assert second.recv(10) == b"again"

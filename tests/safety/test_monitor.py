@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from vehicles import FLYING
 
 from vwnav.safety.monitor import Action, Decision, SafetyConfig, SafetyMonitor
-from vwnav.types import Estimate, FlightMode
+from vwnav.types import Attitude, Estimate, FlightMode, Navigation
 
 CONFIG = SafetyConfig()
-STEP_S = 0.5
+STEP_S = 0.1
 VEHICLE = replace(FLYING, heartbeat_age_s=0.3)
 
 
@@ -41,22 +41,25 @@ class Flight:
         seconds: float = STEP_S,
         sigma_m: float = 1.0,
         fix_age_s: float | None = 0.5,
+        blind_s: float = 0.0,
         **vehicle,
     ) -> Decision:
+        if "mode" in vehicle:  # the autopilot tells at once whose it is
+            vehicle.setdefault("intended_mode", vehicle["mode"])
         for _ in range(max(round(seconds / STEP_S), 1)):
             self.t_s += STEP_S
-            now = estimate(self.t_s, sigma_m, fix_age_s)
+            now = Navigation(estimate(self.t_s, sigma_m, fix_age_s), "", self.t_s - blind_s)
             decision = self.monitor.step(now, replace(VEHICLE, **vehicle), self.t_s)
         return decision
 
 
 def test_all_well_means_navigate() -> None:
-    assert Flight().fly(60.0) == Decision(Action.NAVIGATE, "", may_travel=True)
+    assert Flight().fly(60.0) == Decision(Action.NAVIGATE, "")
 
 
 def test_before_the_first_fix_there_is_no_travelling_but_also_no_alarm() -> None:
     decision = Flight().fly(60.0, sigma_m=500.0, fix_age_s=None)
-    assert decision == Decision(Action.NAVIGATE, "", may_travel=False)
+    assert decision == Decision(Action.NAVIGATE, "")
 
 
 @pytest.mark.parametrize(
@@ -78,7 +81,7 @@ def test_take_off_and_the_hold_after_it_are_ours() -> None:
 def test_a_mode_without_name_releases_only_when_it_stays() -> None:
     flight = Flight()
     flight.fly()
-    assert flight.fly(0.5, mode=FlightMode.UNKNOWN).action is Action.NAVIGATE
+    assert flight.fly(0.5, mode=FlightMode.UNKNOWN).action is Action.YIELD
     assert flight.fly(0.5).action is Action.NAVIGATE
     assert flight.fly(2.0, mode=FlightMode.UNKNOWN).action is Action.RELEASE
 
@@ -118,10 +121,10 @@ def test_low_battery_before_the_first_fix_lands_where_it_climbed() -> None:
 def test_silent_autopilot_holds_then_lands() -> None:
     flight = Flight()
     assert flight.fly(heartbeat_age_s=1.5).action is Action.NAVIGATE
-    assert flight.fly(heartbeat_age_s=4.0).action is Action.HOLD
+    assert flight.fly(4.0, heartbeat_age_s=4.0).action is Action.HOLD
     assert flight.fly().action is Action.NAVIGATE
     assert flight.fly(connected=False).action is Action.HOLD
-    assert flight.fly(heartbeat_age_s=11.0).action is Action.LAND
+    assert flight.fly(11.0, heartbeat_age_s=11.0).action is Action.LAND
     assert flight.fly().action is Action.LAND
 
 
@@ -162,9 +165,9 @@ def test_a_return_whose_position_gets_lost_holds_then_lands() -> None:
 def test_old_estimate_is_no_estimate() -> None:
     flight = Flight()
     flight.fly()
-    now = estimate(flight.t_s)
+    now = Navigation(estimate(flight.t_s), "", flight.t_s + 3.0)
     decision = flight.monitor.step(now, VEHICLE, flight.t_s + 3.0)
-    assert decision == Decision(Action.HOLD, "no position estimate", may_travel=True)
+    assert decision == Decision(Action.HOLD, "no position estimate")
 
 
 def test_pilot_may_take_over_a_landing() -> None:
@@ -238,3 +241,73 @@ def test_landing_is_only_given_up_to_a_pilot(history: list[dict]) -> None:
 def test_senseless_thresholds_are_refused(changes: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SafetyConfig(**changes)
+
+
+def test_a_navigator_that_slept_does_not_take_its_own_sleep_for_the_autopilots_silence() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    flight.t_s += 20.0
+    assert flight.fly(heartbeat_age_s=20.0).action is Action.NAVIGATE
+    assert flight.fly(2.0, heartbeat_age_s=20.0).action is Action.NAVIGATE
+    assert flight.monitor.gap_s >= 20.0
+    assert flight.fly(12.0, heartbeat_age_s=30.0).action is Action.LAND
+
+
+def test_a_heartbeat_that_comes_late_is_no_silence_while_attitudes_come() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    for _ in range(50):
+        attitude = Attitude(flight.t_s, np.array([1.0, 0.0, 0.0, 0.0]))
+        assert flight.fly(heartbeat_age_s=9.0, attitude=attitude).action is Action.NAVIGATE
+    assert flight.monitor.gap_s == 0.0
+
+
+def test_a_gap_is_remembered_for_a_while() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    flight.fly(2.0, heartbeat_age_s=2.0)
+    flight.fly(5.0)
+    assert flight.monitor.gap_s == pytest.approx(2.0, abs=0.2)
+    flight.fly(10.0)
+    assert flight.monitor.gap_s == 0.0
+
+
+def test_without_pictures_it_stops_then_comes_down_while_it_still_knows_where() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    assert flight.fly(blind_s=0.9).action is Action.NAVIGATE
+    assert flight.fly(blind_s=1.5).action is Action.HOLD
+    assert flight.fly().action is Action.NAVIGATE
+    assert flight.fly(blind_s=4.1).action is Action.LAND
+
+
+def test_without_an_estimate_it_stops_then_lands() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    lost = Navigation(None, "velocity unknown", flight.t_s)
+    decisions = []
+    for _ in range(25):
+        flight.t_s += STEP_S
+        decisions.append(flight.monitor.step(lost, VEHICLE, flight.t_s))
+    assert decisions[0].action is Action.HOLD
+    assert "velocity unknown" in decisions[0].reason
+    assert decisions[-1].action is Action.LAND
+
+
+def test_our_own_mode_intended_by_the_autopilot_is_a_failsafe_and_a_persons_is_not() -> None:
+    flight = Flight()
+    flight.fly(intended_mode=FlightMode.OFFBOARD)
+    ours = {"intended_mode": FlightMode.OFFBOARD}
+    assert flight.fly(3.0, mode=FlightMode.DESCEND, **ours).action is Action.YIELD
+    assert flight.fly(3.0, mode=FlightMode.LAND, **ours).action is Action.YIELD
+    assert flight.fly(**ours).action is Action.NAVIGATE
+    theirs = {"mode": FlightMode.LAND, "intended_mode": FlightMode.LAND}
+    assert flight.fly(**theirs).action is Action.RELEASE
+
+
+def test_a_mode_of_which_nobody_has_told_who_wanted_it_is_waited_on_for_a_second() -> None:
+    flight = Flight()
+    flight.fly(intended_mode=FlightMode.OFFBOARD)
+    untold = {"mode": FlightMode.HOLD, "intended_mode": FlightMode.UNKNOWN}
+    assert flight.fly(0.5, **untold).action is Action.YIELD
+    assert flight.fly(1.5, **untold).action is Action.RELEASE

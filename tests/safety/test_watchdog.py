@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from link_peer import (
     DENIED,
+    IN_AIR,
     PX4_HOLD,
     PX4_LAND,
     PX4_OFFBOARD,
@@ -48,7 +49,7 @@ class Flown:
         self.socket.settimeout(2.0)
 
     def engage(self) -> None:
-        self.peer.armed, self.peer.custom_mode = True, PX4_OFFBOARD
+        self.peer.armed, self.peer.custom_mode, self.peer.landed_state = True, PX4_OFFBOARD, IN_AIR
         self.fly(0.4)
 
     def fly(self, seconds: float) -> None:
@@ -193,7 +194,7 @@ def test_a_killed_navigator_leaves_a_watchdog_that_lands_and_ends_by_itself():
     port = free_port()
     command = [sys.executable, "-c", NAVIGATOR, f"udpin://127.0.0.1:{port}"]
     with Peer(port) as peer, subprocess.Popen(command, stdout=subprocess.PIPE) as navigator:
-        peer.armed, peer.custom_mode = True, PX4_OFFBOARD
+        peer.armed, peer.custom_mode, peer.landed_state = True, PX4_OFFBOARD, IN_AIR
         watchdog = int(navigator.stdout.readline())
         time.sleep(0.5)
         navigator.send_signal(signal.SIGKILL)
@@ -206,7 +207,9 @@ def test_a_killed_navigator_leaves_a_watchdog_that_lands_and_ends_by_itself():
 def test_the_navigator_notices_a_watchdog_that_died(flown):
     flown.engage()
     assert flown.keepalive.silence_s < 0.2
+    assert flown.watchdog.is_running()
     flown.watchdog.process.kill()
+    flown.keepalive.beat(True, "on route")
     time.sleep(0.3)
     flown.keepalive.beat(True, "on route")
     assert flown.keepalive.silence_s > 0.25

@@ -83,7 +83,9 @@ def play(
         if drop is not None and drop(event):
             continue
         while due / rate_hz <= min(event.arrival_s, end_s):
-            estimates.append(ekf.estimate(due / rate_hz))
+            now = ekf.estimate(due / rate_hz)
+            assert now is not None  # attitudes come from the first moment on
+            estimates.append(now)
             due += 1
         event_s = time.process_time()
         answer = ekf.handle(event.seen)

@@ -12,9 +12,8 @@ import numpy as np
 
 from vwnav.bench.estimator_streams import Event
 from vwnav.estimation.context import Ground
-from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix
+from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation
 from vwnav.estimation.inputs import Measurement
-from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
 
 class SimulatedClock:
@@ -72,30 +71,10 @@ class HeardEkf(Ekf):
         self.answers: list[tuple[Event, Innovation]] = []
         self.cost_s: list[float] = []
 
-    def handle_attitude(self, attitude: Attitude) -> Innovation:
+    def handle(self, seen: Measurement) -> Innovation:
         """As the filter does."""
-        return self._heard(attitude, lambda: super(HeardEkf, self).handle_attitude(attitude))
-
-    def handle_imu(self, sample: ImuSample) -> Innovation:
-        """As the filter does."""
-        return self._heard(sample, lambda: super(HeardEkf, self).handle_imu(sample))
-
-    def handle_height(self, t_s: float, height_m: float) -> Innovation:
-        """As the filter does."""
-        seen = Height(t_s, height_m)
-        return self._heard(seen, lambda: super(HeardEkf, self).handle_height(t_s, height_m))
-
-    def handle_fix(self, fix: NedFix) -> Innovation:
-        """As the filter does."""
-        return self._heard(fix, lambda: super(HeardEkf, self).handle_fix(fix))
-
-    def handle_odometry(self, motion: OdometryMotion) -> Innovation:
-        """As the filter does."""
-        return self._heard(motion, lambda: super(HeardEkf, self).handle_odometry(motion))
-
-    def _heard(self, seen: Measurement, handle: Callable[[], Innovation]) -> Innovation:
         begin_s = time.process_time()
-        answer = handle()
+        answer = super().handle(seen)
         self.cost_s.append(time.process_time() - begin_s)
         self.answers.append((Event(self._clock.now_s, seen), answer))
         return answer

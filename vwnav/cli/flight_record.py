@@ -1,12 +1,14 @@
 """What remains of a flight, and what is seen of it meanwhile: files, live line, table."""
 
+import logging
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 from vwnav import __version__
-from vwnav.cli.assemble import Assembled
+from vwnav.assemble import Assembled
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.screen import LiveLine, print_table, say
 from vwnav.config import Config
@@ -22,6 +24,7 @@ from vwnav.sim.truth import TruthReader
 from vwnav.types import Estimate, Frame, MapFix, Rejected, RejectReason, VehicleState
 
 SCORE_PERIOD_S = 0.2
+_log = logging.getLogger(__name__)
 
 
 class FlightRecord:
@@ -72,15 +75,15 @@ class FlightRecord:
         setpoint = self._flight.setpoint if self._flight else None
         yaw_rad = setpoint.yaw_rad if setpoint else None
         self.tape.picture(step, yaw_rad)  # first: close behind its estimate
+        with self._lock:
+            self._frames += 1
+        self._recorder.frame(frame)
+        self._picture.add(step)
+        self._saw_outcome(step.outcome)
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
             self._trajectory = TrajectoryWriter(path, self.tape.about.local_frame, frame.t_s)
-        self._trajectory.write(step, yaw_rad)
-        self._recorder.frame(frame)
-        self._picture.add(step)
-        with self._lock:
-            self._frames += 1
-        self._saw_outcome(step.outcome)
+        self._trajectory.write(step, yaw_rad)  # last: a full disk takes nothing else along
 
     def _saw_outcome(self, outcome: MapFix | Rejected) -> None:
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.NOT_TRIED:
@@ -129,14 +132,28 @@ class FlightRecord:
         )
 
     def close(self, options: FlyOptions, assembled: Assembled) -> None:
-        """Finish the files and print the table."""
+        """Finish the files and print the table; what cannot be written is said, the rest is."""
         self._line.__exit__(None, None, None)
+        endings: tuple[tuple[str, Callable[[], None]], ...] = (
+            ("trajectory.csv", self._close_trajectory),
+            ("flight.mcap", self._recorder.close),
+            ("run.json", lambda: self._write_summary(options, assembled)),
+            ("track.png", lambda: self._picture.save(self._folder / "track.png")),
+        )
+        for name, finish in endings:
+            try:
+                finish()
+            except Exception as error:
+                _log.exception("%s could not be finished", name)
+                say(f"{name} could not be finished: {error}")
+        print_table("flight", self._rows(assembled))
+
+    def _close_trajectory(self) -> None:
         if self._trajectory is not None:
             self._trajectory.close()
-        self._recorder.close()
-        self._picture.save(self._folder / "track.png")
+
+    def _write_summary(self, options: FlyOptions, assembled: Assembled) -> None:
         write_json(self._folder / "run.json", self._summary(options, assembled))
-        print_table("flight", self._rows(assembled))
 
     def _summary(self, options: FlyOptions, assembled: Assembled) -> dict[str, object]:
         pipeline = assembled.pipeline

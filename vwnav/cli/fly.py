@@ -1,16 +1,19 @@
 """`vwnav fly`: the flight itself, on a drone or in simulation."""
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import typer
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FlyOptions:
     """The command line of `vwnav fly`."""
 
     sim: bool
+    arm: bool
+    standby: bool
     features: str
     map_source: str | None
     route: Path | None
@@ -27,9 +30,29 @@ class FlyOptions:
     config_path: Path | None
     output: Path | None
 
+    @property
+    def arms(self) -> bool:
+        """A person arms a real aircraft; simulated ones hurt nobody."""
+        return self.arm or self.sim or self.truth is not None
+
+    def successor(self, folder: Path) -> list[str]:
+        """Command line of a second navigator for the same flight; see `vwnav.cli.successor`."""
+        flags = {"map_source": "--map", "config_path": "--config"}
+        words = [sys.executable, "-m", "vwnav", "fly", "--standby"]
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("sim", "arm", "standby", "output") or value is None:
+                continue
+            words += [flags.get(field.name, "--" + field.name.replace("_", "-")), str(value)]
+        return [*words, "--output", str(folder / "successor")]
+
 
 def fly(
     sim: bool = typer.Option(False, "--sim", help="Everything embedded: site, vehicle, camera."),
+    arm: bool = typer.Option(
+        False, "--arm", help="Arm by itself once ready; else a person arms a real aircraft."
+    ),
+    standby: bool = typer.Option(False, "--standby", hidden=True),
     features: str = typer.Option("learned", help="learned, sift or orb."),
     map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
     route: Path | None = typer.Option(None, help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text."),
@@ -65,31 +88,18 @@ def fly(
     vwnav fly --map field.mbtiles --route field.plan --camera cam.toml --video /dev/video0
     --connection serial:///dev/ttyAMA0:921600
     """
+    options = FlyOptions(**locals())
     needed = {"--map": map_source, "--route": route, "--video": video, "--connection": connection}
     missing = [name for name, value in needed.items() if not value]
     if missing and not sim:
         raise typer.BadParameter(f"without --sim a flight needs {', '.join(missing)}")
     if route_frame not in ("local", "global"):
         raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
+    if standby:  # started by the watchdog
+        from vwnav.cli.successor import stand_by
+
+        stand_by(options)
+        return
     from vwnav.cli.flying import fly_route
 
-    fly_route(
-        FlyOptions(
-            sim,
-            features,
-            map_source,
-            route,
-            route_frame,
-            camera,
-            video,
-            connection,
-            truth,
-            home,
-            home_sigma_m,
-            wind_m_s,
-            seed,
-            model,
-            config_path,
-            output,
-        )
-    )
+    fly_route(options)

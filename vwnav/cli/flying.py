@@ -1,18 +1,23 @@
 """What `vwnav fly` does, once its options are read."""
 
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from vwnav.cli.assemble import about_run, assemble, choose_features
+from vwnav.assemble import about_run, assemble, choose_features
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.map import parse_lat_lon
-from vwnav.cli.screen import say
+from vwnav.cli.screen import say, show_checks
 from vwnav.cli.simulation import (
     DEFAULT_ROUTE,
     DEFAULT_SITE,
@@ -21,28 +26,31 @@ from vwnav.cli.simulation import (
     start_embedded_vehicle,
 )
 from vwnav.config import Config, load_config, save_config
-from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
+from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start
-from vwnav.flight import Flight
+from vwnav.flight import Crew, Flight, Mission
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.guidance.missions import load_route
+from vwnav.guidance.missions import LocalWaypoint, load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
 from vwnav.runtime import FlightRuntime
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.links import parse_link
-from vwnav.safety.monitor import SafetyMonitor
+from vwnav.safety.readiness import Check, Equipment, check_flight
 from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
-from vwnav.types import Array, FrameSource
+from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
+FIRST_STATE_S = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +58,11 @@ class FlightPlan:
     """All that is known before the link is opened.
 
     Attributes:
-        local_frame: NED origin of the run: home, on the ground.
+        local_frame: NED origin of the run: home, on the ground, where that is known; else a
+            frame about the middle of the map, and nothing but a frame.
         route_ned_m: (n, 3) waypoints.
         home_known: False when the take-off may be anywhere on the map.
+        about_home: the waypoints are counted from home.
     """
 
     config: Config
@@ -61,14 +71,32 @@ class FlightPlan:
     local_frame: LocalFrame
     route_ned_m: Array
     home_known: bool
+    about_home: bool
+
+    @property
+    def mission(self) -> Mission:
+        """What the flight is asked to do."""
+        return Mission(
+            self.route_ned_m,
+            about_home=self.about_home and not self.home_known,
+            home_ne_m=np.zeros(2) if self.home_known else None,
+            refuse=self.refuse,
+        )
+
+    def refuse(self, route_ned_m: Array) -> str:
+        """Why a route (n, 3) must not be flown: the map does not cover it; "" when it does."""
+        covered = check_route(self.pack, self._lat_lon_deg(route_ned_m))
+        return "" if covered.ok else covered.summary()
 
     @property
     def route_lat_lon_deg(self) -> Array:
-        """(n + 2, 2): from home over the waypoints and back."""
+        """(n + 2, 2): from home over the waypoints and back, as far as it is known now."""
         home = np.zeros((1, 3))
-        lat_deg, lon_deg, _ = self.local_frame.to_geodetic(
-            np.vstack([home, self.route_ned_m, home])
-        )
+        stops = [home, self.route_ned_m, home] if self.home_known else [self.route_ned_m]
+        return self._lat_lon_deg(np.vstack(stops))
+
+    def _lat_lon_deg(self, places_ned_m: Array) -> Array:
+        lat_deg, lon_deg, _ = self.local_frame.to_geodetic(places_ned_m)
         return np.stack([lat_deg, lon_deg], axis=-1)
 
 
@@ -82,7 +110,7 @@ def fly_route(options: FlyOptions) -> None:
     cv2.setNumThreads(1)
     options = _with_simulated_defaults(options)
     with ExitStack() as stack:
-        plan = _plan(options, stack)
+        plan = plan_flight(options, stack)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
         link, truth_url = options.connection, options.truth
@@ -90,13 +118,15 @@ def fly_route(options: FlyOptions) -> None:
             site = parse_site(options.video or DEFAULT_SITE)
             link, truth_url = start_embedded_vehicle(site, options.wind_m_s, options.seed, stack)
         assert link is not None
-        watchdog = stack.enter_context(start_watchdog(link, folder / "watchdog.log"))
-        truth = _open_truth(truth_url, link, watchdog, stack)
-        source = _open_camera(options, plan, truth, stack)
+        # An embedded simulation ends with its navigator: there is nothing left to succeed in.
+        successor = [] if options.sim else options.successor(folder)
+        watchdog = stack.enter_context(
+            start_watchdog(link, folder / "watchdog.log", standby=successor)
+        )
+        truth = open_truth(truth_url, link, watchdog.observer_url, stack)
+        source = open_camera(options, plan, truth, stack)
         autopilot = MavsdkAutopilot(watchdog.navigator_url)
         stack.callback(autopilot.close)
-        if not options.sim:
-            _say_parameters(autopilot)
         _fly(options, plan, folder, watchdog, autopilot, source, truth, stack)
 
 
@@ -116,7 +146,13 @@ def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
     return options
 
 
-def _plan(options: FlyOptions, stack: ExitStack) -> FlightPlan:
+def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
+    """All that is known before the link is opened.
+
+    Raises:
+        VwnavError: a file that cannot be used.
+        PreflightError: the map does not cover the route.
+    """
     config = load_config(options.config_path)
     assert options.route is not None
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
@@ -129,10 +165,12 @@ def _plan(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     home_lat, home_lon = home or _middle(pack)
     local_frame = LocalFrame(home_lat, home_lon, pack.elevation_m(home_lat, home_lon) or 0.0)
     route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M)
-    plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None)
-    covered = check_route(pack, plan.route_lat_lon_deg)
-    if not covered.ok:
-        raise PreflightError(covered.summary())
+    about_home = isinstance(route.waypoints[0], LocalWaypoint)
+    plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None, about_home)
+    if plan.home_known or not about_home:
+        covered = check_route(pack, plan.route_lat_lon_deg)
+        if not covered.ok:
+            raise PreflightError(covered.summary())
     return plan
 
 
@@ -149,14 +187,14 @@ def _middle(pack: MapPack) -> tuple[float, float]:
     return (south + north) / 2.0, (west + east) / 2.0
 
 
-def _open_truth(
-    url: str | None, link: str, watchdog: WatchdogProcess, stack: ExitStack
+def open_truth(
+    url: str | None, link: str, observer_url: str, stack: ExitStack
 ) -> TruthReader | None:
     """Ground truth of a simulator; through the watchdog where it comes on the autopilot's link."""
     if url is None:
         return None
     if is_same_link(url, link):
-        url = watchdog.observer_url
+        url = observer_url
     truth = TruthReader(url)
     stack.callback(truth.close)
     return truth
@@ -172,21 +210,10 @@ def is_same_link(truth_url: str, link: str) -> bool:
     return truth.is_same_port(parse_link(link))
 
 
-def _say_parameters(autopilot: MavsdkAutopilot) -> None:
-    """Say which parameters are not as vision wants them: an autopilot set up otherwise may fly."""
-    try:
-        findings = wait_for_findings(autopilot)
-    except LinkError as error:
-        say(f"parameters are not checked: {error}")
-        return
-    for finding in findings:
-        present = "missing" if finding.present is None else f"{finding.present:g}"
-        say(f"{finding.parameter} is {present}, should be {finding.wanted}: {finding.why}")
-
-
-def _open_camera(
+def open_camera(
     options: FlyOptions, plan: FlightPlan, truth: TruthReader | None, stack: ExitStack
 ) -> FrameSource:
+    """The camera, or one that is drawn from a simulator's truth."""
     video = str(options.video)
     if not is_site(video):
         source = open_source(video)
@@ -205,7 +232,7 @@ def _fly(
     plan: FlightPlan,
     folder: Path,
     watchdog: WatchdogProcess,
-    autopilot: MavsdkAutopilot,
+    autopilot: Autopilot,
     source: FrameSource,
     truth: TruthReader | None,
     stack: ExitStack,
@@ -220,24 +247,90 @@ def _fly(
     about = about_run(assembled, options.features, "nadir")
     record = FlightRecord(folder, about, plan.pack, plan.config, truth)
     assembled.ekf.record(record.tape.input)
-    assembled.ekf.initialise(_start(options, plan, autopilot))
+    vehicle = first_state(autopilot)
+    if not vehicle.in_air:  # of one that flies nothing is known: the first fix begins
+        assembled.ekf.initialise(_start(options, plan, vehicle))
+    camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
+    crew = mission_crew(autopilot, camera, plan, record, options.arms)
     flight = Flight(
-        autopilot, plan.route_ned_m, SafetyMonitor(plan.config.safety), watchdog.keepalive,
-        plan.config.flight, plan.config.limits, record.event,
+        autopilot, plan.mission, watchdog.keepalive, crew, plan.config.flight, plan.config.limits,
+        plan.config.safety,
     )  # fmt: skip
     record.follow(flight, assembled.pipeline)
-    try:
-        end = FlightRuntime(assembled.pipeline, flight, autopilot, source, record).run()
-    finally:
-        record.close(options, assembled)
+    runtime = FlightRuntime(
+        assembled.pipeline, flight, autopilot, EstimateGuard(plan.config.estimate),
+        watchdog.keepalive, camera, record,
+        time.monotonic,
+    )  # fmt: skip
+    with _stopped_by_signals():
+        try:
+            if not options.arms:
+                _listen_for_enter(flight)
+            end = runtime.run(source)
+        finally:
+            record.close(options, assembled)
     if end.reason is not None:
-        raise VwnavError(f"{end.reason} (record in {folder})")
+        error = PreflightError if end.unsafe else VwnavError
+        raise error(f"{end.reason} (record in {folder})")
 
 
-def _start(options: FlyOptions, plan: FlightPlan, autopilot: MavsdkAutopilot) -> Start:
+def first_state(autopilot: Autopilot) -> VehicleState:
+    """The vehicle once it has told where it is: on the ground, or flying already."""
+    until_s = time.monotonic() + FIRST_STATE_S
+    while time.monotonic() < until_s:
+        autopilot.step(time.monotonic())
+        state = autopilot.state()
+        if state.connected and state.attitude is not None:
+            break
+        time.sleep(0.02)
+    return autopilot.state()
+
+
+def _start(options: FlyOptions, plan: FlightPlan, vehicle: VehicleState) -> Start:
     """On the ground, at home where that is known."""
     return Start(
-        t_s=autopilot.state().t_s,
+        t_s=vehicle.t_s,
         position_ned_m=np.zeros(3) if plan.home_known else None,
         sigma_m=options.home_sigma_m,
     )
+
+
+def mission_crew(
+    autopilot: Autopilot, camera: CameraWatch, plan: FlightPlan, record: FlightRecord, arms: bool
+) -> Crew:
+    """Who the mission speaks with: the record, the screen, and the readiness list."""
+
+    def checks(vehicle: VehicleState, navigation: Navigation, t_s: float) -> tuple[Check, ...]:
+        equipment = Equipment(
+            autopilot.findings, autopilot.budget_refusal, camera.picture_s, camera.trouble
+        )
+        return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
+
+    return Crew(record.event, checks, show_checks, arms)
+
+
+def _listen_for_enter(flight: Flight) -> None:
+    """A person at a terminal lets it arm; a service has nobody there."""
+    if not sys.stdin.isatty():
+        return
+
+    def listen() -> None:
+        if sys.stdin.readline():
+            flight.go()
+
+    threading.Thread(target=listen, name="keyboard", daemon=True).start()
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """A service that is stopped, or a terminal that is closed, lands as Ctrl-C does."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {each: signal.signal(each, interrupt) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)

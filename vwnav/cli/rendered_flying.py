@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from vwnav.assemble import assemble, choose_features
 from vwnav.bench.estimator_plots import save_error_plot
 from vwnav.bench.estimator_run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator_scenarios import Metric
@@ -17,16 +18,14 @@ from vwnav.bench.rendered_clock import HeardEkf, LateExecutor, SimulatedClock
 from vwnav.bench.rendered_errors import with_errors
 from vwnav.bench.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
 from vwnav.bench.rendered_scenarios import Flown, RenderedScenario
-from vwnav.cli.assemble import assemble, choose_features
 from vwnav.cli.screen import say
 from vwnav.cli.simulation import map_pack_of
 from vwnav.config import Config
-from vwnav.drivers.attitude_track import AttitudeTrack
 from vwnav.drivers.track_picture import TrackPicture
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import Pipeline, Sensors, StepResult
+from vwnav.pipeline import Pipeline, StepResult
 from vwnav.sim.renderer import default_camera
 from vwnav.types import (
     Attitude,
@@ -41,7 +40,6 @@ from vwnav.types import (
 
 PICTURE_LATE_S = 0.04  # from exposure to the pipeline
 _ESTIMATES_HZ = 5.0
-_ATTITUDE_GAP_S = 0.1
 
 Progress = Callable[[float], None]
 
@@ -144,8 +142,6 @@ def _navigate(
     progress: Progress,
 ) -> Navigated:
     """Hand everything in as it arrives."""
-    track = AttitudeTrack(_ATTITUDE_GAP_S)
-    height: Height | None = None
     done, due = Navigated([], []), 1
     for arrival_s, arrived in _in_order(frames, telemetry):
         while due / _ESTIMATES_HZ <= arrival_s:
@@ -155,17 +151,10 @@ def _navigate(
             due += 1
         clock.now_s = arrival_s
         match arrived:
-            case Attitude():
-                track.add(arrived.t_s, arrived.quat_wxyz)
-                pipeline.sense(arrival_s, Sensors(attitude=arrived))
-            case ImuSample():
-                pipeline.sense(arrival_s, Sensors(imu=(arrived,)))
-            case Height():
-                height = arrived
-                pipeline.sense(arrival_s, _sensors(None, height))
+            case Attitude() | ImuSample() | Height():
+                pipeline.feed(arrived)
             case Frame():
-                sensors = _sensors(track.at(arrived.t_s), height)
-                done.steps.append(pipeline.step(arrived, sensors))
+                done.steps.append(pipeline.step(arrived))
                 progress(arrived.t_s)
     return done
 
@@ -175,12 +164,6 @@ def _in_order(frames: Iterable[Frame], telemetry: list[Event]) -> Iterator[tuple
     told = ((event.arrival_s, event.seen) for event in telemetry)
     seen = ((frame.t_s + PICTURE_LATE_S, frame) for frame in frames)
     return merge(told, seen, key=lambda pair: pair[0])
-
-
-def _sensors(attitude: Attitude | None, height: Height | None) -> Sensors:
-    if height is None:
-        return Sensors(attitude=attitude)
-    return Sensors(attitude=attitude, height_m=height.height_m, height_t_s=height.t_s)
 
 
 def _flown(flight: RenderedFlight, ekf: HeardEkf, done: Navigated) -> Flown:

@@ -1,12 +1,13 @@
 """What `vwnav replay` does, once its options are read."""
 
 import time
+from collections import deque
 from contextlib import closing
 from pathlib import Path
 
 import cv2
 
-from vwnav.cli.assemble import Assembled, about_run, assemble
+from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.cli.replay_report import ReplayOptions, ReplayRecord, Tally
 from vwnav.cli.screen import LiveLine, say
 from vwnav.config import load_config, save_config
@@ -14,17 +15,17 @@ from vwnav.drivers.cameras import open_source
 from vwnav.drivers.recorder import Recorder
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.drivers.tape import Tape
-from vwnav.drivers.telemetry_files import Telemetry, load_telemetry
+from vwnav.drivers.telemetry_files import load_telemetry
 from vwnav.errors import SourceError, VwnavError
 from vwnav.geometry.calibration import check_fits, load_camera
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import InlineExecutor, Sensors
-from vwnav.types import Frame, FrameSource
+from vwnav.pipeline import ATTITUDE_WAIT_S, InlineExecutor, Pipeline
+from vwnav.types import Attitude, Frame, FrameSource, Telemetry
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
-IMU_LEAD_S = 1.0  # of the IMU's samples before the first picture
+LEAD_S = 1.0  # of the telemetry before the first picture
 
 
 def replay_source(options: ReplayOptions) -> None:
@@ -36,16 +37,18 @@ def replay_source(options: ReplayOptions) -> None:
     cv2.setNumThreads(1)  # the same recording gives the same trajectory
     config = load_config(options.config_path)
     with MapPack.open(options.map_path) as pack:
-        telemetry = load_telemetry(options.telemetry) if options.telemetry else None
+        log = load_telemetry(options.telemetry) if options.telemetry else None
         source = open_source(options.source)
         try:
             first = source.next_frame()
             if first is None:
                 raise SourceError(f"{options.source} holds no picture")
+            told = log.measurements(first.t_s) if log is not None else []
+            alone = not any(isinstance(seen, Attitude) for seen in told)
             height_px, width_px = first.image.shape[:2]
             camera = choose_camera(options.camera, options.hfov_deg, width_px, height_px)
             local_frame = centre_of(pack)
-            if telemetry is None:
+            if alone:
                 config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})
             assembled = assemble(
                 pack,
@@ -59,12 +62,12 @@ def replay_source(options: ReplayOptions) -> None:
             )
             folder = make_run_folder(options.output, "replay")
             save_config(config, folder / "config.toml")
-            about = about_run(assembled, options.features, "nadir" if telemetry else "center")
+            about = about_run(assembled, options.features, "center" if alone else "nadir")
             settings = config.model_dump(mode="json")
             with closing(Recorder(folder / "flight.mcap", settings)) as recorder:
                 tape = Tape(recorder, about)
                 assembled.ekf.record(tape.input)
-                _run(options, folder, source, first, telemetry, assembled, tape)
+                _run(options, folder, source, first, told, assembled, tape)
         finally:
             source.close()
 
@@ -100,7 +103,7 @@ def _run(
     folder: Path,
     source: FrameSource,
     first: Frame,
-    telemetry: Telemetry | None,
+    told: list[Telemetry],
     assembled: Assembled,
     tape: Tape,
 ) -> None:
@@ -108,14 +111,12 @@ def _run(
     tally = record.tally
     trouble: VwnavError | None = None
     frame: Frame | None = first
-    before_s = -IMU_LEAD_S
+    coming = deque(seen for seen in told if seen.t_s > first.t_s - LEAD_S)
     with LiveLine() as line:
         while frame is not None:
-            t_s = frame.t_s - first.t_s
-            sensors = telemetry.at(t_s, before_s) if telemetry else Sensors()
-            before_s = t_s
             start_s = time.perf_counter()
-            step = assembled.pipeline.step(frame, sensors)
+            _feed(assembled.pipeline, coming, frame.t_s)
+            step = assembled.pipeline.step(frame)
             tally.busy_s += time.perf_counter() - start_s
             tape.picture(step, None)
             record.add(step, None)
@@ -133,6 +134,14 @@ def _run(
         raise VwnavError(
             f"none of {tally.frames} pictures was located ({why}): does the map show this place?"
         )
+
+
+def _feed(pipeline: Pipeline, coming: deque[Telemetry], t_s: float) -> None:
+    """Hand in what was measured until a picture, and on until its attitude is known."""
+    while coming and coming[0].t_s <= t_s + ATTITUDE_WAIT_S:
+        if coming[0].t_s > t_s and pipeline.covers(t_s):
+            return
+        pipeline.feed(coming.popleft())
 
 
 def _status(tally: Tally, t_s: float) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from vwnav.cli.assemble import ground_of
+from vwnav.assemble import ground_of
 from vwnav.cli.replay_report import ReplayOptions, ReplayRecord
 from vwnav.cli.screen import LiveLine, say
 from vwnav.config import Config, explain
@@ -140,7 +140,7 @@ def compare(flown: Path, replayed: Path) -> tuple[bool | None, str]:
 
 
 def _ekf_config(config: Any, about: About) -> EkfConfig:
-    """The filter's settings in flight; one that this version lacks or adds would be a guess.
+    """The filter's settings in flight; those that are newer than it have their defaults.
 
     Raises:
         SourceError: they are not of this version's filter.
@@ -149,11 +149,13 @@ def _ekf_config(config: Any, about: About) -> EkfConfig:
     if not isinstance(recorded, dict):
         raise SourceError("the recording holds no settings of the filter")
     known = {field.name for field in fields(EkfConfig)}
-    if unlike := sorted(known ^ set(recorded)):
+    if unlike := sorted(set(recorded) - known):
         raise SourceError(
             f"the filter of vwnav {about.version}, which recorded this, has other settings "
             f"({', '.join(unlike)}): replay it with that version"
         )
+    if newer := sorted(known - set(recorded)):
+        say(f"recorded by vwnav {about.version}, whose filter lacked {', '.join(newer)}: defaults")
     try:
         return Config(ekf=recorded).ekf  # type: ignore[arg-type]
     except ValidationError as error:

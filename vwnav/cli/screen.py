@@ -1,7 +1,7 @@
 """What a person sees while a command runs: a live line on stderr, a table on stdout at the end."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 
@@ -17,6 +17,8 @@ from rich.progress import (
 )
 from rich.table import Table
 from rich.text import Text
+
+from vwnav.safety.readiness import Check
 
 talk = Console(stderr=True, highlight=False)
 
@@ -64,6 +66,22 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     for name, value in rows:
         table.add_row(name, value)
     Console(file=sys.stdout, highlight=False).print(table)
+
+
+_COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
+
+
+def check_table(checks: Iterable[Check]) -> Table:
+    """The readiness list as a table."""
+    table = Table(show_header=False)
+    for check in checks:
+        table.add_row(f"[{_COLOURS[check.verdict]}]{check.verdict}[/]", check.name, check.detail)
+    return table
+
+
+def show_checks(checks: tuple[Check, ...]) -> None:
+    """The readiness list, on stderr."""
+    talk.print(check_table(checks))
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Attitudes over time, interpolated to the moment a picture was exposed."""
 
 from bisect import bisect_right
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -30,6 +31,9 @@ class AttitudeTrack:
 
     def __len__(self) -> int:
         return len(self._times_s)
+
+    def __iter__(self) -> Iterator[Attitude]:
+        return map(Attitude, self._times_s, self._quats_wxyz)
 
     @property
     def oldest(self) -> Attitude | None:

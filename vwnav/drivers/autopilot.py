@@ -211,6 +211,11 @@ class LinkedAutopilot:
         """Stop the motors; refused in the air."""
         return self._begin(self._procedures.disarm())
 
+    def withdraw(self) -> None:
+        """Ask no more for what is under way: somebody else has the aircraft."""
+        with self._lock:
+            self._end_request("withdrawn")
+
     def close(self) -> None:
         """Give the link back, and the owner's parameters."""
         with self._lock:

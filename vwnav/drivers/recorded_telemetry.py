@@ -6,34 +6,35 @@ from typing import Any
 import numpy as np
 
 from vwnav.drivers.recording import CAMERA_TOPIC, VEHICLE_TOPIC, read_recording
-from vwnav.drivers.telemetry_files import Telemetry
+from vwnav.drivers.telemetry_files import TelemetryLog
+from vwnav.types import Height, Range
 
 _TOPICS = frozenset({CAMERA_TOPIC, VEHICLE_TOPIC})
 
 
-def read_recorded_telemetry(path: Path) -> Telemetry:
+def read_recorded_telemetry(path: Path) -> TelemetryLog:
     """Attitude, height, range and arming; time starts at the recording's first picture.
 
     Raises:
         SourceError: it is no recording.
     """
-    telemetry = Telemetry()
+    log = TelemetryLog()
     first_picture_s: float | None = None
     for record in read_recording(path, _TOPICS):
         if record.topic == VEHICLE_TOPIC:
-            _add(telemetry, record.t_s, record.content)
+            _add(log, record.t_s, record.content)
         elif first_picture_s is None:
             first_picture_s = record.t_s
-    telemetry.start_s = first_picture_s or 0.0
-    return telemetry
+    log.start_s = first_picture_s or 0.0
+    return log
 
 
-def _add(telemetry: Telemetry, t_s: float, vehicle: dict[str, Any]) -> None:
+def _add(log: TelemetryLog, t_s: float, vehicle: dict[str, Any]) -> None:
     attitude = vehicle["attitude"]
     if attitude is not None:
-        telemetry.attitudes.add(attitude["t_s"], np.array(attitude["quat_wxyz"]))
+        log.add_attitude(attitude["t_s"], np.array(attitude["quat_wxyz"]))
     if vehicle["height_m"] is not None:
-        telemetry.height_m.add(vehicle["height_t_s"], vehicle["height_m"])
+        log.add(Height(vehicle["height_t_s"], vehicle["height_m"]))
     if vehicle["rangefinder_m"] is not None:
-        telemetry.range_m.add(t_s, vehicle["rangefinder_m"])
-    telemetry.armed.add(t_s, float(vehicle["armed"]))
+        log.add(Range(t_s, vehicle["rangefinder_m"]))
+    log.add_armed(t_s, vehicle["armed"])

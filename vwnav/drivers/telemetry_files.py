@@ -1,127 +1,121 @@
-"""Attitude, height and IMU of a recorded flight: CSV, ULog, tlog or vwnav's own recording."""
+"""Measurements of a recorded flight: CSV, ULog, tlog or vwnav's own recording."""
 
 import csv
 import math
-from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-
-import numpy as np
 
 from vwnav.drivers.attitude_track import AttitudeTrack
 from vwnav.errors import SourceError
+from vwnav.estimation.attitudes import MAX_GAP_S
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler, rotation_from_quat
-from vwnav.pipeline import Sensors
-from vwnav.types import Attitude, ImuSample
+from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary, Telemetry
 
-_MAX_GAP_S = 2.0
+_SPARSE_GAP_S = 2.0  # between a file's attitudes, both of which are known: interpolated
+_FILLED_S = 0.1
+_LEAST_COS_TILT = 0.5  # more oblique, a height is not turned into a range
 _CSV_COLUMNS = ("t_s", "roll_deg", "pitch_deg", "yaw_deg", "height_m", "agl_m")
 _ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
+# At the same time the attitude comes first: the filter turns the IMU's samples by it.
+_ORDER = (Attitude, ImuSample, Height, Range, Stationary)
 
 
-@dataclass
-class Series:
-    """A quantity over rising time."""
+class TelemetryLog:
+    """What a flight's recording says, filled by a reader in its own order and on its own clock.
 
-    times_s: list[float] = field(default_factory=list)
-    values: list[float] = field(default_factory=list)
-
-    def add(self, t_s: float, value: float) -> None:
-        """Append; a sample that is not newer than the newest is dropped."""
-        if not self.times_s or t_s > self.times_s[-1]:
-            self.times_s.append(t_s)
-            self.values.append(value)
-
-    def at(self, t_s: float) -> float | None:
-        """Interpolated, None outside and in gaps."""
-        after = bisect_right(self.times_s, t_s)
-        if after and self.times_s[after - 1] == t_s:
-            return self.values[after - 1]
-        if after in (0, len(self.times_s)):
-            return None
-        pair = slice(after - 1, after + 1)
-        t0_s, t1_s = self.times_s[pair]
-        if t1_s - t0_s > _MAX_GAP_S:
-            return None
-        return float(np.interp(t_s, (t0_s, t1_s), self.values[pair]))
-
-    def last_before(self, t_s: float) -> float | None:
-        """The newest value at or before `t_s`."""
-        at = bisect_right(self.times_s, t_s)
-        return self.values[at - 1] if at else None
-
-
-@dataclass
-class ImuSeries:
-    """An IMU's samples over rising time: (fx, fy, fz, p, q, r) each, m/s^2 and rad/s."""
-
-    times_s: list[float] = field(default_factory=list)
-    values: list[tuple[float, ...]] = field(default_factory=list)
-
-    def add(self, t_s: float, values: tuple[float, ...]) -> None:
-        """Append; a sample that is not finite or not newer than the newest is dropped."""
-        if math.isfinite(sum(values)) and (not self.times_s or t_s > self.times_s[-1]):
-            self.times_s.append(t_s)
-            self.values.append(values)
-
-    def between(self, after_s: float, until_s: float, start_s: float) -> tuple[ImuSample, ...]:
-        """The samples of (`after_s`, `until_s`], their times counted from `start_s`."""
-        which = range(bisect_right(self.times_s, after_s), bisect_right(self.times_s, until_s))
-        return tuple(
-            ImuSample(
-                self.times_s[i] - start_s,
-                np.array(self.values[i][:3]),
-                np.array(self.values[i][3:]),
-            )
-            for i in which
-        )
-
-
-@dataclass
-class Telemetry:
-    """What a flight's recording says, over its own time.
+    A sample that is not newer than the newest of its kind is dropped.
 
     Attributes:
-        attitudes: of R_ned_body.
-        height_m: above the start, up positive, by barometer.
-        agl_m: above the ground below; `range_m` the same along the body's down axis.
-        armed: 1 or 0.
-        imu: accelerometer and gyro.
         start_s: time of the recording at which the first picture was taken.
     """
 
-    attitudes: AttitudeTrack = field(default_factory=lambda: AttitudeTrack(_MAX_GAP_S))
-    height_m: Series = field(default_factory=Series)
-    agl_m: Series = field(default_factory=Series)
-    range_m: Series = field(default_factory=Series)
-    armed: Series = field(default_factory=Series)
-    imu: ImuSeries = field(default_factory=ImuSeries)
-    start_s: float = 0.0
+    def __init__(self) -> None:
+        self.start_s = 0.0
+        self._attitudes = AttitudeTrack(_SPARSE_GAP_S)
+        self._others: list[Telemetry] = []
+        self._agls: list[tuple[float, float]] = []
+        self._armed: list[tuple[float, bool]] = []
+        self._newest_s: dict[type[Telemetry], float] = {}
 
-    def at(self, t_s: float, since_s: float = math.inf) -> Sensors:
-        """What was known `t_s` after the first picture; of the IMU, what came after `since_s`."""
-        t_log_s = t_s + self.start_s
-        attitude = self.attitudes.at(t_log_s)
-        height_m = self.height_m.at(t_log_s)
-        return Sensors(
-            attitude=None if attitude is None else Attitude(t_s, attitude.quat_wxyz),
-            height_m=height_m,
-            height_t_s=None if height_m is None else t_s,
-            rangefinder_m=self._range_at(t_log_s, attitude),
-            on_ground=self.armed.last_before(t_log_s) == 0.0,
-            imu=self.imu.between(since_s + self.start_s, t_log_s, self.start_s),
-        )
+    @property
+    def oldest_attitude(self) -> Attitude | None:
+        """The oldest attitude; None where there are none."""
+        return self._attitudes.oldest
 
-    def _range_at(self, t_log_s: float, attitude: Attitude | None) -> float | None:
-        range_m = self.range_m.at(t_log_s)
-        agl_m = self.agl_m.at(t_log_s)
-        if range_m is not None or agl_m is None:
-            return range_m
-        down = 1.0 if attitude is None else rotation_from_quat(attitude.quat_wxyz)[2, 2]
-        return agl_m / down if down > 0.5 else None
+    @property
+    def empty(self) -> bool:
+        """Whether nothing of use is in it."""
+        return not (len(self._attitudes) or self._others or self._agls)
+
+    def add_attitude(self, t_s: float, quat_wxyz: Array) -> None:
+        """Append an attitude, (4,) of R_ned_body."""
+        self._attitudes.add(t_s, quat_wxyz)
+
+    def add(self, measurement: Height | Range | ImuSample) -> None:
+        """Append any other measurement."""
+        kind = type(measurement)
+        if measurement.t_s > self._newest_s.get(kind, -math.inf):
+            self._newest_s[kind] = measurement.t_s
+            self._others.append(measurement)
+
+    def add_agl(self, t_s: float, agl_m: float) -> None:
+        """Append a height above the ground below."""
+        self._agls.append((t_s, agl_m))
+
+    def add_armed(self, t_s: float, armed: bool) -> None:
+        """Append whether the motors may turn; it holds until the next one."""
+        self._armed.append((t_s, armed))
+
+    def measurements(self, first_picture_s: float) -> list[Telemetry]:
+        """All of it in order of time, on the clock on which the first picture has that time."""
+        ranges = (self._range(t_s, agl_m) for t_s, agl_m in self._agls)
+        every = [
+            *self._filled_attitudes(),
+            *self._others,
+            *(range_ for range_ in ranges if range_ is not None),
+            *self._standing(),
+        ]
+        every.sort(key=lambda seen: (seen.t_s, _ORDER.index(type(seen))))
+        shift_s = first_picture_s - self.start_s
+        return [replace(seen, t_s=seen.t_s + shift_s) for seen in every]
+
+    def _filled_attitudes(self) -> list[Attitude]:
+        """The filter bridges shorter gaps than a file that lacks nothing may have."""
+        known = list(self._attitudes)
+        filled = known[:1]
+        for before, after in pairwise(known):
+            gap_s = after.t_s - before.t_s
+            count = math.ceil(gap_s / _FILLED_S) if MAX_GAP_S < gap_s <= _SPARSE_GAP_S else 1
+            for i in range(1, count):
+                between = self._attitudes.at(before.t_s + gap_s * i / count)
+                assert between is not None
+                filled.append(between)
+            filled.append(after)
+        return filled
+
+    def _range(self, t_s: float, agl_m: float) -> Range | None:
+        """A height above ground as the distance along the tilted down axis."""
+        if not len(self._attitudes):
+            return Range(t_s, agl_m)  # the whole recording is without attitude: taken as level
+        attitude = self._attitudes.at(t_s)
+        if attitude is None:
+            return None
+        cos_tilt = float(rotation_from_quat(attitude.quat_wxyz)[2, 2])
+        return Range(t_s, agl_m / cos_tilt) if cos_tilt > _LEAST_COS_TILT else None
+
+    def _standing(self) -> list[Stationary]:
+        """It stands while it is disarmed, said with each height."""
+        standing, armed, i = [], None, 0
+        for seen in self._others:
+            while i < len(self._armed) and self._armed[i][0] <= seen.t_s:
+                armed, i = self._armed[i][1], i + 1
+            if isinstance(seen, Height) and armed is False:
+                standing.append(Stationary(seen.t_s))
+        return standing
 
 
-def load_telemetry(path: Path, start_s: float = 0.0) -> Telemetry:
+def load_telemetry(path: Path, start_s: float = 0.0) -> TelemetryLog:
     """Read a recording by its suffix: `.csv`, `.ulg`, `.tlog`, `.tlog.gz`, or vwnav's `.mcap`.
 
     Times of ULog and tlog count from their first attitude, those of an MCAP from its first
@@ -138,16 +132,16 @@ def load_telemetry(path: Path, start_s: float = 0.0) -> Telemetry:
     if not path.is_file():
         raise SourceError(f"no telemetry file {path}")
     try:
-        telemetry = _read(path)
+        log = _read(path)
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}") from error
-    if not (len(telemetry.attitudes) or telemetry.height_m.times_s or telemetry.agl_m.times_s):
+    if log.empty:
         raise SourceError(f"{path} holds neither attitude nor height")
-    telemetry.start_s += start_s
-    return telemetry
+    log.start_s += start_s
+    return log
 
 
-def _read(path: Path) -> Telemetry:
+def _read(path: Path) -> TelemetryLog:
     # The readers are imported here: they bring pyulog, pymavlink or mcap, which few need.
     name = path.name.lower()
     if name.endswith(".csv"):
@@ -167,8 +161,8 @@ def _read(path: Path) -> Telemetry:
     raise SourceError(f"{path} is no telemetry that vwnav reads: .csv, .ulg, .tlog[.gz] or .mcap")
 
 
-def _read_csv(path: Path) -> Telemetry:
-    telemetry = Telemetry()
+def _read_csv(path: Path) -> TelemetryLog:
+    log = TelemetryLog()
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.DictReader(file)
         columns = [name.strip() for name in rows.fieldnames or ()]
@@ -178,9 +172,10 @@ def _read_csv(path: Path) -> Telemetry:
                 f"{path} needs a column t_s and at least one of {', '.join(_CSV_COLUMNS[1:])}; "
                 f"it has {', '.join(columns) or 'none'}"
             )
+        angles = [name for name in _ANGLES if name in columns]
         for row in rows:
-            _add_row(telemetry, _numbers(path, rows.line_num, row))
-    return telemetry
+            _add_row(log, _numbers(path, rows.line_num, row), angles)
+    return log
 
 
 def _numbers(path: Path, line: int, row: dict[str, str | None]) -> dict[str, float]:
@@ -200,12 +195,13 @@ def _numbers(path: Path, line: int, row: dict[str, str | None]) -> dict[str, flo
     return numbers
 
 
-def _add_row(telemetry: Telemetry, row: dict[str, float]) -> None:
+def _add_row(log: TelemetryLog, row: dict[str, float], told: list[str]) -> None:
+    """A file without a column for an angle says that it is zero; an empty cell says nothing."""
     t_s = row["t_s"]
-    if any(name in row for name in _ANGLES):
+    if told and all(name in row for name in told):
         roll, pitch, yaw = (math.radians(row.get(name, 0.0)) for name in _ANGLES)
-        telemetry.attitudes.add(t_s, quat_from_rotation(rotation_from_euler(roll, pitch, yaw)))
+        log.add_attitude(t_s, quat_from_rotation(rotation_from_euler(roll, pitch, yaw)))
     if "height_m" in row:
-        telemetry.height_m.add(t_s, row["height_m"])
+        log.add(Height(t_s, row["height_m"]))
     if "agl_m" in row:
-        telemetry.agl_m.add(t_s, row["agl_m"])
+        log.add_agl(t_s, row["agl_m"])

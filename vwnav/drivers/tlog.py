@@ -7,13 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.drivers.barometer import BarometricHeight, hectopascal
-from vwnav.drivers.telemetry_files import Telemetry
+from vwnav.drivers.telemetry_files import TelemetryLog
 from vwnav.errors import SourceError
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.safety.mavlink_framing import MARKERS, Packet, packet_at
+from vwnav.types import Height, ImuSample, Range
 
 _STAMP_BYTES = 8
 _WANTED = {
@@ -26,7 +28,7 @@ _WANTED = {
 _AUTOPILOTS = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
 
-def read_tlog(path: Path) -> Telemetry:
+def read_tlog(path: Path) -> TelemetryLog:
     """Attitude, height, downward range, IMU and arming of a tlog, on the autopilot's clock.
 
     Raises:
@@ -64,7 +66,7 @@ class _Collector:
     """Turns messages into series."""
 
     def __init__(self) -> None:
-        self._telemetry = Telemetry()
+        self._log = TelemetryLog()
         self._decoder = mavlink.MAVLink(None)
         self._barometer = BarometricHeight()
         self._pressure_from: int | None = None
@@ -91,34 +93,35 @@ class _Collector:
                 self._pressure(kind, message.time_usec / 1e6, hectopascal(message.abs_pressure))
                 self._imu(message)
 
-    def finish(self) -> Telemetry:
+    def finish(self) -> TelemetryLog:
         """All that came."""
-        first = self._telemetry.attitudes.oldest
+        first = self._log.oldest_attitude
         if first is not None:
-            self._telemetry.start_s = first.t_s
-        return self._telemetry
+            self._log.start_s = first.t_s
+        return self._log
 
     def _heartbeat(self, message: Any) -> None:
         if message.autopilot in _AUTOPILOTS:
             armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            self._telemetry.armed.add(self._now_s, float(armed))
+            self._log.add_armed(self._now_s, armed)
 
     def _attitude(self, message: Any) -> None:
         self._now_s = message.time_boot_ms / 1e3
         R_ned_body = rotation_from_euler(message.roll, message.pitch, message.yaw)
-        self._telemetry.attitudes.add(self._now_s, quat_from_rotation(R_ned_body))
+        self._log.add_attitude(self._now_s, quat_from_rotation(R_ned_body))
 
     def _imu(self, message: Any) -> None:
         if message.id == 0:
-            force = (message.xacc, message.yacc, message.zacc)
-            rates = (message.xgyro, message.ygyro, message.zgyro)
-            self._telemetry.imu.add(message.time_usec / 1e6, (*force, *rates))
+            force = np.array([message.xacc, message.yacc, message.zacc])
+            rates = np.array([message.xgyro, message.ygyro, message.zgyro])
+            if np.all(np.isfinite([force, rates])):
+                self._log.add(ImuSample(message.time_usec / 1e6, force, rates))
 
     def _range(self, message: Any) -> None:
         in_range = message.min_distance <= message.current_distance <= message.max_distance
         if message.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270 and in_range:
             t_s = message.time_boot_ms / 1e3
-            self._telemetry.range_m.add(t_s, message.current_distance / 100.0)
+            self._log.add(Range(t_s, message.current_distance / 100.0))
 
     def _pressure(self, source: int, t_s: float, pressure_hpa: float) -> None:
         """One source only: two barometers do not agree."""
@@ -128,4 +131,4 @@ class _Collector:
         if source == self._pressure_from:
             height_m = self._barometer.height_m(pressure_hpa)
             if height_m is not None:
-                self._telemetry.height_m.add(t_s, height_m)
+                self._log.add(Height(t_s, height_m))

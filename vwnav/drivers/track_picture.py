@@ -21,6 +21,7 @@ _ESTIMATE_BGR = (0, 200, 255)
 _FIX_BGR = (90, 220, 60)
 _TRUTH_BGR = (255, 255, 255)
 _SUBPIXEL_BITS = 4
+_FARTHEST_PX = 20_000.0
 
 
 class TrackPicture:
@@ -54,7 +55,11 @@ class TrackPicture:
             raise VwnavError(f"cannot write {path}")
 
     def draw(self) -> NDArray[np.uint8]:
-        """The picture, BGR. Without any position: the whole map."""
+        """The picture, BGR, no larger than `MAX_SIDE_PX`; without any position of the whole map.
+
+        A track that leaves the map is drawn as far as the map goes: an estimate that ran away must
+        not ask for a picture of the way to the moon.
+        """
         track = self._lat_lon([e.position_ned_m for e in self._estimates])
         fixes = np.array(self._fixes).reshape(-1, 2)
         truth = self._lat_lon(self._truth_ned_m)
@@ -62,6 +67,7 @@ class TrackPicture:
         zoom = self._zoom(south, west, north, east)
         x0, y0 = (int(v) for v in mercator_px(north, west, zoom))
         x1, y1 = (int(v) + 1 for v in mercator_px(south, east, zoom))
+        x1, y1 = min(x1, x0 + MAX_SIDE_PX), min(y1, y0 + MAX_SIDE_PX)
         # A little darker, so that the lines stand out.
         picture = self._pack.picture(zoom, Window(x0, y0, x1, y1))
         canvas = (picture.bgr * 0.8).astype(np.uint8)
@@ -71,7 +77,7 @@ class TrackPicture:
             return np.stack([np.asarray(x) - x0 - 0.5, np.asarray(y) - y0 - 0.5], axis=-1)
 
         _line(canvas, pixels(truth), _TRUTH_BGR, 5)
-        for uv in pixels(fixes):
+        for uv in _on_paper(pixels(fixes)):
             _dot(canvas, uv, 2.5, _FIX_BGR)
         _line(canvas, pixels(track), _ESTIMATE_BGR, 1)
         self._draw_ellipses(canvas, pixels(track), zoom)
@@ -85,11 +91,16 @@ class TrackPicture:
         return np.stack([lat_deg, lon_deg], axis=-1)
 
     def _bounds(self, lat_lon: Array) -> tuple[float, float, float, float]:
+        south, west, north, east = self._pack.bounds
+        margin_lat = MARGIN_M / 111_000.0
+        margin_lon = margin_lat / max(0.01, np.cos(np.radians(south)))
+        near = (lat_lon > [south - margin_lat, west - margin_lon]) & (
+            lat_lon < [north + margin_lat, east + margin_lon]
+        )
+        lat_lon = lat_lon[near.all(axis=1)]
         if not len(lat_lon):
             return self._pack.bounds
         low, high = lat_lon.min(axis=0), lat_lon.max(axis=0)
-        margin_lat = MARGIN_M / 111_000.0
-        margin_lon = margin_lat / max(0.01, np.cos(np.radians(low[0])))
         return (
             float(low[0] - margin_lat),
             float(low[1] - margin_lon),
@@ -106,7 +117,7 @@ class TrackPicture:
     def _draw_ellipses(self, canvas: NDArray[np.uint8], uv: Array, zoom: int) -> None:
         last_s = -np.inf
         for estimate, at in zip(self._estimates, uv, strict=True):
-            if estimate.t_s - last_s < ELLIPSE_EVERY_S:
+            if estimate.t_s - last_s < ELLIPSE_EVERY_S or not len(_on_paper(at[None])):
                 continue
             last_s = estimate.t_s
             variances, axes = np.linalg.eigh(estimate.covariance[:2, :2])
@@ -116,7 +127,7 @@ class TrackPicture:
             angle_deg = float(np.degrees(np.arctan2(-axes[0, 1], axes[1, 1])))
             scale = 1 << _SUBPIXEL_BITS
             centre = tuple(round(v * scale) for v in at)
-            size = tuple(max(scale, round(v * scale)) for v in semi_px[::-1])
+            size = tuple(max(scale, round(min(v, _FARTHEST_PX) * scale)) for v in semi_px[::-1])
             cv2.ellipse(
                 canvas, centre, size, angle_deg, 0, 360, _ESTIMATE_BGR, 1, cv2.LINE_AA,
                 _SUBPIXEL_BITS,
@@ -129,7 +140,13 @@ def _side_px(south: float, west: float, north: float, east: float, zoom: int) ->
     return float(max(x1 - x0, y1 - y0))
 
 
+def _on_paper(uv: Array) -> Array:
+    """What of (n, 2) points OpenCV's fixed-point drawing can hold; the rest is far outside."""
+    return uv[(np.abs(uv) < _FARTHEST_PX).all(axis=1)]  # NaN is not smaller than anything
+
+
 def _line(canvas: NDArray[np.uint8], uv: Array, bgr: tuple[int, int, int], width: int) -> None:
+    uv = _on_paper(uv)
     if len(uv) > 1:
         points = np.round(uv * (1 << _SUBPIXEL_BITS)).astype(np.int32)[:, None]
         cv2.polylines(canvas, [points], False, bgr, width, cv2.LINE_AA, _SUBPIXEL_BITS)

@@ -8,7 +8,8 @@ import numpy as np
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
-_TURN_ON_S = 0.1
+MAX_GAP_S = 0.25  # neighbours farther apart are not interpolated between
+_TURN_ON_S = 0.1  # an attitude is carried on for so long after the newest one
 _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
 
@@ -39,6 +40,21 @@ class AttitudeHistory:
         if old > 0:
             del self._times_s[:old]
             del self._quats[:old]
+
+    def at(self, t_s: float) -> Attitude | None:
+        """The attitude at a time; None where telemetry does not reach.
+
+        That is in gaps of more than 0.25 s, before the first one, and more than 0.1 s beyond the
+        newest.
+        """
+        i = bisect.bisect_left(self._times_s, t_s)
+        if i < len(self._times_s) and self._times_s[i] == t_s:
+            return Attitude(t_s, self._quats[i])
+        if i == 0 or t_s > self._times_s[-1] + _TURN_ON_S:
+            return None
+        if i < len(self._times_s) and self._times_s[i] - self._times_s[i - 1] > MAX_GAP_S:
+            return None
+        return Attitude(t_s, self.quat_at(t_s))
 
     def forget_after(self, t_s: float) -> None:
         """Drop attitudes later than a time."""

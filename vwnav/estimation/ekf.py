@@ -75,6 +75,20 @@ class Ekf:
         return self._timeline is not None
 
     @property
+    def counts_heading(self) -> bool:
+        """A video alone, by its settings: its attitude is level with the heading of odometry."""
+        return self._config.odometry_turns_attitude
+
+    @property
+    def newest_attitude_s(self) -> float | None:
+        """Time of the newest attitude."""
+        return self._attitudes.newest_s
+
+    def attitude_at(self, t_s: float) -> Attitude | None:
+        """The autopilot's attitude at an exposure; None where telemetry does not reach."""
+        return self._attitudes.at(t_s)
+
+    @property
     def state(self) -> FilterState | None:
         """The state after the newest event, for recordings and tests."""
         return None if self._timeline is None else self._timeline.head
@@ -91,7 +105,6 @@ class Ekf:
 
         Raises:
             ValueError: a start that makes no sense.
-            RuntimeError: asked before the start.
         """
         match seen:
             case Start():
@@ -184,17 +197,18 @@ class Ekf:
                 return Innovation(Verdict.NO_ANCHOR)
         return self._timeline.insert(event)
 
-    def estimate(self, t_s: float) -> Estimate:
+    def estimate(self, t_s: float) -> Estimate | None:
         """The estimate at `t_s` by prediction (at the newest event if that is later).
 
-        Raises:
-            RuntimeError: the filter is not initialised.
+        None before the start, and before the first attitude: nobody knows how it flies.
         """
         if self._timeline is None:
-            raise RuntimeError("the filter is not initialised")
+            return None
         self._note(Asked(t_s))
         if math.isfinite(t_s):
             self._asked_s = t_s
+        if self._attitudes.newest_s is None:
+            return None
         state = predict(self._timeline.head, t_s, self._context)
         return _estimate(state, self._attitudes.quat_at(state.t_s))
 

@@ -3,21 +3,28 @@
 MAVLink traffic is no sign of life: heartbeats, parameters and estimates may flow on from other
 threads while the control loop hangs. So the loop itself says, at its own rate, that it lives and
 whether it has the aircraft.
+
+There is no word that sends the watchdog away: the navigator can only say that it ends. Whether
+the aircraft may be left alone then, the watchdog judges by what it hears of it.
 """
 
 import contextlib
 import socket
 import struct
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
+
+from vwnav.errors import LinkError
 
 _BEAT = struct.Struct("<4sBIQ16s")  # magic, flags, sequence, epoch, phase
-_BEAT_MAGIC = b"VWB1"
-_REPORT = struct.Struct("<4sBIf")  # magic, state, sequence of the beat answered, heartbeat age
-_REPORT_MAGIC = b"VWR1"
-_ENGAGED, _GOODBYE = 0x01, 0x02
-DATAGRAM_LIMIT_BYTES = 256
+_BEAT_MAGIC = b"VWB2"
+_REPORT = struct.Struct("<4sBBIf")  # magic, state, flags, sequence of the beat, heartbeat age
+_REPORT_MAGIC = b"VWR2"
+_ENGAGED, _ENDED = 0x01, 0x02
+_RELAYS_ESTIMATES = 0x01
+_DATAGRAM_LIMIT_BYTES = 256
 
 
 class GuardState(Enum):
@@ -37,18 +44,18 @@ class Beat:
     Attributes:
         engaged: it has the aircraft and must not fall silent.
         epoch: grows with every new claim to the aircraft.
-        goodbye: the navigator ends in good order.
+        ended: the navigator ends now, in whatever order: nothing comes after it.
     """
 
     engaged: bool
     sequence: int
     epoch: int
     phase: str = ""
-    goodbye: bool = False
+    ended: bool = False
 
     def pack(self) -> bytes:
         """As a datagram."""
-        flags = (_ENGAGED if self.engaged else 0) | (_GOODBYE if self.goodbye else 0)
+        flags = (_ENGAGED if self.engaged else 0) | (_ENDED if self.ended else 0)
         phase = self.phase.encode("ascii", "replace")[:16]
         return _BEAT.pack(_BEAT_MAGIC, flags, self.sequence & 0xFFFFFFFF, self.epoch, phase)
 
@@ -59,7 +66,7 @@ class Beat:
             return None
         _, flags, sequence, epoch, phase = _BEAT.unpack(data)
         text = phase.rstrip(b"\0").decode("ascii", "replace")
-        return Beat(bool(flags & _ENGAGED), sequence, epoch, text, bool(flags & _GOODBYE))
+        return Beat(bool(flags & _ENGAGED), sequence, epoch, text, bool(flags & _ENDED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,40 +77,112 @@ class WatchdogReport:
         state: what it does; anything but RELAY means that setpoints are not handed on.
         sequence: of the beat answered.
         heartbeat_age_s: since the autopilot was last heard by the watchdog.
+        relays_estimates: the last estimate was handed on. False: they are held back until they
+            come as new ones, with another reset counter.
     """
 
     state: GuardState
     sequence: int
     heartbeat_age_s: float
+    relays_estimates: bool = True
 
     def pack(self) -> bytes:
         """As a datagram."""
-        return _REPORT.pack(_REPORT_MAGIC, self.state.value, self.sequence, self.heartbeat_age_s)
+        flags = _RELAYS_ESTIMATES if self.relays_estimates else 0
+        return _REPORT.pack(
+            _REPORT_MAGIC, self.state.value, flags, self.sequence, self.heartbeat_age_s
+        )
 
     @staticmethod
     def unpack(data: bytes) -> "WatchdogReport | None":
         """Of a datagram, None if it is no report."""
         if len(data) != _REPORT.size or data[:4] != _REPORT_MAGIC:
             return None
-        _, state, sequence, age_s = _REPORT.unpack(data)
-        return WatchdogReport(GuardState(state), sequence, age_s)
+        _, state, flags, sequence, age_s = _REPORT.unpack(data)
+        return WatchdogReport(GuardState(state), sequence, age_s, bool(flags & _RELAYS_ESTIMATES))
+
+
+class Channel(Protocol):
+    """Carries datagrams between the control loop and the watchdog; may lose them, never waits."""
+
+    def send(self, data: bytes) -> None:
+        """One datagram to the other end, where there is one."""
+        ...
+
+    def receive(self) -> bytes:
+        """The next datagram that has arrived; empty when none has."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+class UdpChannel:
+    """A `Channel` within this machine.
+
+    Args:
+        port: of the watchdog; 0 lets the system choose.
+        listens: the watchdog's end, which answers whoever spoke last.
+
+    Raises:
+        LinkError: the port is taken.
+    """
+
+    def __init__(self, port: int, listens: bool) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._peer: tuple[str, int] | None = None if listens else ("127.0.0.1", port)
+        try:
+            self._socket.bind(("127.0.0.1", port if listens else 0))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"cannot use port {port} of this machine: {error.strerror}") from error
+
+    @property
+    def port(self) -> int:
+        """Its own port."""
+        return int(self._socket.getsockname()[1])
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+        return self._socket.fileno()
+
+    def send(self, data: bytes) -> None:
+        """One datagram to the other end, lost where that is gone."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._peer)
+
+    def receive(self) -> bytes:
+        """The next datagram that has arrived; empty when none has."""
+        try:
+            data, self._peer = self._socket.recvfrom(_DATAGRAM_LIMIT_BYTES)
+        except OSError:  # nothing there, or word that an earlier datagram found nobody
+            return b""
+        return data
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
 
 
 class KeepAlive:
     """The control loop's side: call `beat` in every turn of the loop, from the loop's own thread.
 
     Args:
-        port: the watchdog's keep-alive port on this machine.
+        channel: to the watchdog.
+        clock: the loop's monotonic clock.
     """
 
-    def __init__(self, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.connect(("127.0.0.1", port))
-        self._socket.setblocking(False)
+    def __init__(self, channel: Channel, clock: Callable[[], float]) -> None:
+        self._channel = channel
+        self._clock = clock
         self._sequence = 0
-        self._epoch = time.monotonic_ns()
+        self._epoch = 0
         self._report: WatchdogReport | None = None
-        self._report_t_s = time.monotonic()
+        self._unanswered_since_s: float | None = None
+        self.rejoin()
 
     def beat(self, engaged: bool, phase: str = "") -> None:
         """Say that the loop lives; never waits.
@@ -113,37 +192,40 @@ class KeepAlive:
                 the watchdog brake, hold and land.
             phase: what the loop does, for the watchdog's log (16 ASCII characters).
         """
-        self._sequence += 1
-        self._send(Beat(engaged, self._sequence, self._epoch, phase))
         self._read_reports()
+        self._sequence += 1
+        if self._unanswered_since_s is None:
+            self._unanswered_since_s = self._clock()
+        self._channel.send(Beat(engaged, self._sequence, self._epoch, phase).pack())
 
     def rejoin(self) -> None:
         """Claim the aircraft again after the watchdog took it; holds from the next beat on."""
-        self._epoch = time.monotonic_ns()
+        self._epoch = max(self._epoch + 1, int(self._clock() * 1e9))
 
     @property
     def report(self) -> WatchdogReport | None:
         """The watchdog's newest answer, None before the first."""
+        self._read_reports()
         return self._report
 
     @property
     def silence_s(self) -> float:
-        """Time since the watchdog last answered (since the start, before its first answer)."""
-        return time.monotonic() - self._report_t_s
+        """For how long the watchdog has left beats unanswered; 0 while nothing was asked of it.
+
+        A loop that slept has sent no beats: its own sleep does not count.
+        """
+        self._read_reports()
+        since_s = self._unanswered_since_s
+        return 0.0 if since_s is None else self._clock() - since_s
 
     def close(self) -> None:
-        """Tell the watchdog that the navigator ends in good order."""
-        self._send(Beat(False, self._sequence + 1, self._epoch, "goodbye", goodbye=True))
-        self._socket.close()
-
-    def _send(self, beat: Beat) -> None:
-        # A watchdog that is gone shows as refused connection: `silence_s` tells, nothing is raised.
-        with contextlib.suppress(OSError):
-            self._socket.send(beat.pack())
+        """Say that the navigator ends. A watchdog that hears the aircraft fly acts at once."""
+        self._sequence += 1
+        self._channel.send(Beat(False, self._sequence, self._epoch, "ended", ended=True).pack())
+        self._channel.close()
 
     def _read_reports(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                report = WatchdogReport.unpack(self._socket.recv(DATAGRAM_LIMIT_BYTES))
-                if report is not None:
-                    self._report, self._report_t_s = report, time.monotonic()
+        while data := self._channel.receive():
+            report = WatchdogReport.unpack(data)
+            if report is not None:
+                self._report, self._unanswered_since_s = report, None

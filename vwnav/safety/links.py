@@ -1,9 +1,12 @@
 """The ways to an autopilot: UDP both ways round, TCP, serial port; all without blocking."""
 
+import array
 import contextlib
+import fcntl
 import math
 import os
 import socket
+import termios
 import time
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -24,8 +27,12 @@ _EXAMPLES = (
     "udpin://0.0.0.0:14540, udpout://HOST:PORT, tcpout://HOST:PORT or serial:///dev/ttyAMA0:921600"
 )
 _READ_BYTES = 4096
-_UNSENT_LIMIT_BYTES = 65536
+_BITS_PER_BYTE = 10.0  # on a serial line: with start and stop bit
+_QUEUE_S = 0.05  # what may wait in the system's queue: nothing overtakes it there
+_SMALLEST_QUEUE_BYTES = 128
+_TCP_QUEUE_BYTES = 4096
 _CONNECT_TIMEOUT_S = 5.0
+_RECONNECT_TIMEOUT_S = 0.3  # with the link down the watchdog has nobody to speak to
 _REOPEN_PERIOD_S = 1.0
 _PEER_SILENT_S = 10.0
 _MOST_PEERS = 4
@@ -81,8 +88,12 @@ class Link(Protocol):
         """What has arrived; empty when nothing has."""
         ...
 
+    def has_room(self) -> bool:
+        """Whether what is written now leaves soon, and does not wait behind what was before."""
+        ...
+
     def write(self, data: bytes) -> None:
-        """Send, or drop when the way is down."""
+        """Send one packet, or drop it when the way is down."""
         ...
 
     def close(self) -> None:
@@ -132,9 +143,18 @@ class UdpLink:
             self._socket.close()
             raise
 
+    @property
+    def port(self) -> int:
+        """Its own port."""
+        return int(self._socket.getsockname()[1])
+
     def fileno(self) -> int:
         """Its descriptor."""
         return self._socket.fileno()
+
+    def has_room(self) -> bool:
+        """Always: what does not fit is lost, not kept."""
+        return True
 
     def read(self) -> bytes:
         """One datagram."""
@@ -157,9 +177,11 @@ class UdpLink:
 
     def _remember(self, peer: tuple[str, int], t_s: float) -> None:
         """The one heard now, and others (a ground station's relay) that are not long silent."""
-        recent = {other: at_s for other, at_s in self._peers.items() if t_s - at_s < _PEER_SILENT_S}
-        recent.pop(peer, None)
-        self._peers = {**dict(list(recent.items())[-_MOST_PEERS + 1 :]), peer: t_s}
+        self._peers.pop(peer, None)
+        self._peers[peer] = t_s  # the dictionary keeps them in the order of their last word
+        oldest = next(iter(self._peers))
+        if len(self._peers) > _MOST_PEERS or t_s - self._peers[oldest] >= _PEER_SILENT_S:
+            del self._peers[oldest]
 
 
 class StreamLink:
@@ -169,16 +191,17 @@ class StreamLink:
         self._address = address
         self._unsent = b""
         self._retry_at_s = 0.0
-        self._port: _Port | None = _open_stream(address)
+        self._queue_limit_bytes = _queue_limit_bytes(address)
+        self._port: _Port | None = _open_stream(address, _CONNECT_TIMEOUT_S)
 
     def fileno(self) -> int:
-        """Its descriptor, -1 while it is down; tries to open it again once a second."""
-        if self._port is None:
-            self._reopen()
+        """Its descriptor, -1 while it is down."""
         return -1 if self._port is None else self._port.fileno()
 
     def read(self) -> bytes:
-        """What has arrived; an end of the stream takes the link down."""
+        """What has arrived; an end of the stream takes the link down, a second later up again."""
+        if self._port is None:
+            self._reopen()
         if self._port is None:
             return b""
         try:
@@ -191,11 +214,23 @@ class StreamLink:
             self._lose()
         return data
 
+    def has_room(self) -> bool:
+        """Whether the last packet is out and the system's own queue is short; pushes the rest."""
+        self._push()
+        if self._port is None or self._unsent:
+            return False
+        return _queued_bytes(self._port.fileno()) < self._queue_limit_bytes
+
     def write(self, data: bytes) -> None:
-        """Send as much as fits now and the rest with the next call; never half of `data` alone."""
-        if self._port is None or len(self._unsent) > _UNSENT_LIMIT_BYTES:
+        """Send as much as fits now and the rest before anything else; drop it without room."""
+        if self._port is None or self._unsent:
             return
-        self._unsent += data
+        self._unsent = data
+        self._push()
+
+    def _push(self) -> None:
+        if self._port is None or not self._unsent:
+            return
         try:
             self._unsent = self._unsent[os.write(self._port.fileno(), self._unsent) :]
         except BlockingIOError:
@@ -219,7 +254,7 @@ class StreamLink:
             return
         self._retry_at_s = time.monotonic() + _REOPEN_PERIOD_S
         with contextlib.suppress(OSError, ValueError):
-            self._port = _open_stream(self._address)
+            self._port = _open_stream(self._address, _RECONNECT_TIMEOUT_S)
 
 
 class _Port(Protocol):
@@ -228,7 +263,24 @@ class _Port(Protocol):
     def close(self) -> None: ...
 
 
-def _open_stream(address: LinkAddress) -> _Port:
+def _queue_limit_bytes(address: LinkAddress) -> int:
+    """How much of its stream the system may hold: as much as leaves in `_QUEUE_S`."""
+    if address.kind != "serial":
+        return _TCP_QUEUE_BYTES
+    return max(_SMALLEST_QUEUE_BYTES, int(address.number / _BITS_PER_BYTE * _QUEUE_S))
+
+
+def _queued_bytes(fd: int) -> int:
+    """What was written and has not left (TIOCOUTQ, for sockets SIOCOUTQ); 0 if it never says."""
+    count = array.array("i", [0])
+    try:
+        fcntl.ioctl(fd, termios.TIOCOUTQ, count)
+    except OSError:
+        return 0
+    return count[0]
+
+
+def _open_stream(address: LinkAddress, timeout_s: float) -> _Port:
     if address.kind == "serial":
         import serial
 
@@ -236,7 +288,7 @@ def _open_stream(address: LinkAddress) -> _Port:
         port: _Port = serial.Serial(address.place, address.number, timeout=0, exclusive=True)
         os.set_blocking(port.fileno(), False)
         return port
-    connection = socket.create_connection((address.place, address.number), _CONNECT_TIMEOUT_S)
+    connection = socket.create_connection((address.place, address.number), timeout_s)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setblocking(False)
     return connection

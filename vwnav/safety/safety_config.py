@@ -9,6 +9,7 @@ class SafetyConfig:
 
     Attributes:
         battery_low_ratio, battery_critical_ratio: of the full battery: return, and land.
+        battery_takeoff_ratio: nobody takes off with less.
         battery_time_s: below that for so long; load pulls the voltage down for moments.
         link_hold_s: silence of the autopilot's heartbeat after which the aircraft is held.
         link_land_s: and after which it is landed.
@@ -18,11 +19,20 @@ class SafetyConfig:
         estimate_age_s: age of the estimate itself that makes the position unusable.
         return_sigma_m: with at most this the way home can still be found.
         hold_time_s: holding for better times; then home, or down where the way is not known.
+        blind_hold_s, blind_land_s: since the last picture that told a motion or a place; then the
+            aircraft is held, and landed while its estimate is still good: without pictures it
+            drifts, and a hold on a drifting estimate is no hold.
+        lost_land_s: without any estimate to fly on; PX4 gives its position up 4.6 s, ArduCopter 8 s
+            after the last one.
+        gap_s: a silence of the link, or of ourselves, from which on autopilots act on their own.
+        gap_memory_s: for so long a gap explains a failsafe of the autopilot.
+        resume_gap_s: after a longer gap the route is not flown on.
         unknown_mode_s: a flight mode that nobody can name for so long is not ours.
     """
 
     battery_low_ratio: float = 0.25
     battery_critical_ratio: float = 0.12
+    battery_takeoff_ratio: float = 0.35
     battery_time_s: float = 2.0
     link_hold_s: float = 3.0  # heartbeats come once a second, and one may get lost
     link_land_s: float = 10.0
@@ -32,6 +42,12 @@ class SafetyConfig:
     estimate_age_s: float = 1.0
     return_sigma_m: float = 30.0
     hold_time_s: float = 15.0
+    blind_hold_s: float = 1.0
+    blind_land_s: float = 4.0
+    lost_land_s: float = 2.0
+    gap_s: float = 0.5
+    gap_memory_s: float = 10.0
+    resume_gap_s: float = 1.0
     unknown_mode_s: float = 1.0
 
     def __post_init__(self) -> None:
@@ -41,8 +57,11 @@ class SafetyConfig:
                 raise ValueError(f"expected {name} to be positive, got {value}")
         for lower, upper in (
             ("battery_critical_ratio", "battery_low_ratio"),
+            ("battery_low_ratio", "battery_takeoff_ratio"),
             ("link_hold_s", "link_land_s"),
             ("hold_sigma_m", "return_sigma_m"),
+            ("blind_hold_s", "blind_land_s"),
+            ("gap_s", "resume_gap_s"),
         ):
             if getattr(self, lower) > getattr(self, upper):
                 raise ValueError(f"expected {lower} to be at most {upper}")

@@ -2,9 +2,10 @@
 
     python -m vwnav.safety.watchdog --connection serial:///dev/ttyAMA0:921600 --navigator-port 14999
 
-It relays bytes both ways between the autopilot and the navigator's MAVSDK, which connects to
+It relays between the autopilot and the navigator, which connects to
 `udpout://127.0.0.1:NAVIGATOR_PORT`, and acts by `dead_man` when the navigator's control loop falls
-silent (`keepalive`). On stdout one JSON line says that it is ready and which ports it took.
+silent (`keepalive`) or its process ends. On stdout one JSON line says that it is ready and which
+ports it took. This module is the navigator's side of it, and the command line.
 """
 
 import argparse
@@ -23,11 +24,12 @@ from types import TracebackType
 from typing import IO
 
 from vwnav.errors import LinkError
-from vwnav.safety.keepalive import KeepAlive
+from vwnav.safety.keepalive import KeepAlive, UdpChannel
 
 _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 15.0
-_GOODBYE_TIMEOUT_S = 1.0
+_LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
+_ANSWERS_WITHIN_S = 2.0
 
 
 @dataclass
@@ -47,8 +49,8 @@ class WatchdogProcess:
     keepalive: KeepAlive
 
     def is_running(self) -> bool:
-        """It lives (its answers to the beats say more: see `KeepAlive.silence_s`)."""
-        return self.process.poll() is None
+        """It lives and answers: a process that is stopped or hangs guards nobody."""
+        return self.process.poll() is None and self.keepalive.silence_s < _ANSWERS_WITHIN_S
 
     def __enter__(self) -> "WatchdogProcess":
         return self
@@ -62,26 +64,34 @@ class WatchdogProcess:
         self.close()
 
     def close(self) -> None:
-        """Say goodbye and wait a moment; a watchdog that has the aircraft goes on by itself."""
+        """Say that the navigator ends, and wait a moment.
+
+        Whether the aircraft may be left alone is the watchdog's to judge: one that flies it lands
+        it, and goes on by itself.
+        """
         self.keepalive.close()
         try:
-            self.process.wait(_GOODBYE_TIMEOUT_S)
+            self.process.wait(_LEAVE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             _log.warning("the watchdog (process %d) has the aircraft, it goes on", self.process.pid)
 
 
-def start_watchdog(connection: str, log: Path | None = None) -> WatchdogProcess:
+def start_watchdog(
+    connection: str, log: Path | None = None, standby: Sequence[str] = ()
+) -> WatchdogProcess:
     """Start the watchdog on the link `connection` and wait until it is ready.
 
     Args:
         connection: `udpin://`, `udpout://`, `tcpout://` or `serial://` URL of the autopilot.
         log: file for what it has to say; None leaves it on this process' stderr.
+        standby: command line of a second navigator, for estimates alone, that takes over when
+            this process ends in flight (see `watchdog_successor`); none when empty.
 
     Raises:
         LinkError: the link cannot be opened, or the process does not come up.
     """
     arguments = [sys.executable, "-m", "vwnav.safety.watchdog", "--connection", connection]
-    arguments += ["--parent", str(os.getpid())]
+    arguments += ["--parent", str(os.getpid()), "--standby", json.dumps(list(standby))]
     stderr = log.open("ab") if log is not None else None
     try:
         # A session of its own: signals of the navigator's terminal are not for the watchdog.
@@ -96,7 +106,8 @@ def start_watchdog(connection: str, log: Path | None = None) -> WatchdogProcess:
         ports = _wait_for_ports(process, stdout)
     navigator_url = f"udpout://127.0.0.1:{ports['navigator_port']}"
     observer_url = f"udpout://127.0.0.1:{ports['observer_port']}"
-    return WatchdogProcess(process, navigator_url, observer_url, KeepAlive(ports["keepalive_port"]))
+    keepalive = KeepAlive(UdpChannel(ports["keepalive_port"], listens=False), time.monotonic)
+    return WatchdogProcess(process, navigator_url, observer_url, keepalive)
 
 
 def _wait_for_ports(process: subprocess.Popen[bytes], stdout: IO[bytes]) -> dict[str, int]:
@@ -131,20 +142,24 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--navigator-port", type=int, default=0, help="0: any free port")
     parser.add_argument("--keepalive-port", type=int, default=0, help="0: any free port")
     parser.add_argument("--parent", type=int, help="process id of the navigator")
+    parser.add_argument(
+        "--standby", type=json.loads, default=[], help="JSON list: command line of the successor"
+    )
     parser.add_argument("--limit-s", type=float, default=900.0)
     return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the process; the exit code is 1 when the link cannot be opened."""
-    from vwnav.safety.watchdog_loop import Watchdog, WatchdogOptions  # not for the navigator
+    from vwnav.safety import watchdog_process  # pymavlink: not for the navigator
 
     logging.basicConfig(level=logging.INFO, format="vwnav watchdog: %(message)s")
     # Ctrl-C in the navigator's terminal is for the navigator: this process has to outlive it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         found = _parse_arguments(sys.argv[1:] if arguments is None else arguments)
-        watchdog = Watchdog(WatchdogOptions(**vars(found)))
+        options = watchdog_process.WatchdogOptions(**vars(found))
+        watchdog = watchdog_process.WatchdogPorts(options)
     except LinkError as error:
         print(json.dumps({"error": str(error)}), flush=True)
         return 1

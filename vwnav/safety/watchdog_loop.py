@@ -1,218 +1,279 @@
-"""The watchdog's loop: sockets and clock around `DeadMan`. Runs in the watchdog's own process."""
+"""The watchdog between navigator and autopilot: relays, guards, and acts by `DeadMan`.
+
+`Watchdog.step` handles all that has arrived and never waits: `watchdog_process` calls it whenever
+something arrives, a simulation whenever its time advances.
+"""
 
 import logging
-import os
-import selectors
-import socket
-import time
+import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
-from vwnav.errors import LinkError
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from vwnav.safety.dead_man import DeadMan, DeadManConfig
-from vwnav.safety.keepalive import DATAGRAM_LIMIT_BYTES, Beat, GuardState, WatchdogReport
-from vwnav.safety.links import Link, open_link, parse_link
-from vwnav.safety.mavlink_framing import Framer
-from vwnav.safety.watchdog_voice import AutopilotEar, Voice, without_control
+from vwnav.safety.estimate_guard import RelayedPosition, RelayedVelocity, RelayGuard
+from vwnav.safety.keepalive import Beat, Channel, GuardState, WatchdogReport
+from vwnav.safety.links import Link
+from vwnav.safety.mavlink_framing import Framer, Packet
+from vwnav.safety.watchdog_filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass
+from vwnav.safety.watchdog_outbox import Outbox
+from vwnav.safety.watchdog_voice import AutopilotEar, Origin, Voice
 
 _log = logging.getLogger(__name__)
-_TICK_S = 0.02
-_ACTING_TICK_S = 0.005
-_READ_BYTES = 4096
 _READS_IN_A_ROW = 32
 _CALL_PERIOD_S = 1.0
-_ORPHAN_CHECK_S = 1.0
+_LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
+_CUT_S = 1.2  # silence of the autopilot that estimates do not simply go on after
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WatchdogOptions:
-    """How the process runs.
+class WatchdogConfig:
+    """How it watches.
 
     Attributes:
-        connection: URL of the autopilot's link.
-        navigator_port, keepalive_port: UDP ports on 127.0.0.1; 0 lets the system choose.
-        parent: process id of the navigator; the watchdog ends when it is gone and nothing is
-            left to watch over. None: it runs until it is stopped.
+        calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
     """
 
-    connection: str
-    navigator_port: int = 0
-    keepalive_port: int = 0
-    parent: int | None = None
+    calls_first: bool = False
     limit_s: float = 900.0
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
 
 
-def _local_socket(port: int) -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setblocking(False)
-    try:
-        sock.bind(("127.0.0.1", port))
-    except OSError as error:
-        sock.close()
-        raise LinkError(f"cannot use port {port} of this machine: {error.strerror}") from error
-    return sock
+@dataclass(frozen=True, slots=True)
+class WatchdogLinks:
+    """The ways in and out: autopilot, navigator, who listens along, and the beats."""
+
+    autopilot: Link
+    navigator: Link
+    observer: Link
+    beats: Channel
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """What a successor of the navigator begins with.
+
+    Attributes:
+        position: the last good one that the autopilot was given, None when there was none.
+        velocity_ne_m_s: north and east at that time.
+        origin: of the position; None when the autopilot never told it.
+    """
+
+    position: RelayedPosition | None
+    velocity_ne_m_s: tuple[float, float]
+    origin: Origin | None
+
+
+class Successor(Protocol):
+    """A second navigator that gives the autopilot estimates when the first one has ended."""
+
+    def step(self, resume: Resume | None, t_s: float) -> None:
+        """Keep it ready; with `resume` it is needed, from now on."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
 
 
 class Watchdog:
-    """Sockets and clock around `DeadMan`.
+    """One owner of leaving the aircraft: it stays until that is down or in other hands.
 
-    Raises:
-        LinkError: the link or a port cannot be opened.
+    Args:
+        successor: takes the navigator's place for estimates alone.
     """
 
-    def __init__(self, options: WatchdogOptions) -> None:
-        self._options = options
-        address = parse_link(options.connection)
-        self._calls_first = address.kind != "udpin"
-        self._navigator = _local_socket(options.navigator_port)
-        self._keepalive = _local_socket(options.keepalive_port)
-        self._observer = _local_socket(0)
-        self._link: Link = open_link(address)
-        self._navigator_address: tuple[str, int] | None = None
-        self._observer_address: tuple[str, int] | None = None
-        self._from_navigator = Framer()
-        self._from_observer = Framer()
-        self._ear = AutopilotEar()
-        self._voice = Voice()
-        self._guard = DeadMan(options.dead_man)
-        self._call_t_s = -_CALL_PERIOD_S
-        self._goodbye = False
-        self._selector = selectors.DefaultSelector()
-        self._link_fd = -1
-        self._selector.register(self._navigator, selectors.EVENT_READ, self._read_navigator)
-        self._selector.register(self._observer, selectors.EVENT_READ, self._read_observer)
-        self._selector.register(self._keepalive, selectors.EVENT_READ, self._read_keepalive)
+    def __init__(
+        self, links: WatchdogLinks, config: WatchdogConfig, successor: Successor | None = None
+    ) -> None:
+        self._links = links
+        self._config = config
+        self._successor = successor
+        self._from_navigator, self._from_observer = Framer(), Framer()
+        self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
+        self._guard = DeadMan(config.dead_man)
+        self._estimates = RelayGuard()
+        self._call_t_s = self._ended_t_s = -math.inf
+        self.finished = False
 
     @property
-    def ports(self) -> dict[str, int]:
-        """The ports taken, for the ready line."""
-        return {
-            "navigator_port": self._navigator.getsockname()[1],
-            "keepalive_port": self._keepalive.getsockname()[1],
-            "observer_port": self._observer.getsockname()[1],
-        }
+    def state(self) -> GuardState:
+        """What it does."""
+        return self._guard.state
 
-    def run(self) -> None:
-        """Relay and watch until there is nothing left to do."""
-        while not self._finished(time.monotonic()):
-            self._follow_link()
-            tick_s = _ACTING_TICK_S if self._guard.blocks_setpoints else _TICK_S
-            for key, _ in self._selector.select(tick_s):
-                key.data()
-            self._act(time.monotonic())
+    @property
+    def is_acting(self) -> bool:
+        """It flies the aircraft, and should be stepped at 50 Hz or more."""
+        return self._guard.has_taken_over
+
+    def step(self, t_s: float) -> None:
+        """Hand on, watch and act; call it at 50 Hz or more until `finished`."""
+        before, had_it = self._guard.state, self._guard.has_taken_over
+        self._relay_autopilot(t_s)
+        self._answer_beats(t_s)
+        self._guard.handle_vehicle(self._ear.vehicle(t_s))
+        action = self._guard.step(t_s)
+        if self._guard.has_taken_over and not had_it:
+            self._outbox.drop_handed_on()
+        self._relay_navigator(t_s)
+        self._relay_observer(t_s)
+        if action is not None:
+            self._outbox.put_own(self._voice.say(action, self._ear, t_s), t_s)
+        self._call(t_s)
+        self._outbox.flush(self._links.autopilot, t_s)
+        self._log_change(before, t_s)
+        self._follow_navigator(t_s)
+
+    def handle_navigator_end(self, t_s: float) -> None:
+        """The navigator's process has ended, in whatever way."""
+        if not self._guard.navigator_ended:
+            _log.warning("the navigator has ended")
+            self._guard.handle_end()
+            self._ended_t_s = t_s
 
     def close(self) -> None:
-        """Give the link and the ports back."""
-        self._selector.close()
-        self._link.close()
-        self._navigator.close()
-        self._observer.close()
-        self._keepalive.close()
+        """Give the ways back, and end the successor."""
+        if self._successor is not None:
+            self._successor.close()
+        for link in (self._links.autopilot, self._links.navigator, self._links.observer):
+            link.close()
+        self._links.beats.close()
 
-    def _follow_link(self) -> None:
-        """Keep the selector on the link's present descriptor: a stream link may come and go."""
-        fd = self._link.fileno()
-        if fd == self._link_fd:
-            return
-        if self._link_fd >= 0:
-            self._selector.unregister(self._link_fd)
-        if fd >= 0:
-            self._selector.register(fd, selectors.EVENT_READ, self._read_link)
-        self._link_fd = fd
-
-    def _read_link(self) -> None:
+    def _relay_autopilot(self, t_s: float) -> None:
         for _ in range(_READS_IN_A_ROW):
-            data = self._link.read()
+            data = self._links.autopilot.read()
             if not data:
-                break
-            if self._navigator_address is not None:
-                self._send(self._navigator, data, self._navigator_address)
-            if self._observer_address is not None:
-                self._send(self._observer, data, self._observer_address)
-            for answer in self._ear.listen(data, time.monotonic()):
-                self._guard.handle_answer(answer, time.monotonic())
-            self._guard.handle_vehicle(self._ear.vehicle)
-
-    def _read_navigator(self) -> None:
-        for _ in range(_READS_IN_A_ROW):
-            try:
-                data, self._navigator_address = self._navigator.recvfrom(_READ_BYTES)
-            except (BlockingIOError, ConnectionError):
                 return
-            if self._guard.blocks_setpoints:
-                data = without_control(self._from_navigator.split(data))
-            self._link.write(data)
+            self._links.navigator.write(data)
+            self._links.observer.write(data)
+            silent_s = t_s - self._ear.heard_t_s
+            for answer in self._ear.listen(data, t_s):
+                self._guard.handle_answer(answer, t_s)
+            if self._ear.vehicle(t_s).armed and _CUT_S < silent_s < math.inf:
+                self._lose_estimates(f"the autopilot was not heard for {silent_s:.1f} s", t_s)
 
-    def _read_observer(self) -> None:
+    def _relay_navigator(self, t_s: float) -> None:
+        for _ in range(_READS_IN_A_ROW):
+            data = self._links.navigator.read()
+            if not data:
+                return
+            for packet in self._from_navigator.split(data):
+                if self._passes(packet, t_s):
+                    self._outbox.put(packet, t_s)
+
+    def _relay_observer(self, t_s: float) -> None:
         """Somebody who listens along; may ask for messages, never for anything that flies."""
-        try:
-            data, self._observer_address = self._observer.recvfrom(_READ_BYTES)
-        except (BlockingIOError, ConnectionError):
-            return
-        self._link.write(without_control(self._from_observer.split(data)))
+        for _ in range(_READS_IN_A_ROW):
+            data = self._links.observer.read()
+            if not data:
+                return
+            for packet in self._from_observer.split(data):
+                if may_pass(packet, Rights.LISTENS, self._ear.kind):
+                    self._outbox.put(packet, t_s)
 
-    def _read_keepalive(self) -> None:
-        try:
-            data, sender = self._keepalive.recvfrom(DATAGRAM_LIMIT_BYTES)
-        except (BlockingIOError, ConnectionError):
-            return
-        beat = Beat.unpack(data)
-        if beat is None:
-            return
-        now_s = time.monotonic()
-        before = self._guard.state
-        self._guard.handle_beat(beat, now_s)
-        self._log_change(before)
-        self._goodbye = beat.goodbye
-        age_s = self._ear.heartbeat_age_s(now_s)
-        report = WatchdogReport(self._guard.state, beat.sequence, age_s)
-        self._send(self._keepalive, report.pack(), sender)
+    def _passes(self, packet: Packet, t_s: float) -> bool:
+        if not may_pass(packet, self._rights(), self._ear.kind):
+            return False
+        if packet.message_id == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
+            self._ear.handle_origin_sent(packet)
+        if asks_for_hold(packet, self._ear.kind):
+            self._guard.handle_hold_asked(t_s)
+        return packet.message_id not in ESTIMATES or self._is_good_estimate(packet, t_s)
 
-    def _act(self, now_s: float) -> None:
-        before = self._guard.state
-        action = self._guard.step(now_s)
-        self._log_change(before)
-        if action is not None:
-            self._link.write(self._voice.say(action, self._ear, now_s))
-        if self._calls_first and self._ear.heartbeat_age_s(now_s) > _CALL_PERIOD_S:
-            self._call(now_s)
+    def _rights(self) -> Rights:
+        """Of the navigator: a successor never flies, nor one whose aircraft somebody else has."""
+        if self._guard.navigator_ended or self._guard.state is GuardState.STOOD_DOWN:
+            return Rights.ESTIMATES
+        return Rights.GIVES_UP if self._guard.has_taken_over else Rights.FLIES
 
-    def _call(self, now_s: float) -> None:
+    def _is_good_estimate(self, packet: Packet, t_s: float) -> bool:
+        message = decode(packet)
+        if message is None:
+            return False
+        was_good = self._estimates.lost_since_s is None
+        place = (message.x, message.y, message.z)
+        if packet.message_id == mavlink.MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE:
+            good = self._estimates.admit_velocity(RelayedVelocity(message.usec / 1e6, place), t_s)
+        else:
+            position = RelayedPosition(
+                message.usec / 1e6, place, _sigma_m(message.covariance), message.reset_counter
+            )
+            good = self._estimates.admit_position(position, t_s, self._ear.vehicle(t_s).armed)
+        if was_good != (is_good := self._estimates.lost_since_s is None):
+            _log.warning(
+                "estimates are %s",
+                "handed on again" if is_good else f"held back: {self._estimates.reason}",
+            )
+        return good
+
+    def _lose_estimates(self, reason: str, t_s: float) -> None:
+        if self._estimates.lost_since_s is None:
+            _log.warning("estimates are held back: %s", reason)
+        self._estimates.lose(reason, t_s)
+
+    def _answer_beats(self, t_s: float) -> None:
+        while data := self._links.beats.receive():
+            beat = Beat.unpack(data)
+            if beat is None:
+                continue
+            if beat.ended:
+                self.handle_navigator_end(t_s)
+                continue
+            self._guard.handle_beat(beat, t_s)
+            age_s = self._ear.heartbeat_age_s(t_s)
+            is_good = self._estimates.lost_since_s is None
+            report = WatchdogReport(self._guard.state, beat.sequence, age_s, is_good)
+            self._links.beats.send(report.pack())
+
+    def _call(self, t_s: float) -> None:
         """Show ourselves to an autopilot that waits to be spoken to."""
-        if now_s - self._call_t_s >= _CALL_PERIOD_S:
-            self._call_t_s = now_s
-            self._link.write(self._voice.heartbeat())
+        is_heard = self._ear.heartbeat_age_s(t_s) <= _CALL_PERIOD_S
+        if self._config.calls_first and not is_heard and t_s - self._call_t_s >= _CALL_PERIOD_S:
+            self._call_t_s = t_s
+            self._outbox.put_own(self._voice.heartbeat(), t_s)
 
-    def _log_change(self, before: GuardState) -> None:
+    def _follow_navigator(self, t_s: float) -> None:
+        """Keep the successor ready, wake it when it is needed, and know when to leave."""
+        ended = self._guard.navigator_ended
+        self.finished = ended and self._may_leave(t_s)
+        if self._successor is None or self.finished or self._guard.last_beat is None:
+            return
+        needed = ended and self._ear.vehicle(t_s).armed
+        self._successor.step(self._resume() if needed else None, t_s)
+
+    def _may_leave(self, t_s: float) -> bool:
+        alone_s = t_s - self._ended_t_s
+        vehicle = self._ear.vehicle(t_s)
+        if alone_s > self._config.limit_s:
+            return True
+        heard_since = self._ear.heartbeat_t_s > self._ended_t_s
+        was_heard = self._ear.heartbeat_t_s > -math.inf
+        if was_heard and not heard_since and alone_s < _LAST_WORD_S:
+            return False  # it may have been armed since it was last heard
+        if not vehicle.armed:
+            return True
+        return self._successor is None and self._guard.is_handed_over
+
+    def _resume(self) -> Resume:
+        guard = self._estimates
+        return Resume(guard.last, guard.velocity_ne_m_s, self._ear.origin)
+
+    def _log_change(self, before: GuardState, t_s: float) -> None:
         state, beat = self._guard.state, self._guard.last_beat
         if state is not before:
-            phase = beat.phase if beat is not None else ""
-            silence_s = self._guard.silence_s(time.monotonic())
             _log.warning(
                 "%s -> %s, mode %s, navigator silent for %.2f s (%s)",
                 before.name,
                 state.name,
-                self._ear.vehicle.mode.name,
-                silence_s,
-                phase,
+                self._guard.vehicle.mode.name,
+                self._guard.silence_s(t_s),
+                beat.phase if beat is not None else "",
             )
 
-    def _finished(self, now_s: float) -> bool:
-        has_aircraft = self._guard.state is not GuardState.RELAY and self._ear.vehicle.armed
-        if self._goodbye and not has_aircraft:
-            return True
-        parent = self._options.parent
-        if parent is None or os.getppid() == parent:
-            return False
-        silence_s = self._guard.silence_s(now_s) if self._guard.last_beat else _ORPHAN_CHECK_S
-        if silence_s < _ORPHAN_CHECK_S:
-            return False
-        return not self._ear.vehicle.armed or silence_s > self._options.limit_s
 
-    @staticmethod
-    def _send(sock: socket.socket, data: bytes, to: tuple[str, int]) -> None:
-        try:
-            sock.sendto(data, to)
-        except OSError as error:  # a navigator that is gone or slow: it misses bytes, as on air
-            _log.debug("dropped %d bytes for %s: %s", len(data), to, error)
+def _sigma_m(covariance: list[float]) -> float:
+    """Larger horizontal sigma of a row-major upper triangle (21 numbers) of x, y, z, ..."""
+    variance = max(covariance[0], covariance[6])
+    return math.sqrt(variance) if variance >= 0.0 else math.nan

@@ -1,4 +1,4 @@
-"""What the safety monitor watches: the pilot, the battery and the position, each on its own."""
+"""What the safety monitor watches: the pilot, the link, the battery, the camera, the position."""
 
 import math
 from enum import IntEnum
@@ -14,13 +14,19 @@ _STEERING = frozenset({FlightMode.OFFBOARD})
 _LANDING = frozenset(
     {FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND, FlightMode.DESCEND, FlightMode.UNKNOWN}
 )
+_LONGEST_STEP_S = 0.2  # of waking time: a longer one was our own sleep, not the other's silence
 
 
 class PilotWatch:
     """Notices that somebody else has the aircraft, and remembers it until `resume`.
 
-    Any mode that we did not ask for counts, whether a pilot's stick or a failsafe of the autopilot
-    chose it: neither is to be fought.
+    Any mode that we did not ask for counts, whoever chose it: it is not to be fought. Only where
+    the autopilot itself says that our mode is still the intended one (PX4's CURRENT_MODE) it is a
+    failsafe, which may end by itself.
+
+    Attributes:
+        released: why the aircraft is not ours any more.
+        failsafe: the mode that the autopilot flies in our place, while it does.
     """
 
     def __init__(self, config: SafetyConfig) -> None:
@@ -28,33 +34,92 @@ class PilotWatch:
         self._own_modes = frozenset(FlightMode)
         self._unknown_since_s: float | None = None
         self.released: str | None = None
+        self.failsafe: FlightMode | None = None
 
     def resume(self) -> None:
         """Forget the takeover; the next OFFBOARD is the start of our control again."""
-        self.released = None
+        self.released = self.failsafe = None
         self._own_modes = frozenset(FlightMode)
         self._unknown_since_s = None
 
-    def step(self, mode: FlightMode, landing: bool, t_s: float) -> None:
-        """One look at the mode; `landing` when we have asked for a landing."""
+    def step(
+        self, mode: FlightMode, landing: bool, t_s: float, intended: FlightMode | None = None
+    ) -> None:
+        """One look at the mode.
+
+        Args:
+            mode: what is flown.
+            landing: we have asked for a landing.
+            t_s: now.
+            intended: the mode that somebody asked for; UNKNOWN until the autopilot has told.
+        """
         if mode is FlightMode.OFFBOARD:
             self._own_modes = _STEERING
         elif mode is FlightMode.TAKEOFF and self._own_modes != _STEERING:
             self._own_modes = _TAKING_OFF
         own_modes = self._own_modes | _LANDING if landing else self._own_modes
-        if mode is not FlightMode.UNKNOWN or mode in own_modes:
-            self._unknown_since_s = None
+        self.failsafe = None
         if mode in own_modes or self.released is not None:
-            return
-        if mode is FlightMode.UNKNOWN:
-            # A name that the link does not know, or has lost for a moment.
-            self._unknown_since_s = t_s if self._unknown_since_s is None else self._unknown_since_s
-            if t_s - self._unknown_since_s >= self._config.unknown_mode_s:
-                self.released = "the flight mode is one that is not ours"
+            self._unknown_since_s = None
         elif mode is FlightMode.MANUAL:
             self.released = "the pilot took over"
+        elif mode is not FlightMode.UNKNOWN and intended in self._own_modes:
+            self.failsafe = mode
+        elif FlightMode.UNKNOWN in (mode, intended):
+            # A name that the link does not know, or whoever wanted it has not been told yet.
+            self._unknown_since_s = t_s if self._unknown_since_s is None else self._unknown_since_s
+            self.failsafe = mode
+            if t_s - self._unknown_since_s >= self._config.unknown_mode_s:
+                self.released = _not_ours(mode)
         else:
-            self.released = f"the flight mode was changed to {mode.value}, not by us"
+            self.released = _not_ours(mode)
+
+
+def _not_ours(mode: FlightMode) -> str:
+    if mode is FlightMode.UNKNOWN:
+        return "the flight mode is one that is not ours"
+    return f"the flight mode was changed to {mode.value}, not by us"
+
+
+class LinkWatch:
+    """For how long the autopilot has been silent while we listened.
+
+    A navigator that slept finds old telemetry when it wakes: that was not the autopilot's silence.
+
+    Attributes:
+        silence_s: since it was last heard, our own sleep left out.
+        gap_s: the longest recent silence of the link or of ourselves: what makes an autopilot fly
+            its failsafe for lost setpoints. 0 when there was none within `gap_memory_s`.
+    """
+
+    def __init__(self, config: SafetyConfig) -> None:
+        self._config = config
+        self._t_s: float | None = None
+        self._gap_t_s = -math.inf
+        self.silence_s = 0.0
+        self.gap_s = 0.0
+
+    def step(self, vehicle: VehicleState, t_s: float) -> None:
+        """One look at what was heard last."""
+        step_s = 0.0 if self._t_s is None else max(t_s - self._t_s, 0.0)
+        self._t_s = t_s
+        awake_s = self.silence_s + min(step_s, _LONGEST_STEP_S)
+        self.silence_s = min(_heard_s_ago(vehicle, t_s), awake_s)
+        gap_s = max(self.silence_s, step_s)
+        remembered = t_s - self._gap_t_s <= self._config.gap_memory_s
+        if gap_s >= self._config.gap_s:
+            self.gap_s = max(self.gap_s, gap_s) if remembered else gap_s
+            self._gap_t_s = t_s
+        elif not remembered:
+            self.gap_s = 0.0
+
+
+def _heard_s_ago(vehicle: VehicleState, t_s: float) -> float:
+    """Since the autopilot was last heard: heartbeats come at 1 to 5 Hz, attitudes at 50."""
+    ages_s = [vehicle.heartbeat_age_s]
+    if vehicle.attitude is not None:
+        ages_s.append(max(t_s - vehicle.attitude.t_s, 0.0))
+    return min((age_s for age_s in ages_s if math.isfinite(age_s)), default=math.inf)
 
 
 class BatteryLevel(IntEnum):
@@ -105,10 +170,11 @@ class PositionWatch:
         self.bad_s: float | None = None
         self.reason = ""
 
-    def step(self, estimate: Estimate, t_s: float) -> None:
-        """One estimate."""
-        self.had_fix = self.had_fix or estimate.t_last_fix_s is not None
-        sigma_m = self._sigma_m(estimate, t_s)
+    def step(self, estimate: Estimate | None, t_s: float) -> None:
+        """One estimate; None while there is none to fly on."""
+        fixed = estimate is not None and estimate.t_last_fix_s is not None
+        self.had_fix = self.had_fix or fixed
+        sigma_m = math.inf if estimate is None else self._sigma_m(estimate, t_s)
         self.usable = self.had_fix and sigma_m <= self._config.return_sigma_m
         reason = self._complaint(estimate, sigma_m, t_s)
         if reason is None:
@@ -127,8 +193,8 @@ class PositionWatch:
         )
         return estimate.sigma_horizontal_m if fresh and finite else math.inf
 
-    def _complaint(self, estimate: Estimate, sigma_m: float, t_s: float) -> str | None:
-        if not math.isfinite(sigma_m):
+    def _complaint(self, estimate: Estimate | None, sigma_m: float, t_s: float) -> str | None:
+        if estimate is None or not math.isfinite(sigma_m):
             return "no position estimate"
         if not self.had_fix:
             return None  # unknown so far, and nobody travels on it
@@ -141,8 +207,3 @@ class PositionWatch:
         if t_fix_s is None or not t_s - t_fix_s <= self._config.hold_fix_age_s:
             return f"no map fix for {self._config.hold_fix_age_s:.0f} s"
         return None
-
-
-def link_silence_s(vehicle: VehicleState) -> float:
-    """Seconds since the autopilot was last heard; infinity when that is not known."""
-    return vehicle.heartbeat_age_s if math.isfinite(vehicle.heartbeat_age_s) else math.inf

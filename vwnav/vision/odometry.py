@@ -64,22 +64,21 @@ class OdometryConfig:
     # Of the attitude, fixed to the body: in a turn it changes by as much of itself. The less of
     # that is allowed for, the larger a share of it is taken for motion.
     tilt_rad: float = math.radians(2.0)
-    tilt_increment_level_rad: float = math.radians(2.0)  # when level is assumed
+    tilt_increment_level_rad: float = math.radians(2.0)  # of a video alone
     yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
     slope: float = 0.05  # of the ground, with the attitude's own error
-    slope_level: float = 0.09  # when level is assumed
+    slope_level: float = 0.09  # of a video alone
     least_agl_m: float = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """A reduced picture and how it was taken. `level`: its attitude is assumed."""
+    """A reduced picture and how it was taken."""
 
     t_s: float
     gray: Gray
     R_ned_camera: Array
     agl_m: float
-    level: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,13 +111,16 @@ class Odometry:
 
     Attitudes are the autopilot's own, not corrected by an estimator that uses this odometry: the
     displacement is in NED as they have it: its covariance leaves out the tilt and heading errors
-    that keyframe and picture share, which turn it whole. Without attitudes the camera is taken as
-    level, its heading is counted from the first picture (`attitude` tells it), and the displacement
-    is that of the ground point in the picture's centre.
+    that keyframe and picture share, which turn it whole.
+
+    Of a video `alone`, without any telemetry, the camera is taken as level, its heading is counted
+    from the first picture (`counted_attitude` tells it), and the displacement is that of the ground
+    point in the picture's centre.
     """
 
-    def __init__(self, camera: Camera, config: OdometryConfig) -> None:
+    def __init__(self, camera: Camera, config: OdometryConfig, alone: bool = False) -> None:
         self._config = config
+        self._alone = alone
         self._factor = reduction(camera.width_px, config.widest_px)
         self._full_wh = (camera.width_px, camera.height_px)
         width_px, height_px = (size // self._factor for size in self._full_wh)
@@ -135,15 +137,10 @@ class Odometry:
         self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
         self._heading_rad = 0.0
 
-    @property
-    def attitude(self) -> Attitude | None:
-        """Attitude of the last picture: as it was handed in, or level with the heading counted."""
-        if self._last is None:
-            return None
-        R_ned_body = self._last.R_ned_camera @ self._camera.R_body_camera.T
-        if self._last.level:
-            R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
-        return Attitude(self._last.t_s, quat_from_rotation(R_ned_body))
+    def counted_attitude(self, t_s: float) -> Attitude:
+        """Of a video alone: level, with the heading counted up to the last picture."""
+        R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
+        return Attitude(t_s, quat_from_rotation(R_ned_body))
 
     def step(
         self, frame: Frame, R_ned_body: Array | None, agl_m: float
@@ -152,7 +149,8 @@ class Odometry:
 
         Args:
             frame: later than the one before, of the camera's size.
-            R_ned_body: (3, 3) at its exposure; None when it is not known.
+            R_ned_body: (3, 3) at its exposure; None when it is not known: nothing is followed
+                then, unless the video is alone.
             agl_m: height above ground at its exposure; the motion is proportional to it.
 
         Returns:
@@ -183,18 +181,20 @@ class Odometry:
             )
         if self._last is not None and frame.t_s <= self._last.t_s:
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "not later than the one before")
+        if self._alone:
+            R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
+        if R_ned_body is None:
+            return Rejected(frame.t_s, RejectReason.NOT_TRIED, "attitude not known")
         if not (math.isfinite(agl_m) and agl_m >= self._config.least_agl_m):
             return self._lost(frame.t_s, RejectReason.TOO_LOW, f"{agl_m:.2f} m above ground")
-        level = R_ned_body is None
-        R = rotation_from_euler(0.0, 0.0, self._heading_rad) if R_ned_body is None else R_ned_body
-        R_ned_camera = R @ self._camera.R_body_camera
+        R_ned_camera = R_ned_body @ self._camera.R_body_camera
         if not np.all(np.isfinite(R_ned_camera)) or R_ned_camera[2, 2] < _LEAST_COS_TILT:
             return self._lost(frame.t_s, RejectReason.TILTED, "the camera does not look down")
         gray = reduced_gray(frame.image, self._factor)
         contrast = float(cv2.meanStdDev(gray)[1][0, 0])
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
-        return _View(frame.t_s, gray, R_ned_camera, agl_m, level)
+        return _View(frame.t_s, gray, R_ned_camera, agl_m)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """A picture that shows nothing: what comes after it starts anew."""
@@ -232,8 +232,6 @@ class Odometry:
 
     def _follow(self, keyframe: _Keyframe, view: _View) -> OdometryMotion | Rejected:
         config = self._config
-        if keyframe.view.level != view.level:
-            return Rejected(view.t_s, RejectReason.NOT_TRIED, "attitude came or went")
         uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
         stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
         if stats.matches < config.least_inliers:
@@ -255,12 +253,12 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        share = 0.0 if view.level else _tilt_share(motion, prior)
+        share = 0.0 if self._alone else _tilt_share(motion, prior)
         return self._accept(keyframe, view, _off_plane(motion, count / stats.matches), count, share)
 
     def _prior(self, keyframe: _View, view: _View) -> MotionPrior:
         c = self._config
-        if view.level:
+        if self._alone:
             return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.sigma_px)
         headings = (_heading(v.R_ned_camera, self._camera) for v in (keyframe, view))
         turned_rad = abs(wrap_pi(next(headings) - next(headings)))
@@ -275,7 +273,7 @@ class Odometry:
         heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
         increment_rad = wrap_pi(heading1_rad - heading0_rad)
         agl_m = keyframe.view.agl_m
-        if view.level:
+        if self._alone:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
             way, covariance = _centre_way(motion, *axes)
             view = self._turned(view, heading1_rad)
@@ -307,7 +305,7 @@ class Odometry:
     def _remember(self, view: _View, motion: Motion) -> None:
         course = self._course
         velocity = (motion.way - course.way) / (view.t_s - course.t_s)
-        turn_rad = motion.turn_rad * (0.0 if view.level else 1.0)
+        turn_rad = motion.turn_rad * (0.0 if self._alone else 1.0)
         self._course = _Course(view.t_s, motion.way, turn_rad, velocity)
         self._last = view
 

@@ -1,0 +1,184 @@
+"""From standing on the ground to the autopilot's own take-off: readiness, a person's word, arming.
+
+Arming and take-off are asked for only of a disarmed aircraft on the ground whose readiness list is
+complete. An aircraft that is armed without our asking is somebody else's.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from vwnav.safety.readiness import Check, missing
+from vwnav.types import Autopilot, FlightMode, Request, VehicleState
+
+
+class Stage(Enum):
+    """How far the departure has got."""
+
+    READINESS = "getting ready"
+    PERSON = "waiting for a person"
+    ARM = "arming"
+    TAKE_OFF = "asking for take-off"
+
+
+@dataclass(frozen=True, slots=True)
+class DepartureConfig:
+    """Times of a departure."""
+
+    ready_timeout_s: float = 90.0  # the autopilot's filter must trust our estimate within this
+    ready_steady_s: float = 4.0  # PX4 was seen ready for 2.1 s, then for 6 s not, then for good
+    arming_tries: int = 3  # readiness may go in the very moment of arming
+    arming_shows_s: float = 3.0  # from the accepted command to the heartbeat that tells it
+    takeoff_height_m: float = 4.0  # flown by the autopilot's own take-off
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How the departure ended.
+
+    Attributes:
+        airborne: the autopilot takes off for us.
+        not_ours: somebody else armed the aircraft and has it.
+        reason: why it ended otherwise; `unsafe` when the readiness list never was complete.
+    """
+
+    airborne: bool = False
+    not_ours: bool = False
+    reason: str | None = None
+    unsafe: bool = False
+
+
+class Departure:
+    """One departure; `step` it until it has an outcome.
+
+    Args:
+        arms: whether it arms by itself; else the pilot's arming by radio (in Hold, Offboard or
+            GUIDED: a pilot who arms in a mode flown with sticks wants to fly) or `go` starts it.
+        say: receives one line per event.
+        show: receives the list whenever what is missing changes.
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        config: DepartureConfig,
+        arms: bool,
+        say: Callable[[str], None],
+        show: Callable[[tuple[Check, ...]], None],
+    ) -> None:
+        self._autopilot = autopilot
+        self._config = config
+        self._arms = arms
+        self._say = say
+        self._show = show
+        self._began_s: float | None = None
+        self._ready_since_s: float | None = None
+        self._shown: str | None = None
+        self._request: Request | None = None
+        self._armed_s: float | None = None  # our arming was accepted
+        self._refusals = 0
+        self.stage = Stage.READINESS
+
+    @property
+    def has_armed(self) -> bool:
+        """The motors run because this departure started them."""
+        return self._armed_s is not None
+
+    def go(self) -> None:
+        """A person at the keyboard lets it arm, once it is ready."""
+        self._arms = True
+
+    def step(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
+        """Advance; None while it goes on."""
+        self._began_s = t_s if self._began_s is None else self._began_s
+        match self.stage:
+            case Stage.READINESS | Stage.PERSON:
+                return self._wait(vehicle, checks, t_s)
+            case Stage.ARM:
+                return self._arm(vehicle, t_s)
+            case Stage.TAKE_OFF:
+                return self._take_off(vehicle, t_s)
+
+    def _wait(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
+        """Until the list has been complete for a while, and somebody says go."""
+        if vehicle.armed or vehicle.in_air:
+            return self._armed_by_somebody(vehicle)
+        trouble = missing(checks)
+        if trouble != self._shown:
+            self._shown = trouble
+            self._show(checks)
+        if trouble:
+            self._ready_since_s, self.stage = None, Stage.READINESS
+            return self._out_of_time(trouble, t_s)
+        self._ready_since_s = t_s if self._ready_since_s is None else self._ready_since_s
+        if t_s - self._ready_since_s < self._config.ready_steady_s:
+            return None
+        if self._arms:
+            self.stage, self._request = Stage.ARM, self._autopilot.arm()
+        elif self.stage is Stage.READINESS:
+            self.stage = Stage.PERSON
+            self._say(
+                "ready: arm by the radio (in Hold on PX4, in GUIDED on ArduCopter), or press Enter"
+            )
+        return None
+
+    def _armed_by_somebody(self, vehicle: VehicleState) -> Outcome | None:
+        invited = self.stage is Stage.PERSON and not vehicle.in_air
+        if invited and vehicle.mode in (FlightMode.HOLD, FlightMode.OFFBOARD):
+            self._say("armed by the pilot: taking off")
+            self._begin_take_off()
+            return None
+        return Outcome(
+            not_ours=True,
+            reason="the aircraft is armed, and not by vwnav: somebody else flies it; vwnav only "
+            "sends estimates until it is disarmed",
+        )
+
+    def _out_of_time(self, trouble: str, t_s: float) -> Outcome | None:
+        assert self._began_s is not None
+        if t_s - self._began_s <= self._config.ready_timeout_s:
+            return None
+        waited = f"not ready to fly after {self._config.ready_timeout_s:.0f} s: {trouble}"
+        return Outcome(reason=waited, unsafe=True)
+
+    def _arm(self, vehicle: VehicleState, t_s: float) -> Outcome | None:
+        request = self._request
+        assert request is not None
+        if not request.done:
+            return None
+        if request.refused is None:
+            self._armed_s = t_s
+            self._begin_take_off()
+            return None
+        self._refusals += 1
+        reason = f"the autopilot refused to arm: {request.refused}"
+        if vehicle.armed:
+            self._autopilot.disarm()
+        if self._refusals >= self._config.arming_tries:
+            return Outcome(reason=reason)
+        self._say(reason)
+        self.stage, self._ready_since_s = Stage.READINESS, None
+        return None
+
+    def _begin_take_off(self) -> None:
+        self.stage = Stage.TAKE_OFF
+        self._request = self._autopilot.takeoff(self._config.takeoff_height_m)
+
+    def _take_off(self, vehicle: VehicleState, t_s: float) -> Outcome | None:
+        """Never armed again: an aircraft that is disarmed now was disarmed by a person."""
+        request = self._request
+        assert request is not None
+        told = self._armed_s is None or t_s - self._armed_s > self._config.arming_shows_s
+        if not vehicle.armed and told:
+            self._autopilot.withdraw()
+            return Outcome(reason="the aircraft was disarmed before it took off")
+        if vehicle.mode is FlightMode.MANUAL and told:
+            self._autopilot.withdraw()
+            return Outcome(not_ours=True, reason="the pilot took over before take-off")
+        if not request.done:
+            return None
+        if request.refused is None:
+            return Outcome(airborne=True)
+        if not vehicle.in_air:
+            self._autopilot.disarm()
+        return Outcome(reason=f"the autopilot refused to take off: {request.refused}")

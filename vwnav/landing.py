@@ -1,0 +1,92 @@
+"""The autopilot's own landing: asked for until it is flown, watched until the motors stop."""
+
+from collections.abc import Callable
+from enum import Enum
+
+from vwnav.types import Autopilot, FlightMode, Request, VehicleState, VelocitySetpoint
+
+COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
+_ASK_AGAIN_S = 1.0
+_TAKEN_AFTER_S = 3.0  # modes told late are not somebody's choice yet
+_DISARM_AFTER_S = 10.0  # on the ground; autopilots do it by themselves after 2 to 3 s
+_SLOW_S = 120.0
+
+
+class LandingState(Enum):
+    """Where a landing stands."""
+
+    ASKED = "asked for"
+    COMING_DOWN = "coming down"
+    TAKEN = "taken over"
+    DOWN = "down"
+
+
+class Landing:
+    """One landing, from the moment it is wanted.
+
+    Until the autopilot flies it, zero velocity is sent in Offboard: without setpoints ArduCopter
+    would coast for three seconds. Nothing is asked for any more once the aircraft stands: a Land
+    asked for at the moment of disarming stays as the mode on the ground.
+
+    Attributes:
+        refused: the autopilot's words when it would not land; None when it never refused.
+    """
+
+    def __init__(
+        self, autopilot: Autopilot, vehicle: VehicleState, t_s: float, say: Callable[[str], None]
+    ) -> None:
+        self._autopilot = autopilot
+        self._say = say
+        self._began_s = t_s
+        self._mode_before = vehicle.mode
+        self._comes_down = vehicle.mode in COMING_DOWN
+        self._request: Request | None = None
+        self._asked_s = t_s
+        self._stands_since_s: float | None = None
+        self._said_slow = False
+        self.refused: str | None = None
+        if not self._comes_down:
+            self._request = autopilot.land()
+
+    def step(self, vehicle: VehicleState, t_s: float) -> LandingState:
+        """One look, and what has to be asked for."""
+        if not vehicle.armed:
+            return LandingState.DOWN
+        if not vehicle.in_air:
+            return self._stands(t_s)
+        self._stands_since_s = None
+        if t_s - self._began_s > _SLOW_S and not self._said_slow:
+            self._said_slow = True
+            self._say(f"not down after {_SLOW_S:.0f} s: still waiting")
+        if vehicle.mode in COMING_DOWN:
+            self._comes_down = True
+            return LandingState.COMING_DOWN
+        changed = self._comes_down or vehicle.mode is not self._mode_before
+        if changed and t_s - self._began_s > _TAKEN_AFTER_S:
+            self._autopilot.withdraw()
+            return LandingState.TAKEN
+        if not changed:
+            self._ask(vehicle, t_s)
+        return LandingState.ASKED
+
+    def _ask(self, vehicle: VehicleState, t_s: float) -> None:
+        """The mode is still the one that we want to leave: not heard, refused, or under way."""
+        if vehicle.mode is FlightMode.OFFBOARD:
+            self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
+        request = self._request
+        if request is None or not request.done:
+            return
+        if request.refused is not None and self.refused is None:  # once: it is asked every second
+            self.refused = f"the autopilot refused to land: {request.refused}"
+            self._say(self.refused)
+        if t_s - self._asked_s >= _ASK_AGAIN_S:
+            self._asked_s, self._request = t_s, self._autopilot.land()
+
+    def _stands(self, t_s: float) -> LandingState:
+        """On the ground with running motors."""
+        self._stands_since_s = t_s if self._stands_since_s is None else self._stands_since_s
+        if t_s - self._stands_since_s >= _DISARM_AFTER_S:
+            self._say("the aircraft stands and is still armed: disarming")
+            self._stands_since_s = t_s
+            self._autopilot.disarm()
+        return LandingState.COMING_DOWN

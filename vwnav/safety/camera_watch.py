@@ -1,0 +1,47 @@
+"""Whether pictures come, fit the calibration, and are not one picture again and again."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.types import Frame
+
+_COMPARED_EVERY_PX = 16
+
+
+class CameraWatch:
+    """Looks at each picture before it is used.
+
+    Args:
+        width_px, height_px: of the pictures that the calibration is for.
+
+    Attributes:
+        picture_s: exposure of the newest picture, None before the first.
+        trouble: why that one cannot be used; empty when it can.
+    """
+
+    def __init__(self, width_px: int, height_px: int) -> None:
+        self._size = (width_px, height_px)
+        self._before: NDArray[np.uint8] | None = None
+        self.picture_s: float | None = None
+        self.trouble = ""
+
+    def look(self, frame: Frame) -> str:
+        """The trouble with a picture, empty when there is none."""
+        self.trouble = self._trouble(frame.image)
+        self.picture_s = frame.t_s
+        return self.trouble
+
+    def _trouble(self, image: NDArray[np.uint8]) -> str:
+        size = (image.shape[1], image.shape[0])
+        if size != self._size:
+            return (
+                f"the calibration is for pictures of {self._size[0]} x {self._size[1]} px but they "
+                f"are {size[0]} x {size[1]} px; calibrate at that size"
+            )
+        return "the camera repeats one picture" if self._is_repeated(image) else ""
+
+    def _is_repeated(self, image: NDArray[np.uint8]) -> bool:
+        """Noise makes no two pictures of a sensor the same, unless all of it is one shade."""
+        sample = image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX].copy()
+        before, self._before = self._before, sample
+        return before is not None and bool(np.ptp(sample)) and np.array_equal(before, sample)

@@ -1,0 +1,526 @@
+"""Which estimates an autopilot may be given: none that we would not fly on ourselves.
+
+An autopilot chases whatever it is told. One that has lost its position comes down level by itself
+when estimates stop; one that follows a runaway estimate flies away. So what was lost comes back
+only as a new estimate, with another reset counter, after several fixes that agree.
+
+`EstimateGuard` stands at the navigator's exit. `RelayGuard` stands in the watchdog and sees only
+what the messages carry; its bounds are a little wider, so that the navigator trips first.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vwnav.types import Array, Estimate
+
+_TRACK_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimateLimits:
+    """What may be sent to an autopilot.
+
+    Attributes:
+        max_age_s: against the clock, both ways.
+        max_speed_m_s: horizontal; no multirotor of ours flies faster, wind included.
+        max_tilt_rad: of the attitude that comes with it.
+        max_velocity_sigma_m_s, max_position_sigma_m: larger semi-axis, while it is sent; the
+            position's only after a first fix: before, the aircraft is wherever it stands.
+        new_velocity_sigma_m_s, new_position_sigma_m: of one that comes back, or that says by its
+            reset counter that it jumped.
+        max_jump_m: beyond what `max_speed_m_s` explains, without another reset counter. Autopilots
+            follow a silent jump of 5 m within 3 s.
+        max_velocity_jump_m_s: from one to the next.
+        max_gap_s: between two; after a longer one nothing is sent at once.
+        brief_gap_s: after a gap no longer than that it goes on as the same, once it is steady.
+        settle_s: for how long it has to be steady then.
+        settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
+        new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
+    """
+
+    max_age_s: float = 0.25
+    max_speed_m_s: float = 35.0
+    max_tilt_rad: float = math.radians(70.0)
+    max_velocity_sigma_m_s: float = 4.0
+    max_position_sigma_m: float = 30.0
+    new_velocity_sigma_m_s: float = 1.5
+    new_position_sigma_m: float = 5.0
+    max_jump_m: float = 3.0
+    max_velocity_jump_m_s: float = 5.0
+    max_gap_s: float = 0.5
+    brief_gap_s: float = 1.0
+    settle_s: float = 0.5
+    settle_drift_m_s: float = 2.0
+    new_fixes: int = 3
+    new_fixes_s: float = 1.0
+
+
+class _Track:
+    """Positions of the last second: could the next one be of the same aircraft?"""
+
+    def __init__(self, max_speed_m_s: float, max_jump_m: float) -> None:
+        self._max_speed_m_s, self._max_jump_m = max_speed_m_s, max_jump_m
+        self._points: deque[tuple[float, float, float]] = deque()  # time, north, east
+
+    def excess_m(self, t_s: float, north_m: float, east_m: float) -> float:
+        """How much further it is than flight explains, against the oldest and the newest."""
+        excess_m = 0.0
+        for then_s, then_north_m, then_east_m in (self._points[i] for i in self._ends()):
+            moved_m = math.hypot(north_m - then_north_m, east_m - then_east_m)
+            excess_m = max(excess_m, moved_m - self._max_speed_m_s * max(t_s - then_s, 0.0))
+        return excess_m
+
+    def jumped(self, t_s: float, north_m: float, east_m: float) -> bool:
+        """Whether it is further than flight and a correction explain."""
+        return self.excess_m(t_s, north_m, east_m) > self._max_jump_m
+
+    def add(self, t_s: float, north_m: float, east_m: float) -> None:
+        """One that belongs to it."""
+        self._points.append((t_s, north_m, east_m))
+        while t_s - self._points[0][0] > _TRACK_S:
+            self._points.popleft()
+
+    def silent_s(self, t_s: float) -> float:
+        """Since the newest one; 0 before the first."""
+        return t_s - self._points[-1][0] if self._points else 0.0
+
+    def velocity_m_s(self) -> tuple[float, float]:
+        """North, east, from its ends; zero of a track too short to tell."""
+        if not self._points:
+            return 0.0, 0.0
+        (t0_s, north0_m, east0_m), (t1_s, north1_m, east1_m) = self._points[0], self._points[-1]
+        span_s = t1_s - t0_s
+        if span_s < 0.2:
+            return 0.0, 0.0
+        return (north1_m - north0_m) / span_s, (east1_m - east0_m) / span_s
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._points.clear()
+
+    def _ends(self) -> tuple[int, ...]:
+        return (0, -1) if self._points else ()
+
+
+@dataclass
+class _Trial:
+    """A lost estimate that is watched until it may come back."""
+
+    since_s: float
+    counter: int
+    track: _Track
+    may_resume: bool
+    fixes_t_s: list[float] = field(default_factory=list)
+    count: int = 0
+
+
+class EstimateGuard:
+    """The navigator's: every estimate on its way to the autopilot goes through `admit`.
+
+    Args:
+        limits: the bounds.
+        first_counter: added to the reset counter; a navigator that continues another one's
+            flight hands the last counter in that was sent, and comes as a new estimate.
+
+    Attributes:
+        lost_since_s: since when nothing is sent in flight; None while estimates are sent.
+        reason: why that is so, or why nothing was sent last.
+    """
+
+    def __init__(self, limits: EstimateLimits | None = None, first_counter: int = 0) -> None:
+        self._limits = limits if limits is not None else EstimateLimits()
+        self._renewals = first_counter
+        self._last: Estimate | None = None
+        self._track = self._new_track()
+        self._trial: _Trial | None = None
+        self._may_resume = False
+        self.lost_since_s: float | None = None
+        self.reason = ""
+
+    def admit(self, estimate: Estimate | None, t_s: float, armed: bool = True) -> Estimate | None:
+        """The estimate as it is to be sent, with its own reset counter; None to send nothing.
+
+        Args:
+            estimate: the filter's, None where it has none.
+            t_s: now; to be called at every turn of the sending loop.
+            armed: on the ground, disarmed, nothing flies on it: it may jump and come back freely.
+        """
+        if estimate is None or not self._is_of_now(estimate, t_s):
+            self._miss(t_s, armed)
+            return None
+        fault = self._fault(estimate)
+        if not armed:
+            return self._on_ground(estimate, fault)
+        if self.lost_since_s is None:
+            gap_s = estimate.t_s - self._last.t_s if self._last is not None else math.inf
+            broken = fault or self._break(estimate, gap_s)
+            if broken is None:
+                return self._sent(estimate)
+            self.lose(broken, t_s)
+            self._may_resume = self._limits.max_gap_s < gap_s <= self._limits.brief_gap_s
+        return self._try(estimate, fault, t_s)
+
+    def lose(self, reason: str, t_s: float) -> None:
+        """Send nothing more until a new estimate stands; for what only the caller knows.
+
+        A gap of telemetry, or a watchdog that does not hand the estimates on.
+        """
+        if self.lost_since_s is None:
+            self.lost_since_s = t_s
+        self.reason, self._trial, self._may_resume = reason, None, False
+
+    def _is_of_now(self, estimate: Estimate, t_s: float) -> bool:
+        """One that is late is left out; if that goes on, the gap makes it lost."""
+        if not abs(t_s - estimate.t_s) <= self._limits.max_age_s:
+            return False
+        return self._last is None or estimate.t_s >= self._last.t_s
+
+    def _miss(self, t_s: float, armed: bool) -> None:
+        """None of now: lost, once it has lasted too long to go on as the same."""
+        since_s = self._last.t_s if self._last is not None else -math.inf
+        if armed and self.lost_since_s is None and t_s - since_s > self._limits.brief_gap_s:
+            self.lose("there is no estimate of now", t_s)
+
+    def _fault(self, estimate: Estimate) -> str | None:
+        """What is wrong with it, by itself."""
+        limits = self._limits
+        if not _is_finite(estimate):
+            return "the estimate is not finite"
+        speed_m_s = float(np.hypot(*estimate.velocity_ned_m_s[:2]))
+        if not speed_m_s < limits.max_speed_m_s:
+            return f"the estimate moves at {speed_m_s:.0f} m/s"
+        if not _tilt_rad(estimate.quat_wxyz) <= limits.max_tilt_rad:
+            return "the estimate is tilted beyond what an aircraft flies"
+        if not _sigma(estimate, 3) < limits.max_velocity_sigma_m_s:
+            return "the estimate's velocity is lost"
+        sigma_m = _sigma(estimate, 0)
+        if estimate.t_last_fix_s is not None and not sigma_m < limits.max_position_sigma_m:
+            return f"the estimate's position is uncertain by {sigma_m:.0f} m"
+        return None
+
+    def _unsure(self, estimate: Estimate) -> str | None:
+        """What keeps it from being a new one."""
+        sigma_m, sigma_m_s = _sigma(estimate, 0), _sigma(estimate, 3)
+        if sigma_m > self._limits.new_position_sigma_m:
+            return f"the estimate's position is uncertain by {sigma_m:.0f} m"
+        if sigma_m_s > self._limits.new_velocity_sigma_m_s:
+            return f"the estimate's velocity is uncertain by {sigma_m_s:.1f} m/s"
+        return None
+
+    def _break(self, estimate: Estimate, gap_s: float) -> str | None:
+        """What does not fit those before it."""
+        if self._last is None:
+            return "there is no estimate yet that was flown on"
+        if gap_s > self._limits.max_gap_s:
+            return f"there was no estimate for {gap_s:.1f} s"
+        if estimate.reset_counter != self._last.reset_counter:
+            self._track.clear()
+            return self._unsure(estimate)
+        if self._track.jumped(estimate.t_s, *_north_east(estimate)):
+            return "the estimate jumped"
+        step_m_s = estimate.velocity_ned_m_s[:2] - self._last.velocity_ned_m_s[:2]
+        if float(np.hypot(*step_m_s)) > self._limits.max_velocity_jump_m_s:
+            return "the estimate's velocity jumped"
+        return None
+
+    def _on_ground(self, estimate: Estimate, fault: str | None) -> Estimate | None:
+        self.lost_since_s, self._trial = None, None
+        self._track.clear()
+        if fault is not None:
+            self.reason, self._last = fault, None
+            return None
+        return self._sent(estimate)
+
+    def _sent(self, estimate: Estimate) -> Estimate:
+        self.lost_since_s, self._trial, self.reason = None, None, ""
+        self._last = estimate
+        self._track.add(estimate.t_s, *_north_east(estimate))
+        return replace(estimate, reset_counter=estimate.reset_counter + self._renewals)
+
+    def _try(self, estimate: Estimate, fault: str | None, t_s: float) -> Estimate | None:
+        """Watch a lost estimate; it comes back as a new one, or as the same after a brief gap."""
+        if fault is not None:
+            self._trial, self._may_resume = None, False
+            return None
+        place = (estimate.t_s, *_north_east(estimate))
+        trial = self._trial
+        if trial is None or estimate.reset_counter != trial.counter or trial.track.jumped(*place):
+            resume = trial is None and self._may_resume
+            trial = _Trial(t_s, estimate.reset_counter, self._new_track(), resume)
+            self._trial = trial
+        trial.track.add(*place)
+        self._count_fix(trial, estimate)
+        if self._goes_on(trial, estimate, t_s):
+            return self._sent(estimate)
+        if self._unsure(estimate) is None and self._is_proven(trial, t_s):
+            self._renewals += 1
+            self._track.clear()
+            return self._sent(estimate)
+        return None
+
+    def _count_fix(self, trial: _Trial, estimate: Estimate) -> None:
+        t_fix_s = estimate.t_last_fix_s
+        assert self.lost_since_s is not None
+        is_new = t_fix_s is not None and t_fix_s >= self.lost_since_s
+        if is_new and t_fix_s not in trial.fixes_t_s[-1:]:
+            assert t_fix_s is not None
+            trial.fixes_t_s.append(t_fix_s)
+
+    def _is_proven(self, trial: _Trial, t_s: float) -> bool:
+        fixes_t_s, limits = trial.fixes_t_s, self._limits
+        if len(fixes_t_s) < limits.new_fixes or t_s - trial.since_s < limits.new_fixes_s:
+            return False
+        return fixes_t_s[-1] - fixes_t_s[0] >= limits.new_fixes_s
+
+    def _goes_on(self, trial: _Trial, estimate: Estimate, t_s: float) -> bool:
+        """After a brief stall: steady again, and where it would be by now. Asked once."""
+        last = self._last
+        if not trial.may_resume or last is None or t_s - trial.since_s < self._limits.settle_s:
+            return False
+        trial.may_resume = False
+        if estimate.reset_counter != last.reset_counter:
+            return False
+        span_s = estimate.t_s - last.t_s
+        expected_ne_m = last.position_ned_m[:2] + last.velocity_ned_m_s[:2] * span_s
+        off_m = float(np.hypot(*(estimate.position_ned_m[:2] - expected_ne_m)))
+        jumped = self._track.jumped(estimate.t_s, *_north_east(estimate))
+        return not jumped and off_m <= self._drift_m(span_s)
+
+    def _drift_m(self, span_s: float) -> float:
+        return self._limits.max_jump_m + self._limits.settle_drift_m_s * span_s
+
+    def _new_track(self) -> _Track:
+        return _Track(self._limits.max_speed_m_s, self._limits.max_jump_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RelayLimits:
+    """As `EstimateLimits`, a little wider.
+
+    Attributes:
+        brief_gap_s: the navigator's own brief gap, and the time it waits until it is steady.
+        steady_s: for how long estimates come steadily before they are handed on again.
+        fewest: estimates in that time.
+    """
+
+    max_age_s: float = 0.3
+    max_speed_m_s: float = 35.0
+    max_jump_m: float = 4.0
+    max_gap_s: float = 0.5
+    brief_gap_s: float = 2.0
+    drift_m_s: float = 2.5
+    new_position_sigma_m: float = 6.0
+    steady_s: float = 0.3
+    fewest: int = 5
+
+
+@dataclass(frozen=True, slots=True)
+class RelayedPosition:
+    """What VISION_POSITION_ESTIMATE says: NED about the autopilot's origin.
+
+    Attributes:
+        t_s: on the clock of this machine.
+        sigma_m: the larger horizontal one.
+    """
+
+    t_s: float
+    position_ned_m: tuple[float, float, float]
+    sigma_m: float
+    reset_counter: int
+
+
+@dataclass(frozen=True, slots=True)
+class RelayedVelocity:
+    """What VISION_SPEED_ESTIMATE says."""
+
+    t_s: float
+    velocity_ned_m_s: tuple[float, float, float]
+
+
+class RelayGuard:
+    """The watchdog's, over messages that pass: true means that one may be handed on.
+
+    Attributes:
+        last: the position handed on last.
+        lost_since_s: since when none is; None while they pass.
+        reason: why.
+    """
+
+    def __init__(self, limits: RelayLimits | None = None) -> None:
+        self._limits = limits if limits is not None else RelayLimits()
+        self._track = self._new_track()
+        self._trial: _Trial | None = None
+        self._may_resume = False
+        self.last: RelayedPosition | None = None
+        self.lost_since_s: float | None = None
+        self.reason = ""
+
+    @property
+    def velocity_ne_m_s(self) -> tuple[float, float]:
+        """North and east, from the positions of the last second that were handed on."""
+        return self._track.velocity_m_s()
+
+    def admit_position(self, position: RelayedPosition, t_s: float, armed: bool) -> bool:
+        """Whether this one may pass now; disarmed on the ground it may jump."""
+        if not self._is_of_now(position, t_s):
+            return False
+        numbers = (*position.position_ned_m, position.sigma_m)
+        fault = None if all(map(math.isfinite, numbers)) else "a position that is not finite"
+        if not armed:
+            return self._on_ground(position, fault)
+        if self.lost_since_s is None:
+            gap_s = position.t_s - self.last.t_s if self.last is not None else math.inf
+            broken = fault or self._break(position, gap_s)
+            if broken is None:
+                return self._pass(position)
+            self.lose(broken, t_s)
+            self._may_resume = self._limits.max_gap_s < gap_s <= self._limits.brief_gap_s
+        return self._try(position, fault, t_s)
+
+    def admit_velocity(self, velocity: RelayedVelocity, t_s: float) -> bool:
+        """Whether this one may pass now; one that cannot be takes the positions with it."""
+        if self.lost_since_s is not None:
+            return False
+        if not all(map(math.isfinite, (velocity.t_s, *velocity.velocity_ned_m_s))):
+            self.lose("a velocity that is not finite", t_s)
+            return False
+        speed_m_s = math.hypot(*velocity.velocity_ned_m_s[:2])
+        if speed_m_s > self._limits.max_speed_m_s:
+            self.lose(f"a velocity of {speed_m_s:.0f} m/s", t_s)
+            return False
+        return abs(t_s - velocity.t_s) <= self._limits.max_age_s
+
+    def lose(self, reason: str, t_s: float) -> None:
+        """Hand nothing more on until it comes as a new one."""
+        if self.lost_since_s is None:
+            self.lost_since_s = t_s
+        self.reason, self._trial, self._may_resume = reason, None, False
+
+    def _is_of_now(self, position: RelayedPosition, t_s: float) -> bool:
+        """One that is late is left out; if that goes on, the gap makes it lost."""
+        if not abs(t_s - position.t_s) <= self._limits.max_age_s:
+            return False
+        return self.last is None or position.t_s >= self.last.t_s
+
+    def _break(self, position: RelayedPosition, gap_s: float) -> str | None:
+        last = self.last
+        if last is None:
+            return "no position was handed on yet"
+        if gap_s > self._limits.max_gap_s:
+            return f"no position for {gap_s:.1f} s"
+        if position.reset_counter != last.reset_counter:
+            self._track.clear()
+            return self._unsure(position)
+        if self._track.jumped(*_place(position)):
+            return "the position jumped"
+        return None
+
+    def _unsure(self, position: RelayedPosition) -> str | None:
+        if position.sigma_m > self._limits.new_position_sigma_m:
+            return f"the new position is uncertain by {position.sigma_m:.0f} m"
+        return None
+
+    def _on_ground(self, position: RelayedPosition, fault: str | None) -> bool:
+        self.lost_since_s, self._trial = None, None
+        self._track.clear()
+        if fault is not None:
+            self.reason = fault
+            return False
+        return self._pass(position)
+
+    def _pass(self, position: RelayedPosition) -> bool:
+        self.lost_since_s, self._trial, self.reason = None, None, ""
+        self.last = position
+        self._track.add(*_place(position))
+        return True
+
+    def _try(self, position: RelayedPosition, fault: str | None, t_s: float) -> bool:
+        if fault is not None:
+            self._trial, self._may_resume = None, False
+            return False
+        trial, place = self._trial, _place(position)
+        gap_s = self._limits.max_gap_s
+        if (
+            trial is None
+            or position.reset_counter != trial.counter
+            or trial.track.jumped(*place)
+            or trial.track.silent_s(position.t_s) > gap_s
+        ):
+            resume = trial is None and self._may_resume
+            self._trial = trial = _Trial(t_s, position.reset_counter, self._new_track(), resume)
+        trial.track.add(*place)
+        trial.count += 1
+        if t_s - trial.since_s < self._limits.steady_s or trial.count < self._limits.fewest:
+            return False
+        if not (self._is_new(position) or self._goes_on(trial, position)):
+            return False
+        self._track.clear()
+        return self._pass(position)
+
+    def _is_new(self, position: RelayedPosition) -> bool:
+        is_renewed = self.last is None or position.reset_counter != self.last.reset_counter
+        return is_renewed and self._unsure(position) is None
+
+    def _goes_on(self, trial: _Trial, position: RelayedPosition) -> bool:
+        """After a brief gap: the same one, about where it would be by now. Asked once."""
+        last = self.last
+        if not trial.may_resume or last is None or position.reset_counter != last.reset_counter:
+            return False
+        trial.may_resume = False
+        span_s = position.t_s - last.t_s
+        north_m, east_m = (
+            last.position_ned_m[i] + v * span_s for i, v in enumerate(self.velocity_ne_m_s)
+        )
+        _, now_north_m, now_east_m = _place(position)
+        off_m = math.hypot(now_north_m - north_m, now_east_m - east_m)
+        allowed_m = self._limits.max_jump_m + self._limits.drift_m_s * span_s
+        return not self._track.jumped(*_place(position)) and off_m <= allowed_m
+
+    def _new_track(self) -> _Track:
+        return _Track(self._limits.max_speed_m_s, self._limits.max_jump_m)
+
+
+def is_flyable(estimate: Estimate) -> bool:
+    """Whether an autopilot may steer by it, by itself alone."""
+    return EstimateGuard().admit(estimate, estimate.t_s, armed=False) is not None
+
+
+def _place(position: RelayedPosition) -> tuple[float, float, float]:
+    return position.t_s, position.position_ned_m[0], position.position_ned_m[1]
+
+
+def _north_east(estimate: Estimate) -> tuple[float, float]:
+    return float(estimate.position_ned_m[0]), float(estimate.position_ned_m[1])
+
+
+def _is_finite(estimate: Estimate) -> bool:
+    arrays = (
+        estimate.position_ned_m,
+        estimate.velocity_ned_m_s,
+        estimate.covariance,
+        estimate.quat_wxyz,
+    )
+    return math.isfinite(estimate.t_s) and all(bool(np.all(np.isfinite(a))) for a in arrays)
+
+
+def _sigma(estimate: Estimate, first: int) -> float:
+    """Larger semi-axis of the horizontal part that begins at `first`: 0 position, 3 velocity.
+
+    NaN, which no bound admits, where the covariance is none.
+    """
+    variance = float(
+        np.linalg.eigvalsh(estimate.covariance[first : first + 2, first : first + 2])[-1]
+    )
+    return math.sqrt(variance) if variance >= 0.0 else math.nan
+
+
+def _tilt_rad(quat_wxyz: Array) -> float:
+    """Angle between the body's down axis and the world's: its cosine is 1 - 2 (x^2 + y^2)."""
+    length = float(np.linalg.norm(quat_wxyz))
+    if length < 0.1:
+        return math.nan  # no rotation; no bound admits it
+    _, x, y, _ = (float(v) / length for v in quat_wxyz)
+    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))

@@ -1,0 +1,125 @@
+"""The one list of what must be right before the motors start: `doctor` and `fly` both show it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from vwnav.safety.safety_config import SafetyConfig
+from vwnav.types import Finding, Navigation, VehicleState
+
+Verdict = Literal["PASS", "WARN", "FAIL"]
+_PICTURE_AGE_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the list."""
+
+    name: str
+    verdict: Verdict
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class Equipment:
+    """What the list needs to know besides telemetry and estimate.
+
+    Attributes:
+        findings: parameters that are not as vision wants them; None while they are being read.
+        link_refusal: why the link cannot carry a flight; None when it can.
+        picture_s: exposure of the newest picture, None before the first.
+        picture_trouble: why pictures cannot be used; empty when they can.
+    """
+
+    findings: tuple[Finding, ...] | None
+    link_refusal: str | None
+    picture_s: float | None
+    picture_trouble: str
+
+
+def check_flight(
+    vehicle: VehicleState,
+    navigation: Navigation,
+    equipment: Equipment,
+    config: SafetyConfig,
+    t_s: float,
+) -> tuple[Check, ...]:
+    """Everything that is looked at before arming, in the order in which it is shown."""
+    return (
+        _link(vehicle, equipment),
+        *check_parameters(equipment.findings),
+        check_battery(vehicle, config),
+        _camera(equipment, t_s),
+        _estimate(navigation),
+        _autopilot(vehicle),
+    )
+
+
+def missing(checks: Iterable[Check]) -> str:
+    """What keeps the aircraft on the ground, in one line; empty when nothing does."""
+    return "; ".join(f"{check.name}: {check.detail}" for check in checks if check.verdict == "FAIL")
+
+
+def check_battery(vehicle: VehicleState, config: SafetyConfig) -> Check:
+    """A battery that nobody knows is none to fly on."""
+    ratio = vehicle.battery_ratio
+    if ratio is None:
+        detail = "the autopilot does not say how full it is: calibrate its power module"
+        return Check("battery", "FAIL", detail)
+    enough = ratio >= config.battery_takeoff_ratio
+    needed = "" if enough else f", {100 * config.battery_takeoff_ratio:.0f} % is wanted: charge it"
+    return Check("battery", "PASS" if enough else "FAIL", f"{100 * ratio:.0f} %{needed}")
+
+
+def check_parameters(findings: tuple[Finding, ...] | None) -> tuple[Check, ...]:
+    """A line for every parameter that is wrong."""
+    if findings is None:
+        return (Check("parameters", "FAIL", "not read yet"),)
+    if not findings:
+        return (Check("parameters", "PASS", "as a flight on vision wants them"),)
+    return tuple(
+        Check(
+            finding.parameter,
+            "FAIL" if finding.severity == "fail" else "WARN",
+            f"{_present(finding)}, should be {finding.wanted}: {finding.why}",
+        )
+        for finding in findings
+    )
+
+
+def _present(finding: Finding) -> str:
+    return "is missing" if finding.present is None else f"is {finding.present:g}"
+
+
+def _link(vehicle: VehicleState, equipment: Equipment) -> Check:
+    if not vehicle.connected:
+        return Check("link", "FAIL", "the autopilot is not heard")
+    if equipment.link_refusal is not None:
+        return Check("link", "FAIL", equipment.link_refusal)
+    return Check("link", "PASS", "heard")
+
+
+def _camera(equipment: Equipment, t_s: float) -> Check:
+    if equipment.picture_trouble:
+        return Check("camera", "FAIL", equipment.picture_trouble)
+    if equipment.picture_s is None:
+        return Check("camera", "FAIL", "no picture has come: check its cable")
+    age_s = t_s - equipment.picture_s
+    if age_s > _PICTURE_AGE_S:
+        return Check("camera", "FAIL", f"no picture for {age_s:.1f} s: check its cable")
+    return Check("camera", "PASS", "pictures come")
+
+
+def _estimate(navigation: Navigation) -> Check:
+    if navigation.estimate is not None:
+        return Check("estimate", "PASS", "there is one to fly on")
+    detail = navigation.lost or "neither attitude nor height has come from the autopilot"
+    return Check("estimate", "FAIL", detail)
+
+
+def _autopilot(vehicle: VehicleState) -> Check:
+    if not vehicle.armable:
+        return Check("autopilot", "FAIL", "it reports no readiness to arm")
+    if not vehicle.local_position_ok:
+        return Check("autopilot", "FAIL", "it reports no local position: is it set up for vision?")
+    return Check("autopilot", "PASS", "ready to arm, with a position")

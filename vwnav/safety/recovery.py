@@ -1,0 +1,84 @@
+"""What may be asked of an autopilot that flies its own failsafe after a gap of link or estimates.
+
+PX4 chases what comes back: in Descend it takes the first estimates that return and flies after
+them, whatever they say. So a new estimate has to stand, and the autopilot's own position has to
+agree with it, before it is asked for anything; and after more than a second it is only landed.
+"""
+
+from enum import Enum
+
+import numpy as np
+
+from vwnav.safety.safety_config import SafetyConfig
+from vwnav.types import Estimate, FlightMode, VehicleState
+
+_AGREES_S = 1.0
+_AGREES_M = 3.0
+_AGREES_SIGMAS = 3.0
+_HOLD_WAIT_S = 2.0
+
+
+class Wish(Enum):
+    """What is to be done now."""
+
+    WAIT = "wait"  # ask for nothing, send no setpoint
+    STAY = "stay"  # setpoints of zero velocity: the autopilot comes back to us by itself
+    GO_ON = "go on"  # it is back in our mode
+    HOLD = "hold"  # ask for it, once
+    LAND = "land"
+    RELEASE = "release"  # it cannot be told whose failsafe this is: not ours to end
+
+
+class Recovery:
+    """One failsafe, from its beginning.
+
+    Back in our mode after a long gap the aircraft is landed all the same: what PX4 does by itself
+    when setpoints return is nobody's decision.
+
+    Args:
+        explained: a gap of the link, or an estimate that was lost, explains it.
+    """
+
+    def __init__(self, config: SafetyConfig, explained: bool) -> None:
+        self._config = config
+        self._explained = explained
+        self._agrees_since_s: float | None = None
+        self._held_s: float | None = None
+
+    @property
+    def has_asked(self) -> bool:
+        """Hold has been asked for: that mode is ours."""
+        return self._held_s is not None
+
+    def step(
+        self, vehicle: VehicleState, estimate: Estimate | None, gap_s: float, t_s: float
+    ) -> Wish:
+        """The wish of this tick; `gap_s` is how long link or estimates were missing."""
+        if self._held_s is not None:
+            waited = t_s - self._held_s >= _HOLD_WAIT_S
+            return Wish.LAND if waited or vehicle.mode is FlightMode.HOLD else Wish.WAIT
+        if vehicle.mode is FlightMode.OFFBOARD:
+            return Wish.GO_ON if gap_s <= self._config.resume_gap_s else Wish.LAND
+        if not vehicle.failsafe:
+            return Wish.WAIT  # whose mode it is has not been told yet
+        if not self._explained:
+            return Wish.RELEASE
+        if gap_s <= self._config.resume_gap_s and estimate is not None:
+            return Wish.STAY
+        if estimate is None or not _agrees(vehicle, estimate):
+            self._agrees_since_s = None
+            return Wish.WAIT
+        self._agrees_since_s = t_s if self._agrees_since_s is None else self._agrees_since_s
+        if t_s - self._agrees_since_s < _AGREES_S:
+            return Wish.WAIT
+        self._held_s = t_s
+        return Wish.HOLD
+
+
+def _agrees(vehicle: VehicleState, estimate: Estimate) -> bool:
+    """The autopilot's own position is where the estimate has the aircraft."""
+    own = vehicle.own_position_ned_m
+    if own is None:
+        return False
+    apart_m = float(np.hypot(*(own - estimate.position_ned_m)[:2]))
+    return apart_m <= max(_AGREES_M, _AGREES_SIGMAS * estimate.sigma_horizontal_m)
