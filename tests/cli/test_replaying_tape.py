@@ -153,7 +153,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
         began_s = time.monotonic()
         choice = FeatureChoice(Localizer(began_s), None, config.pipeline, print)
         pipeline = Pipeline(choice, Odometry(), ekf, HOME, 0.02, config.pipeline, executor)
-        assembled = Assembled(pipeline, ekf, pack, "fake")
+        assembled = Assembled(pipeline, ekf, pack, SimpleNamespace(feature_set_id="fake"))
         record = FlightRecord(folder, about_run(assembled, "learned", "nadir"), pack, config, None)
         ekf.record(record.tape.input)
         above_m = np.array([0.0, 0.0, -50.0])

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from vwnav.cli.assemble import Assembled, about_run, assemble
+from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.flying import (
