@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 from vehicles import FLYING
 
-from vwnav.cli.assemble import Assembled, about_run, ground_of
+from vwnav.assemble import Assembled, about_run, ground_of
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
 from vwnav.config import Config

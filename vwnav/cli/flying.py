@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.cli.assemble import about_run, assemble, choose_features
+from vwnav.assemble import about_run, assemble, choose_features
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.map import parse_lat_lon

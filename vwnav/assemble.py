@@ -71,6 +71,27 @@ def assemble(
         ModelError: the pack's features were made by another model.
     """
     primary, fallback = choose_features(features, model, say)
+    return assemble_with(
+        primary, fallback, pack, camera, local_frame, config, executor, say, make_ekf
+    )
+
+
+def assemble_with(
+    primary: FeatureExtractor,
+    fallback: FeatureExtractor | None,
+    pack: MapPack,
+    camera: Camera,
+    local_frame: LocalFrame,
+    config: Config,
+    executor: Executor,
+    say: Callable[[str], None],
+    make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
+) -> Assembled:
+    """The same with extractors that are there already.
+
+    Raises:
+        ModelError: the pack's features were made by another model.
+    """
     pack.check_features(primary)
 
     def localizer(extractor: FeatureExtractor) -> Localizer:
