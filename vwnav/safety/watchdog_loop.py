@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 _READS_IN_A_ROW = 32
 _CALL_PERIOD_S = 1.0
 _LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
+_SWITCHED_OFF_S = 60.0  # an autopilot that silent while nobody navigates
 _CUT_S = 1.2  # silence of the autopilot that estimates do not simply go on after
 
 
@@ -246,7 +247,8 @@ class Watchdog:
     def _may_leave(self, t_s: float) -> bool:
         alone_s = t_s - self._ended_t_s
         vehicle = self._ear.vehicle(t_s)
-        if alone_s > self._config.limit_s:
+        silent_s = min(alone_s, self._ear.heartbeat_age_s(t_s))
+        if alone_s > self._config.limit_s or silent_s > _SWITCHED_OFF_S:
             return True
         heard_since = self._ear.heartbeat_t_s > self._ended_t_s
         was_heard = self._ear.heartbeat_t_s > -math.inf
