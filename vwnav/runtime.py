@@ -110,7 +110,7 @@ class FlightRuntime:
         believed = self._pipeline.estimate(t_s)
         vehicle = self._autopilot.state()
         self._lose_what_is_not_heard(vehicle, t_s)
-        sent = None if believed is None else self._guard.admit(believed, t_s, vehicle.armed)
+        sent = self._guard.admit(believed, t_s, vehicle.armed)
         lost = self._guard.reason if believed is not None and sent is None else ""
         with self._lock:
             before = self._navigation
