@@ -49,7 +49,7 @@ _OWN_POSITION_STALE_S = 1.0
 _CARRIED_S = 0.25  # an attitude is turned on by its rates for no longer
 _QUEUED = 4000  # measurements that nobody takes: twenty seconds of them
 _CRITICAL = 5  # MAV_STATE: ArduPilot flies a failsafe
-_UNDECIDED_S = 1.0  # so long PX4 may take to say who asked for a new mode
+_UNDECIDED_S = 2.5  # so long PX4 may take to say who asked for a new mode: it does every 2 s
 _MODE_SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
 
 
