@@ -125,7 +125,7 @@ def fly_route(options: FlyOptions) -> None:
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, stack)
         source = open_camera(options, plan, truth, stack)
-        autopilot = MavsdkAutopilot(watchdog.navigator_url)
+        autopilot = MavsdkAutopilot(watchdog.navigator_url, link_url=link)
         stack.callback(autopilot.close)
         _fly(options, plan, folder, watchdog, autopilot, source, truth, stack)
 

@@ -123,7 +123,7 @@ def _succeed(
     stack: ExitStack,
 ) -> None:
     clock = time.monotonic
-    autopilot = MavsdkAutopilot(resume.connection, clock=clock)
+    autopilot = MavsdkAutopilot(resume.connection, clock=clock, link_url=options.connection)
     stack.callback(autopilot.close)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
