@@ -25,6 +25,7 @@ from vwnav.cli.simulation import (
     open_simulated_camera,
     start_embedded_vehicle,
 )
+from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import Config, load_config, save_config
 from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
@@ -38,6 +39,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.missions import LocalWaypoint, load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
+from vwnav.pace import PacedClock
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -52,6 +54,7 @@ from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 FIRST_STATE_S = 5.0
+MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,16 +118,28 @@ def fly_route(options: FlyOptions) -> None:
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
         link, truth_url = options.connection, options.truth
+        clock = _clock(options, stack)
         if options.sim:
             site = parse_site(options.video or DEFAULT_SITE)
-            link, truth_url = start_embedded_vehicle(site, options.wind_m_s, options.seed, stack)
+            link, truth_url = start_embedded_vehicle(
+                site, options.wind_m_s, options.seed, clock, stack
+            )
         assert link is not None
-        watchdog = stack.enter_context(start_watchdog(link, folder / "watchdog.log"))
-        truth = _open_truth(truth_url, link, watchdog, stack)
-        source = _open_camera(options, plan, truth, stack)
-        autopilot = MavsdkAutopilot(watchdog.navigator_url)
+        watchdog = stack.enter_context(start_watchdog(link, folder / "watchdog.log", clock=clock))
+        truth = _open_truth(truth_url, link, watchdog, clock, stack)
+        source = _open_camera(options, plan, truth, clock, stack)
+        autopilot = MavsdkAutopilot(watchdog.navigator_url, clock=clock)
         stack.callback(autopilot.close)
-        _fly(options, plan, folder, watchdog, autopilot, source, truth, stack)
+        _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
+
+
+def _clock(options: FlyOptions, stack: ExitStack) -> Clock:
+    """A simulation's time waits for who is late, unless it is to be the wall's."""
+    if not options.sim or options.realtime:
+        return WallClock()
+    clock = PacedClock.create()
+    stack.callback(clock.remove)
+    return clock
 
 
 def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
@@ -179,14 +194,14 @@ def _middle(pack: MapPack) -> tuple[float, float]:
 
 
 def _open_truth(
-    url: str | None, link: str, watchdog: WatchdogProcess, stack: ExitStack
+    url: str | None, link: str, watchdog: WatchdogProcess, clock: Clock, stack: ExitStack
 ) -> TruthReader | None:
     """Ground truth of a simulator; through the watchdog where it comes on the autopilot's link."""
     if url is None:
         return None
     if is_same_link(url, link):
         url = watchdog.observer_url
-    truth = TruthReader(url)
+    truth = TruthReader(url, clock=clock)
     stack.callback(truth.close)
     return truth
 
@@ -202,7 +217,11 @@ def is_same_link(truth_url: str, link: str) -> bool:
 
 
 def _open_camera(
-    options: FlyOptions, plan: FlightPlan, truth: TruthReader | None, stack: ExitStack
+    options: FlyOptions,
+    plan: FlightPlan,
+    truth: TruthReader | None,
+    clock: Clock,
+    stack: ExitStack,
 ) -> FrameSource:
     video = str(options.video)
     if not is_site(video):
@@ -211,7 +230,7 @@ def _open_camera(
         assert truth is not None
         height_m = -float(plan.route_ned_m[0, 2])
         source = open_simulated_camera(
-            video, plan.camera, truth, plan.route_lat_lon_deg, height_m, options.seed, stack
+            video, plan.camera, truth, plan.route_lat_lon_deg, height_m, options.seed, clock, stack
         )
     stack.callback(source.close)
     return source
@@ -225,9 +244,11 @@ def _fly(
     autopilot: Autopilot,
     source: FrameSource,
     truth: TruthReader | None,
+    clock: Clock,
     stack: ExitStack,
 ) -> None:
-    executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+    pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+    executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
     assembled = assemble(
         plan.pack, plan.camera, options.features, options.model, plan.local_frame, plan.config,
         executor, say,
@@ -235,9 +256,9 @@ def _fly(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, options.features, "nadir")
-    record = FlightRecord(folder, about, plan.pack, plan.config, truth)
+    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
     assembled.ekf.record(record.tape.input)
-    vehicle = _first_state(autopilot)
+    vehicle = _first_state(autopilot, clock)
     if not vehicle.in_air:  # of one that flies nothing is known: the first fix begins
         assembled.ekf.initialise(_start(options, plan, vehicle))
     camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
@@ -252,13 +273,12 @@ def _fly(
     runtime = FlightRuntime(
         assembled.pipeline, flight, autopilot, EstimateGuard(plan.config.estimate),
         watchdog.keepalive, camera, record,
-        time.monotonic,
     )  # fmt: skip
     with _stopped_by_signals():
         try:
             if not options.arms:
                 _listen_for_enter(flight)
-            end = runtime.run(source)
+            end = runtime.run(source, clock)
         finally:
             record.close(options, assembled)
     if end.reason is not None:
@@ -266,11 +286,11 @@ def _fly(
         raise error(f"{end.reason} (record in {folder})")
 
 
-def _first_state(autopilot: Autopilot) -> VehicleState:
+def _first_state(autopilot: Autopilot, clock: Clock) -> VehicleState:
     """The vehicle once it has told where it is: on the ground, or flying already."""
     until_s = time.monotonic() + FIRST_STATE_S
     while time.monotonic() < until_s:
-        autopilot.step(time.monotonic())
+        autopilot.step(clock())
         state = autopilot.state()
         if state.connected and state.attitude is not None:
             break

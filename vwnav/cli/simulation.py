@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.cli.screen import progress_bar, say
+from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.builder import BuildOptions, build_pack
@@ -58,7 +59,7 @@ def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:
 
 
 def start_embedded_vehicle(
-    site: Site, wind_m_s: float, seed: int, stack: ExitStack
+    site: Site, wind_m_s: float, seed: int, clock: Clock, stack: ExitStack
 ) -> tuple[str, str]:
     """Start the simulated vehicle at the site's home.
 
@@ -74,6 +75,7 @@ def start_embedded_vehicle(
         ground_url="",
         wind_m_s=wind_m_s,
         seed=seed,
+        clock_file=str(clock.file or ""),
     )
     stack.enter_context(start_vehicle(config))
     return f"udpin://127.0.0.1:{link}", f"udpout:127.0.0.1:{truth}"
@@ -86,6 +88,7 @@ def open_simulated_camera(
     route_lat_lon_deg: Array,
     height_m: float,
     seed: int,
+    clock: Clock,
     stack: ExitStack,
 ) -> SimulatedCamera:
     """A camera over `sim:SITE`, with the site drawn along the route (n, 2) beforehand.
@@ -104,7 +107,7 @@ def open_simulated_camera(
     say("drawing the site along the route")
     with progress_bar() as progress:
         renderer.prepare(corners, lambda share: progress("site", round(100 * share), 100))
-    return SimulatedCamera(renderer, truth, (site.home_lat_deg, site.home_lon_deg))
+    return SimulatedCamera(renderer, truth, (site.home_lat_deg, site.home_lon_deg), clock)
 
 
 def _cache_folder() -> Path:

@@ -11,13 +11,14 @@ import multiprocessing
 import os
 import select
 import signal
-import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Self
 
+from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
+from vwnav.pace import clock_of
 from vwnav.sim.px4.config import PilotPlan, VehicleConfig
 from vwnav.sim.px4.link import UdpLink
 from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
@@ -29,6 +30,8 @@ __all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start
 _log = logging.getLogger(__name__)
 _STEPS_AT_ONCE = 50
 _MAX_LAG_S = 0.5  # a longer stall shifts the clock instead of flying it blind
+_LATE_S = 0.02  # behind the time that waits for it
+_SHORTEST_WAIT_S = 0.0005  # for a time that stands
 _READY_TIMEOUT_S = 20.0
 _STOP_TIMEOUT_S = 5.0
 
@@ -53,6 +56,7 @@ _HELP = {
     "imu_noise": "scale of the sensors' noise and biases",
     "battery_start": "charge at start, 0..1",
     "battery_drain_s": "seconds in flight from full to empty",
+    "clock_file": "file of a simulated time that waits for it (vwnav.pace), '' for the wall clock",
     "px4_defaults": "start with PX4's own parameters: GPS expected, vision ignored",
 }
 _PILOT_HELP = {
@@ -64,11 +68,12 @@ _PILOT_HELP = {
 
 
 class VehicleServer:
-    """The vehicle with its links, run in real time (times `config.speed`)."""
+    """The vehicle with its links, run by the clock (times `config.speed`)."""
 
     def __init__(self, config: VehicleConfig) -> None:
         self._config = config
-        self._epoch_s = time.monotonic()
+        self._clock: Clock = clock_of(config.clock_file)
+        self._epoch_s = self._clock()
         self.vehicle = SimulatedPx4(config)
         self._links: list[tuple[UdpLink, dict[int, float], bool]] = []
         for url, rates, asks_time in (
@@ -87,19 +92,23 @@ class VehicleServer:
         ]
 
     def _now_s(self) -> float:
-        return (time.monotonic() - self._epoch_s) * self._config.speed
+        return (self._clock() - self._epoch_s) * self._config.speed
 
     def run(self, keep_on: Callable[[], bool]) -> None:
         """Fly until `keep_on` says no."""
         sockets = [session.link.socket for session in self._sessions]
-        self._epoch_s = time.monotonic()
+        participant = self._clock.join("vehicle")
+        self._epoch_s = self._clock()
         while keep_on():
             vehicle = self.vehicle
             self._catch_up()
-            wait_s = (vehicle.t_s + STEP_S - self._now_s()) / self._config.speed
-            readable, _, _ = select.select(sockets, [], [], max(0.0, wait_s))
+            next_s = self._epoch_s + (vehicle.t_s + STEP_S) / self._config.speed
+            participant.until(next_s + _LATE_S)
+            wait_s = next_s - self._clock()
+            readable, _, _ = select.select(sockets, [], [], max(_SHORTEST_WAIT_S, wait_s))
             if readable:
                 self._hear()
+        participant.leave()
 
     def _catch_up(self) -> None:
         """Step until the vehicle's time is now."""
@@ -130,7 +139,7 @@ class VehicleServer:
         self._sessions = self._open_sessions()
         for session in self._sessions:
             session.link.gcs_heard_s = -math.inf
-        self._epoch_s = time.monotonic()
+        self._epoch_s = self._clock()
 
     def close(self) -> None:
         """Free the ports."""
