@@ -1,10 +1,11 @@
 # make fly   sets everything up and flies the embedded site in simulation, GPS off
 # make test  sets everything up and passes the tests
+# make test-long  the same and all that takes minutes: every scenario, the million filter steps
 # make check lint and types
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv fly test check clean
+.PHONY: venv fly test test-long check clean
 
 venv: .venv/.onboard
 
@@ -25,6 +26,9 @@ fly: .venv/.onboard
 
 test: .venv/.dev
 	$(BIN)/python -m pytest
+
+test-long: .venv/.dev
+	$(BIN)/python -m pytest -n 2 -m "long or not long"
 
 check: .venv/.dev
 	$(BIN)/ruff format --check .

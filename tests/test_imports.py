@@ -34,7 +34,11 @@ ALLOWED = {
     "runtime": BASE | {"safety", "pipeline", "flight"},
     "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
-    "bench": BASE | {"geometry", "maps", "vision", "estimation", "drivers", "sim"},
+    "assemble": BASE
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "drivers", "config"},
+    "bench": BASE
+    | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "drivers", "sim"}
+    | {"pipeline", "flight", "runtime", "config", "assemble"},
     "config": BASE
     | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "drivers"},
 }

@@ -216,6 +216,10 @@ class Flight:
             self._follower = RouteFollower(self._route_ned_m(), self._limits)
         self.phase, self._phase_since_s = phase, estimate.t_s
 
+    def ride(self, t_s: float, reason: str) -> None:
+        """Ask for nothing: estimates alone go out, until the aircraft is disarmed."""
+        self._release(t_s, reason)
+
     def abort(self, reason: str) -> None:
         """Land where we are; the next tick does it. A flight that has ended stays as it ended."""
         self._abort_reason = reason

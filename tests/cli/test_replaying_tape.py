@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 from vehicles import FLYING
 
-from vwnav.cli.assemble import Assembled, about_run, ground_of
+from vwnav.assemble import Assembled, about_run, ground_of
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
 from vwnav.config import Config
@@ -153,7 +153,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
         began_s = time.monotonic()
         choice = FeatureChoice(Localizer(began_s), None, config.pipeline, print)
         pipeline = Pipeline(choice, Odometry(), ekf, HOME, 0.02, config.pipeline, executor)
-        assembled = Assembled(pipeline, ekf, pack, "fake")
+        assembled = Assembled(pipeline, ekf, pack, SimpleNamespace(feature_set_id="fake"))
         record = FlightRecord(folder, about_run(assembled, "learned", "nadir"), pack, config, None)
         ekf.record(record.tape.input)
         above_m = np.array([0.0, 0.0, -50.0])

@@ -114,3 +114,99 @@ def test_on_the_ground_silence_means_nothing():
     guard = beating()
     guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, False, True))
     assert run(guard, 0.0, 5.0) == []
+
+
+def in_mode(guard: DeadMan, mode: FlightMode, armed: bool = True, landed: bool = False) -> None:
+    guard.handle_vehicle(VehicleView(mode, armed, True, landed))
+
+
+def test_a_navigator_that_ends_is_braked_for_at_once():
+    guard = beating()
+    guard.handle_end()
+    done = run(guard, 0.0, 20.0)
+    assert done[0] == (0.0, Action.ZERO_VELOCITY)
+    assert list(dict.fromkeys(a for _, a in done))[1:] == [Action.HOLD, Action.LAND]
+
+
+def test_a_word_of_ending_ends_no_guard():
+    guard = beating()
+    guard.handle_beat(Beat(False, 2, 100, ended=True), 0.1)
+    assert not guard.is_handed_over
+    assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
+
+
+def test_after_its_end_nobody_beats_or_claims():
+    guard = beating()
+    guard.handle_end()
+    run(guard, 0.0, 1.5)
+    guard.handle_beat(Beat(True, 9, 999), 1.5)
+    assert guard.state is GuardState.HOLDING
+    assert guard.has_taken_over
+
+
+def test_an_aircraft_in_offboard_cannot_be_disclaimed():
+    guard = beating()
+    guard.handle_beat(Beat(False, 2, 100), 0.1)
+    assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
+
+
+def test_an_aircraft_that_somebody_else_took_can():
+    guard = beating()
+    in_mode(guard, FlightMode.MANUAL)
+    guard.handle_beat(Beat(False, 2, 100), 0.1)
+    in_mode(guard, FlightMode.OFFBOARD)
+    guard.handle_end()
+    assert run(guard, 0.1, 10.0) == []
+    assert guard.is_handed_over
+
+
+def test_a_landing_that_is_under_way_is_watched_to_its_end():
+    guard = beating(FlightMode.LAND)
+    guard.handle_end()
+    assert run(guard, 0.0, 3.0) == []
+    assert not guard.is_handed_over
+    in_mode(guard, FlightMode.OFFBOARD)  # PX4 goes back by itself when setpoints return
+    assert run(guard, 3.0, 4.0) == [(3.0, Action.LAND)]
+
+
+@pytest.mark.parametrize("mode", FlightMode)
+def test_once_it_is_down_nothing_is_commanded_whatever_mode_follows(mode):
+    guard = beating()
+    run(guard, 0.0, 5.0)
+    in_mode(guard, FlightMode.LAND, landed=True)
+    assert run(guard, 5.0, 6.0) == []
+    in_mode(guard, mode)
+    assert run(guard, 6.0, 8.0) == []
+
+
+@pytest.mark.parametrize("mode", FlightMode)
+def test_at_the_moment_of_disarming_nothing_is_commanded(mode):
+    guard = beating()
+    run(guard, 0.0, 5.0)
+    in_mode(guard, mode, armed=False)
+    assert run(guard, 5.0, 8.0) == []
+
+
+def test_a_hold_after_the_landing_began_is_somebody_elses():
+    guard = beating()
+    run(guard, 0.0, 5.0)
+    in_mode(guard, FlightMode.HOLD)
+    assert run(guard, 5.0, 9.0) == []
+    assert guard.state is GuardState.STOOD_DOWN
+
+
+def test_a_descend_of_the_autopilots_own_that_ends_is_landed_again():
+    guard = beating()
+    run(guard, 0.0, 2.0)
+    in_mode(guard, FlightMode.DESCEND)
+    run(guard, 2.0, 5.0)
+    in_mode(guard, FlightMode.HOLD)
+    assert Action.LAND in [action for _, action in run(guard, 5.0, 6.0)]
+
+
+def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
+    guard = beating()
+    guard.handle_hold_asked(0.0)
+    guard.handle_end()
+    in_mode(guard, FlightMode.HOLD)
+    assert Action.LAND in [action for _, action in run(guard, 0.0, 10.0)]

@@ -14,6 +14,7 @@ from vwnav.errors import ConfigError
 from vwnav.sim.px4.airframe import Airframe, rotation_of, turned
 from vwnav.sim.px4.config import VehicleConfig
 from vwnav.sim.px4.controller import quat_of_euler
+from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.sensors import Sensors, pressure_hpa
 from vwnav.sim.px4.wind import Wind
 
@@ -131,3 +132,19 @@ def test_the_same_seed_flies_the_same_flight() -> None:
 def test_a_senseless_configuration_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(change))):
         VehicleConfig(**change)
+
+
+@pytest.mark.parametrize("wind_m_s", [0.0, 8.0])
+def test_begun_in_the_air_it_flies_on_steadily(wind_m_s: float) -> None:
+    bench = Bench(wind_m_s=wind_m_s)
+    bench.run(2.0)
+    vehicle, body = bench.vehicle, bench.vehicle.body
+    vehicle.begin_in_flight((100.0, -50.0, -50.0), (4.0, -4.0, 0.0), 1.0, NavState.OFFBOARD)
+    bench.vision, bench.velocity = True, (4.0, -4.0, 0.0)
+    for second in range(1, 11):
+        bench.run(1.0)
+        assert bench.state is NavState.OFFBOARD
+        assert math.hypot(body.vn - 4.0, body.ve + 4.0) < 1.5
+        assert abs(body.d + 50.0) < 1.5
+        assert math.hypot(body.n - 100 - 4 * second, body.e + 50 + 4 * second) < 5.0
+        assert bench.position_error_m < 1.0

@@ -209,3 +209,34 @@ def test_an_empty_battery_goes_through_the_recorded_modes() -> None:
         if mode_now(bench) != ours[-1]:
             ours.append(mode_now(bench))
     assert ours[:4] == modes_from(name, 21.0)[:4]
+
+
+def intended_from(name: str, start_s: float, end_s: float) -> list[tuple[int, int]]:
+    """(mode flown, mode intended) of CURRENT_MODE one after the other, without repeats."""
+    pairs = [
+        (m.custom_mode, m.intended_custom_mode)
+        for t_s, m in recorded(name, 436)
+        if start_s <= t_s <= end_s
+    ]
+    return list(dict.fromkeys(pairs))
+
+
+def test_blind_the_intended_mode_stays_offboard_as_recorded() -> None:
+    bench = Bench().hover().offboard()
+    ours = [messages.current_mode(bench.vehicle)]
+    bench.vision = False
+    bench.run(6.0)
+    ours.append(messages.current_mode(bench.vehicle))
+    pairs = [(m.custom_mode, m.intended_custom_mode) for m in ours]
+    assert pairs == intended_from("px4-1.18_vpe_gps_lost", 56.0, 72.0)
+
+
+def test_a_stick_changes_the_intended_mode_as_recorded() -> None:
+    bench = Bench().hover().offboard()
+    ours = [messages.current_mode(bench.vehicle)]
+    for push in range(0, 900, 100):
+        bench.sticks = (push, 0, 500, 0)
+        bench.run(0.04)
+    ours.append(messages.current_mode(bench.vehicle))
+    pairs = [(m.custom_mode, m.intended_custom_mode) for m in ours]
+    assert pairs == intended_from("px4-1.18_pilot_sticks", 23.0, 32.0)

@@ -46,7 +46,7 @@ class Talk:
         self.link = FakeLink()
         schedule = Schedule(COMPANION_RATES)
         clock = self.now_s
-        self.session = Session(self.link, self.vehicle, schedule, clock, True)  # type: ignore[arg-type]
+        self.session = Session(self.link, self.vehicle, schedule, clock, True)
         self._client = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
 
     def now_s(self) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from vwnav import __version__
-from vwnav.cli.assemble import Assembled
+from vwnav.assemble import Assembled
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.screen import LiveLine, print_table, say
 from vwnav.clock import Clock

@@ -1,6 +1,7 @@
 """`vwnav fly`: the flight itself, on a drone or in simulation."""
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import typer
@@ -13,6 +14,7 @@ class FlyOptions:
     sim: bool
     realtime: bool
     arm: bool
+    standby: bool
     features: str
     map_source: str | None
     route: Path | None
@@ -34,6 +36,17 @@ class FlyOptions:
         """A person arms a real aircraft; simulated ones hurt nobody."""
         return self.arm or self.sim or self.truth is not None
 
+    def successor(self, folder: Path) -> list[str]:
+        """Command line of a second navigator for the same flight; see `vwnav.cli.successor`."""
+        flags = {"map_source": "--map", "config_path": "--config"}
+        words = [sys.executable, "-m", "vwnav", "fly", "--standby"]
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("sim", "arm", "standby", "output") or value is None:
+                continue
+            words += [flags.get(field.name, "--" + field.name.replace("_", "-")), str(value)]
+        return [*words, "--output", str(folder / "successor")]
+
 
 def fly(
     sim: bool = typer.Option(False, "--sim", help="Everything embedded: site, vehicle, camera."),
@@ -43,6 +56,7 @@ def fly(
     arm: bool = typer.Option(
         False, "--arm", help="Arm by itself once ready; else a person arms a real aircraft."
     ),
+    standby: bool = typer.Option(False, "--standby", hidden=True),
     features: str = typer.Option("learned", help="learned, sift or orb."),
     map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
     route: Path | None = typer.Option(None, help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text."),
@@ -87,6 +101,11 @@ def fly(
         raise typer.BadParameter("--realtime goes with --sim: elsewhere time waits for nobody")
     if route_frame not in ("local", "global"):
         raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
+    if standby:  # started by the watchdog
+        from vwnav.cli.successor import stand_by
+
+        stand_by(options)
+        return
     from vwnav.cli.flying import fly_route
 
     fly_route(options)

@@ -4,7 +4,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.cli.assemble import about_run, assemble, choose_features
+from vwnav.assemble import about_run, assemble, choose_features
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.map import parse_lat_lon
@@ -45,7 +45,6 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.links import parse_link
 from vwnav.safety.readiness import Check, Equipment, check_flight
-from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import is_site, parse_site
@@ -114,7 +113,7 @@ def fly_route(options: FlyOptions) -> None:
     cv2.setNumThreads(1)
     options = _with_simulated_defaults(options)
     with ExitStack() as stack:
-        plan = _plan(options, stack)
+        plan = plan_flight(options, stack)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
         link, truth_url = options.connection, options.truth
@@ -125,9 +124,13 @@ def fly_route(options: FlyOptions) -> None:
                 site, options.wind_m_s, options.seed, clock, stack
             )
         assert link is not None
-        watchdog = stack.enter_context(start_watchdog(link, folder / "watchdog.log", clock=clock))
-        truth = _open_truth(truth_url, link, watchdog, clock, stack)
-        source = _open_camera(options, plan, truth, clock, stack)
+        # An embedded simulation ends with its navigator: there is nothing left to succeed in.
+        successor = [] if options.sim else options.successor(folder)
+        watchdog = stack.enter_context(
+            start_watchdog(link, folder / "watchdog.log", successor, clock)
+        )
+        truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
+        source = open_camera(options, plan, truth, clock, stack)
         autopilot = MavsdkAutopilot(watchdog.navigator_url, clock=clock)
         stack.callback(autopilot.close)
         _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
@@ -158,7 +161,13 @@ def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
     return options
 
 
-def _plan(options: FlyOptions, stack: ExitStack) -> FlightPlan:
+def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
+    """All that is known before the link is opened.
+
+    Raises:
+        VwnavError: a file that cannot be used.
+        PreflightError: the map does not cover the route.
+    """
     config = load_config(options.config_path)
     assert options.route is not None
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
@@ -193,14 +202,14 @@ def _middle(pack: MapPack) -> tuple[float, float]:
     return (south + north) / 2.0, (west + east) / 2.0
 
 
-def _open_truth(
-    url: str | None, link: str, watchdog: WatchdogProcess, clock: Clock, stack: ExitStack
+def open_truth(
+    url: str | None, link: str, observer_url: str, clock: Clock, stack: ExitStack
 ) -> TruthReader | None:
     """Ground truth of a simulator; through the watchdog where it comes on the autopilot's link."""
     if url is None:
         return None
     if is_same_link(url, link):
-        url = watchdog.observer_url
+        url = observer_url
     truth = TruthReader(url, clock=clock)
     stack.callback(truth.close)
     return truth
@@ -216,13 +225,14 @@ def is_same_link(truth_url: str, link: str) -> bool:
     return truth.is_same_port(parse_link(link))
 
 
-def _open_camera(
+def open_camera(
     options: FlyOptions,
     plan: FlightPlan,
     truth: TruthReader | None,
     clock: Clock,
     stack: ExitStack,
 ) -> FrameSource:
+    """The camera, or one that is drawn from a simulator's truth."""
     video = str(options.video)
     if not is_site(video):
         source = open_source(video)
@@ -258,13 +268,11 @@ def _fly(
     about = about_run(assembled, options.features, "nadir")
     record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
     assembled.ekf.record(record.tape.input)
-    vehicle = _first_state(autopilot, clock)
+    vehicle = first_state(autopilot, clock)
     if not vehicle.in_air:  # of one that flies nothing is known: the first fix begins
         assembled.ekf.initialise(_start(options, plan, vehicle))
     camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
-    crew = Crew(
-        record.event, _checks(autopilot, camera, plan.config.safety), show_checks, options.arms
-    )
+    crew = mission_crew(autopilot, camera, plan, record, options.arms)
     flight = Flight(
         autopilot, plan.mission, watchdog.keepalive, crew, plan.config.flight, plan.config.limits,
         plan.config.safety,
@@ -286,7 +294,7 @@ def _fly(
         raise error(f"{end.reason} (record in {folder})")
 
 
-def _first_state(autopilot: Autopilot, clock: Clock) -> VehicleState:
+def first_state(autopilot: Autopilot, clock: Clock) -> VehicleState:
     """The vehicle once it has told where it is: on the ground, or flying already."""
     until_s = time.monotonic() + FIRST_STATE_S
     while time.monotonic() < until_s:
@@ -307,16 +315,18 @@ def _start(options: FlyOptions, plan: FlightPlan, vehicle: VehicleState) -> Star
     )
 
 
-def _checks(
-    autopilot: Autopilot, camera: CameraWatch, config: SafetyConfig
-) -> Callable[[VehicleState, Navigation, float], tuple[Check, ...]]:
+def mission_crew(
+    autopilot: Autopilot, camera: CameraWatch, plan: FlightPlan, record: FlightRecord, arms: bool
+) -> Crew:
+    """Who the mission speaks with: the record, the screen, and the readiness list."""
+
     def checks(vehicle: VehicleState, navigation: Navigation, t_s: float) -> tuple[Check, ...]:
         equipment = Equipment(
             autopilot.findings, autopilot.budget_refusal, camera.picture_s, camera.trouble
         )
-        return check_flight(vehicle, navigation, equipment, config, t_s)
+        return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
 
-    return checks
+    return Crew(record.event, checks, show_checks, arms)
 
 
 def _listen_for_enter(flight: Flight) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from vwnav.assemble import assemble, choose_features
 from vwnav.bench.estimator_plots import save_error_plot
 from vwnav.bench.estimator_run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator_scenarios import Metric
@@ -17,7 +18,6 @@ from vwnav.bench.rendered_clock import HeardEkf, LateExecutor, SimulatedClock
 from vwnav.bench.rendered_errors import with_errors
 from vwnav.bench.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
 from vwnav.bench.rendered_scenarios import Flown, RenderedScenario
-from vwnav.cli.assemble import assemble, choose_features
 from vwnav.cli.screen import say
 from vwnav.cli.simulation import map_pack_of
 from vwnav.config import Config

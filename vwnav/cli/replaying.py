@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 
-from vwnav.cli.assemble import Assembled, about_run, assemble
+from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.cli.replay_report import ReplayOptions, ReplayRecord, Tally
 from vwnav.cli.screen import LiveLine, say
 from vwnav.config import load_config, save_config

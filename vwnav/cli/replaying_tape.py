@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from vwnav.cli.assemble import ground_of
+from vwnav.assemble import ground_of
 from vwnav.cli.replay_report import ReplayOptions, ReplayRecord
 from vwnav.cli.screen import LiveLine, say
 from vwnav.config import Config, explain

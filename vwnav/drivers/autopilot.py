@@ -118,7 +118,7 @@ class LinkedAutopilot:
         with self._lock:
             if self._telemetry.kind is None:
                 return
-            if self._restarts != self._telemetry.restarts:
+            if self._restarts != self._telemetry.clock.restarts:
                 self._begin_anew()
             self._timesync.step(t_s)
             if self._streams is None:
@@ -246,7 +246,7 @@ class LinkedAutopilot:
 
     def _begin_anew(self) -> None:
         """The autopilot has restarted: it has forgotten rates and origin."""
-        self._restarts = self._telemetry.restarts
+        self._restarts = self._telemetry.clock.restarts
         if self._streams is not None:
             self._streams.restart()
         if self._frame is not None:

@@ -1,82 +1,228 @@
 """Joins the autopilot's clock (time since its boot) to this computer's monotonic clock."""
 
+import math
 from collections import deque
+from collections.abc import Iterable
 
-_WINDOW_S = 20.0
-_BUCKET_S = 1.0
-_MAX_ROUND_TRIP_S = 0.05
+_WINDOW_S = 8.0
+_BUCKET_S = 0.25
 _RECENT_TRIPS = 5
+_TRUSTED_FROM_S, _TRUSTED_S = 0.5, 2.0  # a rate seen for less, and for so long or longer
+_MOST_DRIFT = 0.5  # a simulator on a machine that is much too slow
 _REBOOT_S = 2.0
-_SLIPPED_S = 0.03
-_SLIPPED_BUCKETS = 3  # in a row that long: no latency, the clock itself
+_AHEAD_S = 0.5  # a stamp from the future by so much is none of this clock
+_NEW_CLOCK = 3  # stamps in a row that agree with each other alone
+_LATE_S = 0.03  # a stamp is waited for or held back, or the clock has slipped
+_SLIPPED_FOR_S = 3.0  # nothing but late stamps for so long: it is the clock itself
+_VERDICTS = 10  # on answers: a liar is right now and then
+_CONTRADICTION_S = 0.001
+_FRESH_S = 0.3  # stamps and an answer that came together speak of the same clock
+_FRESH_STAMPS = 15
+_SLOWER_STAMPS_S = 0.02  # by so much stamps may be slower than answers, at their best
+
+Point = tuple[float, float]  # time on the autopilot's clock, how much later it is on ours
 
 
 class BootClock:
-    """Estimates `monotonic - boot` from latencies that are never negative.
+    """Estimates offset and rate of `monotonic - boot` from latencies that are never negative.
 
-    Two witnesses: every stamped message shows an offset that is too large by its latency, so the
-    least one of a while is near the truth; a TIMESYNC round trip shows the middle, right to half
-    the round trip. The smaller of the two is taken: the first bounds the truth from above.
+    A message stamped by the autopilot cannot have arrived before it was sent: ours is never later
+    than all of the stamps say. With the rate found as the slope of their lower hull (Moon, Skelly,
+    Towsley: Estimation and removal of clock skew from network delay measurements, INFOCOM 1999) the
+    least late stamp of a while is an upper bound of the offset. An answer to TIMESYNC cannot have
+    been given before it was asked for: a lower bound. The truth is taken to be in the middle: both
+    ways are equally fast at their best.
 
-    A simulator that gets too little processor time falls behind for good: when all that arrived
-    lately is late by the same, what came before is forgotten.
+    What is only late moves neither bound. A simulator that falls behind for good shows in bounds
+    that contradict each other: what came before is forgotten.
+
+    Attributes:
+        restarts: how often the autopilot has started anew.
     """
 
     def __init__(self) -> None:
-        self._one_way: deque[tuple[float, float]] = deque()  # (bucket start, least offset in it)
-        self._round_trips: deque[tuple[float, float, float]] = deque()  # (t, round trip, offset)
-        self._last_boot_s = 0.0
+        self.restarts = 0
+        self._newest_boot_s = -math.inf
+        self._drift = 0.0  # seconds by which ours gains on the autopilot's, a second
+        self._least_s = 0.0  # the least late stamp, as if it were the newest
+        self._offset_s = 0.0  # ours less the autopilot's, at the newest stamp
         self._spent_s: deque[float] = deque(maxlen=_RECENT_TRIPS)
+        self._strange: list[Point] = []
+        self._forget()
 
     @property
     def round_trip_s(self) -> float | None:
-        """The longest of the last few question and answers; None before the first."""
+        """The longest of the last few questions with their answers; None before the first."""
         return max(self._spent_s, default=None)
 
     def handle_stamp(self, boot_s: float, received_s: float) -> bool:
-        """Learn from a message stamped at `boot_s`; True when the autopilot has started anew."""
-        rebooted = boot_s < self._last_boot_s - _REBOOT_S
-        if rebooted:
-            self._one_way.clear()
-            self._round_trips.clear()
-        self._last_boot_s = boot_s
-        offset_s = received_s - boot_s
-        if self._one_way and received_s - self._one_way[-1][0] < _BUCKET_S:
-            start_s, least_s = self._one_way[-1]
-            self._one_way[-1] = (start_s, min(least_s, offset_s))
-        else:
-            self._forget_slipped()
-            self._one_way.append((received_s, offset_s))
-        while received_s - self._one_way[0][0] > _WINDOW_S:
-            self._one_way.popleft()
-        return rebooted
-
-    def _forget_slipped(self) -> None:
-        if len(self._one_way) <= _SLIPPED_BUCKETS:
-            return
-        buckets = list(self._one_way)
-        old, lately = buckets[:-_SLIPPED_BUCKETS], buckets[-_SLIPPED_BUCKETS:]
-        slipped_s = min(least_s for _, least_s in lately) - min(least_s for _, least_s in old)
-        if slipped_s < _SLIPPED_S:
-            return
-        self._one_way = deque(lately)
-        while self._round_trips and self._round_trips[0][0] < lately[0][0]:
-            self._round_trips.popleft()
+        """Learn from a message stamped at `boot_s`; False when that is no time of this clock."""
+        if self._stamps and self._is_strange(boot_s, received_s):
+            self._strange.append((boot_s, received_s - boot_s))
+            if not _agree(self._strange[-_NEW_CLOCK:]):
+                return False
+            self.restarts += boot_s < self._newest_boot_s
+            self._forget()
+        self._strange.clear()
+        self._newest_boot_s = max(self._newest_boot_s, boot_s)
+        self._add_stamp(boot_s, received_s - boot_s)
+        return True
 
     def handle_round_trip(self, sent_s: float, autopilot_s: float, received_s: float) -> None:
         """Learn from a TIMESYNC answer: asked and received here, answered there in between."""
-        round_trip_s = received_s - sent_s
-        self._spent_s.append(max(round_trip_s, 0.0))
-        if not 0.0 <= round_trip_s <= _MAX_ROUND_TRIP_S:
+        if not 0.0 <= received_s - sent_s < _WINDOW_S:
             return
-        offset_s = 0.5 * (sent_s + received_s) - autopilot_s
-        self._round_trips.append((received_s, round_trip_s, offset_s))
-        while received_s - self._round_trips[0][0] > _WINDOW_S:
-            self._round_trips.popleft()
+        self._spent_s.append(received_s - sent_s)
+        if not math.isfinite(autopilot_s) or abs(autopilot_s - self._newest_boot_s) > _WINDOW_S:
+            return
+        point = (autopilot_s, sent_s - autopilot_s)
+        self._verdicts.append(self._agrees_with_stamps(point, received_s - sent_s))
+        if self._verdicts[-1]:
+            self._answers.append(point)
+            self._fit()
 
     def to_monotonic(self, boot_s: float) -> float | None:
         """The moment `boot_s` of the autopilot on this computer's clock; None before any news."""
-        offsets_s = [least_s for _, least_s in self._one_way]
-        if self._round_trips:
-            offsets_s.append(min(self._round_trips, key=lambda trip: trip[1])[2])
-        return boot_s + min(offsets_s) if offsets_s else None
+        if not self._stamps:
+            return None
+        return boot_s + self._offset_s + self._drift * (boot_s - self._newest_boot_s)
+
+    def _forget(self) -> None:
+        self._stamps = _Buckets()
+        self._late = _Buckets()  # those that came since the last one that was not
+        self._verdicts: deque[bool] = deque(maxlen=_VERDICTS)
+        self._fresh: deque[Point] = deque(maxlen=_FRESH_STAMPS)
+        self._answers: deque[Point] = deque()
+        self._newest_boot_s, self._drift = -math.inf, 0.0
+
+    def _is_strange(self, boot_s: float, received_s: float) -> bool:
+        expected_s = self.to_monotonic(boot_s)
+        assert expected_s is not None
+        return boot_s < self._newest_boot_s - _REBOOT_S or expected_s > received_s + _AHEAD_S
+
+    def _add_stamp(self, boot_s: float, late_s: float) -> None:
+        point = (boot_s, late_s)
+        self._fresh.append(point)
+        if self._stamps and self._residual_s(point) > self._least_s + _LATE_S:
+            self._late.add(point, self._drift)
+            if self._late.heard_for_s > _SLIPPED_FOR_S:
+                self._take_late_for_true()
+        else:
+            self._late = _Buckets()
+            if self._stamps.add(point, self._drift):
+                self._drop_before(boot_s - _WINDOW_S)
+                self._drift = self._stamps.trusted_slope()
+        self._fit()
+
+    def _take_late_for_true(self) -> None:
+        self._stamps, self._late = self._late, _Buckets()
+        self._answers.clear()
+        self._drift = self._stamps.trusted_slope()
+
+    def _fit(self) -> None:
+        """The line's height at the newest stamp, between the two bounds."""
+        lower_s, upper_s = self._bounds_s()
+        if lower_s > upper_s + _CONTRADICTION_S:
+            self._drift = self._stamps.slope()
+            lower_s, upper_s = self._bounds_s()
+        while lower_s > upper_s + _CONTRADICTION_S:  # it has slipped since the oldest
+            if len(self._stamps) > 1:
+                self._drop_before(self._stamps[1][0])
+                self._drift = self._stamps.slope()
+            elif self._late:
+                self._take_late_for_true()
+            else:
+                break
+            lower_s, upper_s = self._bounds_s()
+        self._offset_s, self._least_s = 0.5 * (lower_s + upper_s), upper_s
+
+    def _bounds_s(self) -> tuple[float, float]:
+        """How late the newest stamp is at least, by the answers, and at most, by the stamps."""
+        upper_s = min(map(self._residual_s, self._stamps))
+        honest = 2 * sum(self._verdicts) >= len(self._verdicts)
+        answers = self._answers if honest else ()
+        return max(map(self._residual_s, answers), default=upper_s), upper_s
+
+    def _residual_s(self, point: Point) -> float:
+        """How late a point says that the newest stamp is."""
+        boot_s, late_s = point
+        return late_s + self._drift * (self._newest_boot_s - boot_s)
+
+    def _agrees_with_stamps(self, answer: Point, round_trip_s: float) -> bool:
+        """Stamps of the same moment slip with the clock: an answer that they deny is a lie."""
+        fresh_s = [
+            self._residual_s(stamp) for stamp in self._fresh if answer[0] - stamp[0] < _FRESH_S
+        ]
+        if not fresh_s:
+            return False
+        ahead_s = min(fresh_s) - self._residual_s(answer)
+        return -_CONTRADICTION_S <= ahead_s <= round_trip_s + _SLOWER_STAMPS_S
+
+    def _drop_before(self, boot_s: float) -> None:
+        for points in (self._stamps, self._answers):
+            while points and points[0][0] < boot_s:
+                points.popleft()
+
+
+def _agree(points: list[Point]) -> bool:
+    """Whether they may be stamps of one clock that goes."""
+    if len(points) < _NEW_CLOCK:
+        return False
+    lates_s = [late_s for _, late_s in points]
+    return max(lates_s) - min(lates_s) < _AHEAD_S and points[-1][0] > points[0][0]
+
+
+class _Buckets(deque[Point]):
+    """The least late stamp of every quarter of a second."""
+
+    _begun_s = -math.inf
+
+    @property
+    def heard_for_s(self) -> float:
+        """From the arrival of the first to that of the newest."""
+        (first_s, first_late_s), (newest_s, newest_late_s) = self[0], self[-1]
+        return newest_s + newest_late_s - first_s - first_late_s
+
+    def add(self, point: Point, drift: float) -> bool:
+        """Take a stamp in; True when it began a new bucket."""
+        boot_s, late_s = point
+        if not self or boot_s - self._begun_s >= _BUCKET_S:
+            self._begun_s = boot_s
+            self.append(point)
+            return True
+        least_boot_s, least_s = self[-1]
+        if late_s < least_s + drift * (boot_s - least_boot_s):
+            self[-1] = point
+        return False
+
+    def trusted_slope(self) -> float:
+        """The slope, of which little is believed over a second: latencies alone make one."""
+        span_s = self[-1][0] - self[0][0]
+        share = (span_s - _TRUSTED_FROM_S) / (_TRUSTED_S - _TRUSTED_FROM_S)
+        return self.slope() * min(max(share, 0.0), 1.0)
+
+    def slope(self) -> float:
+        """Of the line under all that is nearest to them: the hull's edge below their middle."""
+        if len(self) < 2:
+            return 0.0
+        hull = _lower_hull(self)
+        middle_s = sum(boot_s for boot_s, _ in self) / len(self)
+        right = max(next(i for i, (boot_s, _) in enumerate(hull) if boot_s >= middle_s), 1)
+        (left_s, left_late_s), (right_s, right_late_s) = hull[right - 1], hull[right]
+        slope = (right_late_s - left_late_s) / (right_s - left_s)
+        return min(max(slope, -_MOST_DRIFT), _MOST_DRIFT)
+
+
+def _lower_hull(points: Iterable[Point]) -> list[Point]:
+    """Of points in order of time (Andrew's monotone chain)."""
+    hull: list[Point] = []
+    for point in points:
+        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], point):
+            hull.pop()
+        hull.append(point)
+    return hull
+
+
+def _turns_down(a: Point, b: Point, c: Point) -> bool:
+    """Whether b lies above the line from a to c."""
+    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])

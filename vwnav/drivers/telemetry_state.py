@@ -90,7 +90,6 @@ class TelemetryState:
         self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
         self._imu = ImuSamples()
         self.origin_offset_ned_m: Array | None = None  # (3,) the run's origin about the above one
-        self.restarts = 0
         self._queue: deque[Telemetry] = deque(maxlen=_QUEUED)
         self._attitude: Attitude | None = None
         self._attitude_boot_s = -math.inf
@@ -289,8 +288,10 @@ class TelemetryState:
 
     def _handle_attitude(self, fields: Fields, received_s: float) -> None:
         boot_s = fields["time_boot_ms"] / 1e3
-        if self.clock.handle_stamp(boot_s, received_s):
-            self.restarts += 1
+        restarts = self.clock.restarts
+        if not self.clock.handle_stamp(boot_s, received_s):
+            return
+        if self.clock.restarts != restarts:
             self._attitude, self._attitude_boot_s = None, -math.inf
         t_s = self.clock.to_monotonic(boot_s)
         angles = (fields["roll"], fields["pitch"], fields["yaw"])

@@ -170,7 +170,8 @@ class Start:
 
     Attributes:
         position_ned_m: (3,), None when unknown; its sigma is per horizontal axis.
-        sigma_heading_rad: of the autopilot's heading; None takes the configured one.
+        sigma_baro_m: of the barometer's zero; None takes the configured one, of a barometer that
+            was zeroed where the height is counted from.
     """
 
     t_s: float
@@ -179,6 +180,7 @@ class Start:
     agl_m: float = 0.15
     sigma_agl_m: float = 0.15
     sigma_velocity_m_s: float = 0.1
+    sigma_baro_m: float | None = None
 
 
 def first_state(start: Start, config: EkfConfig) -> FilterState:
@@ -204,7 +206,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
     variance[States.TILT] = config.tilt_sigma_rad**2
-    variance[States.BARO] = config.baro_sigma_m**2
+    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2

@@ -5,6 +5,7 @@ else takes the aircraft. MAVSDK repeats setpoints by itself and PX4 returns to O
 when setpoints come back, so falling silent too would not be enough: a mode must be commanded.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -55,6 +56,7 @@ class Action(Enum):
     LAND = "land"
 
 
+_MODE_SHOWS_S = 3.0  # heartbeats come once a second, and one may get lost
 _COMES_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
 _STEERED = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 # Modes that the aircraft may be in while each state is ours; any other one means that the pilot
@@ -82,12 +84,13 @@ class DeadMan:
     _beat: Beat | None = None
     _beat_t_s: float = 0.0
     _mode_at_beat: FlightMode = FlightMode.UNKNOWN
+    _hold_asked_t_s: float = -math.inf
     _claimed: bool = False
     _ended: bool = False
     _land_seen: bool = False
     _down: bool = False
     _takeover_t_s: float = 0.0
-    _setpoint_t_s: float = 0.0
+    _setpoint_t_s: float = -math.inf
     _command_t_s: float = 0.0
     _accepted: bool = False
 
@@ -136,6 +139,10 @@ class DeadMan:
         """The navigator has ended, in whatever way."""
         self._ended = True
 
+    def handle_hold_asked(self, t_s: float) -> None:
+        """The navigator asks for Hold: that mode will be its own, though not seen yet."""
+        self._hold_asked_t_s = t_s
+
     def handle_vehicle(self, vehicle: VehicleView) -> None:
         """News of the autopilot."""
         self.vehicle = vehicle
@@ -150,12 +157,12 @@ class DeadMan:
         """What to send now; call it at 20 Hz or more."""
         if self.state is GuardState.RELAY:
             self._watch(t_s)
-        self._follow_mode()
-        if self.state is GuardState.BRAKING and t_s - self._takeover_t_s >= self.config.brake_s:
+        self._follow_mode(t_s)
+        acting_s = t_s - self._takeover_t_s
+        if self.state is GuardState.BRAKING and acting_s >= self.config.brake_s:
             self._enter(self._after_braking(), t_s)
-        if (
-            self.state is GuardState.HOLDING
-            and t_s - self._takeover_t_s >= self.config.land_after_s
+        if self.state is GuardState.HOLDING and (
+            acting_s >= self.config.land_after_s or self.vehicle.position_ok is False
         ):
             self._enter(GuardState.LANDING, t_s)
         if self._down or self.vehicle.landed or not self.vehicle.armed:
@@ -177,10 +184,12 @@ class DeadMan:
         else:
             self._enter(GuardState.STOOD_DOWN, t_s)
 
-    def _follow_mode(self) -> None:
-        """Stand down for whoever changed the mode; notice when it is down."""
+    def _follow_mode(self, t_s: float) -> None:
+        """Stand down for whoever changed the mode; notice when it comes down, and is down."""
         if self.state not in _STILL_OURS:
             return
+        if self.state is not GuardState.LANDING and self.vehicle.mode in _COMES_DOWN:
+            self._enter(GuardState.LANDING, t_s)  # a failsafe may still end and leave it to us
         ours = _STILL_LANDING if self._land_seen else _STILL_OURS[self.state]
         if self.vehicle.mode not in ours:
             self.state = GuardState.STOOD_DOWN
@@ -197,6 +206,7 @@ class DeadMan:
         if self.vehicle.mode is FlightMode.TAKEOFF:
             return True
         knew = self._mode_at_beat in (FlightMode.TAKEOFF, FlightMode.HOLD)
+        knew = knew or self._beat_t_s - self._hold_asked_t_s <= _MODE_SHOWS_S
         return self.vehicle.mode is FlightMode.HOLD and knew
 
     def _after_braking(self) -> GuardState:

@@ -134,33 +134,33 @@ class EstimateGuard:
         self._limits = limits if limits is not None else EstimateLimits()
         self._renewals = first_counter
         self._last: Estimate | None = None
-        self._called_t_s = -math.inf
         self._track = self._new_track()
         self._trial: _Trial | None = None
         self._may_resume = False
         self.lost_since_s: float | None = None
         self.reason = ""
 
-    def admit(self, estimate: Estimate, t_s: float, armed: bool = True) -> Estimate | None:
+    def admit(self, estimate: Estimate | None, t_s: float, armed: bool = True) -> Estimate | None:
         """The estimate as it is to be sent, with its own reset counter; None to send nothing.
 
         Args:
-            estimate: the filter's.
+            estimate: the filter's, None where it has none.
             t_s: now; to be called at every turn of the sending loop.
             armed: on the ground, disarmed, nothing flies on it: it may jump and come back freely.
         """
-        gap_s, self._called_t_s = t_s - self._called_t_s, t_s
-        fault = self._fault(estimate, t_s)
+        if estimate is None or not self._is_of_now(estimate, t_s):
+            self._miss(t_s, armed)
+            return None
+        fault = self._fault(estimate)
         if not armed:
             return self._on_ground(estimate, fault)
         if self.lost_since_s is None:
-            fault = fault or self._break(estimate, gap_s)
-            if fault is None:
+            gap_s = estimate.t_s - self._last.t_s if self._last is not None else math.inf
+            broken = fault or self._break(estimate, gap_s)
+            if broken is None:
                 return self._sent(estimate)
-            stalled = gap_s > self._limits.max_gap_s
-            self.lose(fault, t_s)
-            self._may_resume = stalled and gap_s <= self._limits.brief_gap_s
-            fault = None if stalled else fault
+            self.lose(broken, t_s)
+            self._may_resume = self._limits.max_gap_s < gap_s <= self._limits.brief_gap_s
         return self._try(estimate, fault, t_s)
 
     def lose(self, reason: str, t_s: float) -> None:
@@ -172,13 +172,23 @@ class EstimateGuard:
             self.lost_since_s = t_s
         self.reason, self._trial, self._may_resume = reason, None, False
 
-    def _fault(self, estimate: Estimate, t_s: float) -> str | None:
+    def _is_of_now(self, estimate: Estimate, t_s: float) -> bool:
+        """One that is late is left out; if that goes on, the gap makes it lost."""
+        if not abs(t_s - estimate.t_s) <= self._limits.max_age_s:
+            return False
+        return self._last is None or estimate.t_s >= self._last.t_s
+
+    def _miss(self, t_s: float, armed: bool) -> None:
+        """None of now: lost, once it has lasted too long to go on as the same."""
+        since_s = self._last.t_s if self._last is not None else -math.inf
+        if armed and self.lost_since_s is None and t_s - since_s > self._limits.brief_gap_s:
+            self.lose("there is no estimate of now", t_s)
+
+    def _fault(self, estimate: Estimate) -> str | None:
         """What is wrong with it, by itself."""
         limits = self._limits
         if not _is_finite(estimate):
             return "the estimate is not finite"
-        if not abs(t_s - estimate.t_s) <= limits.max_age_s:
-            return f"the estimate is {t_s - estimate.t_s:.2f} s old"
         speed_m_s = float(np.hypot(*estimate.velocity_ned_m_s[:2]))
         if not speed_m_s < limits.max_speed_m_s:
             return f"the estimate moves at {speed_m_s:.0f} m/s"
@@ -205,9 +215,7 @@ class EstimateGuard:
         if self._last is None:
             return "there is no estimate yet that was flown on"
         if gap_s > self._limits.max_gap_s:
-            return f"the program stood still for {gap_s:.1f} s"
-        if estimate.t_s < self._last.t_s:
-            return "the estimate is older than the one before"
+            return f"there was no estimate for {gap_s:.1f} s"
         if estimate.reset_counter != self._last.reset_counter:
             self._track.clear()
             return self._unsure(estimate)
@@ -268,10 +276,11 @@ class EstimateGuard:
         return fixes_t_s[-1] - fixes_t_s[0] >= limits.new_fixes_s
 
     def _goes_on(self, trial: _Trial, estimate: Estimate, t_s: float) -> bool:
-        """After a brief stall: steady again, and where it would be by now."""
+        """After a brief stall: steady again, and where it would be by now. Asked once."""
         last = self._last
         if not trial.may_resume or last is None or t_s - trial.since_s < self._limits.settle_s:
             return False
+        trial.may_resume = False
         if estimate.reset_counter != last.reset_counter:
             return False
         span_s = estimate.t_s - last.t_s
@@ -304,7 +313,7 @@ class RelayLimits:
     brief_gap_s: float = 2.0
     drift_m_s: float = 2.5
     new_position_sigma_m: float = 6.0
-    steady_s: float = 0.5
+    steady_s: float = 0.3
     fewest: int = 5
 
 
@@ -345,7 +354,6 @@ class RelayGuard:
         self._track = self._new_track()
         self._trial: _Trial | None = None
         self._may_resume = False
-        self._arrived_t_s = -math.inf
         self.last: RelayedPosition | None = None
         self.lost_since_s: float | None = None
         self.reason = ""
@@ -357,18 +365,19 @@ class RelayGuard:
 
     def admit_position(self, position: RelayedPosition, t_s: float, armed: bool) -> bool:
         """Whether this one may pass now; disarmed on the ground it may jump."""
-        gap_s, self._arrived_t_s = t_s - self._arrived_t_s, t_s
-        fault = self._fault(position, t_s)
+        if not self._is_of_now(position, t_s):
+            return False
+        numbers = (*position.position_ned_m, position.sigma_m)
+        fault = None if all(map(math.isfinite, numbers)) else "a position that is not finite"
         if not armed:
             return self._on_ground(position, fault)
         if self.lost_since_s is None:
-            stalled = gap_s > self._limits.max_gap_s
-            fault = fault or self._break(position, gap_s)
-            if fault is None:
+            gap_s = position.t_s - self.last.t_s if self.last is not None else math.inf
+            broken = fault or self._break(position, gap_s)
+            if broken is None:
                 return self._pass(position)
-            self.lose(fault, t_s)
-            self._may_resume = stalled and gap_s <= self._limits.brief_gap_s
-            fault = None if stalled else fault
+            self.lose(broken, t_s)
+            self._may_resume = self._limits.max_gap_s < gap_s <= self._limits.brief_gap_s
         return self._try(position, fault, t_s)
 
     def admit_velocity(self, velocity: RelayedVelocity, t_s: float) -> bool:
@@ -390,12 +399,11 @@ class RelayGuard:
             self.lost_since_s = t_s
         self.reason, self._trial, self._may_resume = reason, None, False
 
-    def _fault(self, position: RelayedPosition, t_s: float) -> str | None:
-        if not all(map(math.isfinite, (position.t_s, *position.position_ned_m, position.sigma_m))):
-            return "a position that is not finite"
+    def _is_of_now(self, position: RelayedPosition, t_s: float) -> bool:
+        """One that is late is left out; if that goes on, the gap makes it lost."""
         if not abs(t_s - position.t_s) <= self._limits.max_age_s:
-            return f"a position {t_s - position.t_s:.2f} s old"
-        return None
+            return False
+        return self.last is None or position.t_s >= self.last.t_s
 
     def _break(self, position: RelayedPosition, gap_s: float) -> str | None:
         last = self.last
@@ -403,8 +411,6 @@ class RelayGuard:
             return "no position was handed on yet"
         if gap_s > self._limits.max_gap_s:
             return f"no position for {gap_s:.1f} s"
-        if position.t_s < last.t_s:
-            return "a position older than the one before"
         if position.reset_counter != last.reset_counter:
             self._track.clear()
             return self._unsure(position)
@@ -459,10 +465,11 @@ class RelayGuard:
         return is_renewed and self._unsure(position) is None
 
     def _goes_on(self, trial: _Trial, position: RelayedPosition) -> bool:
-        """After a brief gap: the same one, about where it would be by now."""
+        """After a brief gap: the same one, about where it would be by now. Asked once."""
         last = self.last
         if not trial.may_resume or last is None or position.reset_counter != last.reset_counter:
             return False
+        trial.may_resume = False
         span_s = position.t_s - last.t_s
         north_m, east_m = (
             last.position_ned_m[i] + v * span_s for i, v in enumerate(self.velocity_ne_m_s)

@@ -87,6 +87,16 @@ def may_pass(packet: Packet, rights: Rights, kind: AutopilotKind | None) -> bool
     return command.command in _QUESTION_COMMANDS
 
 
+def asks_for_hold(packet: Packet, kind: AutopilotKind | None) -> bool:
+    """Whether it is a request for the autopilot's Hold."""
+    if packet.message_id not in _COMMANDS:
+        return False
+    command = decode(packet)
+    if command is None or command.command != mavlink.MAV_CMD_DO_SET_MODE:
+        return False
+    return _mode_of_command(command, kind) is FlightMode.HOLD
+
+
 def decode(packet: Packet) -> Any | None:
     """The message of a packet, None of one that was damaged on the way."""
     try:

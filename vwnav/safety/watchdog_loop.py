@@ -16,7 +16,7 @@ from vwnav.safety.estimate_guard import RelayedPosition, RelayedVelocity, RelayG
 from vwnav.safety.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.safety.links import Link
 from vwnav.safety.mavlink_framing import Framer, Packet
-from vwnav.safety.watchdog_filter import ESTIMATES, Rights, decode, may_pass
+from vwnav.safety.watchdog_filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass
 from vwnav.safety.watchdog_outbox import Outbox
 from vwnav.safety.watchdog_voice import AutopilotEar, Origin, Voice
 
@@ -152,7 +152,7 @@ class Watchdog:
             for answer in self._ear.listen(data, t_s):
                 self._guard.handle_answer(answer, t_s)
             if self._ear.vehicle(t_s).armed and _CUT_S < silent_s < math.inf:
-                self._estimates.lose(f"the autopilot was not heard for {silent_s:.1f} s", t_s)
+                self._lose_estimates(f"the autopilot was not heard for {silent_s:.1f} s", t_s)
 
     def _relay_navigator(self, t_s: float) -> None:
         for _ in range(_READS_IN_A_ROW):
@@ -178,6 +178,8 @@ class Watchdog:
             return False
         if packet.message_id == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             self._ear.handle_origin_sent(packet)
+        if asks_for_hold(packet, self._ear.kind):
+            self._guard.handle_hold_asked(t_s)
         return packet.message_id not in ESTIMATES or self._is_good_estimate(packet, t_s)
 
     def _rights(self) -> Rights:
@@ -205,6 +207,11 @@ class Watchdog:
                 "handed on again" if is_good else f"held back: {self._estimates.reason}",
             )
         return good
+
+    def _lose_estimates(self, reason: str, t_s: float) -> None:
+        if self._estimates.lost_since_s is None:
+            _log.warning("estimates are held back: %s", reason)
+        self._estimates.lose(reason, t_s)
 
     def _answer_beats(self, t_s: float) -> None:
         while data := self._links.beats.receive():

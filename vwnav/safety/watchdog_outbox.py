@@ -39,8 +39,8 @@ class Lane(IntEnum):
 
     OWN = 0  # the watchdog's word
     COMMANDS = 1
-    STREAMS = 2
-    REST = 3  # parameters, requests
+    REST = 2  # parameters, questions: few and short, but streams alone can fill a link
+    STREAMS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Outbox:
 
     def drop_handed_on(self) -> None:
         """Forget all but the watchdog's own: whoever sent it has lost the aircraft."""
-        for lane in (Lane.COMMANDS, Lane.STREAMS, Lane.REST):
+        for lane in (Lane.COMMANDS, Lane.REST, Lane.STREAMS):
             self._lanes[lane].clear()
 
     def flush(self, link: Link, t_s: float) -> None:

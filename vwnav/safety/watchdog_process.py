@@ -1,9 +1,11 @@
 """The watchdog's process around `Watchdog`: ports, the navigator's process, signals, the clock."""
 
 import contextlib
+import logging
 import os
 import selectors
 import signal
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import FrameType
@@ -15,6 +17,7 @@ from vwnav.safety.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.safety.watchdog_successor import SuccessorProcess
 
+_log = logging.getLogger(__name__)
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _PARENT_CHECK_S = 0.1
@@ -111,8 +114,11 @@ class WatchdogPorts:
         config = WatchdogConfig(calls_first=address.kind != "udpin", limit_s=options.limit_s)
         successor = None
         if options.standby:
-            url = f"udpout://127.0.0.1:{self._navigator.port}"
-            successor = SuccessorProcess(options.standby, url)
+            successor = SuccessorProcess(
+                options.standby,
+                f"udpout://127.0.0.1:{self._navigator.port}",
+                f"udpout://127.0.0.1:{self._observer.port}",
+            )
         self._watchdog = Watchdog(links, config, successor)
         self._parent = ParentWatch(options.parent) if options.parent is not None else None
         self._told_to_end = False
@@ -148,7 +154,7 @@ class WatchdogPorts:
             now_s = self._clock()
             if self._told_to_end or (self._parent is not None and self._parent.has_ended(now_s)):
                 self._watchdog.handle_navigator_end(now_s)
-            self._watchdog.step(now_s)
+            self._step(now_s)
         participant.leave()
 
     def close(self) -> None:
@@ -157,6 +163,14 @@ class WatchdogPorts:
         self._watchdog.close()
         if self._parent is not None:
             self._parent.close()
+
+    def _step(self, now_s: float) -> None:
+        """One that fails is said, and the guard goes on: nobody else would land the aircraft."""
+        try:
+            self._watchdog.step(now_s)
+        except Exception:
+            _log.exception("a step of the watchdog failed")
+            time.sleep(_TICK_S)
 
     def _wait(self) -> None:
         """Until something arrives, or the next tick."""

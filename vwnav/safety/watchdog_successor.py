@@ -26,11 +26,12 @@ class SuccessorProcess:
     Args:
         command: its command line.
         navigator_url: what it connects to.
+        observer_url: where it may listen along; see `WatchdogProcess`.
     """
 
-    def __init__(self, command: Sequence[str], navigator_url: str) -> None:
+    def __init__(self, command: Sequence[str], navigator_url: str, observer_url: str) -> None:
         self._command = list(command)
-        self._navigator_url = navigator_url
+        self._urls = {"connection": navigator_url, "observer": observer_url}
         self._process: subprocess.Popen[bytes] | None = None
         self._starts = 0
         self._start_at_s = 0.0
@@ -79,7 +80,7 @@ class SuccessorProcess:
     def _wake(self, process: subprocess.Popen[bytes], resume: Resume) -> None:
         self._woken = True
         assert process.stdin is not None
-        line = json.dumps({"connection": self._navigator_url, **asdict(resume)}) + "\n"
+        line = json.dumps({**self._urls, **asdict(resume)}) + "\n"
         with contextlib.suppress(OSError):  # it has ended: the next step sees it
             process.stdin.write(line.encode())  # less than a pipe holds: does not wait
             process.stdin.flush()

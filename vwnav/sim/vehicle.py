@@ -6,7 +6,6 @@
 import argparse
 import dataclasses
 import logging
-import math
 import multiprocessing
 import os
 import select
@@ -20,10 +19,10 @@ from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.pace import clock_of
 from vwnav.sim.px4.config import PilotPlan, VehicleConfig
+from vwnav.sim.px4.core import Peer, VehicleCore
 from vwnav.sim.px4.link import UdpLink
-from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
-from vwnav.sim.px4.session import Session
-from vwnav.sim.px4.streams import COMPANION_RATES, GROUND_RATES, Schedule, truth_rates
+from vwnav.sim.px4.px4 import STEP_S
+from vwnav.sim.px4.streams import COMPANION_RATES, GROUND_RATES, truth_rates
 
 __all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start_vehicle"]
 
@@ -68,82 +67,44 @@ _PILOT_HELP = {
 
 
 class VehicleServer:
-    """The vehicle with its links, run by the clock (times `config.speed`)."""
+    """The vehicle with its UDP links, run by the clock (times `config.speed`)."""
 
     def __init__(self, config: VehicleConfig) -> None:
         self._config = config
         self._clock: Clock = clock_of(config.clock_file)
-        self._epoch_s = self._clock()
-        self.vehicle = SimulatedPx4(config)
-        self._links: list[tuple[UdpLink, dict[int, float], bool]] = []
+        self._links: list[UdpLink] = []
+        peers = []
         for url, rates, asks_time in (
             (config.companion_url, COMPANION_RATES, True),
             (config.ground_url, GROUND_RATES, False),
             (config.truth_url, truth_rates(config.truth_rate_hz), False),
         ):
             if url:
-                self._links.append((UdpLink(url, config.system_id), rates, asks_time))
-        self._sessions = self._open_sessions()
-
-    def _open_sessions(self) -> list[Session]:
-        return [
-            Session(link, self.vehicle, Schedule(rates), self._now_s, asks_time)
-            for link, rates, asks_time in self._links
-        ]
-
-    def _now_s(self) -> float:
-        return (self._clock() - self._epoch_s) * self._config.speed
+                self._links.append(UdpLink(url, config.system_id))
+                peers.append(Peer(self._links[-1], rates, asks_time))
+        self._core = VehicleCore(config, peers, lambda: self._clock() * config.speed)
 
     def run(self, keep_on: Callable[[], bool]) -> None:
         """Fly until `keep_on` says no."""
-        sockets = [session.link.socket for session in self._sessions]
+        core, speed = self._core, self._config.speed
+        sockets = [link.socket for link in self._links]
         participant = self._clock.join("vehicle")
-        self._epoch_s = self._clock()
+        core.wait(core.lag_s)
         while keep_on():
-            vehicle = self.vehicle
-            self._catch_up()
-            next_s = self._epoch_s + (vehicle.t_s + STEP_S) / self._config.speed
-            participant.until(next_s + _LATE_S)
-            wait_s = next_s - self._clock()
+            if core.lag_s > _MAX_LAG_S * speed:
+                _log.info("stood still for %.2f s; the clock waits", core.lag_s / speed)
+                core.wait(core.lag_s)
+            core.step_to_now(_STEPS_AT_ONCE)
+            wait_s = (STEP_S - core.lag_s) / speed
+            participant.until(self._clock() + wait_s + _LATE_S)
             readable, _, _ = select.select(sockets, [], [], max(_SHORTEST_WAIT_S, wait_s))
             if readable:
-                self._hear()
+                core.hear()
         participant.leave()
-
-    def _catch_up(self) -> None:
-        """Step until the vehicle's time is now."""
-        lag_s = self._now_s() - self.vehicle.t_s
-        if lag_s > _MAX_LAG_S * self._config.speed:
-            _log.info("stood still for %.2f s; the clock waits", lag_s / self._config.speed)
-            self._epoch_s += lag_s / self._config.speed
-        for _ in range(_STEPS_AT_ONCE):
-            if self.vehicle.t_s + STEP_S > self._now_s():
-                return
-            self.vehicle.step()
-            self._hear()
-            for session in self._sessions:
-                session.say()
-
-    def _hear(self) -> None:
-        for session in self._sessions:
-            session.hear()
-        heard_s = max(session.link.gcs_heard_s for session in self._sessions)
-        self.vehicle.gcs_heard_s = heard_s if heard_s >= 0.0 else None
-        if any(session.reboot_wanted for session in self._sessions):
-            self._reboot()
-
-    def _reboot(self) -> None:
-        """Start again with the parameters as they are."""
-        _log.info("rebooting")
-        self.vehicle = SimulatedPx4(self._config, self.vehicle.parameters)
-        self._sessions = self._open_sessions()
-        for session in self._sessions:
-            session.link.gcs_heard_s = -math.inf
-        self._epoch_s = self._clock()
 
     def close(self) -> None:
         """Free the ports."""
-        for link, _, _ in self._links:
+        for link in self._links:
             link.close()
 
 

@@ -1,6 +1,7 @@
 """Attitude from gyroscope, gravity and compass: the complementary half of the estimator."""
 
 import math
+from collections.abc import Sequence
 
 from vwnav.sim.px4.airframe import GRAVITY_M_S2, rotation_of, turned
 from vwnav.sim.px4.sensors import Imu
@@ -21,6 +22,16 @@ class AttitudeFilter:
         self.rotation = rotation_of(*self.quat_wxyz)
         self.rates = (0.0, 0.0, 0.0)
         self._bias = [0.0, 0.0, 0.0]
+
+    def align(
+        self,
+        quat_wxyz: tuple[float, float, float, float],
+        gyro_bias_rad_s: Sequence[float],
+    ) -> None:
+        """Know the attitude, and the biases, as after a while on the ground."""
+        self.quat_wxyz = quat_wxyz
+        self.rotation = rotation_of(*quat_wxyz)
+        self._bias = list(gyro_bias_rad_s)
 
     def step(self, imu: Imu, on_ground: bool, aided: bool, dt_s: float) -> None:
         """Advance by one inertial sample.

@@ -78,6 +78,13 @@ class Commander:
         self._say(Severity.INFO, "Armed by external command\t")
         return Result.ACCEPTED
 
+    def begin_in_flight(self, state: NavState, t_s: float) -> None:
+        """Be armed and flying, in a state that the user asked for."""
+        self.armed = self.flown = True
+        self.intended = self.state = state
+        self._armed_at_s = self._landed_at_s = t_s
+        self.failsafe.reset()
+
     def disarm(self, health: Health, forced: bool) -> Result:
         """MAV_CMD_COMPONENT_ARM_DISARM 0; in the air only by force."""
         if self.armed and not health.landed and not forced:

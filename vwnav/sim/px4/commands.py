@@ -44,6 +44,8 @@ def execute(command: Command, context: Context) -> Result:
     """Do a command and say how it went, in PX4's result codes."""
     handler = _HANDLERS.get(command.number)
     context.vehicle.look()
+    if command.number in context.vehicle.refuses:
+        return Result.TEMPORARILY_REJECTED
     return Result.UNSUPPORTED if handler is None else handler(command, context)
 
 

@@ -133,13 +133,7 @@ class Controller:
     def _point(self, an: float, ae: float, lift: float, yaw_rad: float) -> None:
         """Attitude whose body z pushes along the wanted force, and the thrust along it."""
         force = math.sqrt(an * an + ae * ae + lift * lift)
-        zn, ze, zd = -an / force, -ae / force, lift / force  # body down axis in NED
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        # roll and pitch of Z-Y-X angles from body z, seen from the wanted heading
-        forward, right = cos * zn + sin * ze, -sin * zn + cos * ze
-        pitch = math.atan2(forward, zd)
-        roll = -math.asin(min(1.0, max(-1.0, right)))
-        self.attitude_wxyz = quat_of_euler(roll, pitch, yaw_rad)
+        self.attitude_wxyz = attitude_of_force(an, ae, -lift, yaw_rad)
         self.thrust = min(self._thr_max, self._hover * force / GRAVITY_M_S2)
 
     def step_attitude(self, estimate: Estimator, dt_s: float) -> tuple[float, float, float, float]:
@@ -196,6 +190,20 @@ def _mix(thrust: float, roll: float, pitch: float, yaw: float) -> tuple[float, f
         min(1.0, max(0.0, thrust + f2)),
         min(1.0, max(0.0, thrust + f3)),
     )
+
+
+def attitude_of_force(
+    fn: float, fe: float, fd: float, yaw_rad: float
+) -> tuple[float, float, float, float]:
+    """Quaternion wxyz of a body whose rotors push along a force in NED, with a heading."""
+    force = math.sqrt(fn * fn + fe * fe + fd * fd)
+    zn, ze, zd = -fn / force, -fe / force, -fd / force  # body down axis in NED
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    # roll and pitch of Z-Y-X angles from body z, seen from the wanted heading
+    forward, right = cos * zn + sin * ze, -sin * zn + cos * ze
+    pitch = math.atan2(forward, zd)
+    roll = -math.asin(min(1.0, max(-1.0, right)))
+    return quat_of_euler(roll, pitch, yaw_rad)
 
 
 def quat_of_euler(

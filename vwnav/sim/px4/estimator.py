@@ -7,6 +7,7 @@ steady disagreement resets after 2.5 s, and an origin set while vision is fused 
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import LocalFrame
@@ -19,12 +20,13 @@ from vwnav.sim.px4.sensors import Imu
 EV_HORIZONTAL, EV_HEIGHT, EV_VELOCITY, EV_YAW = 1, 2, 4, 8
 HEIGHT_FROM_VISION = 3
 _MAX_GAP_S = 0.2  # EKF2's EV_MAX_INTERVAL
-_RESTART_S = 0.6  # of steady vision after the position was lost
+_RESTART_S = 0.2  # of steady vision after the position was lost: recorded 0.25 to 0.3 s
 _RESET_AFTER_S = 2.5  # of refused vision: a silent 5 m jump was followed in 3 s
 _HISTORY_STEP_S = 0.02
 _HISTORY = 40
 _TILT_TIME_S = 10.0
 _SPHERE_RADIUS_M = 6371000.0
+_ALIGNED_M, _ALIGNED_M_S = 0.3, 0.2  # what a filter on vision knows of its place and velocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +103,24 @@ class Estimator:
     def sigma_horizontal_m(self) -> float:
         """One sigma of the horizontal position (eph)."""
         return math.hypot(self.north.sigma_m, self.east.sigma_m)
+
+    def align(
+        self,
+        place_ned_m: tuple[float, float, float],
+        velocity_ned_m_s: tuple[float, float, float],
+        quat_wxyz: tuple[float, float, float, float],
+        gyro_bias_rad_s: Sequence[float],
+    ) -> None:
+        """Know where it is, as after a flight on vision that came until now."""
+        axes = (AxisFilter(_ALIGNED_M), AxisFilter(_ALIGNED_M), AxisFilter(_ALIGNED_M))
+        for axis, place_m, speed_m_s in zip(axes, place_ned_m, velocity_ned_m_s, strict=True):
+            axis.x, axis.v, axis.p11 = place_m, speed_m_s, _ALIGNED_M_S**2
+        self.north, self.east, self.down = axes
+        self.attitude.align(quat_wxyz, gyro_bias_rad_s)
+        self.fusing = True
+        self._last_fused_s = self._last_sample_s = self.t_s
+        self._refused_since_s = None
+        self._history.clear()
 
     def propagate(self, imu: Imu, t_s: float, dt_s: float, on_ground: bool) -> None:
         """Advance by one inertial sample that ends at `t_s`."""

@@ -122,9 +122,9 @@ class Failsafe:
 
     def _present(self, intended: NavState, health: Health) -> set[Cause]:
         """The causes that hold now."""
+        if health.landed:  # what brought it down lasts until it is disarmed; nothing new begins
+            return set(self._since_s)
         found: set[Cause] = set()
-        if health.landed:
-            return found
         if intended is NavState.OFFBOARD and not health.offboard_ok:
             found.add(Cause.OFFBOARD_LOST)
         if intended in POSITION_STATES and not health.local_position_ok:

@@ -1,10 +1,13 @@
-"""One MAVLink 2 link over UDP: several peers, a parser for each, garbage counted and dropped."""
+"""The vehicle's MAVLink 2 links: UDP with several peers, or bytes of any other kind with one.
+
+A parser for each peer; garbage is counted and dropped.
+"""
 
 import logging
 import math
 import socket
 import time
-from typing import Any
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import development as mavlink
 
@@ -20,6 +23,36 @@ GCS_TYPE = 6  # MAV_TYPE_GCS
 
 Address = tuple[str, int]
 Message = Any  # pymavlink's generated classes have no common typed base
+
+
+class MavlinkLink(Protocol):
+    """What a conversation needs of a link.
+
+    Attributes:
+        gcs_heard_s: when a ground station was last heard, -inf before.
+    """
+
+    gcs_heard_s: float
+
+    def receive(self, t_s: float) -> list[Message]:
+        """Every valid message that has arrived; `t_s` is the time of arrival."""
+        ...
+
+    def send(self, message: Message) -> None:
+        """Send to whoever is there."""
+        ...
+
+
+class ByteEnd(Protocol):
+    """Bytes to and from one peer, as `vwnav.sim.memory_link.MemoryEnd` has them."""
+
+    def read(self) -> bytes:
+        """What has arrived; empty when nothing has."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send."""
+        ...
 
 
 def parse_url(url: str) -> tuple[bool, Address]:
@@ -82,9 +115,8 @@ class UdpLink:
         self.dropped += len(parsed) - len(good)
         if good or address in self._parsers:
             self._remember(address, parser)
-        for message in good:
-            if message.get_msgId() == 0 and message.type == GCS_TYPE:
-                self.gcs_heard_s = t_s
+        if any(map(is_ground_station, good)):
+            self.gcs_heard_s = t_s
         return good
 
     def _remember(self, address: Address, parser: Message) -> None:
@@ -95,8 +127,7 @@ class UdpLink:
 
     def send(self, message: Message) -> None:
         """Send to every peer heard lately, or where the link was told to."""
-        packet = message.pack(self._packer)
-        self._packer.seq = (self._packer.seq + 1) % 256
+        packet = packed(message, self._packer)
         now_s = time.monotonic()
         targets = [peer for peer, heard in self._peers.items() if now_s - heard < _PEER_TIMEOUT_S]
         if not targets and self._default is not None:
@@ -111,6 +142,48 @@ class UdpLink:
     def close(self) -> None:
         """Free the port."""
         self.socket.close()
+
+
+class ByteLink:
+    """One peer behind bytes that come and go.
+
+    Args:
+        end: this side of the line.
+        system_id: MAVLink system of the sender.
+    """
+
+    def __init__(self, end: ByteEnd, system_id: int) -> None:
+        self._end = end
+        self._packer = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+        self._parser: Message = None
+        self.gcs_heard_s = -math.inf
+
+    def receive(self, t_s: float) -> list[Message]:
+        """Every valid message that has arrived; `t_s` is the time of arrival."""
+        messages: list[Message] = []
+        while data := self._end.read():
+            self._parser = datagram_parser(self._parser, data)
+            parsed = self._parser.parse_buffer(data) or []
+            messages += [message for message in parsed if message.get_msgId() >= 0]
+        if any(map(is_ground_station, messages)):
+            self.gcs_heard_s = t_s
+        return messages
+
+    def send(self, message: Message) -> None:
+        """Send to the peer."""
+        self._end.write(packed(message, self._packer))
+
+
+def packed(message: Message, packer: Message) -> bytes:
+    """The bytes of a message, with the sender's next sequence number."""
+    packet = bytes(message.pack(packer))
+    packer.seq = (packer.seq + 1) % 256
+    return packet
+
+
+def is_ground_station(message: Message) -> bool:
+    """Whether it is the heartbeat of one."""
+    return bool(message.get_msgId() == 0 and message.type == GCS_TYPE)
 
 
 def datagram_parser(parser: Message, data: bytes) -> Message:

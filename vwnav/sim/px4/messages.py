@@ -4,7 +4,6 @@ A function returns None when PX4 would not send it now (no origin, no radio, no 
 """
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -312,8 +311,8 @@ def ping(v: SimulatedPx4) -> Any:
 
 
 def system_time(v: SimulatedPx4) -> Any:
-    """Time of day and time since boot."""
-    return mavlink.MAVLink_system_time_message(time.time_ns() // 1000, _ms(v))
+    """Time since boot; without GPS the time of day is not known."""
+    return mavlink.MAVLink_system_time_message(0, _ms(v))
 
 
 def hil_state_quaternion(v: SimulatedPx4) -> Any:

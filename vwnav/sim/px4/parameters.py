@@ -97,6 +97,7 @@ _FLOATS: dict[str, float] = {
     "EKF2_EV_QMIN": 0.0,
     "GF_MAX_HOR_DIST": 0.0,
     "GF_MAX_VER_DIST": 0.0,
+    "LNDMC_XY_VEL_MAX": 1.5,
     "MAN_OVERRIDE_SPD": 0.25,
     "MC_PITCHRATE_P": 0.15,
     "MC_PITCH_P": 6.5,

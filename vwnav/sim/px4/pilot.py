@@ -131,15 +131,15 @@ class ManualInput:
 
 
 class ScriptedPilot:
-    """Plays a PilotPlan into a ManualInput at 50 Hz."""
+    """Plays a PilotPlan into a ManualInput at 50 Hz; `plan` may be changed meanwhile."""
 
     def __init__(self, plan: PilotPlan, manual: ManualInput) -> None:
-        self._plan = plan
+        self.plan = plan
         self._manual = manual
 
     def step(self, t_s: float) -> None:
         """Send the channels of `t_s`, nothing while the radio is off."""
-        plan = self._plan
+        plan = self.plan
         if not plan.rc_on or self._off(t_s):
             return
         push = _push(t_s, plan.takes_over_at_s)
@@ -149,7 +149,7 @@ class ScriptedPilot:
         self._manual.handle_radio((1500, pitch_us, 1500, 1500, switch_us, 1000, 1500, 1500), t_s)
 
     def _off(self, t_s: float) -> bool:
-        lost, back = self._plan.rc_lost_at_s, self._plan.rc_back_at_s
+        lost, back = self.plan.rc_lost_at_s, self.plan.rc_back_at_s
         return lost is not None and t_s >= lost and (back is None or t_s < back)
 
 

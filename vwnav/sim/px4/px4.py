@@ -6,11 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.sim.px4.airframe import Airframe
+from vwnav.sim.px4.airframe import Airframe, hover_force
 from vwnav.sim.px4.battery import Battery
 from vwnav.sim.px4.commander import Commander
 from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.controller import Controller
+from vwnav.sim.px4.controller import Controller, attitude_of_force
 from vwnav.sim.px4.estimator import Estimator
 from vwnav.sim.px4.failsafe import Health
 from vwnav.sim.px4.flight_tasks import FlightTasks
@@ -25,6 +25,7 @@ _SLOW_EVERY = 5  # 50 Hz: commander, flight tasks, barometer, compass, wind
 _LANDED_AFTER_S = 1.0
 _PROBATION_S = 1.0  # of a position that came back: Offboard returns 1 to 2 s after the vision
 _TEXTS = 32
+_AGES_S = 1e4  # after which gusts are what they are, whatever they were
 # After an origin the declination is looked up and the heading settles (recorded on PX4 1.18: the
 # prearm bit is set 5 s after the origin, gone 2 s later, and steady 13 s after it).
 _HEADING_UNSETTLED_S = ((0.0, 5.0), (7.0, 13.0))
@@ -47,6 +48,9 @@ class SimulatedPx4:
     Args:
         config: where it stands and what goes wrong.
         parameters: kept over a reboot, fresh ones when None.
+
+    Attributes:
+        refuses: numbers of commands that it does not take, whatever the reason.
     """
 
     def __init__(self, config: VehicleConfig, parameters: Parameters | None = None) -> None:
@@ -78,11 +82,50 @@ class SimulatedPx4:
         self.offboard: Setpoint | None = None
         self.offboard_s = -math.inf
         self.gcs_heard_s: float | None = None
+        self.refuses: set[int] = set()
         self._contact_s = _LANDED_AFTER_S
         self._position_lost_s = 0.0
         self._count = 0
         self._state = NavState.HOLD
         self.health = self._health()
+
+    def begin_in_flight(
+        self,
+        place_ned_m: tuple[float, float, float],
+        velocity_ned_m_s: tuple[float, float, float],
+        heading_rad: float,
+        state: NavState,
+    ) -> None:
+        """Fly steadily, now, as if it had come there on vision; NED about the start place.
+
+        The origin is the start place when none was set. What it is asked to do lasts as long as
+        any setpoint.
+        """
+        body, estimator, wind = self.body, self.estimator, self.wind
+        if estimator.origin is None:
+            frame = self.start_frame
+            estimator.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
+        estimator.origin_t_s = min(estimator.origin_t_s, self.t_s - _HEADING_UNSETTLED_S[-1][1])
+        wind.step(-place_ned_m[2], math.hypot(*velocity_ned_m_s), _AGES_S)
+        vn, ve, vd = velocity_ned_m_s
+        lift = hover_force(vn - wind.n_m_s, ve - wind.e_m_s, vd - wind.d_m_s)
+        quat_wxyz = attitude_of_force(*lift, heading_rad)
+        body.fly_at(place_ned_m, velocity_ned_m_s, quat_wxyz, math.hypot(*lift))
+        believed = attitude_of_force(
+            *lift, heading_rad + math.radians(self.config.heading_bias_deg)
+        )
+        estimator.align(place_ned_m, velocity_ned_m_s, believed, self.sensors.gyro_bias_rad_s)
+        self.landed, self._contact_s = False, 0.0
+        self._position_lost_s = self.t_s - _PROBATION_S
+        home = self.start_frame
+        self.set_home(home.lat_deg, home.lon_deg, home.alt_amsl_m)
+        self.commander.begin_in_flight(state, self.t_s)
+        self._state = state
+        self.tasks.enter(state, estimator)
+        self.controller.reset()
+        yaw_rad = estimator.attitude.yaw_rad
+        self.set_offboard(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
+        self.look()
 
     def say(self, severity: Severity, text: str) -> None:
         """Queue a STATUSTEXT for the ground stations."""
@@ -201,10 +244,16 @@ class SimulatedPx4:
         return 0.0 < reach < far or 0.0 < top < down - estimator.down.x
 
     def _detect_landing(self, dt_s: float) -> None:
-        """Landed after a second on the ground without a push to leave it."""
-        controller = self.controller
+        """Landed after a second on the ground, by its own estimate still, without a push to leave.
+
+        As PX4's land detector: a velocity that it believes in keeps it armed on the ground
+        (recorded: 8 s, while estimates of 60 m/s came).
+        """
+        controller, estimator = self.controller, self.estimator
         leaving = not controller.setpoint.idle and controller.velocity_sp[2] < -0.1
-        if not self.body.on_ground:
+        speed_m_s = math.hypot(estimator.north.v, estimator.east.v)
+        moving = estimator.local_position_ok and speed_m_s > self.parameters["LNDMC_XY_VEL_MAX"]
+        if not self.body.on_ground or moving:
             self._contact_s = 0.0
         elif not leaving:
             self._contact_s += dt_s

@@ -35,6 +35,10 @@ class Sensors:
         noise: scale of inertial, barometer and compass noise and of the inertial biases.
         baro_drift_m: one sigma of the barometer's random walk after ten minutes.
         heading_bias_rad: constant error of the compass.
+
+    Attributes:
+        gyro_bias_rad_s: of the three axes.
+        baro_error_m: what a fault adds to the barometer's height.
     """
 
     def __init__(
@@ -44,13 +48,14 @@ class Sensors:
         self._noise = noise
         self._walk_m = baro_drift_m / math.sqrt(_TEN_MINUTES_S)
         self._heading_bias_rad = heading_bias_rad
-        self._gyro_bias = [rng.gauss(0.0, _GYRO_BIAS_RAD_S * noise) for _ in range(3)]
+        self.gyro_bias_rad_s = [rng.gauss(0.0, _GYRO_BIAS_RAD_S * noise) for _ in range(3)]
         self._accel_bias = [rng.gauss(0.0, _ACCEL_BIAS_M_S2 * noise) for _ in range(3)]
         self._baro_drift_m = 0.0
+        self.baro_error_m = 0.0
 
     def imu(self, body: Airframe) -> Imu:
         """Gyroscope and accelerometer now."""
-        gauss, gyro, accel = self._gauss, self._gyro_bias, self._accel_bias
+        gauss, gyro, accel = self._gauss, self.gyro_bias_rad_s, self._accel_bias
         gyro_noise = _GYRO_NOISE_RAD_S * self._noise
         accel_noise = _ACCEL_NOISE_M_S2 * self._noise
         return Imu(
@@ -65,7 +70,8 @@ class Sensors:
     def baro_height_m(self, body: Airframe, dt_s: float) -> float:
         """Height over the start place as the barometer shows it; `dt_s` since the last call."""
         self._baro_drift_m += self._gauss(0.0, self._walk_m * math.sqrt(dt_s))
-        return -body.d + self._baro_drift_m + self._gauss(0.0, _BARO_NOISE_M * self._noise)
+        error_m = self._baro_drift_m + self.baro_error_m
+        return -body.d + error_m + self._gauss(0.0, _BARO_NOISE_M * self._noise)
 
     def compass_rad(self, body: Airframe) -> float:
         """True heading as the compass shows it."""

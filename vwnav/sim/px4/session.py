@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.sim.px4 import vision_input
 from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Command, Context, execute, is_place
-from vwnav.sim.px4.link import UdpLink
+from vwnav.sim.px4.link import MavlinkLink
 from vwnav.sim.px4.modes import Result, Severity
 from vwnav.sim.px4.offboard import setpoint_of
 from vwnav.sim.px4.parameters import HASH_CHECK
@@ -49,7 +49,7 @@ class Session:
 
     def __init__(
         self,
-        link: UdpLink,
+        link: MavlinkLink,
         vehicle: SimulatedPx4,
         schedule: Schedule,
         clock: Clock,

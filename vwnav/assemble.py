@@ -29,7 +29,12 @@ class Assembled:
     pipeline: Pipeline
     ekf: Ekf
     pack: MapPack
-    feature_set_id: str
+    primary: FeatureExtractor
+
+    @property
+    def feature_set_id(self) -> str:
+        """Of the features that are flown on while they work."""
+        return self.primary.feature_set_id
 
 
 def choose_features(
@@ -66,6 +71,27 @@ def assemble(
         ModelError: the pack's features were made by another model.
     """
     primary, fallback = choose_features(features, model, say)
+    return assemble_with(
+        primary, fallback, pack, camera, local_frame, config, executor, say, make_ekf
+    )
+
+
+def assemble_with(
+    primary: FeatureExtractor,
+    fallback: FeatureExtractor | None,
+    pack: MapPack,
+    camera: Camera,
+    local_frame: LocalFrame,
+    config: Config,
+    executor: Executor,
+    say: Callable[[str], None],
+    make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
+) -> Assembled:
+    """The same with extractors that are there already.
+
+    Raises:
+        ModelError: the pack's features were made by another model.
+    """
     pack.check_features(primary)
 
     def localizer(extractor: FeatureExtractor) -> Localizer:
@@ -80,7 +106,7 @@ def assemble(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
         executor,
     )  # fmt: skip
-    return Assembled(pipeline, ekf, pack, primary.feature_set_id)
+    return Assembled(pipeline, ekf, pack, primary)
 
 
 def about_run(assembled: Assembled, features: str, point: PointKind) -> About:

@@ -1,0 +1,44 @@
+"""A second navigator: notes what it was woken with, sends estimates, and tries to fly.
+
+    python successor.py NOTES [dies]
+
+NOTES gets a line at the start, one when it is woken, one when its stdin ends.
+"""
+
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+
+from navigator import connect, estimate, setpoint
+
+
+def main() -> None:
+    notes = Path(sys.argv[1])
+
+    def note(text: str) -> None:
+        with notes.open("a") as file:
+            file.write(text + "\n")
+
+    note("started")
+    line = sys.stdin.readline()
+    if not line:
+        note("not needed")
+        return
+    note(line.strip())
+    if sys.argv[2:] == ["dies"]:
+        sys.exit(1)
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    resume = json.loads(line)
+    link, counter = connect(resume["connection"]), resume["position"]["reset_counter"] + 1
+    while not ended.is_set():
+        link.send(estimate(time.monotonic(), 3.0, counter))
+        link.send(setpoint(5.0))
+        time.sleep(0.02)
+    note("ended")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,260 @@
+"""Nothing is sent to an autopilot that we would not fly on, and what was lost comes back as new."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.safety.estimate_guard import EstimateGuard, EstimateLimits
+from vwnav.types import Estimate
+
+LIMITS = EstimateLimits()
+DT_S = 0.02
+GOOD = Estimate(
+    t_s=0.0,
+    position_ned_m=np.zeros(3),
+    velocity_ned_m_s=np.zeros(3),
+    covariance=np.eye(6) * 0.1,
+    quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
+    sigma_yaw_rad=0.1,
+    agl_m=50.0,
+    sigma_agl_m=1.0,
+    t_last_fix_s=0.0,
+    reset_counter=0,
+)
+
+
+def at(t_s: float, north_m: float = 0.0, speed_m_s: float = 0.0, **changes) -> Estimate:
+    position, velocity = np.array([north_m, 0.0, -50.0]), np.array([speed_m_s, 0.0, 0.0])
+    return replace(GOOD, t_s=t_s, position_ned_m=position, velocity_ned_m_s=velocity, **changes)
+
+
+def covariance(sigma_m: float = 0.3, sigma_m_s: float = 0.3) -> np.ndarray:
+    return np.diag([sigma_m**2] * 3 + [sigma_m_s**2] * 3)
+
+
+def flying(speed_m_s: float = 0.0) -> EstimateGuard:
+    """It has sent one estimate, at 0 s."""
+    guard = EstimateGuard()
+    assert guard.admit(at(0.0, 0.0, speed_m_s), 0.0, armed=False) is not None
+    return guard
+
+
+def feed(guard: EstimateGuard, start_s: float, end_s: float, make=at) -> list[Estimate]:
+    steps = range(round(start_s / DT_S), round(end_s / DT_S))
+    sent = (guard.admit(make(i * DT_S), i * DT_S) for i in steps)
+    return [e for e in sent if e is not None]
+
+
+def test_a_good_estimate_is_sent_as_it_is():
+    guard = flying(8.0)
+    sent = feed(guard, DT_S, 2.0, lambda t: at(t, 8.0 * t, 8.0))
+    assert len(sent) == 99
+    assert {e.reset_counter for e in sent} == {0}
+    assert guard.lost_since_s is None
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        (at(0.1, math.nan), "finite"),
+        (at(0.1, 0.0, 40.0), "40 m/s"),
+        (at(0.1, covariance=covariance(sigma_m_s=5.0)), "velocity is lost"),
+        (at(0.1, covariance=covariance(sigma_m=40.0)), "uncertain by 40 m"),
+        (at(0.1, covariance=-covariance()), "velocity is lost"),
+        (at(0.1, quat_wxyz=np.array([0.5, 0.866, 0.0, 0.0])), "tilted"),
+        (at(0.1, quat_wxyz=np.zeros(4)), "tilted"),
+        (at(0.1, 8.0), "jumped"),
+        (at(0.1, 0.0, 6.0), "velocity jumped"),
+        (at(0.1, 500.0, reset_counter=1, covariance=covariance(20.0)), "uncertain by 20 m"),
+    ],
+)
+def test_one_that_we_would_not_fly_on_is_not_sent(bad, reason):
+    guard = flying()
+    assert guard.admit(bad, 0.1) is None
+    assert guard.lost_since_s == 0.1
+    assert reason in guard.reason
+
+
+def test_a_jump_that_the_filter_announces_is_sent_when_it_is_sure():
+    sent = flying().admit(at(0.1, 500.0, reset_counter=1), 0.1)
+    assert sent is not None
+    assert sent.reset_counter == 1
+
+
+def test_small_corrections_pass_but_many_of_them_in_a_second_do_not():
+    assert len(feed(flying(), DT_S, 1.0, lambda t: at(t, 2.0 * (t > 0.5)))) == 49
+    guard = flying()
+    feed(guard, DT_S, 1.0, lambda t: at(t, 2.0 * t / DT_S))
+    assert "jumped" in guard.reason
+
+
+def test_an_estimate_that_is_late_is_left_out_and_one_that_stays_late_is_lost():
+    guard = flying()
+    assert guard.admit(at(0.1), 0.4) is None
+    assert guard.lost_since_s is None
+    assert guard.admit(at(0.4), 0.4) is not None
+    assert guard.admit(None, 0.9) is None
+    assert guard.admit(at(1.0), 1.5) is None
+    assert guard.lost_since_s == 1.5
+
+
+def lost_at_1_s() -> EstimateGuard:
+    guard = flying()
+    feed(guard, DT_S, 1.0)
+    assert guard.admit(at(1.0, 0.0, 50.0), 1.0) is None
+    return guard
+
+
+def fixes_every(period_s: float, offset_s: float = 0.0):
+    def make(t_s: float, **changes) -> Estimate:
+        t_fix_s = offset_s + period_s * math.floor((t_s - offset_s) / period_s)
+        return at(t_s, t_last_fix_s=t_fix_s, **changes)
+
+    return make
+
+
+def test_a_lost_estimate_is_not_back_because_it_looks_good():
+    assert feed(lost_at_1_s(), 1.02, 30.0) == []
+
+
+def test_it_comes_back_as_a_new_one_after_three_fixes_over_a_second():
+    guard = lost_at_1_s()
+    sent = feed(guard, 1.02, 5.0, fixes_every(0.5, 1.1))
+    assert sent[0].t_s == pytest.approx(2.1, abs=0.03)  # fixes of 1.1, 1.6 and 2.1 s
+    assert {e.reset_counter for e in sent} == {1}
+    assert guard.lost_since_s is None
+
+
+def test_fixes_from_before_the_loss_or_in_a_burst_do_not_count():
+    assert feed(lost_at_1_s(), 1.02, 5.0, lambda t: at(t, t_last_fix_s=0.5 + 0.1 * t)) == []
+    burst = feed(lost_at_1_s(), 1.02, 9.0, lambda t: at(t, t_last_fix_s=min(t, 1.4)))
+    assert burst == []
+
+
+def test_it_does_not_come_back_while_it_is_unsure():
+    unsure = {"covariance": covariance(sigma_m=6.0)}
+    make = fixes_every(0.5)
+    assert feed(lost_at_1_s(), 1.02, 9.0, lambda t: make(t, **unsure)) == []
+
+
+def test_fixes_that_contradict_each_other_begin_the_count_again():
+    def make(t_s: float) -> Estimate:
+        return at(t_s, 20.0 * math.floor(t_s / 0.8), t_last_fix_s=0.4 * math.floor(t_s / 0.4))
+
+    assert feed(lost_at_1_s(), 1.02, 9.0, make) == []
+
+
+def test_after_a_long_sleep_nothing_is_sent_at_once():
+    guard = flying(8.0)
+    feed(guard, DT_S, 1.0, lambda t: at(t, 8.0 * t, 8.0))
+    extrapolated = feed(guard, 21.0, 40.0, lambda t: at(t, 8.0 * t, 8.0))
+    assert extrapolated == []
+    assert "no estimate for 20.0 s" in guard.reason
+
+
+@pytest.mark.parametrize("gap_s", [0.6, 0.9])
+def test_after_a_short_stall_it_goes_on_once_it_is_steady_where_it_should_be(gap_s):
+    guard = flying(8.0)
+    feed(guard, DT_S, 1.0, lambda t: at(t, 8.0 * t, 8.0))
+    sent = feed(guard, 1.0 + gap_s, 4.0, lambda t: at(t, 8.0 * t, 8.0))
+    assert sent[0].t_s == pytest.approx(1.0 + gap_s + 0.5, abs=0.05)
+    assert {e.reset_counter for e in sent} == {0}
+
+
+def test_after_a_short_stall_it_does_not_go_on_elsewhere():
+    guard = flying()
+    feed(guard, DT_S, 1.0)
+    assert feed(guard, 1.8, 9.0, lambda t: at(t, 7.0)) == []
+
+
+def test_what_only_the_caller_knows_makes_it_lost_too():
+    guard = flying()
+    guard.lose("the watchdog holds the estimates back", 0.5)
+    assert feed(guard, 0.5, 3.0) == []
+    assert feed(guard, 3.0, 6.0, fixes_every(0.5))[0].reset_counter == 1
+
+
+def test_a_navigator_that_begins_in_the_air_sends_only_a_proven_estimate_with_a_new_counter():
+    guard = EstimateGuard(first_counter=7)
+    sent = feed(guard, 0.0, 4.0, fixes_every(0.5))
+    assert sent[0].t_s >= 1.0
+    assert {e.reset_counter for e in sent} == {8}
+
+
+def test_disarmed_on_the_ground_it_may_jump_and_come_back_freely():
+    guard = lost_at_1_s()
+    assert guard.admit(at(1.1, 600.0), 1.1, armed=False) is not None
+    assert guard.lost_since_s is None
+    assert guard.admit(at(1.12, 600.0), 1.12) is not None
+
+
+ANY = st.floats(-1e4, 1e4) | st.sampled_from([math.nan, math.inf, 0.0])
+NEAR = st.floats(-4.0, 4.0)
+STEP = st.fixed_dictionaries(
+    {
+        "wait_s": st.sampled_from([0.02, 0.02, 0.02, 0.1, 0.3, 0.7, 3.0]),
+        "age_s": st.sampled_from([0.0, 0.0, 0.0, 0.1, 0.4, -1.0]),
+        "north_m": NEAR | ANY,
+        "speed_m_s": NEAR | ANY,
+        "sigma_m": st.sampled_from([0.3, 0.3, 4.0, 50.0, math.nan]),
+        "sigma_m_s": st.sampled_from([0.3, 0.3, 2.0, 9.0]),
+        "tilt_rad": st.sampled_from([0.0, 0.0, 0.3, 2.0]),
+        "has_fix": st.booleans(),
+        "reset": st.sampled_from([0, 0, 0, 1]),
+    }
+)
+
+
+@given(st.lists(STEP, max_size=60))
+def test_whatever_comes_nothing_is_sent_that_we_would_not_fly_on(steps):
+    guard, t_s, counter, t_fix_s, last = flying(), 0.0, 0, 0.0, at(0.0)
+    for step in steps:
+        t_s += step["wait_s"]
+        counter += step["reset"]
+        t_fix_s = t_s if step["has_fix"] else t_fix_s
+        half = step["tilt_rad"] / 2.0
+        estimate = at(
+            t_s - step["age_s"],
+            step["north_m"],
+            step["speed_m_s"],
+            covariance=covariance(step["sigma_m"], step["sigma_m_s"]),
+            quat_wxyz=np.array([math.cos(half), math.sin(half), 0.0, 0.0]),
+            t_last_fix_s=t_fix_s,
+            reset_counter=counter,
+        )
+        sent = guard.admit(estimate, t_s)
+        if sent is not None:
+            check_law(sent, last, t_s)
+            last = sent
+
+
+def check_law(sent: Estimate, last: Estimate, t_s: float) -> None:
+    assert np.all(np.isfinite(sent.position_ned_m))
+    assert abs(t_s - sent.t_s) <= LIMITS.max_age_s
+    assert sent.t_s >= last.t_s
+    assert abs(sent.velocity_ned_m_s[0]) < LIMITS.max_speed_m_s
+    assert sent.covariance[3, 3] < LIMITS.max_velocity_sigma_m_s**2
+    assert sent.covariance[0, 0] < LIMITS.max_position_sigma_m**2
+    assert sent.reset_counter >= last.reset_counter
+    moved_m = float(np.hypot(*(sent.position_ned_m - last.position_ned_m)[:2]))
+    span_s = sent.t_s - last.t_s
+    if sent.reset_counter == last.reset_counter:
+        assert moved_m <= LIMITS.max_speed_m_s * span_s + LIMITS.max_jump_m + 1e-9
+        assert span_s <= LIMITS.brief_gap_s + LIMITS.settle_s + 0.3
+    else:
+        assert sent.covariance[0, 0] <= LIMITS.new_position_sigma_m**2
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=12), st.floats(0.0, 1.0))
+def test_a_sleep_never_ends_in_an_estimate_of_the_same_counter(sleeps, speed):
+    guard, t_s, north_m = flying(), 0.0, 0.0
+    for sleep in sleeps:
+        before = guard.lost_since_s is None
+        t_s += 5.0 if sleep else 0.1
+        north_m += speed * 8.0 * (5.0 if sleep else 0.1)
+        sent = guard.admit(at(t_s, north_m, speed * 8.0), t_s)
+        assert sent is None or (before and not sleep)

@@ -1,0 +1,53 @@
+"""A flight in lockstep is the same each time, however busy the machine is."""
+
+import hashlib
+from dataclasses import replace
+
+import pytest
+from scenario_place import default_place
+from scenario_table import ATTITUDE
+
+from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.world import World
+
+SHORT = replace(ATTITUDE[2], limit_s=12.0)
+
+
+def bytes_and_estimates(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
+    """Digests of all that the vehicle heard and said, and of every estimate of the filter."""
+    link, filter_ = hashlib.sha256(), hashlib.sha256()
+    begin = World.begin
+
+    def listen(world: World) -> None:
+        for end in (world.autopilot_link.a, world.autopilot_link.b):
+            end.write = noted(end.write)  # type: ignore[method-assign]
+        begin(world)
+
+    def noted(write):  # type: ignore[no-untyped-def]
+        def put(data: bytes) -> None:
+            link.update(data)
+            write(data)
+
+        return put
+
+    monkeypatch.setattr(World, "begin", listen)
+    flown = fly(scenario, default_place())
+    monkeypatch.setattr(World, "begin", begin)
+    for step in flown.world.navigator.record.steps:
+        if step.estimate is not None:
+            filter_.update(step.estimate.position_ned_m.tobytes())
+            filter_.update(step.estimate.covariance.tobytes())
+    return link.hexdigest(), filter_.hexdigest()
+
+
+def test_the_same_scenario_gives_the_same_bytes_and_estimates(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = bytes_and_estimates(SHORT, monkeypatch)
+    assert first == bytes_and_estimates(SHORT, monkeypatch)
+
+
+def test_another_seed_gives_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = bytes_and_estimates(replace(SHORT, limit_s=1.0), monkeypatch)
+    other = replace(SHORT, limit_s=1.0, setup=replace(SHORT.setup, seed=2))
+    assert first != bytes_and_estimates(other, monkeypatch)

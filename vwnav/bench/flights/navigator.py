@@ -1,0 +1,229 @@
+"""The navigator's process in lockstep: its loops as workers of a simulated processor."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vwnav.assemble import assemble_with
+from vwnav.bench.flights.place import Place
+from vwnav.config import Config
+from vwnav.drivers.autopilot import LinkedAutopilot
+from vwnav.drivers.pymavlink_port import PymavlinkPort
+from vwnav.estimation.ekf import Start
+from vwnav.flight import Crew, Flight, Mission, Phase
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
+from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.safety.keepalive import KeepAlive
+from vwnav.safety.readiness import Check, Equipment, check_flight
+from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.lockstep_camera import LockstepCamera
+from vwnav.sim.memory_link import MemoryEnd
+from vwnav.sim.processor import Costs, LateExecutor, Processor, Worker
+from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior, VehicleState
+
+_CAMERA_AGAIN_S = 1.0
+
+
+class Record:
+    """A `vwnav.runtime.Watcher`; a full disk makes it raise.
+
+    Args:
+        note: takes every line said.
+    """
+
+    def __init__(self, note: Callable[[str], None]) -> None:
+        self._note = note
+        self.disk_full = False
+        self.steps: list[StepResult] = []
+
+    def event(self, text: str) -> None:
+        """A line."""
+        self._note(text)
+        self._write()
+
+    def saw_frame(self, frame: Frame, step: StepResult) -> None:
+        """A picture went through the pipeline."""
+        self._write()
+        self.steps.append(step)
+
+    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
+        """The mission ticked."""
+        self._write()
+
+    def _write(self) -> None:
+        if self.disk_full:
+            raise OSError(28, "No space left on device")
+
+
+@dataclass(slots=True)
+class Equipped:
+    """What the navigator is built from besides its links.
+
+    Attributes:
+        primary: the extractor of pictures and map, broken or not.
+    """
+
+    place: Place
+    primary: FeatureExtractor
+    mission: Mission
+    local_frame: LocalFrame
+    config: Config
+
+
+class Navigator:
+    """Driver, pipeline, flight and runtime, stepped; its loops begin with `start`.
+
+    Args:
+        link: to the watchdog; `channel` carries the beats.
+        note: takes every line said.
+    """
+
+    def __init__(
+        self,
+        equipped: Equipped,
+        link: MemoryEnd,
+        channel: MemoryEnd,
+        camera: LockstepCamera,
+        clock: SimulatedClock,
+        processor: Processor,
+        costs: Costs,
+        note: Callable[[str], None],
+    ) -> None:
+        place, config = equipped.place, equipped.config
+        self._clock = clock
+        self._processor = processor
+        self._costs = costs
+        self._camera = camera
+        self.record = Record(note)
+        self.port = PymavlinkPort(link, clock)
+        self.autopilot = LinkedAutopilot(self.port, clock)
+        self.keep_alive = KeepAlive(channel, clock)
+        self._executor = LateExecutor(clock, processor, self._cost_of_matching)
+        self.pack = MapPack.open(place.pack)
+        assembled = assemble_with(
+            equipped.primary, place.fallback, self.pack, place.camera, equipped.local_frame,
+            config, self._executor, self.record.event,
+        )  # fmt: skip
+        self.pipeline, self.ekf = assembled.pipeline, assembled.ekf
+        self._watch = CameraWatch(place.camera.width_px, place.camera.height_px)
+        crew = Crew(self.record.event, self._checks)
+        self.flight = Flight(
+            self.autopilot, equipped.mission, self.keep_alive, crew, config.flight, config.limits,
+            config.safety,
+        )  # fmt: skip
+        self.runtime = FlightRuntime(
+            self.pipeline, self.flight, self.autopilot, EstimateGuard(config.estimate),
+            self.keep_alive, self._watch, self.record,
+        )  # fmt: skip
+        self._safety = config.safety
+        frame = equipped.local_frame
+        self.autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
+        self._workers: dict[str, Worker] = {}
+        self._frame: Frame | None = None
+        self._frame_done_s: float | None = None
+        self._camera_again_s = 0.0
+        self._asleep_until_s = -np.inf
+        self.broken: Exception | None = None
+        self.ended = False
+
+    def listen(self, t_s: float) -> None:
+        """Before its loops run: the link comes up, and nothing that is heard is believed."""
+        self.port.poll()
+        self.autopilot.step(t_s)
+        self.autopilot.take_measurements()
+
+    def hear(self, t_s: float) -> None:
+        """The same, and what is heard is kept for the filter."""
+        self.port.poll()
+        self.autopilot.step(t_s)
+        for measurement in self.autopilot.take_measurements():
+            self.pipeline.feed(measurement)
+
+    def start(self, start: Start, phase: Phase | None) -> None:
+        """Begin: on the ground, or with `phase` in the air as if it had flown there."""
+        t_s = start.t_s
+        self.ekf.initialise(start)
+        if phase is not None:
+            estimate = self.pipeline.estimate(t_s)
+            assert estimate is not None
+            self.flight.take_up(phase, estimate)
+        costs, processor = self._costs, self._processor
+        self._workers = {
+            "link": Worker(processor, lambda: costs.link, 1.0 / LINK_HZ, t_s),
+            "mission": Worker(processor, lambda: costs.control, 1.0 / TICK_HZ, t_s),
+        }
+
+    def step(self, t_s: float) -> None:
+        """Let time pass: whatever work has ended by now is done."""
+        if self.ended or t_s < self._asleep_until_s:
+            return
+        self.port.poll()
+        if self._workers["link"].due(t_s):
+            self.runtime.step_link(t_s)
+        if self.broken is None and self._workers["mission"].due(t_s):
+            try:
+                self.runtime.step_control(t_s)
+            except Exception as error:
+                self.broken = error
+                self.record.event(f"the mission broke: {error!r}")
+        self._see(t_s)
+
+    def stop_until(self, t_s: float) -> None:
+        """Stopped as by SIGSTOP: nothing of it runs, what arrives waits."""
+        self._asleep_until_s = t_s
+        for worker in self._workers.values():
+            worker.sleep_until(t_s)
+        self._executor.sleep_until(t_s)
+        if self._frame_done_s is not None:
+            self._frame_done_s = max(self._frame_done_s, t_s)
+
+    @property
+    def over(self) -> bool:
+        """It has nothing more to do: the mission has ended, or the process."""
+        return self.ended or self.broken is not None or self.flight.end is not None
+
+    def end(self) -> None:
+        """The process ends, in whatever way."""
+        self.ended = True
+
+    def _see(self, t_s: float) -> None:
+        """The vision loop: a picture, its telemetry, the work on it."""
+        if self._frame_done_s is not None:
+            if t_s >= self._frame_done_s:
+                assert self._frame is not None
+                self.runtime.step_vision(self._frame)
+                self._frame = self._frame_done_s = None
+            return
+        if self._frame is None:
+            self._frame = self._take(t_s)
+        if self._frame is not None:
+            late = t_s >= self._frame.t_s + ATTITUDE_WAIT_S
+            if late or self.runtime.covers(self._frame):
+                self._frame_done_s = self._processor.end_of(t_s, self._costs.picture)
+
+    def _take(self, t_s: float) -> Frame | None:
+        if t_s < self._camera_again_s or not self._camera.arrived(t_s):
+            return None
+        try:
+            return self._camera.take(t_s)
+        except Exception as error:
+            self._camera_again_s = t_s + _CAMERA_AGAIN_S
+            self.record.event(f"the camera fails: {error}")
+            return None
+
+    def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
+        return self._costs.search if prior.lat_deg is None else self._costs.match
+
+    def _checks(
+        self, vehicle: VehicleState, navigation: Navigation, t_s: float
+    ) -> tuple[Check, ...]:
+        equipment = Equipment(
+            self.autopilot.findings, self.autopilot.budget_refusal, self._watch.picture_s,
+            self._watch.trouble,
+        )  # fmt: skip
+        return check_flight(vehicle, navigation, equipment, self._safety, t_s)

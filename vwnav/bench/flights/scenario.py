@@ -1,0 +1,143 @@
+"""A flight with something broken in it, as data; and how it is flown."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from vwnav.bench.flights.faults import Fault
+from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.track import Track
+from vwnav.bench.flights.world import Setup, World
+from vwnav.flight import FlightEnd, Phase
+
+_DOWN_S = 1.0  # disarmed for so long: it is over
+
+
+class Ending(Enum):
+    """How a flight ends in good order."""
+
+    LANDED = "landed: motors off, on the ground"
+    FLIES_ON = "still flies its route"
+    PILOT = "in the pilot's hands"
+    STAYED = "never took off"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Break:
+    """One thing that breaks.
+
+    Attributes:
+        at_s: since the mission began; with `phase` since that phase was first entered.
+        for_s: how long it lasts; None: for good.
+    """
+
+    fault: Fault
+    at_s: float = 6.0
+    phase: Phase | None = None
+    for_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Follows:
+    """What must be seen within so many seconds of the first fault.
+
+    Attributes:
+        what: in words.
+        when: the times at which it is seen, since the mission began.
+    """
+
+    what: str
+    within_s: float
+    when: Callable[[Track, float], list[float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """One row of the table.
+
+    Attributes:
+        limit_s: simulated seconds after which it is over, whatever flies.
+        follows: what must follow the first fault.
+        lands_within_m: of where it is meant to come down; None is not looked at.
+        lands_at_ne_m: that place, about the run's origin; None is where it was when it broke.
+        faster_m_s: allowed beyond the route's speed and the wind.
+    """
+
+    name: str
+    breaks: tuple[Break, ...]
+    setup: Setup = field(default_factory=Setup)
+    limit_s: float = 40.0
+    ending: Ending = Ending.LANDED
+    follows: tuple[Follows, ...] = ()
+    lands_within_m: float | None = None
+    lands_at_ne_m: tuple[float, float] | None = None
+    faster_m_s: float = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A scenario that was flown.
+
+    Attributes:
+        broke_s: when the first fault began, since the mission began; None: it never did.
+        end: what the mission said; None while it went on.
+    """
+
+    scenario: Scenario
+    world: World
+    track: Track
+    broke_s: float | None
+    end: FlightEnd | None
+
+
+@dataclass(slots=True)
+class _Planned:
+    """A fault on its way."""
+
+    plan: Break
+    begun_s: float | None = None
+    ended: bool = False
+
+    @property
+    def _lasts_s(self) -> float:
+        return math.inf if self.plan.for_s is None else self.plan.for_s
+
+    def step(self, world: World, phases: dict[str, float]) -> None:
+        """Begin or end it when it is time to."""
+        t_s = world.t_s
+        if self.begun_s is None:
+            since_s = 0.0 if self.plan.phase is None else phases.get(self.plan.phase.value)
+            if since_s is not None and t_s >= since_s + self.plan.at_s:
+                self.begun_s = t_s
+                world.note(f"breaks: {self.plan.fault}")
+                self.plan.fault.begin(world)
+        elif not self.ended and t_s >= self.begun_s + self._lasts_s:
+            self.ended = True
+            world.note("mended")
+            self.plan.fault.end(world)
+
+
+def fly(scenario: Scenario, place: Place) -> Flown:
+    """Fly it to its end."""
+    world = World(scenario.setup, place)
+    world.begin()
+    planned = [_Planned(each) for each in scenario.breaks]
+    phases: dict[str, float] = {}
+    down_s: float | None = None
+    has_flown = False
+    while world.t_s < scenario.limit_s:
+        world.step()
+        phases.setdefault(world.navigator.flight.phase.value, world.t_s)
+        for each in planned:
+            each.step(world, phases)
+        armed = world.core.vehicle.commander.armed
+        has_flown = has_flown or armed
+        if armed or not has_flown:
+            down_s = None
+        elif down_s is None:
+            down_s = world.t_s
+        elif world.t_s - down_s > _DOWN_S and world.navigator.over:
+            break
+    broke_s = planned[0].begun_s if planned else None
+    return Flown(scenario, world, world.track, broke_s, world.navigator.flight.end)

@@ -1,0 +1,313 @@
+"""Vehicle, link, watchdog, navigator and camera in one thread, stepped together by one clock."""
+
+import random
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vwnav.bench.flights.navigator import Equipped, Navigator
+from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
+from vwnav.config import Config
+from vwnav.estimation.ekf import Start
+from vwnav.flight import Mission, Phase
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.lens import RenderConfig
+from vwnav.sim.lockstep_camera import LockstepCamera
+from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.processor import Costs, Processor
+from vwnav.sim.px4.config import PilotPlan, VehicleConfig
+from vwnav.sim.px4.core import Peer, VehicleCore
+from vwnav.sim.px4.link import ByteLink
+from vwnav.sim.px4.modes import NavState
+from vwnav.sim.px4.px4 import STEP_S
+from vwnav.sim.px4.streams import COMPANION_RATES
+from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.tiles import default_cache_dir
+from vwnav.types import Array, FeatureExtractor, Features, Gray
+
+_NOTED_EVERY = 5  # steps: 50 Hz
+_LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
+_SETTLED_S = 0.5  # of telemetry before its filter begins
+_AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
+_LATENCY_S = 0.002
+_CAMERA_LATENCY_S = 0.04
+# As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
+_PARAMETERS: tuple[tuple[str, float], ...] = (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AirStart:
+    """A flight that begins in the air, in Offboard: NED about home.
+
+    Attributes:
+        phase: where the mission stands; None: the program is started while somebody else flies.
+        mode: what the vehicle flies then.
+    """
+
+    phase: Phase | None
+    place_ned_m: tuple[float, float, float]
+    velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mode: NavState = NavState.OFFBOARD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """Everything about a flight but what breaks in it.
+
+    Attributes:
+        start: None begins on the ground.
+        route_ned_m: waypoints about home.
+        stands_ne_m: where it stands, about the site's home.
+        home_known: False: the program is not told where it stands.
+        rc_on: a pilot holds a radio.
+        vehicle_rate: seconds of the vehicle's clock per second.
+    """
+
+    seed: int = 1
+    start: AirStart | None = None
+    route_ned_m: tuple[tuple[float, float, float], ...] = (
+        (60.0, -60.0, -50.0),
+        (130.0, 0.0, -50.0),
+        (50.0, 70.0, -50.0),
+    )
+    stands_ne_m: tuple[float, float] = (0.0, 0.0)
+    home_known: bool = True
+    wind_m_s: float = 4.0
+    wind_from_deg: float = 250.0
+    rc_on: bool = False
+    vehicle_rate: float = 1.0
+    picture_hz: float = 10.0
+    parameters: tuple[tuple[str, float], ...] = ()
+    config: Config = field(default_factory=Config)
+
+
+class BreakableFeatures:
+    """An extractor that can be made to raise, as a model does that runs out of memory."""
+
+    def __init__(self, features: FeatureExtractor) -> None:
+        self._features = features
+        self.name = features.name
+        self.feature_set_id = features.feature_set_id
+        self.broken = False
+
+    def extract(self, gray: Gray, max_keypoints: int) -> Features:
+        """As the extractor does, while it works."""
+        if self.broken:
+            raise RuntimeError("bad allocation in the inference session")
+        return self._features.extract(gray, max_keypoints)
+
+
+class NotedLink(ByteLink):
+    """The vehicle's end of its companion link; what arrives is noted.
+
+    Args:
+        track: gets it.
+    """
+
+    def __init__(self, end: Any, clock: SimulatedClock, track: Track) -> None:
+        super().__init__(end, 1)
+        self._clock = clock
+        self._track = track
+
+    def receive(self, t_s: float) -> list[Any]:
+        """Every valid message that has arrived."""
+        messages = super().receive(t_s)
+        for message in messages:
+            self._note(message, self._clock())
+        return messages
+
+    def _note(self, m: Any, t_s: float) -> None:
+        kind, component = m.get_type(), m.get_srcComponent()
+        if kind == "VISION_POSITION_ESTIMATE":
+            c = m.covariance
+            covariance = np.array([[c[0], c[1]], [c[1], c[6]]])
+            place = np.array([m.x, m.y, m.z])
+            sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
+            self._track.sent.append(sent)
+        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self._track.orders.append(Order(t_s, "setpoint", component, 0, (m.vx, m.vy, m.vz)))
+        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
+            parameters = (m.param1, m.param2, m.param3)
+            self._track.orders.append(Order(t_s, "command", component, m.command, parameters))
+
+
+class World:
+    """A flight in lockstep. Deterministic: no clock but its own, no thread, no global randomness.
+
+    Attributes:
+        clock: its time; the navigator's and the watchdog's monotonic clock.
+        begun_s: when the mission began, on that clock.
+        track: what is noted for the judge, about the run's origin.
+    """
+
+    def __init__(self, setup: Setup, place: Place) -> None:
+        self.setup = setup
+        self.clock = SimulatedClock()
+        self.track = Track()
+        rng = random.Random(setup.seed)
+        self._stands_ned_m = np.array([*setup.stands_ne_m, 0.0])
+        self.autopilot_link = MemoryLink(self.clock, rng, _LATENCY_S)
+        self._navigator_link = MemoryLink(self.clock, rng)
+        self._observer_link = MemoryLink(self.clock, rng)
+        self._beats = MemoryLink(self.clock, rng)
+        self.core = self._vehicle(place)
+        self.watchdog: Watchdog | None = self._watchdog()
+        self.processor, self.costs = Processor(), Costs()
+        self.camera = self._camera(place)
+        self.features = BreakableFeatures(place.primary)
+        self.navigator = self._navigator(place)
+        self._steps = 0
+        self.begun_s = 0.0
+
+    def _vehicle(self, place: Place) -> VehicleCore:
+        setup, site = self.setup, place.site
+        frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
+        lat_deg, lon_deg, _ = frame.to_geodetic(self._stands_ned_m)
+        config = VehicleConfig(
+            home_lat_deg=float(lat_deg),
+            home_lon_deg=float(lon_deg),
+            home_alt_amsl_m=0.0,
+            seed=setup.seed,
+            wind_m_s=setup.wind_m_s,
+            wind_from_deg=setup.wind_from_deg,
+            parameters=(*_PARAMETERS, *setup.parameters),
+            pilot=PilotPlan(rc_on=setup.rc_on),
+        )
+        link = NotedLink(self.autopilot_link.a, self.clock, self.track)
+        peer = Peer(link, COMPANION_RATES, True)
+        return VehicleCore(config, [peer], lambda: setup.vehicle_rate * self.clock())
+
+    def _watchdog(self) -> Watchdog:
+        links = WatchdogLinks(
+            self.autopilot_link.b, self._navigator_link.a, self._observer_link.a, self._beats.a
+        )
+        return Watchdog(links, WatchdogConfig())
+
+    def _camera(self, place: Place) -> LockstepCamera:
+        rng = np.random.default_rng(self.setup.seed)
+        config = RenderConfig(color=False, background=False)
+        renderer = CameraRenderer(place.site, place.camera, config, rng, default_cache_dir())
+        period_s = 1.0 / self.setup.picture_hz
+        return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
+
+    def _navigator(self, place: Place) -> Navigator:
+        setup, site = self.setup, place.site
+        route = np.array(setup.route_ned_m)
+        mission = Mission(
+            route,
+            about_home=not setup.home_known,
+            home_ne_m=np.array(setup.stands_ne_m) if setup.home_known else None,
+        )
+        frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
+        equipped = Equipped(place, self.features, mission, frame, setup.config)
+        return Navigator(
+            equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
+            self.processor, self.costs, self.note,
+        )  # fmt: skip
+
+    @property
+    def t_s(self) -> float:
+        """Since the mission began."""
+        return self.clock.now_s - self.begun_s
+
+    def note(self, text: str) -> None:
+        """A line for the judge and the reader."""
+        self.track.events.append(Event(self.t_s, text))
+
+    def begin(self) -> None:
+        """Bring everything up to where the mission begins."""
+        setup = self.setup
+        position_ned_m: Array | None = self._stands_ned_m if setup.home_known else None
+        if setup.start is None:
+            for _ in self._steps_of(_SETTLED_S):
+                self.navigator.listen(self.clock.now_s)
+            start = Start(t_s=self.clock.now_s, position_ned_m=position_ned_m)
+            self._start(start, None)
+            return
+        for _ in self._steps_of(_LINK_UP_S):
+            self.navigator.listen(self.clock.now_s)
+        self._lift(setup.start)
+        self._start(self._known_in_the_air(), setup.start.phase)
+
+    def _start(self, start: Start, phase: Phase | None) -> None:
+        self.begun_s = self.clock.now_s
+        self.navigator.start(start, phase)
+        self._forget_the_beginning()
+
+    def _lift(self, start: AirStart) -> None:
+        """The vehicle flies steadily while the filter's telemetry begins."""
+        vehicle = self.core.vehicle
+        heading_rad = float(np.radians(vehicle.config.heading_deg))
+        north, east, down = start.place_ned_m
+        velocity = np.array(start.velocity_ned_m_s)
+        place = np.array([north, east, down]) - velocity * _SETTLED_S
+        vehicle.begin_in_flight(
+            (float(place[0]), float(place[1]), float(place[2])),
+            start.velocity_ned_m_s,
+            heading_rad,
+            start.mode,
+        )
+        for _ in self._steps_of(_SETTLED_S):
+            self.navigator.hear(self.clock.now_s)
+
+    def _known_in_the_air(self) -> Start:
+        """What the filter would know: the truth, with an error that its sigma covers."""
+        body = self.core.vehicle.body
+        rng = np.random.default_rng([self.setup.seed, 7])
+        error_m = np.array([*rng.normal(0.0, 0.5 * _AIR_SIGMA_M, 2), 0.0])
+        place = self._stands_ned_m + np.array([body.n, body.e, body.d])
+        return Start(
+            t_s=self.clock.now_s,
+            position_ned_m=place + error_m,
+            sigma_m=_AIR_SIGMA_M,
+            agl_m=-body.d,
+            sigma_agl_m=0.5,
+            sigma_velocity_m_s=max(_AIR_SIGMA_M_S, float(np.hypot(body.vn, body.ve))),
+        )
+
+    def _forget_the_beginning(self) -> None:
+        for notes in (self.track.truth, self.track.sent, self.track.orders):
+            notes.clear()
+
+    def _steps_of(self, seconds: float) -> Iterable[int]:
+        """Time passes for vehicle, watchdog and camera, step by step."""
+        for step in range(round(seconds / STEP_S)):
+            self._advance()
+            yield step
+
+    def step(self) -> None:
+        """Advance by `STEP_S`."""
+        self._advance()
+        self.navigator.step(self.clock.now_s)
+        if self._steps % _NOTED_EVERY == 0:
+            self._note_truth()
+
+    def _advance(self) -> None:
+        self._steps += 1
+        self.clock.now_s = t_s = self._steps * STEP_S
+        self.core.step_to_now(2)
+        if self.watchdog is not None:
+            self.watchdog.step(t_s)
+        self.camera.step(t_s, self.core.vehicle.body)
+
+    def _note_truth(self) -> None:
+        vehicle, track, t_s = self.core.vehicle, self.track, self.clock.now_s
+        body = vehicle.body
+        track.truth.append(
+            Truth(
+                t_s,
+                self._stands_ned_m + np.array([body.n, body.e, body.d]),
+                np.array([body.vn, body.ve, body.vd]),
+                vehicle.commander.state,
+                vehicle.commander.armed,
+                body.on_ground,
+            )
+        )
+        phase = self.navigator.flight.phase.value
+        if not track.phases or track.phases[-1].text != phase:
+            track.phases.append(Event(self.t_s, phase))

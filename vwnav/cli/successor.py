@@ -1,0 +1,184 @@
+"""The second navigator: gives the autopilot estimates when the first one has ended in flight.
+
+The watchdog starts it beside the flight (`vwnav fly ... --standby`) and wakes it by one line on
+stdin. Until then it has loaded all that takes long and waits. It never steers, and the watchdog
+would let nothing of that pass: an autopilot that loses its position comes down blind (PX4 after
+4.6 s, measured: 57 m off from 50 m in calm air), and that is what it prevents.
+"""
+
+import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vwnav.assemble import Assembled, about_run, assemble
+from vwnav.cli.flight_record import FlightRecord
+from vwnav.cli.fly import FlyOptions
+from vwnav.cli.flying import (
+    FlightPlan,
+    first_state,
+    mission_crew,
+    open_camera,
+    open_truth,
+    plan_flight,
+)
+from vwnav.cli.screen import say
+from vwnav.clock import WallClock
+from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.run_folder import make_run_folder
+from vwnav.errors import VwnavError
+from vwnav.estimation.ekf import Start
+from vwnav.flight import Flight
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.runtime import FlightRuntime
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.safety.keepalive import WatchdogReport
+from vwnav.types import Array
+
+_REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
+_DRIFT_M_S = 5.0  # how fast an aircraft that nobody watched may have moved
+_LEAST_SIGMA_M = 3.0
+_HEIGHT_SIGMA_M = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resume:
+    """Where the first navigator left off.
+
+    Attributes:
+        connection: where the link is to be had.
+        observer: where truth may be listened to, on a simulator.
+        place: (lat_deg, lon_deg), height above the origin, time and reset counter of the last good
+            estimate; None when there was none.
+    """
+
+    connection: str
+    observer: str
+    lat_lon_deg: tuple[float, float] | None
+    height_m: float
+    t_s: float
+    reset_counter: int
+    velocity_ne_m_s: Array
+
+    @staticmethod
+    def read(line: str) -> "Resume":
+        """The watchdog's word.
+
+        Raises:
+            VwnavError: it is none.
+        """
+        try:
+            return _resume(json.loads(line))
+        except (ValueError, KeyError, TypeError) as error:
+            raise VwnavError(f"not what a watchdog wakes its successor with: {line!r}") from error
+
+
+def _resume(told: dict[str, Any]) -> Resume:
+    position, origin = told["position"], told["origin"]
+    velocity = np.array(told["velocity_ne_m_s"], np.float64)
+    if position is None or origin is None:
+        return Resume(told["connection"], told["observer"], None, 0.0, 0.0, 0, velocity)
+    frame = LocalFrame(origin["lat_deg"], origin["lon_deg"], origin["alt_amsl_m"])
+    lat_deg, lon_deg, _ = frame.to_geodetic(np.array(position["position_ned_m"]))
+    return Resume(
+        told["connection"], told["observer"], (float(lat_deg), float(lon_deg)),
+        -float(position["position_ned_m"][2]), float(position["t_s"]),
+        int(position["reset_counter"]), velocity,
+    )  # fmt: skip
+
+
+def stand_by(options: FlyOptions) -> None:
+    """Load everything, wait to be woken, then send estimates until the aircraft is down."""
+    with ExitStack() as stack:
+        plan = plan_flight(options, stack)
+        executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+        assembled = assemble(
+            plan.pack, plan.camera, options.features, options.model, plan.local_frame,
+            plan.config, executor, say,
+        )  # fmt: skip
+        _warm(assembled, plan.camera)
+        line = sys.stdin.readline()
+        if line:
+            _succeed(options, plan, assembled, Resume.read(line), stack)
+
+
+def _warm(assembled: Assembled, camera: Camera) -> None:
+    """The first extraction of a session takes several times as long as the next."""
+    shape = (camera.height_px, camera.width_px)
+    noise = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
+    assembled.primary.extract(noise, 100)
+
+
+def _succeed(
+    options: FlyOptions,
+    plan: FlightPlan,
+    assembled: Assembled,
+    resume: Resume,
+    stack: ExitStack,
+) -> None:
+    clock = WallClock()
+    autopilot = MavsdkAutopilot(resume.connection, clock=clock)
+    stack.callback(autopilot.close)
+    frame = plan.local_frame
+    autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
+    truth = open_truth(options.truth, str(options.connection), resume.observer, clock, stack)
+    source = open_camera(options, plan, truth, clock, stack)
+    folder = make_run_folder(options.output, "fly")
+    record = FlightRecord(
+        folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,
+        clock,
+    )  # fmt: skip
+    assembled.ekf.record(record.tape.input)
+    vehicle = first_state(autopilot, clock)
+    if resume.lat_lon_deg is not None:
+        assembled.ekf.initialise(_start(plan, resume, resume.lat_lon_deg, vehicle.t_s))
+    camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
+    crew = mission_crew(autopilot, camera, plan, record, arms=False)
+    flight = Flight(
+        autopilot, plan.mission, _NoWatchdog(), crew, plan.config.flight, plan.config.limits,
+        plan.config.safety,
+    )  # fmt: skip
+    flight.ride(vehicle.t_s, _REASON)
+    record.follow(flight, assembled.pipeline)
+    guard = EstimateGuard(plan.config.estimate, resume.reset_counter)
+    runtime = FlightRuntime(
+        assembled.pipeline, flight, autopilot, guard, _NoWatchdog(), camera, record
+    )
+    try:
+        runtime.run(source, clock)
+    finally:
+        record.close(options, assembled)
+
+
+def _start(plan: FlightPlan, resume: Resume, lat_lon_deg: tuple[float, float], t_s: float) -> Start:
+    """Where it must be by now, as unsure as an aircraft may have moved since."""
+    since_s = max(t_s - resume.t_s, 0.0)
+    position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
+    position[2] = -resume.height_m
+    return Start(
+        t_s=t_s,
+        position_ned_m=position,
+        sigma_m=_LEAST_SIGMA_M + _DRIFT_M_S * since_s,
+        agl_m=max(resume.height_m, 1.0),
+        sigma_agl_m=max(_HEIGHT_SIGMA_M, 0.15 * resume.height_m),
+        sigma_velocity_m_s=_DRIFT_M_S,
+        sigma_baro_m=max(resume.height_m, 10.0),
+    )
+
+
+class _NoWatchdog:
+    """The successor has none above it that listens: it holds nothing that could be let go."""
+
+    report: WatchdogReport | None = None
+
+    def beat(self, engaged: bool, phase: str) -> None:
+        """Nobody listens."""
+
+    def rejoin(self) -> None:
+        """There is nothing to take back."""

@@ -1,0 +1,97 @@
+"""A camera in simulated time: exposures at a steady rate, pictures that arrive a while later."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.sim.px4.airframe import Airframe
+from vwnav.sim.renderer import CameraRenderer
+from vwnav.types import Array, Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where the body was at an exposure: NED about the site's home, quat_wxyz of R_ned_body."""
+
+    t_s: float
+    index: int
+    position_ned_m: Array
+    quat_wxyz: Array
+    velocity_ned_m_s: Array
+    rate_body_rad_s: Array
+
+
+# What becomes of a picture: another one, or None when it is lost. It may raise, as a driver does.
+Trouble = Callable[[Frame], Frame | None]
+
+
+class LockstepCamera:
+    """The newest picture wins, as with `SimulatedCamera`; those never looked at are not drawn.
+
+    Attributes:
+        latency_s: from the exposure to the picture.
+        trouble: None while it works.
+        drawn: how many pictures were.
+    """
+
+    def __init__(
+        self, renderer: CameraRenderer, home_ned_m: Array, period_s: float, latency_s: float
+    ) -> None:
+        """`home_ned_m`: (3,) start place of the vehicle in the site's frame."""
+        self._renderer = renderer
+        self._home_ned_m = home_ned_m
+        self._period_s = period_s
+        self.latency_s = latency_s
+        self.trouble: Trouble | None = None
+        self.drawn = 0
+        self._index = 0
+        self._next_s = 0.0
+        self._waiting: deque[tuple[float, Pose]] = deque()
+
+    def step(self, t_s: float, body: Airframe) -> None:
+        """Expose when it is time to."""
+        if t_s < self._next_s:
+            return
+        self._next_s = max(self._next_s + self._period_s, t_s)
+        pose = Pose(
+            t_s,
+            self._index,
+            self._home_ned_m + np.array([body.n, body.e, body.d]),
+            np.array([body.qw, body.qx, body.qy, body.qz]),
+            np.array([body.vn, body.ve, body.vd]),
+            np.array([body.p, body.q, body.r]),
+        )
+        self._index += 1
+        self._waiting.append((t_s + self.latency_s, pose))
+
+    def arrived(self, t_s: float) -> bool:
+        """Whether a picture is there."""
+        return bool(self._waiting) and self._waiting[0][0] <= t_s
+
+    def take(self, t_s: float) -> Frame | None:
+        """The newest picture that is there; None when it got lost or none is.
+
+        Raises:
+            Exception: whatever its trouble raises.
+        """
+        pose = None
+        while self.arrived(t_s):
+            pose = self._waiting.popleft()[1]
+        if pose is None:
+            return None
+        frame = Frame(pose.t_s, self._draw(pose), pose.index)
+        return frame if self.trouble is None else self.trouble(frame)
+
+    def _draw(self, pose: Pose) -> NDArray[np.uint8]:
+        self.drawn += 1
+        return self._renderer.render(
+            pose.position_ned_m,
+            rotation_from_quat(pose.quat_wxyz),
+            pose.t_s,
+            pose.velocity_ned_m_s,
+            pose.rate_body_rad_s,
+        )
