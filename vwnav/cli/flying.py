@@ -53,6 +53,7 @@ from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 FIRST_STATE_S = 5.0
+WORTH_SAYING_S = 10.0  # of simulated time that stood still
 MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it
 
 
@@ -142,7 +143,16 @@ def _clock(options: FlyOptions, stack: ExitStack) -> Clock:
         return WallClock()
     clock = PacedClock.create()
     stack.callback(clock.remove)
+    stack.callback(lambda: _say_whom_time_waited_for(clock))
     return clock
+
+
+def _say_whom_time_waited_for(clock: PacedClock) -> None:
+    held = sorted(clock.held_s().items(), key=lambda each: -each[1])
+    held_s = sum(each_s for _, each_s in held)
+    if held_s > WORTH_SAYING_S:
+        whom = ", ".join(f"{name} {each_s:.0f} s" for name, each_s in held if each_s >= 1.0)
+        say(f"this machine was too busy: simulated time waited {held_s:.0f} s for it ({whom})")
 
 
 def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
