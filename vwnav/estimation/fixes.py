@@ -10,7 +10,7 @@ from vwnav.estimation.consensus import agreeing, convinces, remember
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
+from vwnav.estimation.states import Dispute, EkfConfig, FilterState, Place, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,
@@ -32,6 +32,7 @@ _MAP_TURN = States.MAP_TURN.start
 _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _SMALLEST_SIGMA_M = 0.03
+_AGREEING_S = 5.0  # a fix that agrees with one so shortly before it is trusted
 
 
 def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
@@ -44,7 +45,7 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         return state, innovation
     if innovation.verdict is Verdict.RELOCATED:
         state = _on_other_ground(before, state, context)
-    state = replace(state, t_last_fix_s=fix.t_s, disputed_fixes=())
+    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
     if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(attitudes.yaw_at(fix.t_s) - fix.yaw_rad)
@@ -83,7 +84,8 @@ def _apply_position(
 ) -> tuple[FilterState, Innovation]:
     innovation = innovate(state, measurement)
     if not state.position_known:
-        return _relocated(state, measurement), replace(innovation, verdict=Verdict.RELOCATED)
+        found = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
+        return found, replace(innovation, verdict=Verdict.RELOCATED)
     if innovation.accepted and not _sudden(measurement, config):
         return correct(state, measurement, config.visual_weight), innovation
     dispute = Dispute(fix.t_s, measurement.residual, measurement.R)
@@ -92,12 +94,33 @@ def _apply_position(
     drift = config.relocation_drift_m_s
     if innovation.accepted:
         if len(agreeing(disputes, drift)) < config.sudden_fixes:
-            return state, replace(innovation, verdict=Verdict.UNCONFIRMED)
+            return _leaning(state, measurement, config), replace(
+                innovation, verdict=Verdict.UNCONFIRMED
+            )
         return correct(state, measurement, config.visual_weight), innovation
     if not convinces(disputes, drift, config.relocation_fixes, config.relocation_span_s):
         return state, innovation
     jumped = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
     return jumped, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _leaning(state: FilterState, measurement: Measurement, config: EkfConfig) -> FilterState:
+    """A long pull that nothing confirms yet: believed as far as wrong ones usually are wrong.
+
+    A filter that knows its place to 300 m only is better off with it, and one that knows it to 5 m
+    is hardly moved.
+    """
+    doubted = measurement.R + config.lone_fix_sigma_m**2 * np.eye(2)
+    return correct(state, replace(measurement, R=doubted))
+
+
+def _trusting(state: FilterState, fix: NedFix) -> FilterState:
+    """Where a fix that agrees with one shortly before it shows the aircraft, to begin anew from."""
+    before_s = state.t_last_fix_s
+    if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
+        return state
+    sigma_m = math.sqrt(max(state.P[0, 0], state.P[1, 1]))
+    return replace(state, trusted=Place(fix.t_s, state.x[_NE].copy(), sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:

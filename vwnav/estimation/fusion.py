@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory, level_axes
+from vwnav.estimation.consensus import convinces, remember
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
@@ -17,7 +18,7 @@ from vwnav.estimation.fixes import apply_fix
 from vwnav.estimation.heights import apply_agl, apply_height, apply_range
 from vwnav.estimation.imu import push_between
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import Anchor, EkfConfig, FilterState, States
+from vwnav.estimation.states import Anchor, Dispute, EkfConfig, FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import skew, vector_from_quat, wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
@@ -35,11 +36,21 @@ _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, accelerati
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _STILL_S = 0.2
+_APART_M_S = 20.0  # by which refused ways that agree may part
+_WAYS_AGREE = 6
 
 
 def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
     """The state after an event, and what the event said. `event.t_s` is not before the state's."""
     state = predict(state, event.t_s, context)
+    after, innovation = _meet(state, event, context)
+    apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
+    if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
+        after = replace(after, reset_counter=state.reset_counter + 1)
+    return after, innovation
+
+
+def _meet(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
     attitudes, config = context.attitudes, context.config
     match event:
         case NedFix():
@@ -98,8 +109,27 @@ def _apply_displacement(
     displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
     state, innovation = fuse(state, displacement)
     if innovation.accepted:
-        state = _in_scale(before, state, agl_m)
+        state = replace(_in_scale(before, state, agl_m), disputed_ways=())
+    else:
+        state = _disputed(state, displacement, config)
     return state, replace(innovation, parts=parts)
+
+
+def _disputed(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
+    """Ways that are refused and agree: pictures or the push are wrong, and which is not known.
+
+    So velocity and place become as unsure as they are apart, and the next way is believed more.
+    """
+    dispute = Dispute(state.t_s, way.residual, way.R)
+    disputes = remember(state.disputed_ways, dispute, config.dispute_window_s)
+    if not convinces(disputes, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
+        return replace(state, disputed_ways=disputes)
+    span_s = max(state.t_s - disputes[0].t_s, config.offset_span_s)
+    P = state.P.copy()
+    for i, apart_m in enumerate(way.residual.tolist()):
+        P[i, i] += apart_m**2
+        P[3 + i, 3 + i] += (apart_m / min(span_s, 1.0)) ** 2
+    return replace(state, P=P, disputed_ways=())
 
 
 def _keyframe_agl_m(state: FilterState) -> float:
@@ -173,6 +203,7 @@ def _displacement(
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
+    R[_DOWN, _DOWN] += (config.zoom_share * float(predicted_m[_DOWN])) ** 2
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))

@@ -21,6 +21,9 @@ _SHAKE_S = 1.0  # over which the scatter of the samples is averaged
 _SCATTER_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
 _MOST_FORCE_M_S2 = 320.0  # 32 g and 4000 deg/s: no sensor measures more
 _MOST_RATE_RAD_S = 70.0
+# What an aircraft feels in flight and at a hard landing, and by how much it changes between samples
+_FELT_M_S2, _FELT_RAD_S = 60.0, 17.0
+_SUDDEN_M_S2, _SUDDEN_RAD_S = 30.0, 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +96,38 @@ class ImuHistory:
         self._newest: tuple[Array, Array] = (np.zeros((3, 4)), np.zeros(6))
         self._slope = np.zeros(6)  # of the newest sample against the one before
         self._scatter = np.zeros(2)  # variance per axis of force and rates
+        self._sudden: tuple[float, Array] | None = None  # a sample that was refused last
+
+    @property
+    def heard(self) -> bool:
+        """Whether a sample ever came."""
+        return bool(self._times_s)
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest sample, minus infinity before the first."""
+        return self._times_s[-1] if self._times_s else -math.inf
+
+    @property
+    def rate_rad_s(self) -> float:
+        """How fast it turned at the newest sample."""
+        rates = self._newest[1][3:]
+        return math.sqrt(float(rates @ rates))
+
+    def believes(self, sample: ImuSample) -> bool:
+        """Whether an aircraft can feel this; what comes suddenly must be felt twice."""
+        values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
+        if not _within(values, _FELT_M_S2, _FELT_RAD_S):
+            return False
+        if sample.t_s > self.newest_s + _LONGEST_GAP_S:
+            return True
+        before, self._sudden = self._sudden, None
+        if _within(values - self._newest[1], _SUDDEN_M_S2, _SUDDEN_RAD_S):
+            return True
+        self._sudden = sample.t_s, values
+        if before is None or sample.t_s > before[0] + _LONGEST_GAP_S:
+            return False
+        return _within(values - before[1], _SUDDEN_M_S2, _SUDDEN_RAD_S)
 
     def add(self, sample: ImuSample) -> bool:
         """Take the next sample; False when it is not later than the newest."""
@@ -138,7 +173,10 @@ class ImuHistory:
         if not self._felt:
             return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
-        span_s = sample.span_s or sample.t_s - self._times_s[-1]
+        apart_s = sample.t_s - self._times_s[-1]
+        # By its own clock, unless samples between were refused or lost.
+        own_s = sample.span_s
+        span_s = own_s if own_s is not None and own_s > 0.6 * apart_s else apart_s
         if span_s > _LONGEST_GAP_S:
             return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
@@ -158,6 +196,12 @@ class ImuHistory:
         bend, self._slope = slope - self._slope, slope
         seen = np.array([bend[:3] @ bend[:3], bend[3:] @ bend[3:]]) / _SCATTER_OF_BEND
         self._scatter += -math.expm1(-span_s / _SHAKE_S) * (seen - self._scatter)
+
+
+def _within(values: Array, force_m_s2: float, rate_rad_s: float) -> bool:
+    """Whether force and rates (6,) are shorter than that."""
+    force, rates = values[:3], values[3:]
+    return float(force @ force) < force_m_s2**2 and float(rates @ rates) < rate_rad_s**2
 
 
 def is_sensible(sample: ImuSample) -> bool:

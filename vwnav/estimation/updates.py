@@ -29,6 +29,8 @@ class Verdict(Enum):
     AHEAD = "from the future"
     DUPLICATE = "already there"
     NO_ANCHOR = "its keyframe is not known"
+    NO_ATTITUDE = "no attitude that is believed tells how it was seen"
+    IMPOSSIBLE = "no aircraft does that"
     HEADING_UNKNOWN = "the heading is not known yet"
     NOT_STARTED = "the filter is not initialised"
 
