@@ -16,7 +16,9 @@ from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
     Event,
+    Exposed,
     Keyframe,
+    LateFix,
     NedFix,
 )
 from vwnav.estimation.fusion import apply
@@ -135,8 +137,9 @@ class Ekf:
         """
         self._begin(first_state(start, self._config))
         self._note(start)
-        self._asked_s = start.t_s
-        self._attitudes.forget_after(start.t_s + self._config.ahead_s)
+        # A start may be long ago: a first search took its time.
+        self._asked_s = max(start.t_s, self._asked_s)
+        self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
 
     def _begin(self, state: FilterState) -> None:
         step = partial(apply, context=self._context)
@@ -151,6 +154,8 @@ class Ekf:
                 return self.handle_imu(seen)
             case OdometryMotion():
                 return self.handle_odometry(seen)
+            case NedFix():
+                return self.handle_fix(seen)
             case _:
                 return self._handle(seen)
 
@@ -198,8 +203,19 @@ class Ekf:
         return self._handle(Stationary(t_s))
 
     def handle_fix(self, fix: NedFix) -> Innovation:
-        """Take a map fix; the heading and AGL in it are judged one by one (`parts`)."""
-        return self._handle(fix)
+        """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
+
+        One that is older than the history meets the clone of its picture's pose, if it was told
+        when that was taken (`Exposed`).
+        """
+        self._note(fix)
+        refusal = self._refusal(fix)
+        if refusal is not None or self._timeline is None:
+            return Innovation(refusal or Verdict.NOT_STARTED)
+        if fix.t_s >= self._timeline.oldest_s:
+            return self._insert(fix)
+        # At the beginning of the history: a picture taken since may have been cloned in its place.
+        return self._insert(LateFix(self._timeline.oldest_s, fix))
 
     def handle_odometry(self, motion: OdometryMotion) -> Innovation:
         """Take the motion since a keyframe, in NED as the autopilot's own heading has it."""
@@ -259,7 +275,7 @@ class Ekf:
         if self._tape is not None:
             self._tape(seen)
 
-    def _handle(self, event: Height | Range | Stationary | NedFix) -> Innovation:
+    def _handle(self, event: Height | Range | Stationary | Exposed) -> Innovation:
         self._note(event)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:

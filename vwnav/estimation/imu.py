@@ -96,7 +96,8 @@ class ImuHistory:
         self._newest: tuple[Array, Array] = (np.zeros((3, 4)), np.zeros(6))
         self._slope = np.zeros(6)  # of the newest sample against the one before
         self._scatter = np.zeros(2)  # variance per axis of force and rates
-        self._sudden: tuple[float, Array] | None = None  # a sample that was refused last
+        self._sudden: tuple[float, Array] | None = None  # the newest sample, believed or not
+        self._doubted = np.zeros(2)  # variances that refused samples since the newest one add
 
     @property
     def heard(self) -> bool:
@@ -117,17 +118,23 @@ class ImuHistory:
     def believes(self, sample: ImuSample) -> bool:
         """Whether an aircraft can feel this; what comes suddenly must be felt twice."""
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
-        if not _within(values, _FELT_M_S2, _FELT_RAD_S):
-            return False
-        if sample.t_s > self.newest_s + _LONGEST_GAP_S:
-            return True
-        before, self._sudden = self._sudden, None
-        if _within(values - self._newest[1], _SUDDEN_M_S2, _SUDDEN_RAD_S):
-            return True
-        self._sudden = sample.t_s, values
-        if before is None or sample.t_s > before[0] + _LONGEST_GAP_S:
-            return False
-        return _within(values - before[1], _SUDDEN_M_S2, _SUDDEN_RAD_S)
+        silent = sample.t_s > self.newest_s + _LONGEST_GAP_S
+        before, self._sudden = self._sudden, (sample.t_s, values)
+        if _within(values, _FELT_M_S2, _FELT_RAD_S):
+            if silent or _within(values - self._newest[1], _SUDDEN_M_S2, _SUDDEN_RAD_S):
+                return True
+            if before is not None and sample.t_s < before[0] + _LONGEST_GAP_S:
+                return _within(values - before[1], _SUDDEN_M_S2, _SUDDEN_RAD_S)
+        if not silent:
+            self._doubt(values - self._newest[1], sample.t_s - self.newest_s)
+        return False
+
+    def _doubt(self, change: Array, span_s: float) -> None:
+        """A sample is refused: wrong, or a blow too short for others."""
+        force, rates = change[:3], change[3:]
+        most = np.array([_MOST_FORCE_M_S2, _MOST_RATE_RAD_S])
+        size = np.minimum([math.sqrt(force @ force), math.sqrt(rates @ rates)], most)
+        self._doubted += (0.5 * span_s * size) ** 2
 
     def add(self, sample: ImuSample) -> bool:
         """Take the next sample; False when it is not later than the newest."""
@@ -180,6 +187,7 @@ class ImuHistory:
         if span_s > _LONGEST_GAP_S:
             return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
+        doubted, self._doubted = self._doubted, np.zeros(2)
         turned = quat_multiply(
             zero.turned, quat_from_vector((0.5 * span_s) * (before + values)[3:])
         )
@@ -188,7 +196,7 @@ class ImuHistory:
             zero.lasted_s + span_s,
             zero.pushed + (0.5 * span_s) * (pushed + now),
             turned / math.sqrt(turned @ turned),
-            zero.shaken + span_s**2 * self._scatter,
+            zero.shaken + span_s**2 * self._scatter + doubted,
         )
 
     def _learn_scatter(self, slope: Array, span_s: float) -> None:
@@ -205,13 +213,10 @@ def _within(values: Array, force_m_s2: float, rate_rad_s: float) -> bool:
 
 
 def is_sensible(sample: ImuSample) -> bool:
-    """Whether it is finite and within what a sensor can measure."""
+    """Whether its numbers are finite."""
     force, rates = np.asarray(sample.specific_force_m_s2), np.asarray(sample.rates_rad_s)
     if not math.isfinite(sample.t_s) or force.shape != (3,) or rates.shape != (3,):
         return False
     if sample.span_s is not None and not sample.span_s > 0.0:
         return False
-    # Not a number is not smaller than anything.
-    return bool(
-        np.all(np.abs(force) < _MOST_FORCE_M_S2) and np.all(np.abs(rates) < _MOST_RATE_RAD_S)
-    )
+    return bool(np.all(np.isfinite(force)) and np.all(np.isfinite(rates)))

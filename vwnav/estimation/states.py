@@ -33,7 +33,11 @@ class States:
     GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
     MAP_TURN = slice(29, 30)  # rad, by how much headings by this map, and matching on it, are off
     MAP_SCALE = slice(30, 31)  # the same of heights above ground, as a share of them
-    SIZE = 31
+    EXPOSED_POSITION = slice(31, 33)  # m, north and east of the picture that is being matched
+    EXPOSED_HEADING_BIAS = slice(33, 34)  # rad, the heading bias at its exposure
+    EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
+    EXPOSED_AGL = slice(36, 37)  # m, the height above ground then
+    SIZE = 37
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +86,7 @@ class EkfConfig:
     stationary_agl_sigma_m: float = 0.15
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
-    zoom_share: float = 0.05  # of a climb that odometry sees: 1 % of it is wrong, the same each time
+    zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
@@ -136,6 +140,14 @@ class Anchor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """The picture that is being matched, whose pose is cloned: its time and autopilot heading."""
+
+    t_s: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """Where a fix that was believed has shown it: (2,) north and east, per-axis sigma."""
 
@@ -158,7 +170,7 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (31,) see `States`. P: (31, 31) its covariance.
+        x: (n,) see `States`, n its size. P: (n, n) its covariance.
         measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
             known then: the next step goes on from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
@@ -176,6 +188,7 @@ class FilterState:
     heading_known: bool
     measured: tuple[Array, Felt | None] | None = None
     anchor: Anchor | None = None
+    exposure: Exposure | None = None
     t_last_fix_s: float | None = None
     trusted: Place | None = None
     newest_height: tuple[float, float] | None = None
@@ -237,7 +250,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
 
 
 def first_variance(config: EkfConfig) -> Array:
-    """(31,) of what the settings know of at first; of the rest, which the start tells, ones."""
+    """(n,) of what the settings know of at first; of the rest, which the start tells, ones."""
     variance = np.ones(States.SIZE)
     variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
