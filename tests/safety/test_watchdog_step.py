@@ -369,3 +369,16 @@ def test_nothing_that_arrives_can_stop_it(traffic):
     stand.beating = False
     stand.mode = PX4_OFFBOARD
     stand.run(1.0)
+
+
+def test_an_autopilot_that_was_switched_off_is_not_waited_for():
+    stand = engaged()
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    for _ in range(59):
+        stand.t_s += 1.0
+        stand.watchdog.step(stand.t_s)
+        assert not stand.watchdog.finished
+    stand.t_s += 2.0
+    stand.watchdog.step(stand.t_s)
+    assert stand.watchdog.finished
