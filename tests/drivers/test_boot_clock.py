@@ -1,5 +1,6 @@
 """The autopilot's clock is found, offset and rate, under latencies that are never negative."""
 
+import math
 import random
 
 import pytest
@@ -175,6 +176,22 @@ def test_one_stamp_that_cannot_be_is_not_believed(stamp_s):
         assert not autopilot.clock.handle_stamp(stamp_s, autopilot.t_s)
         assert worst(autopilot.run(0.2)) < 0.005
     assert autopilot.clock.restarts == 0
+
+
+SECONDS = st.one_of(st.floats(0.0, 20.0), st.floats(-1e6, 1e6))
+NEWS = st.tuples(st.booleans(), SECONDS, SECONDS, st.floats(0.0, 2.0))
+
+
+@given(st.lists(NEWS, max_size=60))
+def test_whatever_is_told_in_whatever_order_gives_a_time(news):
+    clock = BootClock()
+    for is_stamp, boot_s, t_s, spent_s in news:
+        if is_stamp:
+            clock.handle_stamp(boot_s, t_s)
+        else:
+            clock.handle_round_trip(t_s, boot_s, t_s + spent_s)
+        found_s = clock.to_monotonic(boot_s)
+        assert found_s is None or math.isfinite(found_s)
 
 
 def test_nothing_is_known_before_any_news():

@@ -8,8 +8,9 @@ from collections.abc import Callable, Generator
 
 from vwnav.drivers.autopilot_commands import CommandSender, Procedure
 from vwnav.drivers.autopilot_parameters import ParameterTable
-from vwnav.drivers.autopilot_procedures import TAKEOFF_HEIGHT, Procedures
-from vwnav.drivers.autopilot_upkeep import OriginAgreement, StreamKeeper, Timesync, wanted_streams
+from vwnav.drivers.autopilot_procedures import NOT_HEARD, TAKEOFF_HEIGHT, Procedures
+from vwnav.drivers.autopilot_upkeep import OriginAgreement, StreamKeeper, Timesync
+from vwnav.drivers.link_budget import LinkBudget, bytes_per_s, plan_link
 from vwnav.drivers.mavlink_port import MavlinkPort
 from vwnav.drivers.port import Fields, Port
 from vwnav.drivers.preflight_parameters import check_parameters, parameter_names
@@ -35,6 +36,8 @@ _FIRST_HEARTBEAT_S = 5.0
 _FINDINGS_WAIT_S = 5.0
 _READ_AGAIN_S = 5.0
 _STEP_S = 0.02
+_ON_TIME_S = 0.005  # an estimate may leave so much before its turn
+_LEAST_ATTITUDE_HZ = 18.0  # of 20 that are asked for at least
 _PATIENCE_S = (0.25, 2.0)  # for an answer, at least and at most
 _PATIENCE_UNKNOWN_S = 0.6  # before a round trip has been seen
 
@@ -48,11 +51,15 @@ class LinkedAutopilot:
     Args:
         port: the connection.
         clock: monotonic clock, in seconds.
+        capacity_bytes_s: what the narrowest part of the way carries, None when it is wide.
     """
 
-    def __init__(self, port: Port, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, port: Port, clock: Callable[[], float], capacity_bytes_s: float | None = None
+    ) -> None:
         self._port = port
         self._clock = clock
+        self._capacity_bytes_s = capacity_bytes_s
         self._lock = threading.RLock()
         self._telemetry = TelemetryState()
         self._timesync = Timesync(port.send, clock, self._telemetry.clock)
@@ -63,7 +70,9 @@ class LinkedAutopilot:
         self._procedures = Procedures(
             self._commands, self._parameters, self._telemetry, self._send_setpoint, clock
         )
+        self._budget: LinkBudget | None = None
         self._streams: StreamKeeper | None = None
+        self._next_estimate_s = -math.inf
         self._requested: tuple[Request, Procedure] | None = None
         self._origin: Generator[None, None, None] | None = None
         self._reading: Generator[None, None, None] | None = None
@@ -104,7 +113,9 @@ class LinkedAutopilot:
     @property
     def budget_refusal(self) -> str | None:
         """Why the link cannot carry what a flight needs, None when it can."""
-        return None
+        if self._budget is None or not self._budget.is_tight:
+            return None
+        return self._budget.refusal or self._slow_attitude()
 
     def warnings(self, within_s: float = 10.0) -> list[str]:
         """The autopilot's warnings of the last while (PX4 sends them to ground stations only)."""
@@ -122,7 +133,8 @@ class LinkedAutopilot:
                 self._begin_anew()
             self._timesync.step(t_s)
             if self._streams is None:
-                self._streams = StreamKeeper(self._commands, wanted_streams(self._telemetry.kind))
+                self._budget = plan_link(self._telemetry.kind, self._capacity_bytes_s)
+                self._streams = StreamKeeper(self._commands, self._budget)
             self._streams.step(t_s)
             self._resume_request()
             self._procedures.step()
@@ -143,6 +155,8 @@ class LinkedAutopilot:
     def send_estimate(self, estimate: Estimate) -> None:
         """Send the filter's output; call it at 20 to 50 Hz without gaps of 0.2 s.
 
+        A narrow link takes only as many as it carries, and the rest is dropped here.
+
         Raises:
             ValueError: `set_origin` was never called.
         """
@@ -150,7 +164,7 @@ class LinkedAutopilot:
             if self._frame is None:
                 raise ValueError("set_origin has to be called before the first estimate is sent")
             offset_ned_m = self._telemetry.origin_offset_ned_m
-            if offset_ned_m is None:
+            if offset_ned_m is None or not self._has_room_for_estimate():
                 return
             attitude = self._telemetry.attitude_near(estimate.t_s)
             if attitude is not None:
@@ -211,6 +225,26 @@ class LinkedAutopilot:
 
     # ---- inside
 
+    def _slow_attitude(self) -> str | None:
+        """What the plan says is one thing, what comes another: PX4 has limits of its own."""
+        if self._streams is None or not self._streams.rates_hz:
+            return None
+        rate_hz = self._streams.rates_hz["ATTITUDE"]
+        if rate_hz >= _LEAST_ATTITUDE_HZ:
+            return None
+        return (
+            f"the autopilot sends its attitude {rate_hz:.0f} times a second on this link, 20 are "
+            "needed: look at its own limit of the port (PX4: MAV_0_RATE, MAV_1_RATE)"
+        )
+
+    def _has_room_for_estimate(self) -> bool:
+        now_s = self._clock()
+        if self._budget is None or now_s < self._next_estimate_s - _ON_TIME_S:
+            return False
+        period_s = 1.0 / self._budget.estimate_hz
+        self._next_estimate_s = max(self._next_estimate_s, now_s - period_s) + period_s
+        return True
+
     def _send_setpoint(self, setpoint: VelocitySetpoint) -> None:
         yaw_rad = self._autopilot_yaw(setpoint.yaw_rad)
         fields = velocity_target(setpoint, yaw_rad, self._clock(), self._port.system_id)
@@ -219,6 +253,8 @@ class LinkedAutopilot:
     def _begin(self, procedure: Procedure) -> Request:
         with self._lock:
             self._end_request("replaced by a newer command")
+            if self._telemetry.kind is None:
+                return Request(done=True, refused=NOT_HEARD)
             request = Request()
             self._requested = (request, procedure)
             self._resume_request()  # the first message leaves at once
@@ -336,6 +372,7 @@ class MavsdkAutopilot(LinkedAutopilot):
             link, but also believes that a ground station watches: its failsafe for losing the real
             one would never act. For the bench, not for flight.
         clock: monotonic clock, in seconds.
+        link_url: the autopilot's own link, when `url` is that of a relay in front of it.
 
     Raises:
         LinkError: no PX4 or ArduPilot is on the link.
@@ -347,9 +384,11 @@ class MavsdkAutopilot(LinkedAutopilot):
         timeout_s: float = 20.0,
         as_ground_station: bool = False,
         clock: Callable[[], float] = time.monotonic,
+        link_url: str | None = None,
     ) -> None:
+        capacity_bytes_s = bytes_per_s(link_url or url)
         port = MavlinkPort(url, as_ground_station, timeout_s, clock)
-        super().__init__(port, clock)
+        super().__init__(port, clock, capacity_bytes_s)
         until_s = time.monotonic() + _FIRST_HEARTBEAT_S
         while self.kind is None:
             if time.monotonic() > until_s:

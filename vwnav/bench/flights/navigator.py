@@ -118,7 +118,7 @@ class Navigator:
         )  # fmt: skip
         self.runtime = FlightRuntime(
             self.pipeline, self.flight, self.autopilot, EstimateGuard(config.estimate),
-            self.keep_alive, self._watch, self.record, clock,
+            self.keep_alive, self._watch, self.record,
         )  # fmt: skip
         self._safety = config.safety
         frame = equipped.local_frame
