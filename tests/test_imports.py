@@ -14,10 +14,12 @@ PACKAGE = ROOT / "vwnav"
 RIVAL = Path("bench/xfeat.py")
 
 # Each room with the rooms it may import. `cli` may import all of them.
-BASE = {"errors", "types"}
+BASE = {"errors", "types", "clock", "pace"}
 ALLOWED = {
     "errors": set(),
     "types": set(),
+    "clock": set(),
+    "pace": {"clock"},
     "geometry": BASE,
     "maps": BASE | {"geometry"},
     "vision": BASE | {"geometry", "maps"},

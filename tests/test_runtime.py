@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from vehicles import FLYING
 
+from vwnav.clock import WallClock
 from vwnav.flight import FlightEnd, Phase
 from vwnav.pipeline import StepResult
 from vwnav.runtime import FlightRuntime
@@ -158,10 +159,10 @@ def fly(path=None, mission=None, pictures=None, link=None, record=None):
     pictures, record = pictures or Pictures(), record or Record()
     handle = SimpleNamespace(report=None)
     runtime = FlightRuntime(
-        path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48), record, time.monotonic
+        path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48), record
     )
     try:
-        end = runtime.run(pictures)
+        end = runtime.run(pictures, WallClock())
     finally:
         pictures.closed.set()
     return SimpleNamespace(end=end, link=link, path=path, record=record, mission=mission)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
+from vwnav.clock import Clock
 from vwnav.flight import DeadMansHandle, Flight, FlightEnd, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
 from vwnav.safety.camera_watch import CameraWatch
@@ -37,6 +38,9 @@ HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half
 SILENT_S = 1.0  # of telemetry: gaps up to this are bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
+# What simulated time waits for (`vwnav.clock`), beside the beats of the loops:
+TELEMETRY_LATE_S = 0.1  # from the measurement of an attitude to the filter
+PICTURE_LATE_S = 0.07  # from a picture's arrival to the end of its step
 
 
 class Watcher(Protocol):
@@ -62,9 +66,6 @@ class FlightRuntime:
     picture or a camera that fails is a missing picture, a link step that fails is tried again, and
     when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
     estimates go on until the motors stop.
-
-    Args:
-        clock: the monotonic clock that stamps pictures and telemetry.
     """
 
     def __init__(
@@ -76,7 +77,6 @@ class FlightRuntime:
         keep_alive: DeadMansHandle,
         camera: CameraWatch,
         watcher: Watcher,
-        clock: Callable[[], float],
     ) -> None:
         self._pipeline = pipeline
         self._flight = flight
@@ -85,10 +85,10 @@ class FlightRuntime:
         self._keep_alive = keep_alive
         self._camera = camera
         self._watcher = watcher
-        self._clock = clock
         self._lock = threading.Lock()
         self._navigation = Navigation(None)
         self._seen_s: float | None = None
+        self._heard_s: float | None = None
         self._held_back_since_s = -math.inf
         self._said: set[str] = set()
         self._stop = threading.Event()
@@ -109,6 +109,7 @@ class FlightRuntime:
             self._pipeline.feed(measurement)
         believed = self._pipeline.estimate(t_s)
         vehicle = self._autopilot.state()
+        self._heard_s = None if vehicle.attitude is None else vehicle.attitude.t_s
         self._lose_what_is_not_heard(vehicle, t_s)
         sent = self._guard.admit(believed, t_s, vehicle.armed)
         lost = self._guard.reason if believed is not None and sent is None else ""
@@ -162,8 +163,12 @@ class FlightRuntime:
 
     # ---- life
 
-    def run(self, source: FrameSource) -> FlightEnd:
+    def run(self, source: FrameSource, clock: Clock) -> FlightEnd:
         """Fly; returns when the mission has ended. An interrupt lands first.
+
+        Args:
+            source: of the pictures.
+            clock: the one that stamps pictures and telemetry.
 
         Raises:
             Exception: what broke the mission, after the aircraft has been brought down.
@@ -171,9 +176,9 @@ class FlightRuntime:
         loops = [
             threading.Thread(target=loop, name=name, daemon=True)
             for name, loop in (
-                ("link", self._link_loop),
-                ("mission", self._mission_loop),
-                ("vision", lambda: self._vision_loop(source)),
+                ("link", lambda: self._link_loop(clock)),
+                ("mission", lambda: self._mission_loop(clock)),
+                ("vision", lambda: self._vision_loop(source, clock)),
             )
         ]
         for thread in loops:
@@ -211,16 +216,21 @@ class FlightRuntime:
     def _is_down_after_failure(self) -> bool:
         return self._failure is not None and not self._autopilot.state().armed
 
-    def _link_loop(self) -> None:
-        for t_s in self._beats(LINK_HZ):
+    def _link_loop(self, clock: Clock) -> None:
+        telemetry, heard_s = clock.join("telemetry"), self._heard_s
+        for t_s in self._beats(clock, "link", LINK_HZ):
             try:
                 self.step_link(t_s)
             except Exception as error:
                 log.exception("a step of the link failed")
                 self._say_once("link", f"a step of the link failed, it goes on: {error!r}")
+            if self._heard_s is not None and self._heard_s != heard_s:
+                heard_s = self._heard_s
+                telemetry.until(heard_s + TELEMETRY_LATE_S)
+        telemetry.leave()
 
-    def _mission_loop(self) -> None:
-        for t_s in self._beats(TICK_HZ):
+    def _mission_loop(self, clock: Clock) -> None:
+        for t_s in self._beats(clock, "mission", TICK_HZ):
             try:
                 self.step_control(t_s)
             except Exception as error:
@@ -229,8 +239,9 @@ class FlightRuntime:
                 self._event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
                 return
 
-    def _vision_loop(self, source: FrameSource) -> None:
+    def _vision_loop(self, source: FrameSource, clock: Clock) -> None:
         """Pictures as they come; a camera that fails is asked again every second."""
+        vision = clock.join("vision")
         while not self._stop.is_set():
             try:
                 frame = source.next_frame()
@@ -242,21 +253,28 @@ class FlightRuntime:
                 if not self._stop.is_set():
                     self._event("the camera has stopped: flying on without pictures")
                 return
-            self._await_telemetry(frame)
+            self._await_telemetry(frame, clock)
+            vision.until(clock() + PICTURE_LATE_S)
             self.step_vision(frame)
+            vision.leave()
 
-    def _await_telemetry(self, frame: Frame) -> None:
+    def _await_telemetry(self, frame: Frame, clock: Clock) -> None:
         until_s = frame.t_s + ATTITUDE_WAIT_S
-        while not self.covers(frame) and self._clock() < until_s and not self._stop.is_set():
-            time.sleep(_ATTITUDE_POLL_S)
+        while not self.covers(frame) and clock() < until_s and not self._stop.is_set():
+            clock.wait_until(clock() + _ATTITUDE_POLL_S)
 
-    def _beats(self, rate_hz: float) -> Iterator[float]:
+    def _beats(self, clock: Clock, name: str, rate_hz: float) -> Iterator[float]:
         """Times of a steady beat; after a stall it goes on from now instead of catching up."""
-        next_s = self._clock()
-        while not self._stop.is_set():
-            yield self._clock()
-            next_s = max(next_s + 1.0 / rate_hz, self._clock())
-            time.sleep(max(0.0, next_s - self._clock()))
+        period_s = 1.0 / rate_hz
+        participant, next_s = clock.join(name), clock()
+        try:
+            while not self._stop.is_set():
+                yield clock()
+                next_s = max(next_s + period_s, clock())
+                participant.until(next_s + period_s)
+                clock.wait_until(next_s)
+        finally:
+            participant.leave()
 
     # ---- what must never end a flight
 

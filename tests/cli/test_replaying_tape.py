@@ -16,6 +16,7 @@ from vehicles import FLYING
 from vwnav.assemble import Assembled, about_run, ground_of
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
+from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.drivers.recorder import Recorder, plain
 from vwnav.drivers.recording import read_recording
@@ -162,7 +163,8 @@ def flown(pack_file, tmp_path_factory) -> Path:
         choice = FeatureChoice(Localizer(began_s), None, config.pipeline, print)
         pipeline = Pipeline(choice, Odometry(), ekf, HOME, 0.02, config.pipeline, executor)
         assembled = Assembled(pipeline, ekf, pack, SimpleNamespace(feature_set_id="fake"))
-        record = FlightRecord(folder, about_run(assembled, "learned", "nadir"), pack, config, None)
+        about = about_run(assembled, "learned", "nadir")
+        record = FlightRecord(folder, about, pack, config, None, WallClock())
         ekf.record(record.tape.input)
         above_m = np.array([0.0, 0.0, -50.0])
         ekf.initialise(
@@ -172,9 +174,9 @@ def flown(pack_file, tmp_path_factory) -> Path:
         record.follow(mission, pipeline)
         runtime = FlightRuntime(
             pipeline, mission, Link(), EstimateGuard(), SimpleNamespace(report=None),
-            CameraWatch(64, 48), record, time.monotonic,
+            CameraWatch(64, 48), record,
         )  # fmt: skip
-        runtime.run(Pictures())
+        runtime.run(Pictures(), WallClock())
         record.close(SimpleNamespace(sim=False), assembled)
     return folder
 

@@ -2,7 +2,6 @@
 
 import logging
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +10,7 @@ from vwnav import __version__
 from vwnav.assemble import Assembled
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.screen import LiveLine, print_table, say
+from vwnav.clock import Clock
 from vwnav.config import Config
 from vwnav.drivers.recorder import Recorder, plain
 from vwnav.drivers.run_folder import TrajectoryWriter, write_json
@@ -41,10 +41,12 @@ class FlightRecord:
         pack: MapPack,
         config: Config,
         truth: TruthReader | None,
+        clock: Clock,
     ) -> None:
         self._folder = folder
+        self._clock = clock
         self._truth = truth
-        self._started_s = time.monotonic()
+        self._started_s = clock()
         self._trajectory: TrajectoryWriter | None = None
         self._recorder = Recorder(folder / "flight.mcap", config.model_dump(mode="json"))
         self.tape = Tape(self._recorder, about)
@@ -66,7 +68,7 @@ class FlightRecord:
 
     def event(self, text: str) -> None:
         """Something worth a line."""
-        now_s = time.monotonic()
+        now_s = self._clock()
         self._recorder.event(now_s, text)
         say(f"{now_s - self._started_s:7.1f} s  {text}")
 
@@ -170,7 +172,7 @@ class FlightRecord:
             "attempts": pipeline.attempts,
             "fixes": pipeline.accepted,
             "rejected": dict(self._rejected),
-            "duration_s": round(time.monotonic() - self._started_s, 1),
+            "duration_s": round(self._clock() - self._started_s, 1),
         }
         if self._score is not None:
             summary["score"] = {

@@ -12,6 +12,7 @@ class FlyOptions:
     """The command line of `vwnav fly`."""
 
     sim: bool
+    realtime: bool
     arm: bool
     standby: bool
     features: str
@@ -49,6 +50,9 @@ class FlyOptions:
 
 def fly(
     sim: bool = typer.Option(False, "--sim", help="Everything embedded: site, vehicle, camera."),
+    realtime: bool = typer.Option(
+        False, "--realtime", help="With --sim: by the wall clock, which waits for nobody."
+    ),
     arm: bool = typer.Option(
         False, "--arm", help="Arm by itself once ready; else a person arms a real aircraft."
     ),
@@ -93,6 +97,8 @@ def fly(
     missing = [name for name, value in needed.items() if not value]
     if missing and not sim:
         raise typer.BadParameter(f"without --sim a flight needs {', '.join(missing)}")
+    if realtime and not sim:
+        raise typer.BadParameter("--realtime goes with --sim: elsewhere time waits for nobody")
     if route_frame not in ("local", "global"):
         raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
     if standby:  # started by the watchdog

@@ -21,10 +21,11 @@ from vwnav.cli.screen import say, show_checks
 from vwnav.cli.simulation import (
     DEFAULT_ROUTE,
     DEFAULT_SITE,
+    draw_site,
     map_pack_of,
-    open_simulated_camera,
     start_embedded_vehicle,
 )
+from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import Config, load_config, save_config
 from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
@@ -38,19 +39,23 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.missions import LocalWaypoint, load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
+from vwnav.pace import PacedClock
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.links import parse_link
 from vwnav.safety.readiness import Check, Equipment, check_flight
 from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
-from vwnav.sim.renderer import default_camera
+from vwnav.sim.camera_source import SimulatedCamera
+from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
 from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 FIRST_STATE_S = 5.0
+WORTH_SAYING_S = 10.0  # of simulated time that stood still
+MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,21 +118,43 @@ def fly_route(options: FlyOptions) -> None:
         plan = plan_flight(options, stack)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
+        renderer = draw_camera(options, plan, stack)
         link, truth_url = options.connection, options.truth
+        clock = _clock(options, stack)
         if options.sim:
             site = parse_site(options.video or DEFAULT_SITE)
-            link, truth_url = start_embedded_vehicle(site, options.wind_m_s, options.seed, stack)
+            link, truth_url = start_embedded_vehicle(
+                site, options.wind_m_s, options.seed, clock, stack
+            )
         assert link is not None
         # An embedded simulation ends with its navigator: there is nothing left to succeed in.
         successor = [] if options.sim else options.successor(folder)
         watchdog = stack.enter_context(
-            start_watchdog(link, folder / "watchdog.log", standby=successor)
+            start_watchdog(link, folder / "watchdog.log", successor, clock)
         )
-        truth = open_truth(truth_url, link, watchdog.observer_url, stack)
-        source = open_camera(options, plan, truth, stack)
-        autopilot = MavsdkAutopilot(watchdog.navigator_url)
+        truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
+        source = open_camera(options, renderer, truth, clock, stack)
+        autopilot = MavsdkAutopilot(watchdog.navigator_url, clock=clock, link_url=link)
         stack.callback(autopilot.close)
-        _fly(options, plan, folder, watchdog, autopilot, source, truth, stack)
+        _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
+
+
+def _clock(options: FlyOptions, stack: ExitStack) -> Clock:
+    """A simulation's time waits for who is late, unless it is to be the wall's."""
+    if not options.sim or options.realtime:
+        return WallClock()
+    clock = PacedClock.create()
+    stack.callback(clock.remove)
+    stack.callback(lambda: _say_whom_time_waited_for(clock))
+    return clock
+
+
+def _say_whom_time_waited_for(clock: PacedClock) -> None:
+    held = sorted(clock.held_s().items(), key=lambda each: -each[1])
+    held_s = sum(each_s for _, each_s in held)
+    if held_s > WORTH_SAYING_S:
+        whom = ", ".join(f"{name} {each_s:.0f} s" for name, each_s in held if each_s >= 1.0)
+        say(f"this machine was too busy: simulated time waited {held_s:.0f} s for it ({whom})")
 
 
 def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
@@ -188,14 +215,14 @@ def _middle(pack: MapPack) -> tuple[float, float]:
 
 
 def open_truth(
-    url: str | None, link: str, observer_url: str, stack: ExitStack
+    url: str | None, link: str, observer_url: str, clock: Clock, stack: ExitStack
 ) -> TruthReader | None:
     """Ground truth of a simulator; through the watchdog where it comes on the autopilot's link."""
     if url is None:
         return None
     if is_same_link(url, link):
         url = observer_url
-    truth = TruthReader(url)
+    truth = TruthReader(url, clock=clock)
     stack.callback(truth.close)
     return truth
 
@@ -210,19 +237,31 @@ def is_same_link(truth_url: str, link: str) -> bool:
     return truth.is_same_port(parse_link(link))
 
 
-def open_camera(
-    options: FlyOptions, plan: FlightPlan, truth: TruthReader | None, stack: ExitStack
-) -> FrameSource:
-    """The camera, or one that is drawn from a simulator's truth."""
+def draw_camera(options: FlyOptions, plan: FlightPlan, stack: ExitStack) -> CameraRenderer | None:
+    """What a simulated camera is drawn with; None for a real one."""
     video = str(options.video)
     if not is_site(video):
-        source = open_source(video)
+        return None
+    height_m = -float(plan.route_ned_m[0, 2])
+    return draw_site(video, plan.camera, plan.route_lat_lon_deg, height_m, options.seed, stack)
+
+
+def open_camera(
+    options: FlyOptions,
+    renderer: CameraRenderer | None,
+    truth: TruthReader | None,
+    clock: Clock,
+    stack: ExitStack,
+) -> FrameSource:
+    """The camera, or one that is drawn from a simulator's truth."""
+    source: FrameSource
+    if renderer is None:
+        source = open_source(str(options.video))
     else:
         assert truth is not None
-        height_m = -float(plan.route_ned_m[0, 2])
-        source = open_simulated_camera(
-            video, plan.camera, truth, plan.route_lat_lon_deg, height_m, options.seed, stack
-        )
+        site = parse_site(str(options.video))
+        home = (site.home_lat_deg, site.home_lon_deg)
+        source = SimulatedCamera(renderer, truth, home, clock)
     stack.callback(source.close)
     return source
 
@@ -235,9 +274,11 @@ def _fly(
     autopilot: Autopilot,
     source: FrameSource,
     truth: TruthReader | None,
+    clock: Clock,
     stack: ExitStack,
 ) -> None:
-    executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+    pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+    executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
     assembled = assemble(
         plan.pack, plan.camera, options.features, options.model, plan.local_frame, plan.config,
         executor, say,
@@ -245,9 +286,9 @@ def _fly(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, options.features, "nadir")
-    record = FlightRecord(folder, about, plan.pack, plan.config, truth)
+    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
     assembled.ekf.record(record.tape.input)
-    vehicle = first_state(autopilot)
+    vehicle = first_state(autopilot, clock)
     if not vehicle.in_air:  # of one that flies nothing is known: the first fix begins
         assembled.ekf.initialise(_start(options, plan, vehicle))
     camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
@@ -260,13 +301,12 @@ def _fly(
     runtime = FlightRuntime(
         assembled.pipeline, flight, autopilot, EstimateGuard(plan.config.estimate),
         watchdog.keepalive, camera, record,
-        time.monotonic,
     )  # fmt: skip
     with _stopped_by_signals():
         try:
             if not options.arms:
                 _listen_for_enter(flight)
-            end = runtime.run(source)
+            end = runtime.run(source, clock)
         finally:
             record.close(options, assembled)
     if end.reason is not None:
@@ -274,11 +314,11 @@ def _fly(
         raise error(f"{end.reason} (record in {folder})")
 
 
-def first_state(autopilot: Autopilot) -> VehicleState:
+def first_state(autopilot: Autopilot, clock: Clock) -> VehicleState:
     """The vehicle once it has told where it is: on the ground, or flying already."""
     until_s = time.monotonic() + FIRST_STATE_S
     while time.monotonic() < until_s:
-        autopilot.step(time.monotonic())
+        autopilot.step(clock())
         state = autopilot.state()
         if state.connected and state.attitude is not None:
             break

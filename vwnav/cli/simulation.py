@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.cli.screen import progress_bar, say
+from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.builder import BuildOptions, build_pack
-from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.px4.config import VehicleConfig
 from vwnav.sim.renderer import CameraRenderer
@@ -25,7 +25,6 @@ from vwnav.sim.sites import (
     parse_site,
 )
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
 from vwnav.types import Array, FeatureExtractor
 
@@ -58,7 +57,7 @@ def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:
 
 
 def start_embedded_vehicle(
-    site: Site, wind_m_s: float, seed: int, stack: ExitStack
+    site: Site, wind_m_s: float, seed: int, clock: Clock, stack: ExitStack
 ) -> tuple[str, str]:
     """Start the simulated vehicle at the site's home.
 
@@ -74,37 +73,35 @@ def start_embedded_vehicle(
         ground_url="",
         wind_m_s=wind_m_s,
         seed=seed,
+        clock_file=str(clock.file or ""),
     )
     stack.enter_context(start_vehicle(config))
     return f"udpin://127.0.0.1:{link}", f"udpout:127.0.0.1:{truth}"
 
 
-def open_simulated_camera(
+def draw_site(
     text: str,
     camera: Camera,
-    truth: TruthReader,
     route_lat_lon_deg: Array,
     height_m: float,
     seed: int,
     stack: ExitStack,
-) -> SimulatedCamera:
-    """A camera over `sim:SITE`, with the site drawn along the route (n, 2) beforehand.
+) -> CameraRenderer:
+    """The renderer of a camera over `sim:SITE`, with the site drawn along the route (n, 2).
 
     Raises:
         ConfigError: no such site.
-        SourceError: no ground truth comes.
     """
     site = parse_site(text)
     rng = np.random.default_rng(seed)
-    config = RenderConfig(color=False)
-    renderer = CameraRenderer(site, camera, config, rng, default_cache_dir())
+    renderer = CameraRenderer(site, camera, RenderConfig(color=False), rng, default_cache_dir())
     stack.callback(renderer.close)
     frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
     corners = frame.to_ned(route_lat_lon_deg[:, 0], route_lat_lon_deg[:, 1], height_m)
     say("drawing the site along the route")
     with progress_bar() as progress:
         renderer.prepare(corners, lambda share: progress("site", round(100 * share), 100))
-    return SimulatedCamera(renderer, truth, (site.home_lat_deg, site.home_lon_deg))
+    return renderer
 
 
 def _cache_folder() -> Path:

@@ -8,7 +8,6 @@ would let nothing of that pass: an autopilot that loses its position comes down 
 
 import json
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.flying import (
     FlightPlan,
+    draw_camera,
     first_state,
     mission_crew,
     open_camera,
@@ -28,6 +28,7 @@ from vwnav.cli.flying import (
     plan_flight,
 )
 from vwnav.cli.screen import say
+from vwnav.clock import WallClock
 from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import VwnavError
@@ -39,11 +40,14 @@ from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.keepalive import WatchdogReport
+from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array
 
 _REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
-_DRIFT_M_S = 5.0  # how fast an aircraft that nobody watched may have moved
+_HELD_S = 4.6  # for so long PX4 holds its place without estimates (measured)
+_HELD_DRIFT_M_S, _BLIND_DRIFT_M_S = 1.0, 6.0  # one sigma while it does, and with the wind after
 _LEAST_SIGMA_M = 3.0
+_SPEED_SIGMA_M_S = 3.0
 _HEIGHT_SIGMA_M = 3.0
 
 
@@ -103,9 +107,10 @@ def stand_by(options: FlyOptions) -> None:
             plan.config, executor, say,
         )  # fmt: skip
         _warm(assembled, plan.camera)
+        renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()
         if line:
-            _succeed(options, plan, assembled, Resume.read(line), stack)
+            _succeed(options, plan, assembled, renderer, Resume.read(line), stack)
 
 
 def _warm(assembled: Assembled, camera: Camera) -> None:
@@ -119,22 +124,24 @@ def _succeed(
     options: FlyOptions,
     plan: FlightPlan,
     assembled: Assembled,
+    renderer: CameraRenderer | None,
     resume: Resume,
     stack: ExitStack,
 ) -> None:
-    clock = time.monotonic
-    autopilot = MavsdkAutopilot(resume.connection, clock=clock)
+    clock = WallClock()
+    autopilot = MavsdkAutopilot(resume.connection, clock=clock, link_url=options.connection)
     stack.callback(autopilot.close)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
-    truth = open_truth(options.truth, str(options.connection), resume.observer, stack)
-    source = open_camera(options, plan, truth, stack)
+    truth = open_truth(options.truth, str(options.connection), resume.observer, clock, stack)
+    source = open_camera(options, renderer, truth, clock, stack)
     folder = make_run_folder(options.output, "fly")
     record = FlightRecord(
-        folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth
-    )
+        folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,
+        clock,
+    )  # fmt: skip
     assembled.ekf.record(record.tape.input)
-    vehicle = first_state(autopilot)
+    vehicle = first_state(autopilot, clock)
     if resume.lat_lon_deg is not None:
         assembled.ekf.initialise(_start(plan, resume, resume.lat_lon_deg, vehicle.t_s))
     camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
@@ -147,10 +154,10 @@ def _succeed(
     record.follow(flight, assembled.pipeline)
     guard = EstimateGuard(plan.config.estimate, resume.reset_counter)
     runtime = FlightRuntime(
-        assembled.pipeline, flight, autopilot, guard, _NoWatchdog(), camera, record, clock
+        assembled.pipeline, flight, autopilot, guard, _NoWatchdog(), camera, record
     )
     try:
-        runtime.run(source)
+        runtime.run(source, clock)
     finally:
         record.close(options, assembled)
 
@@ -158,15 +165,17 @@ def _succeed(
 def _start(plan: FlightPlan, resume: Resume, lat_lon_deg: tuple[float, float], t_s: float) -> Start:
     """Where it must be by now, as unsure as an aircraft may have moved since."""
     since_s = max(t_s - resume.t_s, 0.0)
+    held_s = min(since_s, _HELD_S)
+    drift_m = _HELD_DRIFT_M_S * held_s + _BLIND_DRIFT_M_S * (since_s - held_s)
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
     position[2] = -resume.height_m
     return Start(
         t_s=t_s,
         position_ned_m=position,
-        sigma_m=_LEAST_SIGMA_M + _DRIFT_M_S * since_s,
+        sigma_m=_LEAST_SIGMA_M + drift_m,
         agl_m=max(resume.height_m, 1.0),
         sigma_agl_m=max(_HEIGHT_SIGMA_M, 0.15 * resume.height_m),
-        sigma_velocity_m_s=_DRIFT_M_S,
+        sigma_velocity_m_s=_SPEED_SIGMA_M_S,
         sigma_baro_m=max(resume.height_m, 10.0),
     )
 

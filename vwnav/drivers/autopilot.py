@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator
 
 from vwnav.drivers.autopilot_commands import CommandSender, Procedure
 from vwnav.drivers.autopilot_parameters import ParameterTable
-from vwnav.drivers.autopilot_procedures import TAKEOFF_HEIGHT, Procedures
+from vwnav.drivers.autopilot_procedures import NOT_HEARD, TAKEOFF_HEIGHT, Procedures
 from vwnav.drivers.autopilot_upkeep import OriginAgreement, StreamKeeper, Timesync
 from vwnav.drivers.link_budget import LinkBudget, bytes_per_s, plan_link
 from vwnav.drivers.mavlink_port import MavlinkPort
@@ -253,6 +253,8 @@ class LinkedAutopilot:
     def _begin(self, procedure: Procedure) -> Request:
         with self._lock:
             self._end_request("replaced by a newer command")
+            if self._telemetry.kind is None:
+                return Request(done=True, refused=NOT_HEARD)
             request = Request()
             self._requested = (request, procedure)
             self._resume_request()  # the first message leaves at once

@@ -37,6 +37,7 @@ class PymavlinkPort:
         self._handlers: dict[str, Handler] = {}
         self._system_id = 0
         self._beat_s = -math.inf
+        self._closed = False
 
     @property
     def system_id(self) -> int:
@@ -56,6 +57,8 @@ class PymavlinkPort:
 
     def poll(self) -> None:
         """Handle all that has arrived, and say once a second that a companion is here."""
+        if self._closed:
+            return
         while data := self._link.read():
             for packet in self._framer.split(data):
                 self._handle(packet)
@@ -64,7 +67,7 @@ class PymavlinkPort:
             self.send("HEARTBEAT", _OWN_HEARTBEAT)
 
     def send(self, name: str, fields: Fields) -> None:
-        """Send one message.
+        """Send one message; a closed link loses it, as the air would.
 
         Raises:
             ValueError: there is no such message or field.
@@ -77,10 +80,12 @@ class PymavlinkPort:
         if unknown:
             raise ValueError(f"{name} has no field {sorted(unknown)}")
         message = kind(*[_encoded(kind, field, fields) for field in kind.fieldnames])
-        self._link.write(bytes(message.pack(self._mavlink)))
+        if not self._closed:
+            self._link.write(bytes(message.pack(self._mavlink)))
 
     def close(self) -> None:
         """Give the link back."""
+        self._closed = True
         self._link.close()
 
     def _handle(self, packet: Packet) -> None:

@@ -44,6 +44,8 @@ _LINK_LOST_S = 3.0
 _STALE_S = 3.0
 _RANGE_STALE_S = 0.5
 _PRESSURE_STALE_S = 0.5
+_OLDEST_S = 10.0  # what a link held back for longer is of no use
+_CLOCK_ERROR_S = 0.5
 _INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
 _OWN_POSITION_STALE_S = 1.0
 _CARRIED_S = 0.25  # an attitude is turned on by its rates for no longer
@@ -109,6 +111,7 @@ class TelemetryState:
         self._own_position: _OwnPosition | None = None
         self._range: _Stamped | None = None
         self._heights: dict[str, _Stamped] = {}
+        self._pressure_boot_s: dict[str, float] = {}
         self._barometers = {name: BarometricHeight() for name in ("SCALED_PRESSURE", "HIGHRES_IMU")}
         self._handlers: dict[str, Callable[[Fields, float], None]] = {
             "HEARTBEAT": self._handle_heartbeat,
@@ -347,9 +350,12 @@ class TelemetryState:
         t_s = self.clock.to_monotonic(boot_s)
         if t_s is None or pressure_hpa is None or not is_pressure(pressure_hpa):
             return
-        before = self._heights.get(source)
-        if before is not None and t_s <= before.t_s and t_s > before.t_s - _STALE_S:
-            return  # a duplicate, or overtaken by a newer one on its way
+        if not received_s - _OLDEST_S < t_s < received_s + _CLOCK_ERROR_S:
+            return
+        overtaken_by_s = self._pressure_boot_s.get(source, -math.inf) - boot_s
+        if 0.0 <= overtaken_by_s < _OLDEST_S:
+            return  # a duplicate, or a newer one was faster
+        self._pressure_boot_s[source] = boot_s
         height_m = self._barometers[source].height_m(pressure_hpa)
         if height_m is None:
             return

@@ -23,6 +23,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from vwnav.clock import Clock, WallClock
 from vwnav.errors import LinkError
 from vwnav.safety.keepalive import KeepAlive, UdpChannel
 
@@ -77,7 +78,10 @@ class WatchdogProcess:
 
 
 def start_watchdog(
-    connection: str, log: Path | None = None, standby: Sequence[str] = ()
+    connection: str,
+    log: Path | None = None,
+    standby: Sequence[str] = (),
+    clock: Clock | None = None,
 ) -> WatchdogProcess:
     """Start the watchdog on the link `connection` and wait until it is ready.
 
@@ -86,12 +90,16 @@ def start_watchdog(
         log: file for what it has to say; None leaves it on this process' stderr.
         standby: command line of a second navigator, for estimates alone, that takes over when
             this process ends in flight (see `watchdog_successor`); none when empty.
+        clock: of the navigator, and of the watchdog; the wall's when None.
 
     Raises:
         LinkError: the link cannot be opened, or the process does not come up.
     """
     arguments = [sys.executable, "-m", "vwnav.safety.watchdog", "--connection", connection]
     arguments += ["--parent", str(os.getpid()), "--standby", json.dumps(list(standby))]
+    clock = clock if clock is not None else WallClock()
+    if clock.file is not None:
+        arguments += ["--clock-file", str(clock.file)]
     stderr = log.open("ab") if log is not None else None
     try:
         # A session of its own: signals of the navigator's terminal are not for the watchdog.
@@ -106,7 +114,7 @@ def start_watchdog(
         ports = _wait_for_ports(process, stdout)
     navigator_url = f"udpout://127.0.0.1:{ports['navigator_port']}"
     observer_url = f"udpout://127.0.0.1:{ports['observer_port']}"
-    keepalive = KeepAlive(UdpChannel(ports["keepalive_port"], listens=False), time.monotonic)
+    keepalive = KeepAlive(UdpChannel(ports["keepalive_port"], listens=False), clock)
     return WatchdogProcess(process, navigator_url, observer_url, keepalive)
 
 
@@ -146,6 +154,7 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         "--standby", type=json.loads, default=[], help="JSON list: command line of the successor"
     )
     parser.add_argument("--limit-s", type=float, default=900.0)
+    parser.add_argument("--clock-file", default="", help="of a simulated time (vwnav.pace)")
     return parser.parse_args(arguments)
 
 

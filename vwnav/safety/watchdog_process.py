@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 from vwnav.errors import LinkError
+from vwnav.pace import clock_of
 from vwnav.safety.keepalive import UdpChannel
 from vwnav.safety.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
@@ -20,6 +21,7 @@ _log = logging.getLogger(__name__)
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _PARENT_CHECK_S = 0.1
+_LATE_S = 0.01  # of its tick: simulated time waits for it then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +34,7 @@ class WatchdogOptions:
         parent: process id of the navigator, whose end is noticed. None: only its silence is.
         standby: command line of the successor; none when empty.
         limit_s: longest time it goes on without the navigator.
+        clock_file: of a simulated time; empty for the wall's.
     """
 
     connection: str
@@ -40,6 +43,7 @@ class WatchdogOptions:
     parent: int | None = None
     standby: Sequence[str] = ()
     limit_s: float = 900.0
+    clock_file: str = ""
 
 
 class ParentWatch:
@@ -101,6 +105,7 @@ class WatchdogPorts:
 
     def __init__(self, options: WatchdogOptions) -> None:
         address = parse_link(options.connection)
+        self._clock = clock_of(options.clock_file)
         self._navigator = _local_link(options.navigator_port)
         self._observer = _local_link(0)
         self._beats = UdpChannel(options.keepalive_port, listens=True)
@@ -141,13 +146,16 @@ class WatchdogPorts:
             self._selector.register(link, selectors.EVENT_READ)
         if self._parent is not None and self._parent.fd is not None:
             self._selector.register(self._parent.fd, selectors.EVENT_READ, "parent")
+        participant = self._clock.join("watchdog")
         while not self._watchdog.finished:
             self._follow_link()
+            participant.until(self._clock() + _TICK_S + _LATE_S)
             self._wait()
-            now_s = time.monotonic()
+            now_s = self._clock()
             if self._told_to_end or (self._parent is not None and self._parent.has_ended(now_s)):
                 self._watchdog.handle_navigator_end(now_s)
             self._step(now_s)
+        participant.leave()
 
     def close(self) -> None:
         """Give the link and the ports back."""

@@ -1,10 +1,10 @@
 """A simulated camera: pictures drawn from the ground truth that any simulator sends."""
 
 import threading
-import time
 
 import numpy as np
 
+from vwnav.clock import Clock
 from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_quat
@@ -13,7 +13,9 @@ from vwnav.sim.truth import TruthReader, TruthState
 from vwnav.types import Frame
 
 FRAME_HZ = 15.0
+_TRUTH_POLL_S = 0.002
 FIRST_TRUTH_TIMEOUT_S = 20.0
+LONGEST_TRUTH_LAG_S = 0.1  # later than that the nearest state has to do
 TRUTH_LAG_S = 0.03  # a picture shows a moment this old, so that truth around it can be interpolated
 
 
@@ -30,6 +32,7 @@ class SimulatedCamera:
         renderer: CameraRenderer,
         truth: TruthReader,
         site_home: tuple[float, float],
+        clock: Clock,
         ground_alt_amsl_m: float | None = None,
         rate_hz: float = FRAME_HZ,
     ) -> None:
@@ -38,6 +41,7 @@ class SimulatedCamera:
         self._site_frame = LocalFrame(*site_home, ground_m)
         self._renderer = renderer
         self._truth = truth
+        self._clock = clock
         self._period_s = 1.0 / rate_hz
         self._newest: Frame | None = None
         self._arrived = threading.Condition()
@@ -60,18 +64,31 @@ class SimulatedCamera:
         self._thread.join(timeout=2.0)
 
     def _expose(self) -> None:
-        index, next_s = 0, time.monotonic()
+        clock, participant = self._clock, self._clock.join("camera")
+        index, next_s = 0, clock()
         while not self._closed:
-            t_s = time.monotonic() - TRUTH_LAG_S
-            state = self._truth.at(t_s)
+            t_s = clock() - TRUTH_LAG_S
+            state = self._true_state(t_s)
             if state is not None:
                 frame = Frame(t_s, self._render(state, t_s), index)
                 index += 1
                 with self._arrived:
                     self._newest = frame
                     self._arrived.notify_all()
-            next_s = max(next_s + self._period_s, time.monotonic())
-            time.sleep(max(0.0, next_s - time.monotonic()))
+            next_s = max(next_s + self._period_s, clock())
+            participant.until(next_s + self._period_s)
+            clock.wait_until(next_s)
+        participant.leave()
+
+    def _true_state(self, t_s: float) -> TruthState | None:
+        """At the exposure: what is told of the time about it may still be on its way."""
+        until_s = t_s + LONGEST_TRUTH_LAG_S
+        while (newest := self._truth.latest()) is not None and newest.t_s < t_s:
+            now_s = self._clock()
+            if now_s >= until_s:
+                break
+            self._clock.wait_until(now_s + _TRUTH_POLL_S)
+        return self._truth.at(t_s)
 
     def _render(self, state: TruthState, t_s: float) -> np.ndarray:
         return self._renderer.render(

@@ -15,6 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from vwnav.clock import Clock, WallClock
 from vwnav.errors import ConfigError, LinkError
 from vwnav.sim.px4.link import datagram_parser
 
@@ -39,8 +40,8 @@ class TruthState:
     """Where the vehicle really is.
 
     Attributes:
-        t_s: when it was so, on this machine's monotonic clock: the arrival, smoothed by the
-            sender's time stamps where it has any.
+        t_s: when it was so, on the reader's clock: the arrival, smoothed by the sender's time
+            stamps where it has any.
         quat_wxyz: of R_ned_body, w may be negative.
         rates_rad_s: of the body, forward-right-down.
     """
@@ -61,14 +62,16 @@ class TruthReader:
         url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT, or as MAVSDK writes them: "//"
             after the colon, udp for udpin, no host to listen everywhere, tcp for tcpout.
         rate_hz: the rate it asks the simulator for.
+        clock: stamps what arrives.
 
     Raises:
         ConfigError: the URL is none of these.
         LinkError: the port is taken, or nobody listens at a tcpout URL.
     """
 
-    def __init__(self, url: str, rate_hz: float = 100.0) -> None:
+    def __init__(self, url: str, rate_hz: float = 100.0, clock: Clock | None = None) -> None:
         self._rate_hz = rate_hz
+        self._clock = clock if clock is not None else WallClock()
         self._socket, self._peer = _open(url)
         self._stream = self._socket.type == socket.SOCK_STREAM
         self._parsers: dict[object, Any] = {}
@@ -122,13 +125,13 @@ class TruthReader:
     def _run(self) -> None:
         asked_s = -math.inf
         while not self._stop.is_set():
-            now_s = time.monotonic()
+            now_s = self._clock()
             if now_s - asked_s >= _ASK_EVERY_S:
                 asked_s = now_s
                 self._ask(now_s)
             data, peer = self._read()
             if data:
-                self._handle(data, peer, time.monotonic())
+                self._handle(data, peer, self._clock())
 
     def _read(self) -> tuple[bytes, Any]:
         """What arrived within 0.2 s, and from whom."""

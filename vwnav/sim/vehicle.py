@@ -10,13 +10,14 @@ import multiprocessing
 import os
 import select
 import signal
-import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Self
 
+from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
+from vwnav.pace import clock_of
 from vwnav.sim.px4.config import PilotPlan, VehicleConfig
 from vwnav.sim.px4.core import Peer, VehicleCore
 from vwnav.sim.px4.link import UdpLink
@@ -28,6 +29,8 @@ __all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start
 _log = logging.getLogger(__name__)
 _STEPS_AT_ONCE = 50
 _MAX_LAG_S = 0.5  # a longer stall shifts the clock instead of flying it blind
+_LATE_S = 0.02  # behind the time that waits for it
+_SHORTEST_WAIT_S = 0.0005  # for a time that stands
 _READY_TIMEOUT_S = 20.0
 _STOP_TIMEOUT_S = 5.0
 
@@ -52,6 +55,7 @@ _HELP = {
     "imu_noise": "scale of the sensors' noise and biases",
     "battery_start": "charge at start, 0..1",
     "battery_drain_s": "seconds in flight from full to empty",
+    "clock_file": "file of a simulated time that waits for it (vwnav.pace), '' for the wall clock",
     "px4_defaults": "start with PX4's own parameters: GPS expected, vision ignored",
 }
 _PILOT_HELP = {
@@ -63,10 +67,11 @@ _PILOT_HELP = {
 
 
 class VehicleServer:
-    """The vehicle with its UDP links, run in real time (times `config.speed`)."""
+    """The vehicle with its UDP links, run by the clock (times `config.speed`)."""
 
     def __init__(self, config: VehicleConfig) -> None:
         self._config = config
+        self._clock: Clock = clock_of(config.clock_file)
         self._links: list[UdpLink] = []
         peers = []
         for url, rates, asks_time in (
@@ -77,12 +82,13 @@ class VehicleServer:
             if url:
                 self._links.append(UdpLink(url, config.system_id))
                 peers.append(Peer(self._links[-1], rates, asks_time))
-        self._core = VehicleCore(config, peers, lambda: time.monotonic() * config.speed)
+        self._core = VehicleCore(config, peers, lambda: self._clock() * config.speed)
 
     def run(self, keep_on: Callable[[], bool]) -> None:
         """Fly until `keep_on` says no."""
         core, speed = self._core, self._config.speed
         sockets = [link.socket for link in self._links]
+        participant = self._clock.join("vehicle")
         core.wait(core.lag_s)
         while keep_on():
             if core.lag_s > _MAX_LAG_S * speed:
@@ -90,9 +96,11 @@ class VehicleServer:
                 core.wait(core.lag_s)
             core.step_to_now(_STEPS_AT_ONCE)
             wait_s = (STEP_S - core.lag_s) / speed
-            readable, _, _ = select.select(sockets, [], [], max(0.0, wait_s))
+            participant.until(self._clock() + wait_s + _LATE_S)
+            readable, _, _ = select.select(sockets, [], [], max(_SHORTEST_WAIT_S, wait_s))
             if readable:
                 core.hear()
+        participant.leave()
 
     def close(self) -> None:
         """Free the ports."""

@@ -120,7 +120,7 @@ class Navigator:
         self._guard = EstimateGuard(config.estimate)
         self.runtime = FlightRuntime(
             self.pipeline, self.flight, self.autopilot, self._guard, self.keep_alive, self._watch,
-            self.record, clock,
+            self.record,
         )  # fmt: skip
         self._safety = config.safety
         frame = equipped.local_frame

@@ -35,6 +35,7 @@ class VehicleConfig:
             that port, "udpin:HOST:PORT" answers whoever speaks; "" leaves the link out.
         truth_rate_hz: default rate of HIL_STATE_QUATERNION on the truth link.
         speed: simulated seconds per real second.
+        clock_file: of a simulated time that others share (`vwnav.pace`); "" for the wall's.
         wind_m_s, wind_from_deg: mean wind at 10 m and above, and where it comes from.
         gust_m_s: one sigma of the turbulence; None is a tenth of the mean wind.
         baro_drift_m: one sigma of the barometer's random walk after ten minutes.
@@ -57,6 +58,7 @@ class VehicleConfig:
     truth_rate_hz: float = 100.0
     system_id: int = 1
     speed: float = 1.0
+    clock_file: str = ""
     seed: int = 1
     wind_m_s: float = 0.0
     wind_from_deg: float = 270.0
