@@ -246,6 +246,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[2] = 0.1**2  # the height is counted from here
     variance[States.VELOCITY] = start.sigma_velocity_m_s**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
+    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
     trusted = Place(start.t_s, position[:2], start.sigma_m) if known else None
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known, trusted=trusted)
@@ -257,7 +258,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
     variance[States.TILT] = config.tilt_sigma_rad**2
-    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
+    variance[States.BARO] = config.baro_sigma_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
     variance[States.MAP] = config.map_sigma_m**2
