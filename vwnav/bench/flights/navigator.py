@@ -82,6 +82,7 @@ class Navigator:
     Args:
         link: to the watchdog; `channel` carries the beats.
         note: takes every line said.
+        first_counter: of resets, where it goes on for another one.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class Navigator:
         processor: Processor,
         costs: Costs,
         note: Callable[[str], None],
+        first_counter: int = 0,
     ) -> None:
         place, config = equipped.place, equipped.config
         self._clock = clock
@@ -117,7 +119,7 @@ class Navigator:
             self.autopilot, equipped.mission, self.keep_alive, crew, config.flight, config.limits,
             config.safety,
         )  # fmt: skip
-        self._guard = EstimateGuard(config.estimate)
+        self._guard = EstimateGuard(config.estimate, first_counter)
         self.runtime = FlightRuntime(
             self.pipeline, self.flight, self.autopilot, self._guard, self.keep_alive, self._watch,
             self.record,

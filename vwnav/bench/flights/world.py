@@ -9,6 +9,7 @@ import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
 from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
@@ -157,11 +158,13 @@ class World:
         self._observer_link = MemoryLink(self.clock, rng)
         self._beats = MemoryLink(self.clock, rng)
         self.core = self._vehicle(place)
-        self.watchdog: Watchdog | None = self._watchdog()
         self.processor, self.costs = Processor(), Costs()
         self.camera = self._camera(place)
         self.features = BreakableFeatures(place.primary)
-        self.navigator = self._navigator(place)
+        self._local_frame = LocalFrame(place.site.home_lat_deg, place.site.home_lon_deg, 0.0)
+        self.navigator = self._navigator(place, 0)
+        self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self._local_frame)
+        self.watchdog: Watchdog | None = self._watchdog()
         self._steps = 0
         self.begun_s = 0.0
 
@@ -187,7 +190,7 @@ class World:
         links = WatchdogLinks(
             self.autopilot_link.b, self._navigator_link.a, self._observer_link.a, self._beats.a
         )
-        return Watchdog(links, WatchdogConfig())
+        return Watchdog(links, WatchdogConfig(), self.successor)
 
     def _camera(self, place: Place) -> LockstepCamera:
         rng = np.random.default_rng(self.setup.seed)
@@ -196,19 +199,18 @@ class World:
         period_s = 1.0 / self.setup.picture_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
-    def _navigator(self, place: Place) -> Navigator:
-        setup, site = self.setup, place.site
+    def _navigator(self, place: Place, first_counter: int) -> Navigator:
+        setup = self.setup
         route = np.array(setup.route_ned_m)
         mission = Mission(
             route,
             about_home=not setup.home_known,
             home_ne_m=np.array(setup.stands_ne_m) if setup.home_known else None,
         )
-        frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
-        equipped = Equipped(place, self.features, mission, frame, setup.config)
+        equipped = Equipped(place, self.features, mission, self._local_frame, setup.config)
         return Navigator(
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
-            self.processor, self.costs, self.note,
+            self.processor, self.costs, self.note, first_counter,
         )  # fmt: skip
 
     @property
