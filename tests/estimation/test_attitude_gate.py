@@ -124,3 +124,15 @@ def test_one_wrong_sample_of_the_imu_is_refused_and_a_blow_makes_unsure():
     struck, quiet = ekf.estimate(2.2), calm.estimate(2.2)
     assert np.max(np.abs(struck.velocity_ned_m_s - quiet.velocity_ned_m_s)[:2]) < 0.1
     assert struck.covariance[3, 3] > quiet.covariance[3, 3]
+
+
+def test_heights_of_once_a_second_are_company_enough():
+    ekf = Ekf(EkfConfig())
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=0.5, agl_m=50.0))
+    verdicts = []
+    for i in range(1, 200):
+        verdicts.append(ekf.handle(Attitude(0.05 * i, quat(118.0))).verdict)
+        if i % 20 == 0:
+            ekf.handle(Height(0.05 * i, 50.0))
+    assert verdicts[100:].count(Verdict.FUSED) == 99
