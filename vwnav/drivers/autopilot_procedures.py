@@ -99,7 +99,7 @@ class Procedures:
                 takeoff, lambda: self._state().mode is FlightMode.TAKEOFF
             )
         if refused is None:
-            self._telemetry.expect_mode(FlightMode.TAKEOFF, self._clock())
+            self._telemetry.modes.expect(FlightMode.TAKEOFF, self._clock())
         else:
             self._putting_back = self._put_back()
         return refused
@@ -126,7 +126,7 @@ class Procedures:
             lambda: self._chosen_by_another(before, mode),
         )
         if refused is None:
-            self._telemetry.expect_mode(mode, self._clock())
+            self._telemetry.modes.expect(mode, self._clock())
         return refused
 
     @property
