@@ -84,7 +84,7 @@ class Procedures:
         """Stop the motors."""
         disarm = Command(_CMD_ARM, (0.0,))
         was_armed = self._state().armed
-        return self._command(disarm, lambda: was_armed and not self._state().armed)
+        return (yield from self._command(disarm, lambda: was_armed and not self._state().armed))
 
     def takeoff(self, height_m: float) -> Procedure:
         """Climb to `height_m` above the ground."""
