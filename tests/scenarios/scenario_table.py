@@ -158,7 +158,7 @@ PILOT = [
         breaks=(Break(fault=broken.PilotSwitches(), at_s=at_s, phase=begun),),
         limit_s=limit_s,
         ending=Ending.PILOT,
-        follows=(phase(1.0, "pilot flies"),),
+        follows=(phase(1.5, "pilot flies"),),
     )
     for where, start, begun, at_s, limit_s in (
         ("climbing", CLIMB, None, 4.0, 12.0),

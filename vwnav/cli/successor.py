@@ -41,14 +41,10 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.keepalive import WatchdogReport
 from vwnav.sim.renderer import CameraRenderer
+from vwnav.succession import start_after
 from vwnav.types import Array
 
 _REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
-_HELD_S = 4.6  # for so long PX4 holds its place without estimates (measured)
-_HELD_DRIFT_M_S, _BLIND_DRIFT_M_S = 1.0, 6.0  # one sigma while it does, and with the wind after
-_LEAST_SIGMA_M = 3.0
-_SPEED_SIGMA_M_S = 3.0
-_HEIGHT_SIGMA_M = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,21 +159,9 @@ def _succeed(
 
 
 def _start(plan: FlightPlan, resume: Resume, lat_lon_deg: tuple[float, float], t_s: float) -> Start:
-    """Where it must be by now, as unsure as an aircraft may have moved since."""
-    since_s = max(t_s - resume.t_s, 0.0)
-    held_s = min(since_s, _HELD_S)
-    drift_m = _HELD_DRIFT_M_S * held_s + _BLIND_DRIFT_M_S * (since_s - held_s)
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
     position[2] = -resume.height_m
-    return Start(
-        t_s=t_s,
-        position_ned_m=position,
-        sigma_m=_LEAST_SIGMA_M + drift_m,
-        agl_m=max(resume.height_m, 1.0),
-        sigma_agl_m=max(_HEIGHT_SIGMA_M, 0.15 * resume.height_m),
-        sigma_velocity_m_s=_SPEED_SIGMA_M_S,
-        sigma_baro_m=max(resume.height_m, 10.0),
-    )
+    return start_after(position, resume.t_s, t_s)
 
 
 class _NoWatchdog:
