@@ -477,7 +477,7 @@ def test_a_restarted_autopilot_is_asked_for_its_rates_again(bench):
 def test_an_autopilot_that_forgot_its_rates_in_a_cut_is_asked_again(bench):
     bench.run(5.0)
     bench.down.cut = True
-    bench.run(60.0)
+    bench.run(40.0)
     bench.peer.intervals_us.clear()
     bench.down.cut = False
     bench.run(5.0)

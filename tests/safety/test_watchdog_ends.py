@@ -12,7 +12,10 @@ import pytest
 from link_peer import PX4_LAND, free_port, is_still, wait_for
 from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight
 
+from vwnav.errors import LinkError
+from vwnav.safety import watchdog_process
 from vwnav.safety.keepalive import KeepAlive, UdpChannel
+from vwnav.safety.watchdog import start_watchdog
 
 # The bounds of flight are 0.3 s after an end and 0.6 s after a stop (see the trials); a loaded
 # machine that runs the tests may take longer to run the watchdog at all.
@@ -72,8 +75,6 @@ def test_a_successor_that_dies_is_started_again_a_few_times(tmp_path):
 @pytest.mark.parametrize("told", [True, False])
 def test_the_end_of_a_process_that_is_no_parent_is_seen_too(told, monkeypatch):
     """Where the system cannot tell, it is asked."""
-    from vwnav.safety import watchdog_process
-
     if not told:
         monkeypatch.delattr(watchdog_process.os, "pidfd_open")
     with subprocess.Popen(["sleep", "60"]) as other:
@@ -89,8 +90,6 @@ def test_the_end_of_a_process_that_is_no_parent_is_seen_too(told, monkeypatch):
 
 
 def test_a_watchdog_that_is_stopped_is_not_called_running():
-    from vwnav.safety.watchdog import start_watchdog
-
     with start_watchdog(f"udpin://127.0.0.1:{free_port()}") as watchdog:
         watchdog.keepalive.beat(False)
         time.sleep(0.2)
@@ -100,6 +99,20 @@ def test_a_watchdog_that_is_stopped_is_not_called_running():
         time.sleep(2.2)
         assert not watchdog.is_running()
         watchdog.process.send_signal(signal.SIGCONT)
+
+
+def test_a_navigator_started_again_gets_no_second_watchdog_while_the_first_one_lands():
+    with flight() as flying:
+        flying.signal(signal.SIGKILL)
+        with pytest.raises(LinkError, match="another watchdog"):
+            start_watchdog(flying.url)
+    start_watchdog(flying.url).close()
+
+
+def test_two_that_call_the_same_autopilot_do_not_share_it():
+    url = f"udpout://127.0.0.1:{free_port()}"
+    with start_watchdog(url), pytest.raises(LinkError, match="another watchdog"):
+        start_watchdog(url)
 
 
 def test_a_loop_that_slept_does_not_blame_the_watchdog():

@@ -18,8 +18,8 @@ SETPOINT, ESTIMATE = "SET_POSITION_TARGET_LOCAL_NED", "VISION_POSITION_ESTIMATE"
 class Flight:
     """A navigator's process, its watchdog, and the autopilot that hears them."""
 
-    def __init__(self, peer: Peer, process: subprocess.Popen) -> None:
-        self.peer, self.process = peer, process
+    def __init__(self, peer: Peer, process: subprocess.Popen, url: str) -> None:
+        self.peer, self.process, self.url = peer, process, url
         assert process.stdout is not None
         self.watchdog = int(process.stdout.readline())
         peer.armed, peer.custom_mode, peer.landed_state = True, PX4_OFFBOARD, IN_AIR
@@ -55,10 +55,11 @@ def lives(pid: int) -> bool:
 @contextlib.contextmanager
 def flight(standby: list[str] | None = None) -> Iterator[Flight]:
     port = free_port()
-    arguments = [f"udpin://127.0.0.1:{port}", *([json.dumps(standby)] if standby else [])]
+    url = f"udpin://127.0.0.1:{port}"
+    arguments = [url, *([json.dumps(standby)] if standby else [])]
     command = [sys.executable, str(HERE / "navigator.py"), *arguments]
     with Peer(port) as peer, subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        flying = Flight(peer, process)
+        flying = Flight(peer, process, url)
         try:
             yield flying
         finally:

@@ -134,8 +134,7 @@ class StreamKeeper:
             return
         self._rates_hz = {name: each.heard / span_s for name, each in self._watched.items()}
         if not any(self._rates_hz.values()):
-            self.restart()  # the link is silent: whoever comes back may have forgotten
-            return
+            return  # the link is silent: nothing is missed before it is back
         for stream in self._streams:
             watched = self._watched[stream.name]
             if watched.heard / span_s >= _ENOUGH * stream.rate_hz:

@@ -34,7 +34,7 @@ class PymavlinkPort:
         self._clock = clock
         self._framer = Framer()
         self._mavlink = mavlink.MAVLink(None, srcSystem=_OWN_SYSTEM, srcComponent=_OWN_COMPONENT)
-        self._handlers: dict[str, Handler] = {}
+        self._handlers: dict[int, Handler] = {}
         self._system_id = 0
         self._beat_s = -math.inf
         self._closed = False
@@ -46,7 +46,7 @@ class PymavlinkPort:
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, within `poll`."""
-        self._handlers[name] = handler
+        self._handlers[_number(name)] = handler
 
     def is_for_us(self, fields: Fields) -> bool:
         """Whether a message that has a target is ours; others speak with the autopilot too."""
@@ -72,10 +72,7 @@ class PymavlinkPort:
         Raises:
             ValueError: there is no such message or field.
         """
-        number = _NUMBERS.get(name)
-        if number is None:
-            raise ValueError(f"there is no message {name}")
-        kind = mavlink.mavlink_map[number]
+        kind = mavlink.mavlink_map[_number(name)]
         unknown = fields.keys() - set(kind.fieldnames)
         if unknown:
             raise ValueError(f"{name} has no field {sorted(unknown)}")
@@ -89,22 +86,27 @@ class PymavlinkPort:
         self._link.close()
 
     def _handle(self, packet: Packet) -> None:
-        if packet.message_id is None or packet.component_id != _AUTOPILOT_COMPONENT:
+        if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id not in self._handlers:
             return
         try:
             message = self._mavlink.decode(bytearray(packet.data))
         except mavlink.MAVError:
-            return  # damaged on the way, or of a newer dialect
-        name = message.get_type()
-        if name == "HEARTBEAT" and not self._system_id and message.autopilot in _KINDS:
+            return  # damaged on the way
+        if not self._system_id and getattr(message, "autopilot", None) in _KINDS:
             self._system_id = packet.system_id
-        handler = self._handlers.get(name)
-        if handler is not None and packet.system_id == self._system_id:
+        if packet.system_id == self._system_id:
             fields = {field: _decoded(getattr(message, field)) for field in message.fieldnames}
-            handler(name, fields, self._clock())
+            self._handlers[packet.message_id](message.get_type(), fields, self._clock())
 
 
-_NUMBERS = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
+def _number(name: str) -> int:
+    number = _NUMBERS.get(name)
+    if number is None:
+        raise ValueError(f"there is no message {name}")
+    return number
+
+
+_NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 _OWN_HEARTBEAT = {
     "type": mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
     "autopilot": mavlink.MAV_AUTOPILOT_INVALID,

@@ -46,17 +46,19 @@ class LinkAddress:
     place: str
     number: int
 
-    def is_same_port(self, other: "LinkAddress") -> bool:
-        """Whether both cannot be open at once, or would take each other's messages away."""
-        if self.kind != other.kind:
-            return False
-        same_place, same_number = self.place == other.place, self.number == other.number
+    @property
+    def port_name(self) -> str:
+        """What has one owner: listening, a port of this machine; a device; else the far end."""
         match self.kind:
             case "udpin":
-                return same_number
+                return f"udpin {self.number}"
             case "serial":
-                return same_place
-        return same_place and same_number
+                return f"serial {self.place}"
+        return f"{self.kind} {self.place}:{self.number}"
+
+    def is_same_port(self, other: "LinkAddress") -> bool:
+        """Whether both cannot be open at once, or would take each other's messages away."""
+        return self.port_name == other.port_name
 
 
 def parse_link(url: str) -> LinkAddress:
