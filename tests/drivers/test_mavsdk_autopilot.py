@@ -7,7 +7,7 @@ from autopilot_links import HOME, stepped
 from link_peer import PX4_OFFBOARD, Peer, free_port, wait_for
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.errors import LinkError
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.types import Attitude, FlightMode, ImuSample

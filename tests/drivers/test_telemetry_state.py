@@ -270,11 +270,11 @@ def test_an_accepted_mode_is_believed_until_another_one_is_told_anew():
     hold, offboard = 4 << 16 | 3 << 24, 6 << 16
     telemetry = TelemetryState()
     beat(telemetry, hold, 10.0)
-    telemetry.expect_mode(FlightMode.OFFBOARD, 10.5)
+    telemetry.modes.expect(FlightMode.OFFBOARD, 10.5)
     beat(telemetry, hold, 10.6)  # was on its way
     assert telemetry.state(12.0).mode is FlightMode.OFFBOARD
     beat(telemetry, offboard, 12.1)
     assert telemetry.state(12.2).mode is FlightMode.OFFBOARD
-    telemetry.expect_mode(FlightMode.LAND, 12.3)
+    telemetry.modes.expect(FlightMode.LAND, 12.3)
     beat(telemetry, offboard, 13.1)
     assert telemetry.state(13.2).mode is FlightMode.OFFBOARD

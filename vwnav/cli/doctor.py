@@ -167,7 +167,7 @@ def _camera(video: str) -> Check:
 
 
 def _autopilot(url: str) -> list[Check]:
-    from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
+    from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
 
     try:
         autopilot = MavsdkAutopilot(url)

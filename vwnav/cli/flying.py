@@ -27,8 +27,8 @@ from vwnav.cli.simulation import (
 )
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import Config, load_config, save_config
-from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
+from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start

@@ -29,7 +29,7 @@ from vwnav.cli.flying import (
 )
 from vwnav.cli.screen import say
 from vwnav.clock import WallClock
-from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import VwnavError
 from vwnav.estimation.ekf import Start

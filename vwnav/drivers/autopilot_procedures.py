@@ -84,7 +84,7 @@ class Procedures:
         """Stop the motors."""
         disarm = Command(_CMD_ARM, (0.0,))
         was_armed = self._state().armed
-        return self._command(disarm, lambda: was_armed and not self._state().armed)
+        return (yield from self._command(disarm, lambda: was_armed and not self._state().armed))
 
     def takeoff(self, height_m: float) -> Procedure:
         """Climb to `height_m` above the ground."""
@@ -99,7 +99,7 @@ class Procedures:
                 takeoff, lambda: self._state().mode is FlightMode.TAKEOFF
             )
         if refused is None:
-            self._telemetry.expect_mode(FlightMode.TAKEOFF, self._clock())
+            self._telemetry.modes.expect(FlightMode.TAKEOFF, self._clock())
         else:
             self._putting_back = self._put_back()
         return refused
@@ -126,7 +126,7 @@ class Procedures:
             lambda: self._chosen_by_another(before, mode),
         )
         if refused is None:
-            self._telemetry.expect_mode(mode, self._clock())
+            self._telemetry.modes.expect(mode, self._clock())
         return refused
 
     @property

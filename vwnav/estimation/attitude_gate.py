@@ -21,6 +21,7 @@ _UNHEARD_TURN_RAD_S = math.radians(150.0)  # change of rate after the gyro's new
 _LEVEL_RAD = math.radians(4.0)  # a reset that leaves the tilt within this is one of the heading
 _ANYWHERE_S = 1.0  # after so long without one an attitude may be any
 _ALONE_S = 0.5  # an autopilot that tells its attitude tells its height or its IMU too
+_LONG_S, _FORGET = 2.0, 0.9
 # How long those that join each other must last, and how many they must be, after ...
 _SILENCE = (0.04, 3)  # ... a silence in which it could be turned to
 _HEADING_RESET = (0.15, 4)
@@ -36,11 +37,17 @@ class AttitudeGate:
         self._waiting: list[Attitude] = []
         self._jumped = False  # what waits could not be turned to
         self._others_s = -math.inf  # time of the newest other measurement of the autopilot
+        self._spacing_s = 0.0  # of those: heights of some logs come once a second
         self._refused_s: set[float] = set()
 
     def heard(self, t_s: float) -> None:
         """Something else of the autopilot came."""
-        self._others_s = max(self._others_s, t_s)
+        since_s = t_s - self._others_s
+        if since_s <= 0.0:
+            return
+        if since_s < _LONG_S:
+            self._spacing_s = max(since_s, _FORGET * self._spacing_s)
+        self._others_s = t_s
 
     def refused(self, t_s: float) -> bool:
         """Whether an attitude of that very time was refused and not believed since."""
@@ -68,7 +75,8 @@ class AttitudeGate:
         return Verdict.RELOCATED
 
     def _alone(self, t_s: float) -> bool:
-        return -math.inf < self._others_s < t_s - _ALONE_S
+        alone_s = max(_ALONE_S, 3.0 * self._spacing_s)
+        return -math.inf < self._others_s < t_s - alone_s
 
     def _take_late(self, attitude: Attitude) -> Verdict:
         """One that comes late must fit between its neighbours."""

@@ -51,7 +51,8 @@ class AttitudeHistory:
         i = bisect.bisect_left(self._times_s, t_s)
         if i < len(self._times_s) and self._times_s[i] == t_s:
             return Attitude(t_s, self._quats[i])
-        if i == 0 or t_s > self._times_s[-1] + _TURN_ON_S:
+        ahead_s = _TURN_ON_S if math.isfinite(self._max_gap_s) else math.inf
+        if i == 0 or t_s > self._times_s[-1] + ahead_s:
             return None
         if i < len(self._times_s) and self._times_s[i] - self._times_s[i - 1] > self._max_gap_s:
             return None

@@ -48,6 +48,7 @@ from vwnav.types import (
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 
 _ATTITUDE_MARGIN_S = 1.0
+_SAID_S = 5.0
 _NOISE_M = 0.5  # of odometry's ways
 _TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
@@ -78,6 +79,7 @@ class Ekf:
         self._asked_s = -math.inf
         self._tape: Callable[[Input], None] | None = None
         self._on_restart: Callable[[str], None] | None = None
+        self._restarted_s = -math.inf
 
     @property
     def initialised(self) -> bool:
@@ -111,7 +113,11 @@ class Ekf:
         self._tape = tape
 
     def on_restart(self, say: Callable[[str], None]) -> None:
-        """Tell `say` in a sentence whenever the state left its envelope and begins anew."""
+        """Tell `say` in a sentence when the state has left its envelope and begins anew.
+
+        What happens again within seconds (an aircraft that truly flies faster than aircraft do) is
+        not said again.
+        """
         self._on_restart = say
 
     def take(self, seen: Input) -> Estimate | None:
@@ -290,8 +296,10 @@ class Ekf:
         innovation = self._timeline.insert(event)
         why = outside(self._timeline.head, self._config)
         if why is not None:
-            self._begin(begun_anew(self._timeline.head, self._config))
-            if self._on_restart is not None:
+            head = self._timeline.head
+            self._begin(begun_anew(head, self._config))
+            again, self._restarted_s = head.t_s < self._restarted_s + _SAID_S, head.t_s
+            if self._on_restart is not None and not again:
                 self._on_restart(f"the estimate left its envelope ({why}) and begins anew")
         return innovation
 

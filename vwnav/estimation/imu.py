@@ -117,6 +117,8 @@ class ImuHistory:
 
     def believes(self, sample: ImuSample) -> bool:
         """Whether an aircraft can feel this; what comes suddenly must be felt twice."""
+        if sample.t_s <= self.newest_s:
+            return True  # too late to be compared, and to be added
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
         silent = sample.t_s > self.newest_s + _LONGEST_GAP_S
         before, self._sudden = self._sudden, (sample.t_s, values)
@@ -180,10 +182,9 @@ class ImuHistory:
         if not self._felt:
             return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
-        apart_s = sample.t_s - self._times_s[-1]
-        # By its own clock, unless samples between were refused or lost.
-        own_s = sample.span_s
-        span_s = own_s if own_s is not None and own_s > 0.6 * apart_s else apart_s
+        span_s = sample.span_s
+        if span_s is None or self._doubted.any():  # its own clock counts from the one refused
+            span_s = sample.t_s - self._times_s[-1]
         if span_s > _LONGEST_GAP_S:
             return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
