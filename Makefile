@@ -25,7 +25,7 @@ fly: .venv/.onboard
 	$(BIN)/vwnav fly --sim $(FLY)
 
 test: .venv/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 -m "not long"
 
 test-long: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m "long or not long"

@@ -32,13 +32,14 @@ ALLOWED = {
     "departure": BASE | {"safety"},
     "flight": BASE | {"geometry", "guidance", "safety", "home", "landing", "departure"},
     "runtime": BASE | {"safety", "pipeline", "flight"},
+    "succession": BASE | {"estimation"},
     "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
     "assemble": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "drivers", "config"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "drivers", "sim"}
-    | {"pipeline", "flight", "runtime", "config", "assemble"},
+    | {"pipeline", "flight", "runtime", "config", "assemble", "succession"},
     "config": BASE
     | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "drivers"},
 }

@@ -1,6 +1,6 @@
 """The one path: what is tried when, what is fused, and which features stand in."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,16 @@ from vwnav.pipeline import (
     PipelineConfig,
     to_gray,
 )
-from vwnav.types import Attitude, Frame, Height, MapFix, Prior, Rejected, RejectReason
+from vwnav.types import (
+    Attitude,
+    Frame,
+    Height,
+    MapFix,
+    OdometryMotion,
+    Prior,
+    Rejected,
+    RejectReason,
+)
 
 HOME = LocalFrame(60.4, 22.5, 0.0)
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -30,9 +39,16 @@ class FakeLocalizer:
     north_east_m: tuple[float, float] | None = (0.0, 0.0)
     reason: RejectReason = RejectReason.FEW_INLIERS
     priors: list[Prior] = field(default_factory=list)
+    error: Exception | None = None
+    given_up: int = 0
+
+    def give_up(self):
+        self.given_up += 1
 
     def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
         self.priors.append(prior)
+        if self.error is not None:
+            raise self.error
         if self.north_east_m is None:
             return Rejected(frame.t_s, self.reason, features="learned")
         lat_deg, lon_deg, _ = HOME.to_geodetic(np.array([*self.north_east_m, -50.0]))
@@ -235,6 +251,114 @@ def test_matching_in_a_thread_fuses_at_the_exposure():
         pipeline = make_pipeline(FakeLocalizer((4.0, 0.0)), start=above_home(), executor=executor)
         fly(pipeline, 5.0)
     assert pipeline.estimate(5.0).position_ned_m[0] == pytest.approx(4.0, abs=1.0)
+
+
+def test_a_model_that_fails_at_run_time_is_a_failed_attempt_and_sift_stands_in():
+    primary, fallback, said = FakeLocalizer(error=RuntimeError("bad graph")), FakeLocalizer(), []
+    pipeline = make_pipeline(primary, fallback, above_home(), said=said)
+    steps = fly(pipeline, 6.0)
+    assert isinstance(steps[0].outcome, Rejected)
+    assert steps[0].outcome.reason is RejectReason.BROKEN
+    assert pipeline.accepted > 5
+    assert said == ["map matching failed (RuntimeError: bad graph): SIFT stands in"]
+    primary.error = None
+    fly(pipeline, 3.0, t0_s=6.0)
+    assert said[-1] == "learned features work again"
+
+
+def test_where_nothing_can_stand_in_a_failure_is_said_once_and_tried_again():
+    localizer, said = FakeLocalizer(error=RuntimeError("bad graph")), []
+    pipeline = make_pipeline(localizer, None, above_home(), said=said)
+    fly(pipeline, 3.0)
+    assert len(said) == 1
+    localizer.error = None
+    fly(pipeline, 2.0, t0_s=3.0)
+    assert pipeline.accepted > 0
+
+
+@dataclass
+class SlowExecutor(Executor):
+    """What a search finds comes `late_s` after its picture, by the pictures' own time."""
+
+    late_s: float
+    now_s: float = 0.0
+
+    def submit(self, fn, /, frame, *args):
+        return SlowFuture(self, frame.t_s + self.late_s, fn(frame, *args))
+
+
+class SlowFuture(Future):
+    def __init__(self, executor, due_s, result):
+        super().__init__()
+        self._executor, self._due_s = executor, due_s
+        self.set_running_or_notify_cancel()
+        self.set_result(result)
+
+    def done(self):
+        return self._executor.now_s >= self._due_s
+
+
+def drift(pipeline, executor, localizer, seconds, height_m=50.0):
+    """Flies north at 3 m/s, which only the filter's fixes and odometry tell."""
+    pipeline._odometry = MovingNorth()
+    steps = []
+    for i in range(round(seconds * 10)):
+        t_s = 0.1 * (i + 1)
+        executor.now_s = t_s
+        localizer.north_east_m = (100.0 + SPEED_M_S * t_s, 50.0)
+        pipeline.feed(Attitude(t_s, LEVEL))
+        pipeline.feed(Height(t_s, height_m))
+        steps.append(pipeline.step(Frame(t_s, PICTURE, i)))
+    return steps
+
+
+SPEED_M_S = 3.0
+
+
+class MovingNorth:
+    last_s: float | None = None
+
+    def step(self, frame, R_ned_body, agl_m):
+        before_s, self.last_s = self.last_s, frame.t_s
+        if before_s is None:
+            return Rejected(frame.t_s, RejectReason.FEW_KEYPOINTS)
+        way = np.array([SPEED_M_S * (frame.t_s - before_s), 0.0, 0.0])
+        cov = 0.05**2 * np.eye(3)
+        return OdometryMotion(before_s, frame.t_s, way, cov, 0.0, 0.01, agl_m, 80)
+
+
+@pytest.mark.parametrize("late_s", [0.3, 2.5, 6.0])
+@pytest.mark.parametrize("known", [True, False])
+def test_a_fix_is_used_however_long_its_search_took(late_s, known):
+    localizer, executor = FakeLocalizer(), SlowExecutor(late_s)
+    position = np.array([100.0, 50.0, -50.0]) if known else None
+    start = Start(
+        t_s=0.0, position_ned_m=position, sigma_m=20.0, agl_m=50.0, sigma_velocity_m_s=5.0
+    )
+    pipeline = make_pipeline(localizer, start=start, executor=executor)
+    found = drift(pipeline, executor, localizer, 26.0, 50.0 if known else 0.0)[-1].estimate
+    assert pipeline.accepted >= 3
+    error_m = found.position_ned_m[:2] - (100.0 + SPEED_M_S * found.t_s, 50.0)
+    assert np.hypot(*error_m) < min(2.0, 3.0 * found.sigma_horizontal_m)
+    assert known or found.reset_counter >= 1
+
+
+def test_without_any_start_a_first_fix_of_long_ago_begins():
+    localizer, executor = FakeLocalizer(), SlowExecutor(6.0)
+    pipeline = make_pipeline(localizer, executor=executor)
+    found = drift(pipeline, executor, localizer, 26.0)[-1].estimate
+    error_m = found.position_ned_m[:2] - (100.0 + SPEED_M_S * found.t_s, 50.0)
+    assert pipeline.accepted >= 3
+    assert np.hypot(*error_m) < min(3.0, 3.0 * found.sigma_horizontal_m)
+
+
+def test_a_hopeless_search_is_given_up():
+    localizer, executor = FakeLocalizer(), SlowExecutor(1e6)
+    pipeline = make_pipeline(localizer, start=above_home(), executor=executor)
+    steps = drift(pipeline, executor, localizer, 45.0)
+    outcomes = [step.outcome for step in steps]
+    assert localizer.given_up == 2
+    assert [o.reason for o in outcomes].count(RejectReason.GIVEN_UP) == 2
 
 
 def test_gray_and_colour_pictures_are_taken():

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.estimation.ekf import Ekf, NedFix, Start
+from vwnav.estimation.events import Exposed
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.types import (
@@ -57,6 +58,7 @@ class PipelineConfig:
     doubt_after: int = (
         25  # attempts in a row without a fix; then, and every so many, look twice as far
     )
+    give_up_after_s: float = 20.0  # a search that takes longer finds nothing; the next one may
     most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
 
 
@@ -75,6 +77,10 @@ class Localizing(Protocol):
 
     def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
         """Where a picture was taken."""
+        ...
+
+    def give_up(self) -> None:
+        """Let the call that is running in another thread end soon."""
         ...
 
 
@@ -122,6 +128,7 @@ class FeatureChoice:
         self._failures = 0
         self._on_fallback = False
         self._fallback_attempts = 0
+        self._broken: set[str] = set()  # reasons that were said
 
     def next(self) -> Localizing:
         """The localizer to try now."""
@@ -131,6 +138,16 @@ class FeatureChoice:
         if self._fallback_attempts % self._config.primary_retry_every == 0:
             return self._primary
         return self._fallback
+
+    def broke(self, used: Localizing, error: Exception) -> None:
+        """A localizer raised: a model that fails at run time. The fallback stands in at once."""
+        reason = f"{type(error).__name__}: {error}"
+        stands_in = used is self._primary and self._fallback is not None
+        if reason not in self._broken:
+            self._broken.add(reason)
+            self._say(f"map matching failed ({reason})" + (": SIFT stands in" if stands_in else ""))
+        if stands_in and not self._on_fallback:
+            self._on_fallback, self._fallback_attempts = True, 0
 
     def report(self, used: Localizing, succeeded: bool) -> None:
         """Learn from an attempt: enough failures switch to the fallback, one success back."""
@@ -143,6 +160,15 @@ class FeatureChoice:
         elif not self._on_fallback and self._failures >= self._config.fallback_after:
             self._on_fallback, self._fallback_attempts = True, 0
             self._say(f"no fix from learned features in {self._failures} attempts: SIFT stands in")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Attempt:
+    """A picture that is being matched to the map."""
+
+    t_s: float
+    localizer: Localizing
+    future: Future[MapFix | Rejected]
 
 
 class Pipeline:
@@ -180,7 +206,7 @@ class Pipeline:
         self._executor = executor
         self._sigma_tilt_rad = sigma_tilt_rad
         self._lock = threading.Lock()
-        self._pending: tuple[Localizing, Future[MapFix | Rejected]] | None = None
+        self._pending: _Attempt | None = None
         self._next_attempt_s = -np.inf
         self._misses = 0  # attempts since the last fix
         self.attempts = 0
@@ -218,7 +244,7 @@ class Pipeline:
             alone = self._ekf.counts_heading
             attitude = None if alone else self._ekf.attitude_at(frame.t_s)
         motion = self._track(picture, attitude)
-        finished = self._collect()
+        finished = self._collect() or self._give_up(frame.t_s)
         started = self._attempt_if_due(picture, attitude)
         outcome = started or finished or Rejected(frame.t_s, RejectReason.NOT_TRIED)
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
@@ -256,26 +282,48 @@ class Pipeline:
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval
         localizer = self._features.next()
+        with self._lock:
+            self._ekf.handle(Exposed(frame.t_s))
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
-        self._pending = (localizer, future)
+        self._pending = _Attempt(frame.t_s, localizer, future)
         return self._collect()
 
-    def _collect(self) -> MapFix | Rejected | None:
-        """Fuse the attempt that is under way, if it has ended."""
-        if self._pending is None or not self._pending[1].done():
+    def _give_up(self, t_s: float) -> Rejected | None:
+        """Leave an attempt that has taken too long: what it searches for it will not find."""
+        attempt = self._pending
+        if attempt is None or t_s - attempt.t_s <= self._config.give_up_after_s:
             return None
-        localizer, future = self._pending
         self._pending = None
-        outcome = future.result()
+        if not attempt.future.cancel():
+            attempt.localizer.give_up()
+        self._count(attempt.localizer, succeeded=False)
+        detail = f"given up after {t_s - attempt.t_s:.0f} s"
+        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, detail)
+
+    def _collect(self) -> MapFix | Rejected | None:
+        """Fuse the attempt that is under way, if it has ended. One that raised has failed."""
+        attempt = self._pending
+        if attempt is None or not attempt.future.done():
+            return None
+        self._pending = None
+        outcome: MapFix | Rejected
+        try:
+            outcome = attempt.future.result()
+        except Exception as error:
+            self._features.broke(attempt.localizer, error)
+            outcome = Rejected(attempt.t_s, RejectReason.BROKEN, str(error))
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.TOO_LOW:
             return outcome  # nothing was tried: the map shows nothing that small
         if isinstance(outcome, MapFix):
             outcome = self._fuse_fix(outcome)
-        self.attempts += 1
-        self.accepted += isinstance(outcome, MapFix)
-        self._misses = 0 if isinstance(outcome, MapFix) else self._misses + 1
-        self._features.report(localizer, isinstance(outcome, MapFix))
+        self._count(attempt.localizer, isinstance(outcome, MapFix))
         return outcome
+
+    def _count(self, localizer: Localizing, succeeded: bool) -> None:
+        self.attempts += 1
+        self.accepted += succeeded
+        self._misses = 0 if succeeded else self._misses + 1
+        self._features.report(localizer, succeeded)
 
     def _prior(self, now: Estimate | None, measured: Attitude | None) -> Prior:
         """What the filter knows, as the localizer wants it.

@@ -101,6 +101,8 @@ class RejectReason(Enum):
     PRIOR = "too far from the prior"
     NO_FRAME = "no picture"
     NOT_TRIED = "not tried on this frame"
+    GIVEN_UP = "the search took too long"
+    BROKEN = "the localizer failed"
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from vehicles import FLYING
 from vwnav.assemble import Assembled, about_run, ground_of
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
+from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.drivers.recorder import Recorder, plain
 from vwnav.drivers.recording import read_recording
@@ -31,12 +32,16 @@ from vwnav.maps.pack import MapPack
 from vwnav.maps.raster import array_source, local_georeference
 from vwnav.pipeline import FeatureChoice, Pipeline
 from vwnav.runtime import FlightRuntime
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.types import (
     Attitude,
     Frame,
+    Height,
     ImuSample,
     MapFix,
     OdometryMotion,
+    Range,
     Rejected,
     RejectReason,
     VelocitySetpoint,
@@ -54,18 +59,21 @@ class Link:
         now_s = time.monotonic()
         sway = rotation_from_euler(0.05 * np.sin(3.0 * now_s), 0.02, 0.1)
         attitude = Attitude(now_s, quat_from_rotation(sway))
-        return replace(FLYING, t_s=now_s, attitude=attitude, height_t_s=now_s, rangefinder_m=50.0)
+        # Not armed: the guard lets everything pass as the filter has it.
+        return replace(FLYING, t_s=now_s, armed=False, attitude=attitude, height_t_s=now_s)
 
-    def attitude_at(self, t_s):
-        return replace(self.state().attitude, t_s=t_s)
+    def step(self, t_s):
+        pass
 
-    def take_imu(self):
-        """Three samples in each 20 ms, which feel the swaying."""
-        now_s = time.monotonic()
-        return tuple(
+    def take_measurements(self):
+        """Attitude, height, range, and three IMU samples in each 20 ms, which feel the swaying."""
+        state = self.state()
+        now_s = state.t_s
+        imu = (
             ImuSample(t_s, np.array([0.1 * np.sin(9.0 * t_s), 0.0, -9.8]), np.full(3, 0.01), 0.006)
             for t_s in (now_s - 0.012, now_s - 0.006, now_s)
         )
+        return (state.attitude, *imu, Height(now_s, 50.0), Range(now_s, 50.0))
 
     def send_estimate(self, estimate):
         pass
@@ -78,7 +86,7 @@ class Mission:
     phase: Phase = Phase.ROUTE
     setpoint: VelocitySetpoint | None = None
 
-    def tick(self, t_s, estimate):
+    def tick(self, t_s, navigation):
         self.ticks -= 1
         self.setpoint = VelocitySetpoint(SPEED_M_S, 0.0, 0.0, 0.01 * self.ticks)
         if self.ticks == 0:
@@ -125,7 +133,8 @@ class Pictures:
     def next_frame(self):
         time.sleep(0.03)
         self.count += 1
-        return Frame(time.monotonic(), np.zeros((48, 64), np.uint8), self.count)
+        noise = np.random.default_rng(self.count).integers(0, 255, (48, 64), dtype=np.uint8)
+        return Frame(time.monotonic(), noise, self.count)
 
 
 def make_pack(path: Path, hill_m: float) -> Path:
@@ -154,7 +163,8 @@ def flown(pack_file, tmp_path_factory) -> Path:
         choice = FeatureChoice(Localizer(began_s), None, config.pipeline, print)
         pipeline = Pipeline(choice, Odometry(), ekf, HOME, 0.02, config.pipeline, executor)
         assembled = Assembled(pipeline, ekf, pack, SimpleNamespace(feature_set_id="fake"))
-        record = FlightRecord(folder, about_run(assembled, "learned", "nadir"), pack, config, None)
+        about = about_run(assembled, "learned", "nadir")
+        record = FlightRecord(folder, about, pack, config, None, WallClock())
         ekf.record(record.tape.input)
         above_m = np.array([0.0, 0.0, -50.0])
         ekf.initialise(
@@ -162,7 +172,11 @@ def flown(pack_file, tmp_path_factory) -> Path:
         )
         mission = Mission()
         record.follow(mission, pipeline)
-        FlightRuntime(pipeline, mission, Link(), Pictures(), record).run()
+        runtime = FlightRuntime(
+            pipeline, mission, Link(), EstimateGuard(), SimpleNamespace(report=None),
+            CameraWatch(64, 48), record,
+        )  # fmt: skip
+        runtime.run(Pictures(), WallClock())
         record.close(SimpleNamespace(sim=False), assembled)
     return folder
 

@@ -57,18 +57,24 @@ class Clock:
 
 @dataclass
 class Way:
-    """One direction: bytes arrive `delay_s` later, in order, unless it is cut."""
+    """One direction: bytes arrive `delay_s` later, in order, unless it is cut.
+
+    A line of `baud` carries one byte after the other.
+    """
 
     clock: Clock
     delay_s: float = 0.0
+    baud: float = math.inf
     cut: bool = False
     written: int = 0
+    free_s: float = 0.0
     _flying: deque[tuple[float, bytes]] = field(default_factory=deque)
 
     def write(self, data: bytes) -> None:
         self.written += len(data)
         if not self.cut:
-            self._flying.append((self.clock() + self.delay_s, data))
+            self.free_s = max(self.free_s, self.clock()) + 10.0 * len(data) / self.baud
+            self._flying.append((self.free_s + self.delay_s, data))
 
     def read(self) -> bytes:
         if self._flying and self._flying[0][0] <= self.clock():
@@ -120,7 +126,7 @@ class Scripted:
         self.origin: tuple[int, int, int] | None = None
         self.keeps_origin = False
         self.heard: list[tuple[float, Any]] = []
-        self.speaks = True
+        self.speaks, self.chatters = True, False
         self.heartbeat_hz = 5.0
         self.mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
         self.mav.robust_parsing = True
@@ -158,6 +164,10 @@ class Scripted:
         beat = mavlink.MAVLink_heartbeat_message(2, self.kind, flags, mode, status, 3)
         self.send(beat, other)
 
+    def rate_hz(self, number: int) -> float:
+        """As asked for, or its own."""
+        return 1e6 / self.intervals_us.get(number, 20_000.0)
+
     def _is_due(self, name: str, rate_hz: float) -> bool:
         if self.clock() < self._due.get(name, -math.inf) - 1e-6:
             return False
@@ -167,11 +177,19 @@ class Scripted:
     def _speak(self) -> None:
         if self._is_due("heartbeat", self.heartbeat_hz):
             self.beat()
-        if self._is_due("attitude", 50.0):
-            ms = int(self.boot_s() * 1e3)
+        ms = int(self.boot_s() * 1e3)
+        if self._is_due("attitude", self.rate_hz(30)):
             self.send(mavlink.MAVLink_attitude_message(ms, 0.1, -0.2, self.yaw_rad, 0, 0, 0.0))
+        if self._is_due("pressure", self.rate_hz(29)):
             self.send(mavlink.MAVLink_scaled_pressure_message(ms, self.pressure_hpa, 0.0, 1500))
-            self._speak_of_motion(int(self.boot_s() * 1e6))
+        if self._is_due("motion", self.rate_hz(HIGHRES_IMU)):
+            self._speak_of_motion(ms * 1000)
+        if self.chatters and self.intervals_us.get(331) != -1.0 and self._is_due("chatter", 30.0):
+            self.send(
+                mavlink.MAVLink_odometry_message(
+                    0, 1, 8, *[0.1] * 3, [1, 0, 0, 0], *[0.1] * 6, [0.1] * 21, [0.1] * 21
+                )
+            )
         if 436 in self.intervals_us and self._is_due("mode", 10.0):
             asked = self.custom_mode if self.intended_mode is None else self.intended_mode
             self.send(mavlink.MAVLink_current_mode_message(0, self.custom_mode, asked))
@@ -264,13 +282,21 @@ class Scripted:
 class Bench:
     """An autopilot, the driver, and the link between them."""
 
-    def __init__(self, kind: int = PX4, round_trip_s: float = 0.004, settle_s: float = 2.5) -> None:
+    def __init__(
+        self,
+        kind: int = PX4,
+        round_trip_s: float = 0.004,
+        settle_s: float = 2.5,
+        baud: float = math.inf,
+    ) -> None:
         self.clock = Clock()
-        self.down = Way(self.clock, round_trip_s / 2.0)  # to the driver
-        self.up = Way(self.clock, round_trip_s / 2.0)
+        self.down = Way(self.clock, round_trip_s / 2.0, baud)  # to the driver
+        self.up = Way(self.clock, round_trip_s / 2.0, baud)
         self.peer = Scripted(self.clock, self.down, kind)
         self.port = PymavlinkPort(End(self.down, self.up), self.clock)
-        self.autopilot = LinkedAutopilot(self.port, self.clock)
+        capacity_bytes_s = baud / 10.0 if math.isfinite(baud) else None
+        self.autopilot = LinkedAutopilot(self.port, self.clock, capacity_bytes_s)
+        self.peer.chatters = capacity_bytes_s is not None
         self.run(settle_s + 2.0 * round_trip_s)
 
     def run(self, seconds: float, until: Callable[[], Any] = lambda: False) -> Any:

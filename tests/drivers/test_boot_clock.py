@@ -1,5 +1,6 @@
 """The autopilot's clock is found, offset and rate, under latencies that are never negative."""
 
+import math
 import random
 
 import pytest
@@ -128,8 +129,10 @@ GARBAGE = {
 
 
 @pytest.mark.parametrize("kind", GARBAGE)
-def test_answers_that_are_garbage_change_nothing(kind):
-    autopilot = Autopilot(0.99, asks=False, burst_every_s=3.0)
+@pytest.mark.parametrize("asks", [True, False])
+def test_answers_that_are_garbage_change_nothing(kind, asks):
+    """All of them, or one among two that are true."""
+    autopilot = Autopilot(0.99, asks=asks, burst_every_s=3.0)
     autopilot.run(5.0)
     errors_s = []
     for _ in range(100):
@@ -175,6 +178,29 @@ def test_one_stamp_that_cannot_be_is_not_believed(stamp_s):
         assert not autopilot.clock.handle_stamp(stamp_s, autopilot.t_s)
         assert worst(autopilot.run(0.2)) < 0.005
     assert autopilot.clock.restarts == 0
+
+
+def test_a_stamp_that_was_overtaken_is_no_point_of_the_hull():
+    clock = BootClock()
+    for boot_s, received_s in ((10.0, 1000.0), (10.3, 1000.3), (10.0, 999.99), (10.6, 1000.6)):
+        clock.handle_stamp(boot_s, received_s)
+    assert clock.to_monotonic(10.6) == pytest.approx(1000.6)
+
+
+SECONDS = st.one_of(st.floats(0.0, 20.0), st.floats(-1e6, 1e6))
+NEWS = st.tuples(st.booleans(), SECONDS, SECONDS, st.floats(0.0, 2.0))
+
+
+@given(st.lists(NEWS, max_size=60))
+def test_whatever_is_told_in_whatever_order_gives_a_time(news):
+    clock = BootClock()
+    for is_stamp, boot_s, t_s, spent_s in news:
+        if is_stamp:
+            clock.handle_stamp(boot_s, t_s)
+        else:
+            clock.handle_round_trip(t_s, boot_s, t_s + spent_s)
+        found_s = clock.to_monotonic(boot_s)
+        assert found_s is None or math.isfinite(found_s)
 
 
 def test_nothing_is_known_before_any_news():

@@ -7,7 +7,7 @@ import pytest
 from autopilot_links import stepped
 from link_peer import free_port, wait_for
 
-from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
+from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.safety.watchdog import start_watchdog

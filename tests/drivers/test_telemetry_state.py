@@ -2,6 +2,7 @@
 
 import gzip
 import struct
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ def messages(path):
             yield t_s - start_s, MAV.decode(bytearray(packet.data))
 
 
+@cache
 def replay(path) -> list[tuple[float, VehicleState, bool | None]]:
     """States ten times a second; NaN comes as None, as MAVSDK hands it over."""
     telemetry, states, next_s = TelemetryState(), [], 0.0
@@ -187,6 +189,65 @@ def test_flights_of_every_kind_are_taken_in_whole(data):
         assert all(state.mode is not FlightMode.UNKNOWN for _, state, _ in states)
 
 
+PX4_CHOICES = [
+    ("px4-1.18_link_loss", 41.0, FlightMode.HOLD, FlightMode.OFFBOARD),  # no ground station
+    ("px4-1.18_link_loss", 48.0, FlightMode.RETURN, FlightMode.OFFBOARD),
+    ("px4-1.18_link_loss", 52.0, FlightMode.OFFBOARD, FlightMode.OFFBOARD),
+    ("px4-1.18_vpe_gps_lost", 69.0, FlightMode.DESCEND, FlightMode.OFFBOARD),  # no position
+    ("px4-1.18_vpe_gps_lost", 76.0, FlightMode.OFFBOARD, FlightMode.OFFBOARD),
+    ("px4-1.18_vpe_gps_lost", 83.0, FlightMode.LAND, FlightMode.LAND),  # commanded
+    ("px4-1.18_battery", 63.0, FlightMode.HOLD, FlightMode.OFFBOARD),
+    ("px4-1.18_battery", 77.0, FlightMode.LAND, FlightMode.OFFBOARD),
+    ("px4-1.18_pilot_sticks", 30.5, FlightMode.MANUAL, FlightMode.MANUAL),
+    ("px4-1.16dev_pilot_sticks", 30.5, FlightMode.MANUAL, FlightMode.MANUAL),
+]
+
+
+@pytest.mark.parametrize(("name", "t_s", "flown", "asked"), PX4_CHOICES)
+def test_px4_says_whether_a_failsafe_or_a_person_chose_the_mode(data, name, t_s, flown, asked):
+    state = at(replay(data / f"mavlink/{name}.tlog.gz"), t_s)[0]
+    assert (state.mode, state.intended_mode) == (flown, asked)
+    assert state.failsafe == (flown is not asked)
+
+
+COPTER_CHOICES = [
+    ("link_loss", 32.0, FlightMode.OFFBOARD, False),
+    ("link_loss", 35.0, FlightMode.RETURN, True),  # no ground station
+    ("link_loss", 43.0, FlightMode.RETURN, False),  # it is back, the mode stays
+    ("extnav_nogps", 74.0, FlightMode.LAND, True),  # EKF
+    ("extnav_nogps", 80.0, FlightMode.LAND, False),
+]
+
+
+@pytest.mark.parametrize(("name", "t_s", "mode", "failsafe"), COPTER_CHOICES)
+def test_copter_says_so_while_a_failsafe_flies(data, name, t_s, mode, failsafe):
+    state = at(replay(data / f"mavlink/arducopter-4.7dev_{name}.tlog.gz"), t_s)[0]
+    assert (state.mode, state.failsafe) == (mode, failsafe)
+
+
+def test_copters_battery_failsafe_shows_and_a_pilots_switch_does_not(data):
+    def failsafes(name):
+        states = replay(data / f"mavlink/arducopter-4.7dev_{name}.tlog.gz")
+        return {(state.mode, state.failsafe) for _, state, _ in states if state.in_air}
+
+    assert (FlightMode.RETURN, True) in failsafes("battery")
+    assert not any(failsafe for _, failsafe in failsafes("pilot_rcswitch"))
+
+
+def test_no_recorded_takeover_by_a_person_ever_looks_like_a_failsafe(data):
+    """Not even for the moment in which the mode has changed and PX4 has not said who asked."""
+    for name in ("px4-1.16dev_pilot_sticks", "px4-1.18_pilot_sticks", "px4-1.18_pilot_rcswitch"):
+        for _, state, _ in replay(data / f"mavlink/{name}.tlog.gz"):
+            assert not (state.failsafe and state.mode is FlightMode.MANUAL)
+
+
+def test_no_recorded_failsafe_ever_looks_like_a_person(data):
+    for name in ("px4-1.18_link_loss", "px4-1.18_vpe_gps_lost", "px4-1.18_offboard_loss"):
+        for _, state, _ in replay(data / f"mavlink/{name}.tlog.gz"):
+            own = state.mode in (FlightMode.DESCEND, FlightMode.RETURN)
+            assert not own or state.intended_mode in (FlightMode.UNKNOWN, FlightMode.OFFBOARD)
+
+
 def test_another_component_with_the_autopilots_id_changes_nothing():
     telemetry = TelemetryState()
     beat = {"autopilot": 12, "base_mode": 128, "custom_mode": 6 << 16, "system_status": 4}
@@ -209,11 +270,11 @@ def test_an_accepted_mode_is_believed_until_another_one_is_told_anew():
     hold, offboard = 4 << 16 | 3 << 24, 6 << 16
     telemetry = TelemetryState()
     beat(telemetry, hold, 10.0)
-    telemetry.expect_mode(FlightMode.OFFBOARD, 10.5)
+    telemetry.modes.expect(FlightMode.OFFBOARD, 10.5)
     beat(telemetry, hold, 10.6)  # was on its way
     assert telemetry.state(12.0).mode is FlightMode.OFFBOARD
     beat(telemetry, offboard, 12.1)
     assert telemetry.state(12.2).mode is FlightMode.OFFBOARD
-    telemetry.expect_mode(FlightMode.LAND, 12.3)
+    telemetry.modes.expect(FlightMode.LAND, 12.3)
     beat(telemetry, offboard, 13.1)
     assert telemetry.state(13.2).mode is FlightMode.OFFBOARD

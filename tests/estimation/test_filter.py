@@ -118,7 +118,7 @@ def test_a_hundred_fixes_of_one_place_do_not_take_away_what_they_share():
     for config in (EkfConfig(), EkfConfig(map_turn_rad=1e-6, map_scale=1e-6)):
         ekf = _flying(config)
         for i in range(1, 101):
-            t = 1.0 + 0.4 * i
+            t = 1.0 + 0.2 * i
             ekf.handle_attitude(Attitude(t, LEVEL))
             ekf.handle_height(t, 50.0)
             ekf.handle_fix(
@@ -178,6 +178,7 @@ def test_an_accelerometer_bias_is_found():
     assert ekf.state.x[States.ACCELEROMETER_BIAS][2] == pytest.approx(0.2, abs=0.05)
 
 
+@pytest.mark.long
 def test_nothing_grows_that_should_not_in_a_million_steps():
     """Fourteen hours of barometer and odometry without a fix: what they bound stays bounded."""
     ekf = _flying()

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from vwnav.errors import SourceError
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
+from vwnav.estimation.events import Exposed
 from vwnav.estimation.inputs import Asked, decode, encode
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range, Stationary
 
@@ -41,6 +42,7 @@ INPUTS = st.one_of(
         OdometryMotion, ANY, ANY, arrays(3), arrays(3, 3), ANY, ANY, ANY, st.integers(0, 5000)
     ),
     st.builds(Asked, ANY),
+    st.builds(Exposed, ANY),
 )  # fmt: skip
 
 
@@ -126,6 +128,7 @@ def test_the_tape_holds_every_kind_of_input_in_its_order():
         ImuSample(1.2, np.array([0.0, 0.0, -9.8]), np.zeros(3)),
         OdometryMotion(1.0, 1.2, np.zeros(3), np.eye(3), 0.0, 0.1, 50.0, 9),
         NedFix(t_s=1.2, position_ne_m=np.zeros(2), covariance_ne_m2=np.eye(2)),
+        Exposed(1.2),
         Start(t_s=1.3),
     ]
     for seen in told:

@@ -2,7 +2,8 @@
 
     python navigator.py LINK_URL [JSON list: the successor's command line]
 
-Says the watchdog's process id. SIGUSR1 raises an exception in its loop.
+Says the watchdog's process id. SIGUSR1 raises an exception in its loop, SIGUSR2 claims the
+aircraft again.
 """
 
 import json
@@ -50,6 +51,7 @@ def main() -> None:
     with start_watchdog(sys.argv[1], **standby) as watchdog:
         print(watchdog.process.pid, flush=True)
         link = connect(watchdog.navigator_url)
+        signal.signal(signal.SIGUSR2, lambda *_: watchdog.keepalive.rejoin())
         start_s = time.monotonic()
         while True:
             now_s = time.monotonic()

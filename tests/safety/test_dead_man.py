@@ -150,6 +150,17 @@ def test_an_aircraft_in_offboard_cannot_be_disclaimed():
     assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
 
 
+def test_nor_one_in_the_landing_that_was_asked_for():
+    guard = beating(FlightMode.LAND)
+    guard.handle_beat(Beat(False, 2, 100), 0.1)
+    guard.handle_end()
+    assert run(guard, 0.1, 3.0) == []
+    assert not guard.is_handed_over
+    in_mode(guard, FlightMode.HOLD)  # a person's
+    assert run(guard, 3.0, 9.0) == []
+    assert guard.is_handed_over
+
+
 def test_an_aircraft_that_somebody_else_took_can():
     guard = beating()
     in_mode(guard, FlightMode.MANUAL)
@@ -210,3 +221,37 @@ def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
     guard.handle_end()
     in_mode(guard, FlightMode.HOLD)
     assert Action.LAND in [action for _, action in run(guard, 0.0, 10.0)]
+
+
+PERSONS = {FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION, FlightMode.UNKNOWN}
+EVENT = st.tuples(
+    st.sampled_from(FlightMode),
+    st.sampled_from([True, True, True, False]),  # armed
+    st.sampled_from([False, False, False, True]),  # landed
+    st.sampled_from(["engaged", "idle", "silent", "silent", "claims", "ends"]),
+    st.sampled_from([0.02, 0.3, 0.6, 2.0]),  # for how long
+)
+
+
+@given(st.lists(EVENT, max_size=25))
+def test_whatever_happens_nobody_is_commanded_against_and_nobody_is_left_alone(events):
+    guard, t_s, epoch = DeadMan(), 0.0, 100
+    for mode, armed, landed, navigator, seconds in events:
+        in_mode(guard, mode, armed, landed)
+        epoch += navigator == "claims"
+        for _ in range(round(seconds / 0.02)):
+            t_s += 0.02
+            if navigator in ("engaged", "idle", "claims"):
+                guard.handle_beat(Beat(navigator != "idle", 1, epoch), t_s)
+            elif navigator == "ends":
+                guard.handle_end()
+            action = guard.step(t_s)
+            assert action is None or (armed and not landed and mode not in PERSONS)
+    if guard.navigator_ended or guard.state is not GuardState.RELAY:
+        return
+    in_mode(guard, FlightMode.OFFBOARD)
+    guard.handle_beat(Beat(True, 1, epoch), t_s)
+    guard.handle_end()
+    done = [action for _, action in run(guard, t_s, t_s + 5.0)]
+    assert done[0] is Action.ZERO_VELOCITY
+    assert done[-1] is Action.LAND

@@ -85,6 +85,13 @@ def test_a_jump_that_the_filter_announces_is_sent_when_it_is_sure():
     assert sent.reset_counter == 1
 
 
+def test_one_that_jumps_on_and_on_is_lost_though_it_says_so():
+    def restless(t_s: float) -> Estimate:
+        return at(t_s, 5.0 * round(t_s / 0.1), reset_counter=round(t_s / 0.1))
+
+    assert len({e.reset_counter for e in feed(flying(), DT_S, 9.0, restless)}) <= 2
+
+
 def test_small_corrections_pass_but_many_of_them_in_a_second_do_not():
     assert len(feed(flying(), DT_S, 1.0, lambda t: at(t, 2.0 * (t > 0.5)))) == 49
     guard = flying()
@@ -211,7 +218,7 @@ STEP = st.fixed_dictionaries(
 
 @given(st.lists(STEP, max_size=60))
 def test_whatever_comes_nothing_is_sent_that_we_would_not_fly_on(steps):
-    guard, t_s, counter, t_fix_s, last = flying(), 0.0, 0, 0.0, at(0.0)
+    guard, t_s, counter, t_fix_s, last, jumped_s = flying(), 0.0, 0, 0.0, at(0.0), -math.inf
     for step in steps:
         t_s += step["wait_s"]
         counter += step["reset"]
@@ -229,6 +236,9 @@ def test_whatever_comes_nothing_is_sent_that_we_would_not_fly_on(steps):
         sent = guard.admit(estimate, t_s)
         if sent is not None:
             check_law(sent, last, t_s)
+            if sent.reset_counter != last.reset_counter:
+                assert sent.t_s - jumped_s >= LIMITS.steady_s
+                jumped_s = sent.t_s
             last = sent
 
 

@@ -41,6 +41,11 @@ def test_a_position_that_cannot_be_is_held_back_and_all_after_it(bad):
     assert not any(feed(guard, 1.02, 9.0))
 
 
+def test_one_that_jumps_on_and_on_is_held_back_though_it_says_so():
+    passed = feed(flying(), 1.0, 9.0, lambda t: at(t, 5.0 * round(t / 0.1), round(t / 0.1)))
+    assert sum(passed) <= 6
+
+
 def test_a_faster_aircraft_than_there_is_is_held_back():
     assert not feed(flying(30.0), 1.0, 2.0, lambda t: at(t, 30.0 + (t - 1.0) * 60.0))[-1]
 

@@ -146,9 +146,10 @@ def test_a_navigator_that_wakes_up_regains_the_aircraft_only_by_saying_so(flown)
     assert flown.state() is GuardState.BRAKING
     assert not [s for s in flown.setpoints(time.monotonic() - 0.2) if s.vx]
     flown.keepalive.rejoin()
+    rejoined_s = time.monotonic()
     flown.fly(0.3)
     assert flown.state() is GuardState.RELAY
-    assert [s for s in flown.setpoints(time.monotonic() - 0.2) if s.vx]
+    assert wait_for(lambda: [s for s in flown.setpoints(rejoined_s) if s.vx])
 
 
 def test_a_pilot_who_took_over_is_never_disturbed(flown):

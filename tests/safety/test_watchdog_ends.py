@@ -7,73 +7,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from link_peer import IN_AIR, PX4_LAND, PX4_OFFBOARD, Peer, free_port, is_still, wait_for
+from link_peer import PX4_LAND, free_port, is_still, wait_for
+from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight
 
+from vwnav.errors import LinkError
+from vwnav.safety import watchdog_process
 from vwnav.safety.keepalive import KeepAlive, UdpChannel
+from vwnav.safety.watchdog import start_watchdog
 
-HERE = Path(__file__).parent
-SETPOINT, ESTIMATE = "SET_POSITION_TARGET_LOCAL_NED", "VISION_POSITION_ESTIMATE"
 # The bounds of flight are 0.3 s after an end and 0.6 s after a stop (see the trials); a loaded
 # machine that runs the tests may take longer to run the watchdog at all.
 SLACK_S = 0.15
-
-
-class Flight:
-    """A navigator's process, its watchdog, and the autopilot that hears them."""
-
-    def __init__(self, peer: Peer, process: subprocess.Popen) -> None:
-        self.peer, self.process = peer, process
-        assert process.stdout is not None
-        self.watchdog = int(process.stdout.readline())
-        peer.armed, peer.custom_mode, peer.landed_state = True, PX4_OFFBOARD, IN_AIR
-        wait_for(lambda: len(peer.of(ESTIMATE)) > 30 and len(peer.of(SETPOINT)) > 30)
-
-    def signal(self, number: int) -> float:
-        self.process.send_signal(number)
-        return time.monotonic()
-
-    def first_still_s(self, since_s: float) -> float:
-        """From then to the first zero velocity at the autopilot."""
-
-        def first() -> float | None:
-            found = [t for t, m in list(self.peer.heard) if t >= since_s and is_zero(m)]
-            return found[0] - since_s if found else None
-
-        return wait_for(first)
-
-    def watchdog_lives(self) -> bool:
-        return lives(self.watchdog)
-
-
-def is_zero(message) -> bool:
-    return message.get_type() == SETPOINT and is_still(message)
-
-
-def lives(pid: int) -> bool:
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
-
-
-@contextlib.contextmanager
-def flight(standby: list[str] | None = None) -> Iterator[Flight]:
-    port = free_port()
-    arguments = [f"udpin://127.0.0.1:{port}", *([json.dumps(standby)] if standby else [])]
-    command = [sys.executable, str(HERE / "navigator.py"), *arguments]
-    with Peer(port) as peer, subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        flying = Flight(peer, process)
-        try:
-            yield flying
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                process.send_signal(signal.SIGCONT)
-                process.kill()
-            peer.armed = False
-            wait_for(lambda: not flying.watchdog_lives(), 10.0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGUSR1, signal.SIGINT])
@@ -129,8 +75,6 @@ def test_a_successor_that_dies_is_started_again_a_few_times(tmp_path):
 @pytest.mark.parametrize("told", [True, False])
 def test_the_end_of_a_process_that_is_no_parent_is_seen_too(told, monkeypatch):
     """Where the system cannot tell, it is asked."""
-    from vwnav.safety import watchdog_process
-
     if not told:
         monkeypatch.delattr(watchdog_process.os, "pidfd_open")
     with subprocess.Popen(["sleep", "60"]) as other:
@@ -146,8 +90,6 @@ def test_the_end_of_a_process_that_is_no_parent_is_seen_too(told, monkeypatch):
 
 
 def test_a_watchdog_that_is_stopped_is_not_called_running():
-    from vwnav.safety.watchdog import start_watchdog
-
     with start_watchdog(f"udpin://127.0.0.1:{free_port()}") as watchdog:
         watchdog.keepalive.beat(False)
         time.sleep(0.2)
@@ -157,6 +99,20 @@ def test_a_watchdog_that_is_stopped_is_not_called_running():
         time.sleep(2.2)
         assert not watchdog.is_running()
         watchdog.process.send_signal(signal.SIGCONT)
+
+
+def test_a_navigator_started_again_gets_no_second_watchdog_while_the_first_one_lands():
+    with flight() as flying:
+        flying.signal(signal.SIGKILL)
+        with pytest.raises(LinkError, match="another watchdog"):
+            start_watchdog(flying.url)
+    start_watchdog(flying.url).close()
+
+
+def test_two_that_call_the_same_autopilot_do_not_share_it():
+    url = f"udpout://127.0.0.1:{free_port()}"
+    with start_watchdog(url), pytest.raises(LinkError, match="another watchdog"):
+        start_watchdog(url)
 
 
 def test_a_loop_that_slept_does_not_blame_the_watchdog():

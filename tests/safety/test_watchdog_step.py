@@ -59,6 +59,7 @@ class Stand:
         self.mode = PX4_OFFBOARD if kind == PX4 else COPTER_GUIDED
         self.armed, self.landed, self.beating, self.engaged = True, False, True, True
         self._heard = 0
+        self.speaks = True
 
     def say(self, message) -> None:
         self.autopilot.arriving.append(bytes(message.pack(AUTOPILOT)))
@@ -71,7 +72,7 @@ class Stand:
         start = len(self.autopilot.written)
         for i in range(round(seconds / TICK_S)):
             self.t_s += TICK_S
-            if i % 10 == 0:
+            if i % 10 == 0 and self.speaks:
                 self._speak()
             if self.beating:
                 self.keepalive.beat(self.engaged, "on route")
@@ -217,7 +218,10 @@ def test_a_navigator_that_slept_for_20_s_streams_nothing_into_the_autopilot():
 
 def test_after_a_cut_of_the_link_an_estimate_has_to_come_as_a_new_one():
     stand = engaged()
-    stand.t_s += 5.0
+    stand.speaks = False
+    passed = stand.run(5.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
+    assert 40 < names(passed).count("VISION_POSITION_ESTIMATE") < 70  # 1.2 s of 5 s
+    stand.speaks = True
     passed = stand.run(3.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
     assert "VISION_POSITION_ESTIMATE" not in names(passed)
     assert "VISION_POSITION_ESTIMATE" in names(
@@ -369,3 +373,16 @@ def test_nothing_that_arrives_can_stop_it(traffic):
     stand.beating = False
     stand.mode = PX4_OFFBOARD
     stand.run(1.0)
+
+
+def test_an_autopilot_that_was_switched_off_is_not_waited_for():
+    stand = engaged()
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    for _ in range(59):
+        stand.t_s += 1.0
+        stand.watchdog.step(stand.t_s)
+        assert not stand.watchdog.finished
+    stand.t_s += 2.0
+    stand.watchdog.step(stand.t_s)
+    assert stand.watchdog.finished

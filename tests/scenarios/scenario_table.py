@@ -78,17 +78,36 @@ CAMERA = [
     ),
 ]
 
-LINK = [
-    Scenario(
-        name=f"link cut for {seconds:g} s on the route",
-        setup=setup(),
-        breaks=(Break(fault=broken.LinkCut(), at_s=9.0, for_s=seconds),),
-        limit_s=24.0 + seconds if seconds <= 1.0 else 80.0,
-        ending=Ending.FLIES_ON if seconds <= 1.0 else Ending.LANDED,
-        lands_within_m=None if seconds <= 1.0 else 30.0,
+CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
+
+
+def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = None) -> Scenario:
+    """A cut of 1 s and less is flown on after; a longer one ends in a landing."""
+    short = seconds <= 1.0
+    at_s = {Phase.ROUTE: 9.0, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
+    return Scenario(
+        name=f"link cut for {seconds:g} s {where}",
+        setup=setup(start),
+        breaks=(
+            Break(
+                fault=broken.LinkCut(),
+                at_s=at_s[start.phase or Phase.ROUTE] if phase is None else 1.5,
+                phase=phase,
+                for_s=seconds,
+            ),
+        ),
+        limit_s=24.0 + seconds if short else 90.0,
+        ending=Ending.FLIES_ON if short else Ending.LANDED,
+        lands_within_m=None if short else 30.0,
     )
-    for seconds in (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
-] + [
+
+
+LINK = [
+    *(link_cut("on the route", ROUTE, seconds) for seconds in CUTS_S),
+    *(link_cut("while climbing", CLIMB, seconds) for seconds in CUTS_S),
+    *(link_cut("while returning", RETURN, seconds) for seconds in CUTS_S),
+    *(link_cut("while descending", DESCEND, seconds) for seconds in CUTS_S),
+    *(link_cut("while landing", DESCEND, seconds, Phase.LAND) for seconds in CUTS_S),
     Scenario(
         name="round trip of 0.25 s at take-off",
         setup=setup(None),
@@ -158,7 +177,7 @@ PILOT = [
         breaks=(Break(fault=broken.PilotSwitches(), at_s=at_s, phase=begun),),
         limit_s=limit_s,
         ending=Ending.PILOT,
-        follows=(phase(1.0, "pilot flies"),),
+        follows=(phase(1.5, "pilot flies"),),
     )
     for where, start, begun, at_s, limit_s in (
         ("climbing", CLIMB, None, 4.0, 12.0),

@@ -167,7 +167,7 @@ def _camera(video: str) -> Check:
 
 
 def _autopilot(url: str) -> list[Check]:
-    from vwnav.drivers.autopilot import MavsdkAutopilot, wait_for_findings
+    from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
 
     try:
         autopilot = MavsdkAutopilot(url)
@@ -176,11 +176,13 @@ def _autopilot(url: str) -> list[Check]:
     try:
         findings = wait_for_findings(autopilot)
         checks = [Check("autopilot", "PASS", f"{autopilot.kind} on {url}")]
+        if autopilot.budget_refusal is not None:
+            checks.append(Check("link", "FAIL", autopilot.budget_refusal))
         checks += [
             Check(
                 finding.parameter,
                 "FAIL" if finding.severity == "fail" else "WARN",
-                f"is {finding.present}, should be {finding.wanted}: {finding.why}",
+                f"is {_in_words(finding.present)}, should be {finding.wanted}: {finding.why}",
             )
             for finding in findings
         ]
@@ -189,6 +191,10 @@ def _autopilot(url: str) -> list[Check]:
         return [Check("autopilot", "FAIL", str(error))]
     finally:
         autopilot.close()
+
+
+def _in_words(value: float | None) -> str:
+    return "missing" if value is None else f"{value:g}"
 
 
 def _print(checks: list[Check], as_json: bool) -> None:

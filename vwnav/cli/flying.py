@@ -21,14 +21,14 @@ from vwnav.cli.screen import say, show_checks
 from vwnav.cli.simulation import (
     DEFAULT_ROUTE,
     DEFAULT_SITE,
+    draw_site,
     map_pack_of,
-    open_simulated_camera,
     start_embedded_vehicle,
 )
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import Config, load_config, save_config
-from vwnav.drivers.autopilot import MavsdkAutopilot
 from vwnav.drivers.cameras import open_source
+from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start
@@ -46,7 +46,8 @@ from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.links import parse_link
 from vwnav.safety.readiness import Check, Equipment, check_flight
 from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
-from vwnav.sim.renderer import default_camera
+from vwnav.sim.camera_source import SimulatedCamera
+from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
 from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
@@ -117,6 +118,7 @@ def fly_route(options: FlyOptions) -> None:
         plan = plan_flight(options, stack)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
+        renderer = draw_camera(options, plan, stack)
         link, truth_url = options.connection, options.truth
         clock = _clock(options, stack)
         if options.sim:
@@ -131,8 +133,8 @@ def fly_route(options: FlyOptions) -> None:
             start_watchdog(link, folder / "watchdog.log", successor, clock)
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
-        source = open_camera(options, plan, truth, clock, stack)
-        autopilot = MavsdkAutopilot(watchdog.navigator_url, clock=clock)
+        source = open_camera(options, renderer, truth, clock, stack)
+        autopilot = MavsdkAutopilot(watchdog.navigator_url, clock=clock, link_url=link)
         stack.callback(autopilot.close)
         _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
 
@@ -235,23 +237,31 @@ def is_same_link(truth_url: str, link: str) -> bool:
     return truth.is_same_port(parse_link(link))
 
 
+def draw_camera(options: FlyOptions, plan: FlightPlan, stack: ExitStack) -> CameraRenderer | None:
+    """What a simulated camera is drawn with; None for a real one."""
+    video = str(options.video)
+    if not is_site(video):
+        return None
+    height_m = -float(plan.route_ned_m[0, 2])
+    return draw_site(video, plan.camera, plan.route_lat_lon_deg, height_m, options.seed, stack)
+
+
 def open_camera(
     options: FlyOptions,
-    plan: FlightPlan,
+    renderer: CameraRenderer | None,
     truth: TruthReader | None,
     clock: Clock,
     stack: ExitStack,
 ) -> FrameSource:
     """The camera, or one that is drawn from a simulator's truth."""
-    video = str(options.video)
-    if not is_site(video):
-        source = open_source(video)
+    source: FrameSource
+    if renderer is None:
+        source = open_source(str(options.video))
     else:
         assert truth is not None
-        height_m = -float(plan.route_ned_m[0, 2])
-        source = open_simulated_camera(
-            video, plan.camera, truth, plan.route_lat_lon_deg, height_m, options.seed, clock, stack
-        )
+        site = parse_site(str(options.video))
+        home = (site.home_lat_deg, site.home_lon_deg)
+        source = SimulatedCamera(renderer, truth, home, clock)
     stack.callback(source.close)
     return source
 

@@ -14,7 +14,7 @@ from vwnav.bench.estimator_plots import save_error_plot
 from vwnav.bench.estimator_run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator_scenarios import Metric
 from vwnav.bench.estimator_streams import Event, Stream
-from vwnav.bench.rendered_clock import HeardEkf, LateExecutor, SimulatedClock
+from vwnav.bench.rendered_clock import HeardEkf
 from vwnav.bench.rendered_errors import with_errors
 from vwnav.bench.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
 from vwnav.bench.rendered_scenarios import Flown, RenderedScenario
@@ -26,6 +26,8 @@ from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, StepResult
+from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.processor import LateExecutor, Processor
 from vwnav.sim.renderer import default_camera
 from vwnav.types import (
     Attitude,
@@ -131,7 +133,8 @@ def _executor(flight: RenderedFlight, clock: SimulatedClock) -> LateExecutor:
     """Fixes are as late as in the fast benchmark, counted from the exposure."""
     low_s, high_s = flight.world.fix_latency_s
     lateness_s = low_s - PICTURE_LATE_S, high_s - PICTURE_LATE_S
-    return LateExecutor(clock, lateness_s, flight.latencies)
+    late = flight.latencies
+    return LateExecutor(clock, Processor(), lambda *_: float(late.uniform(*lateness_s)))
 
 
 def _navigate(

@@ -12,7 +12,6 @@ from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.builder import BuildOptions, build_pack
-from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.px4.config import VehicleConfig
 from vwnav.sim.renderer import CameraRenderer
@@ -26,7 +25,6 @@ from vwnav.sim.sites import (
     parse_site,
 )
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
 from vwnav.types import Array, FeatureExtractor
 
@@ -81,33 +79,29 @@ def start_embedded_vehicle(
     return f"udpin://127.0.0.1:{link}", f"udpout:127.0.0.1:{truth}"
 
 
-def open_simulated_camera(
+def draw_site(
     text: str,
     camera: Camera,
-    truth: TruthReader,
     route_lat_lon_deg: Array,
     height_m: float,
     seed: int,
-    clock: Clock,
     stack: ExitStack,
-) -> SimulatedCamera:
-    """A camera over `sim:SITE`, with the site drawn along the route (n, 2) beforehand.
+) -> CameraRenderer:
+    """The renderer of a camera over `sim:SITE`, with the site drawn along the route (n, 2).
 
     Raises:
         ConfigError: no such site.
-        SourceError: no ground truth comes.
     """
     site = parse_site(text)
     rng = np.random.default_rng(seed)
-    config = RenderConfig(color=False)
-    renderer = CameraRenderer(site, camera, config, rng, default_cache_dir())
+    renderer = CameraRenderer(site, camera, RenderConfig(color=False), rng, default_cache_dir())
     stack.callback(renderer.close)
     frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
     corners = frame.to_ned(route_lat_lon_deg[:, 0], route_lat_lon_deg[:, 1], height_m)
     say("drawing the site along the route")
     with progress_bar() as progress:
         renderer.prepare(corners, lambda share: progress("site", round(100 * share), 100))
-    return SimulatedCamera(renderer, truth, (site.home_lat_deg, site.home_lon_deg), clock)
+    return renderer
 
 
 def _cache_folder() -> Path:

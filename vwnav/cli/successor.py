@@ -20,6 +20,7 @@ from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.flying import (
     FlightPlan,
+    draw_camera,
     first_state,
     mission_crew,
     open_camera,
@@ -28,7 +29,7 @@ from vwnav.cli.flying import (
 )
 from vwnav.cli.screen import say
 from vwnav.clock import WallClock
-from vwnav.drivers.autopilot import MavsdkAutopilot
+from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import VwnavError
 from vwnav.estimation.ekf import Start
@@ -39,12 +40,11 @@ from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.keepalive import WatchdogReport
+from vwnav.sim.renderer import CameraRenderer
+from vwnav.succession import start_after
 from vwnav.types import Array
 
 _REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
-_DRIFT_M_S = 5.0  # how fast an aircraft that nobody watched may have moved
-_LEAST_SIGMA_M = 3.0
-_HEIGHT_SIGMA_M = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +103,10 @@ def stand_by(options: FlyOptions) -> None:
             plan.config, executor, say,
         )  # fmt: skip
         _warm(assembled, plan.camera)
+        renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()
         if line:
-            _succeed(options, plan, assembled, Resume.read(line), stack)
+            _succeed(options, plan, assembled, renderer, Resume.read(line), stack)
 
 
 def _warm(assembled: Assembled, camera: Camera) -> None:
@@ -119,16 +120,17 @@ def _succeed(
     options: FlyOptions,
     plan: FlightPlan,
     assembled: Assembled,
+    renderer: CameraRenderer | None,
     resume: Resume,
     stack: ExitStack,
 ) -> None:
     clock = WallClock()
-    autopilot = MavsdkAutopilot(resume.connection, clock=clock)
+    autopilot = MavsdkAutopilot(resume.connection, clock=clock, link_url=options.connection)
     stack.callback(autopilot.close)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
     truth = open_truth(options.truth, str(options.connection), resume.observer, clock, stack)
-    source = open_camera(options, plan, truth, clock, stack)
+    source = open_camera(options, renderer, truth, clock, stack)
     folder = make_run_folder(options.output, "fly")
     record = FlightRecord(
         folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,
@@ -157,19 +159,9 @@ def _succeed(
 
 
 def _start(plan: FlightPlan, resume: Resume, lat_lon_deg: tuple[float, float], t_s: float) -> Start:
-    """Where it must be by now, as unsure as an aircraft may have moved since."""
-    since_s = max(t_s - resume.t_s, 0.0)
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
     position[2] = -resume.height_m
-    return Start(
-        t_s=t_s,
-        position_ned_m=position,
-        sigma_m=_LEAST_SIGMA_M + _DRIFT_M_S * since_s,
-        agl_m=max(resume.height_m, 1.0),
-        sigma_agl_m=max(_HEIGHT_SIGMA_M, 0.15 * resume.height_m),
-        sigma_velocity_m_s=_DRIFT_M_S,
-        sigma_baro_m=max(resume.height_m, 10.0),
-    )
+    return start_after(position, resume.t_s, t_s)
 
 
 class _NoWatchdog:

@@ -3,24 +3,20 @@
 import logging
 import math
 import threading
-import time
 from collections.abc import Callable, Generator
 
 from vwnav.drivers.autopilot_commands import CommandSender, Procedure
+from vwnav.drivers.autopilot_outputs import Outputs
 from vwnav.drivers.autopilot_parameters import ParameterTable
-from vwnav.drivers.autopilot_procedures import TAKEOFF_HEIGHT, Procedures
-from vwnav.drivers.autopilot_upkeep import OriginAgreement, StreamKeeper, Timesync, wanted_streams
-from vwnav.drivers.mavlink_port import MavlinkPort
+from vwnav.drivers.autopilot_procedures import NOT_HEARD, TAKEOFF_HEIGHT, Procedures
+from vwnav.drivers.autopilot_upkeep import OriginAgreement, StreamKeeper, Timesync
+from vwnav.drivers.link_budget import LinkBudget, plan_link
 from vwnav.drivers.port import Fields, Port
 from vwnav.drivers.preflight_parameters import check_parameters, parameter_names
 from vwnav.drivers.telemetry_state import TelemetryState
-from vwnav.drivers.vision_messages import velocity_target, vision_position, vision_speed
-from vwnav.errors import LinkError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.types import (
-    Array,
     Estimate,
     Finding,
     FlightMode,
@@ -31,10 +27,8 @@ from vwnav.types import (
 )
 
 _log = logging.getLogger(__name__)
-_FIRST_HEARTBEAT_S = 5.0
-_FINDINGS_WAIT_S = 5.0
 _READ_AGAIN_S = 5.0
-_STEP_S = 0.02
+_LEAST_ATTITUDE_HZ = 18.0  # of 20 that are asked for at least
 _PATIENCE_S = (0.25, 2.0)  # for an answer, at least and at most
 _PATIENCE_UNKNOWN_S = 0.6  # before a round trip has been seen
 
@@ -48,11 +42,15 @@ class LinkedAutopilot:
     Args:
         port: the connection.
         clock: monotonic clock, in seconds.
+        capacity_bytes_s: what the narrowest part of the way carries, None when it is wide.
     """
 
-    def __init__(self, port: Port, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, port: Port, clock: Callable[[], float], capacity_bytes_s: float | None = None
+    ) -> None:
         self._port = port
         self._clock = clock
+        self._capacity_bytes_s = capacity_bytes_s
         self._lock = threading.RLock()
         self._telemetry = TelemetryState()
         self._timesync = Timesync(port.send, clock, self._telemetry.clock)
@@ -60,9 +58,11 @@ class LinkedAutopilot:
         self._parameters = ParameterTable(
             port.send, self._system_id, self._is_px4, clock, self._patience_s
         )
+        self._outputs = Outputs(port, self._telemetry, clock)
         self._procedures = Procedures(
-            self._commands, self._parameters, self._telemetry, self._send_setpoint, clock
+            self._commands, self._parameters, self._telemetry, self._outputs.setpoint, clock
         )
+        self._budget: LinkBudget | None = None
         self._streams: StreamKeeper | None = None
         self._requested: tuple[Request, Procedure] | None = None
         self._origin: Generator[None, None, None] | None = None
@@ -71,8 +71,6 @@ class LinkedAutopilot:
         self._findings: tuple[Finding, ...] | None = None
         self._frame: LocalFrame | None = None
         self._restarts = 0
-        self._heading_bias_rad = 0.0
-        self._held_yaw_rad: float | None = None
         for name in self._telemetry.messages:
             port.subscribe(name, self._handle_telemetry)
         port.subscribe("COMMAND_ACK", self._handle_ack)
@@ -104,7 +102,9 @@ class LinkedAutopilot:
     @property
     def budget_refusal(self) -> str | None:
         """Why the link cannot carry what a flight needs, None when it can."""
-        return None
+        if self._budget is None or not self._budget.is_tight:
+            return None
+        return self._budget.refusal or self._slow_attitude()
 
     def warnings(self, within_s: float = 10.0) -> list[str]:
         """The autopilot's warnings of the last while (PX4 sends them to ground stations only)."""
@@ -122,7 +122,8 @@ class LinkedAutopilot:
                 self._begin_anew()
             self._timesync.step(t_s)
             if self._streams is None:
-                self._streams = StreamKeeper(self._commands, wanted_streams(self._telemetry.kind))
+                self._budget = plan_link(self._telemetry.kind, self._capacity_bytes_s)
+                self._streams = StreamKeeper(self._commands, self._budget)
             self._streams.step(t_s)
             self._resume_request()
             self._procedures.step()
@@ -143,28 +144,22 @@ class LinkedAutopilot:
     def send_estimate(self, estimate: Estimate) -> None:
         """Send the filter's output; call it at 20 to 50 Hz without gaps of 0.2 s.
 
+        A narrow link takes only as many as it carries, and the rest is dropped here.
+
         Raises:
             ValueError: `set_origin` was never called.
         """
         with self._lock:
             if self._frame is None:
                 raise ValueError("set_origin has to be called before the first estimate is sent")
-            offset_ned_m = self._telemetry.origin_offset_ned_m
-            if offset_ned_m is None:
-                return
-            attitude = self._telemetry.attitude_near(estimate.t_s)
-            if attitude is not None:
-                bias_rad = _yaw(attitude.quat_wxyz) - _yaw(estimate.quat_wxyz)
-                self._heading_bias_rad = wrap_pi(bias_rad)
-            self._port.send("VISION_POSITION_ESTIMATE", vision_position(estimate, offset_ned_m))
-            if self.kind is AutopilotKind.ARDUPILOT:  # PX4 does not handle it
-                self._port.send("VISION_SPEED_ESTIMATE", vision_speed(estimate))
+            if self._budget is not None:
+                self._outputs.estimate(estimate, self._budget.estimate_hz)
 
     def send_velocity(self, setpoint: VelocitySetpoint) -> None:
         """Ask for a velocity, in Offboard or GUIDED; call it at 10 Hz or more."""
         with self._lock:
             self._procedures.steered(setpoint, self._clock())
-            self._send_setpoint(setpoint)
+            self._outputs.setpoint(setpoint)
 
     # ---- what is asked for, and carried on by `step`
 
@@ -178,7 +173,7 @@ class LinkedAutopilot:
 
     def start_offboard(self) -> Request:
         """Take control: velocity setpoints are followed from then on."""
-        self._held_yaw_rad = None
+        self._outputs.release_heading()
         return self._begin(self._procedures.start_offboard())
 
     def hold(self) -> Request:
@@ -211,14 +206,23 @@ class LinkedAutopilot:
 
     # ---- inside
 
-    def _send_setpoint(self, setpoint: VelocitySetpoint) -> None:
-        yaw_rad = self._autopilot_yaw(setpoint.yaw_rad)
-        fields = velocity_target(setpoint, yaw_rad, self._clock(), self._port.system_id)
-        self._port.send("SET_POSITION_TARGET_LOCAL_NED", fields)
+    def _slow_attitude(self) -> str | None:
+        """What the plan says is one thing, what comes another: PX4 has limits of its own."""
+        if self._streams is None or not self._streams.rates_hz:
+            return None
+        rate_hz = self._streams.rates_hz["ATTITUDE"]
+        if rate_hz >= _LEAST_ATTITUDE_HZ:
+            return None
+        return (
+            f"the autopilot sends its attitude {rate_hz:.0f} times a second on this link, 20 are "
+            "needed: look at its own limit of the port (PX4: MAV_0_RATE, MAV_1_RATE)"
+        )
 
     def _begin(self, procedure: Procedure) -> Request:
         with self._lock:
             self._end_request("replaced by a newer command")
+            if self._telemetry.kind is None:
+                return Request(done=True, refused=NOT_HEARD)
             request = Request()
             self._requested = (request, procedure)
             self._resume_request()  # the first message leaves at once
@@ -315,63 +319,6 @@ class LinkedAutopilot:
             return _PATIENCE_UNKNOWN_S
         return min(max(_PATIENCE_S[0], 1.5 * round_trip_s + 0.1), _PATIENCE_S[1])
 
-    def _autopilot_yaw(self, yaw_rad: float | None) -> float:
-        """A true heading in terms of the autopilot's compass; None holds the last one asked for."""
-        if yaw_rad is not None:
-            self._held_yaw_rad = wrap_pi(yaw_rad + self._heading_bias_rad)
-        elif self._held_yaw_rad is None:
-            attitude = self._telemetry.newest_attitude
-            self._held_yaw_rad = 0.0 if attitude is None else _yaw(attitude.quat_wxyz)
-        return self._held_yaw_rad
-
-
-class MavsdkAutopilot(LinkedAutopilot):
-    """The autopilot on a MAVSDK link; opening it waits until an autopilot is heard.
-
-    Args:
-        url: `udpin://0.0.0.0:14540`, `udpout://HOST:PORT`, `tcpout://HOST:PORT`,
-            `serial:///dev/ttyAMA0:921600`, or the watchdog's `navigator_url`.
-        timeout_s: how long an autopilot is waited for.
-        as_ground_station: show ourselves as a ground station. PX4 then sends its texts on this
-            link, but also believes that a ground station watches: its failsafe for losing the real
-            one would never act. For the bench, not for flight.
-        clock: monotonic clock, in seconds.
-
-    Raises:
-        LinkError: no PX4 or ArduPilot is on the link.
-    """
-
-    def __init__(
-        self,
-        url: str,
-        timeout_s: float = 20.0,
-        as_ground_station: bool = False,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        port = MavlinkPort(url, as_ground_station, timeout_s, clock)
-        super().__init__(port, clock)
-        until_s = time.monotonic() + _FIRST_HEARTBEAT_S
-        while self.kind is None:
-            if time.monotonic() > until_s:
-                port.close()
-                raise LinkError(f"the autopilot on {url} is neither PX4 nor ArduPilot")
-            time.sleep(_STEP_S)
-
-
-def wait_for_findings(autopilot: LinkedAutopilot) -> tuple[Finding, ...]:
-    """Step the link until its parameters are read; before a flight, where nobody else does.
-
-    Raises:
-        LinkError: the autopilot answers no question for a parameter.
-    """
-    until_s = time.monotonic() + _FINDINGS_WAIT_S
-    while time.monotonic() < until_s:
-        autopilot.step(time.monotonic())
-        if autopilot.findings is not None:
-            return autopilot.findings
-        time.sleep(_STEP_S)
-    raise LinkError("the autopilot answers no parameter request: is the link two-way?")
-
 
 def _is_over(procedure: Generator[None, None, None]) -> bool:
     """Resume it."""
@@ -380,7 +327,3 @@ def _is_over(procedure: Generator[None, None, None]) -> bool:
     except StopIteration:
         return True
     return False
-
-
-def _yaw(quat_wxyz: Array) -> float:
-    return euler_from_rotation(rotation_from_quat(quat_wxyz))[2]

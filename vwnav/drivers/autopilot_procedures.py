@@ -9,6 +9,7 @@ from vwnav.drivers.telemetry_state import TelemetryState
 from vwnav.safety.flight_modes import AutopilotKind, Command, mode_command
 from vwnav.types import FlightMode, VehicleState, VelocitySetpoint
 
+NOT_HEARD = "the autopilot is not heard"
 TAKEOFF_HEIGHT = "MIS_TAKEOFF_ALT"
 _CMD_NAV_TAKEOFF, _CMD_ARM = 22, 400
 _TEXT_WAIT_S = 0.1  # the reason comes as a text, after the answer
@@ -67,10 +68,10 @@ class Procedures:
         """Arm; on ArduCopter in GUIDED."""
         state = self._state()
         if not state.connected:
-            return "the autopilot is not heard"
+            return NOT_HEARD
         if not state.armable:
             return self._in_words("not ready to arm")
-        if self._telemetry.kind is AutopilotKind.ARDUPILOT:
+        if self._kind is AutopilotKind.ARDUPILOT:
             refused = yield from self.set_mode(FlightMode.OFFBOARD)
             if refused:
                 return refused
@@ -83,11 +84,11 @@ class Procedures:
         """Stop the motors."""
         disarm = Command(_CMD_ARM, (0.0,))
         was_armed = self._state().armed
-        return self._command(disarm, lambda: was_armed and not self._state().armed)
+        return (yield from self._command(disarm, lambda: was_armed and not self._state().armed))
 
     def takeoff(self, height_m: float) -> Procedure:
         """Climb to `height_m` above the ground."""
-        if self._telemetry.kind is AutopilotKind.ARDUPILOT:
+        if self._kind is AutopilotKind.ARDUPILOT:
             return (yield from self._command(Command(_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))))
         refused = yield from self._borrow_takeoff_height(height_m)
         if refused is None:
@@ -98,7 +99,7 @@ class Procedures:
                 takeoff, lambda: self._state().mode is FlightMode.TAKEOFF
             )
         if refused is None:
-            self._telemetry.expect_mode(FlightMode.TAKEOFF, self._clock())
+            self._telemetry.modes.expect(FlightMode.TAKEOFF, self._clock())
         else:
             self._putting_back = self._put_back()
         return refused
@@ -120,13 +121,18 @@ class Procedures:
         """Ask for a mode."""
         before = self._state().mode
         refused = yield from self._command(
-            mode_command(self._telemetry.kind or AutopilotKind.PX4, mode),
+            mode_command(self._kind, mode),
             lambda: self._state().mode is mode is not before,
             lambda: self._chosen_by_another(before, mode),
         )
         if refused is None:
-            self._telemetry.expect_mode(mode, self._clock())
+            self._telemetry.modes.expect(mode, self._clock())
         return refused
+
+    @property
+    def _kind(self) -> AutopilotKind:
+        assert self._telemetry.kind is not None  # nothing is asked of one that is not known
+        return self._telemetry.kind
 
     def _state(self) -> VehicleState:
         return self._telemetry.state(self._clock())

@@ -9,10 +9,11 @@ import numpy as np
 
 from vwnav.drivers.autopilot_commands import CommandSender
 from vwnav.drivers.boot_clock import BootClock
+from vwnav.drivers.link_budget import UNREAD, LinkBudget, Stream
 from vwnav.drivers.port import Fields, Send
 from vwnav.drivers.telemetry_state import TelemetryState
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.safety.flight_modes import AutopilotKind, Command
+from vwnav.safety.flight_modes import Command
 from vwnav.types import Array
 
 _log = logging.getLogger(__name__)
@@ -22,6 +23,7 @@ _ASK_S = 0.02  # one message after another: a serial link's buffer is small
 _LOOK_S = 2.0  # so long a message's rate is counted
 _SLOWEST_ASK_S = 60.0  # for a message that never comes at the rate asked for
 _ENOUGH = 0.6  # of the rate asked for: PX4 divides its own
+_SILENCE = -1.0  # as an interval: do not send it
 _CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
 _GPS_GLOBAL_ORIGIN = 49
 _ORIGIN_TRIES = 6
@@ -59,16 +61,6 @@ class Timesync:
             self._boot_clock.handle_round_trip(fields["ts1"] / 1e9, fields["tc1"] / 1e9, received_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Stream:
-    """A message that is wanted, and how often; `instead_of` another where that does not come."""
-
-    name: str
-    number: int
-    rate_hz: float
-    instead_of: str | None = None
-
-
 @dataclass(slots=True)
 class _Watched:
     """When a stream is asked for next, and how long is waited after that."""
@@ -84,10 +76,12 @@ class StreamKeeper:
     What the autopilot answers is not looked at: an answer does not say which message it is about.
     """
 
-    def __init__(self, commands: CommandSender, streams: tuple[Stream, ...]) -> None:
+    def __init__(self, commands: CommandSender, budget: LinkBudget) -> None:
         self._commands = commands
-        self._streams = streams
-        self._watched = {stream.name: _Watched(-np.inf) for stream in streams}
+        self._streams = budget.streams
+        self._watched = {stream.name: _Watched(-np.inf) for stream in budget.streams}
+        self._unread = UNREAD if budget.is_tight else ()
+        self._to_silence = list(self._unread)
         self._asked_s = -np.inf
         self._looked_s = -np.inf
         self._rates_hz: dict[str, float] = {}
@@ -109,26 +103,29 @@ class StreamKeeper:
             self._look(t_s)
         if t_s - self._asked_s < _ASK_S:
             return
-        for stream in self._streams:
-            watched = self._watched[stream.name]
-            if t_s >= watched.due_s and not self._is_spare(stream):
-                self._asked_s = t_s
-                watched.due_s = t_s + watched.wait_s
-                watched.wait_s = min(2.0 * watched.wait_s, _SLOWEST_ASK_S)
-                interval_us = 1e6 / stream.rate_hz
-                self._commands.tell(
-                    Command(_CMD_MESSAGE_INTERVAL, (float(stream.number), interval_us))
-                )
-                return
+        due = next((each for each in self._streams if self._is_due(each, t_s)), None)
+        if due is not None:
+            watched = self._watched[due.name]
+            watched.due_s = t_s + watched.wait_s
+            watched.wait_s = min(2.0 * watched.wait_s, _SLOWEST_ASK_S)
+            self._ask(due.number, 1e6 / due.rate_hz, t_s)
+        elif self._to_silence:
+            self._ask(self._to_silence.pop(0), _SILENCE, t_s)
 
     def restart(self) -> None:
         """Ask for everything anew: the autopilot has started anew."""
         for watched in self._watched.values():
             watched.due_s, watched.wait_s = -np.inf, _LOOK_S
+        self._to_silence = list(self._unread)
 
-    def _is_spare(self, stream: Stream) -> bool:
-        """Whether the message that it would stand in for comes, or has not been waited for yet."""
-        return stream.instead_of is not None and self._rates_hz.get(stream.instead_of) != 0.0
+    def _is_due(self, stream: Stream, t_s: float) -> bool:
+        """A message that stands in for another one waits until that has not come."""
+        spare = stream.instead_of is not None and self._rates_hz.get(stream.instead_of) != 0.0
+        return t_s >= self._watched[stream.name].due_s and not spare
+
+    def _ask(self, number: int, interval_us: float, t_s: float) -> None:
+        self._asked_s = t_s
+        self._commands.tell(Command(_CMD_MESSAGE_INTERVAL, (float(number), interval_us)))
 
     def _look(self, t_s: float) -> None:
         span_s = t_s - self._looked_s
@@ -137,8 +134,7 @@ class StreamKeeper:
             return
         self._rates_hz = {name: each.heard / span_s for name, each in self._watched.items()}
         if not any(self._rates_hz.values()):
-            self.restart()  # the link is silent: whoever comes back may have forgotten
-            return
+            return  # the link is silent: nothing is missed before it is back
         for stream in self._streams:
             watched = self._watched[stream.name]
             if watched.heard / span_s >= _ENOUGH * stream.rate_hz:
@@ -210,28 +206,6 @@ class OriginAgreement:
             "altitude": round(frame.alt_amsl_m * 1e3),
             "time_usec": 0,
         }
-
-
-def wanted_streams(kind: AutopilotKind) -> tuple[Stream, ...]:
-    """Every message that is understood, at the rate that it is used, the most needed first."""
-    return _COMMON + (_PX4 if kind is AutopilotKind.PX4 else _ARDUPILOT)
-
-
-_COMMON = (
-    Stream("ATTITUDE", 30, 50.0),
-    Stream("SCALED_PRESSURE", 29, 20.0),
-    Stream("HEARTBEAT", 0, 5.0),
-    Stream("SYS_STATUS", 1, 5.0),
-    Stream("EXTENDED_SYS_STATE", 245, 5.0),
-    Stream("HIGHRES_IMU", 105, 50.0),  # 3.7 kB/s; PX4 sends as much unasked
-    Stream("DISTANCE_SENSOR", 132, 10.0),
-    Stream("LOCAL_POSITION_NED", 32, 5.0),
-)
-_PX4 = (Stream("CURRENT_MODE", 436, 10.0), Stream("ESTIMATOR_STATUS", 230, 5.0))
-_ARDUPILOT = (
-    Stream("EKF_STATUS_REPORT", 193, 5.0),
-    Stream("RAW_IMU", 27, 50.0, instead_of="HIGHRES_IMU"),
-)
 
 
 def _is_far(offset_ned_m: Array | None) -> bool:

@@ -186,6 +186,8 @@ class _Buckets(deque[Point]):
     def add(self, point: Point, drift: float) -> bool:
         """Take a stamp in; True when it began a new bucket."""
         boot_s, late_s = point
+        if boot_s < self._begun_s:
+            return False  # overtaken on its way: a hull wants points in order
         if not self or boot_s - self._begun_s >= _BUCKET_S:
             self._begun_s = boot_s
             self.append(point)

@@ -34,9 +34,10 @@ class PymavlinkPort:
         self._clock = clock
         self._framer = Framer()
         self._mavlink = mavlink.MAVLink(None, srcSystem=_OWN_SYSTEM, srcComponent=_OWN_COMPONENT)
-        self._handlers: dict[str, Handler] = {}
+        self._handlers: dict[int, Handler] = {}
         self._system_id = 0
         self._beat_s = -math.inf
+        self._closed = False
 
     @property
     def system_id(self) -> int:
@@ -45,7 +46,7 @@ class PymavlinkPort:
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, within `poll`."""
-        self._handlers[name] = handler
+        self._handlers[_number(name)] = handler
 
     def is_for_us(self, fields: Fields) -> bool:
         """Whether a message that has a target is ours; others speak with the autopilot too."""
@@ -56,6 +57,8 @@ class PymavlinkPort:
 
     def poll(self) -> None:
         """Handle all that has arrived, and say once a second that a companion is here."""
+        if self._closed:
+            return
         while data := self._link.read():
             for packet in self._framer.split(data):
                 self._handle(packet)
@@ -64,42 +67,46 @@ class PymavlinkPort:
             self.send("HEARTBEAT", _OWN_HEARTBEAT)
 
     def send(self, name: str, fields: Fields) -> None:
-        """Send one message.
+        """Send one message; a closed link loses it, as the air would.
 
         Raises:
             ValueError: there is no such message or field.
         """
-        number = _NUMBERS.get(name)
-        if number is None:
-            raise ValueError(f"there is no message {name}")
-        kind = mavlink.mavlink_map[number]
+        kind = mavlink.mavlink_map[_number(name)]
         unknown = fields.keys() - set(kind.fieldnames)
         if unknown:
             raise ValueError(f"{name} has no field {sorted(unknown)}")
         message = kind(*[_encoded(kind, field, fields) for field in kind.fieldnames])
-        self._link.write(bytes(message.pack(self._mavlink)))
+        if not self._closed:
+            self._link.write(bytes(message.pack(self._mavlink)))
 
     def close(self) -> None:
         """Give the link back."""
+        self._closed = True
         self._link.close()
 
     def _handle(self, packet: Packet) -> None:
-        if packet.message_id is None or packet.component_id != _AUTOPILOT_COMPONENT:
+        if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id not in self._handlers:
             return
         try:
             message = self._mavlink.decode(bytearray(packet.data))
         except mavlink.MAVError:
-            return  # damaged on the way, or of a newer dialect
-        name = message.get_type()
-        if name == "HEARTBEAT" and not self._system_id and message.autopilot in _KINDS:
+            return  # damaged on the way
+        if not self._system_id and getattr(message, "autopilot", None) in _KINDS:
             self._system_id = packet.system_id
-        handler = self._handlers.get(name)
-        if handler is not None and packet.system_id == self._system_id:
+        if packet.system_id == self._system_id:
             fields = {field: _decoded(getattr(message, field)) for field in message.fieldnames}
-            handler(name, fields, self._clock())
+            self._handlers[packet.message_id](message.get_type(), fields, self._clock())
 
 
-_NUMBERS = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
+def _number(name: str) -> int:
+    number = _NUMBERS.get(name)
+    if number is None:
+        raise ValueError(f"there is no message {name}")
+    return number
+
+
+_NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 _OWN_HEARTBEAT = {
     "type": mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
     "autopilot": mavlink.MAV_AUTOPILOT_INVALID,

@@ -6,6 +6,7 @@ from typing import Any
 
 _CHUNK_CHARACTERS = 50
 _KEEP = 50
+_LOST = "..."
 _WARNING = 4  # MAV_SEVERITY: smaller is worse
 
 
@@ -21,9 +22,13 @@ class StatusTexts:
         part, number = fields["text"], fields.get("id", 0)
         if number:
             chunks = self._chunks.setdefault(number, [])
-            if fields.get("chunk_seq", 0) == 0:
-                chunks.clear()
+            sequence = fields.get("chunk_seq", 0)
+            del chunks[sequence:]  # a number that is used again begins anew
+            if sequence > len(chunks):
+                chunks.append(_LOST)
             chunks.append(part)
+            while len(self._chunks) > _KEEP:
+                del self._chunks[next(iter(self._chunks))]
             if len(part) >= _CHUNK_CHARACTERS:
                 return None
             part = "".join(self._chunks.pop(number))

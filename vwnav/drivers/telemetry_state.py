@@ -13,6 +13,7 @@ import numpy as np
 from vwnav.drivers.barometer import BarometricHeight, hectopascal, is_pressure
 from vwnav.drivers.boot_clock import BootClock
 from vwnav.drivers.imu_samples import ImuSamples
+from vwnav.drivers.mode_track import ModeTrack
 from vwnav.drivers.port import Fields
 from vwnav.drivers.status_text import StatusTexts
 from vwnav.geometry.rotations import (
@@ -21,11 +22,10 @@ from vwnav.geometry.rotations import (
     rotation_from_quat,
     rotation_from_vector,
 )
-from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.types import (
     Array,
     Attitude,
-    FlightMode,
     Height,
     Range,
     Stationary,
@@ -44,28 +44,18 @@ _LINK_LOST_S = 3.0
 _STALE_S = 3.0
 _RANGE_STALE_S = 0.5
 _PRESSURE_STALE_S = 0.5
+_OLDEST_S = 10.0  # what a link held back for longer is of no use
+_CLOCK_ERROR_S = 0.5
 _INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
 _OWN_POSITION_STALE_S = 1.0
 _CARRIED_S = 0.25  # an attitude is turned on by its rates for no longer
 _QUEUED = 4000  # measurements that nobody takes: twenty seconds of them
-_CRITICAL = 5  # MAV_STATE: ArduPilot flies a failsafe
-_UNDECIDED_S = 1.0  # so long PX4 may take to say who asked for a new mode
-_MODE_SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
 
 
 @dataclass(frozen=True, slots=True)
 class _Stamped:
     t_s: float
     value: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Intent:
-    """PX4's CURRENT_MODE: what it flies, and what it was asked for."""
-
-    t_s: float
-    flown: FlightMode
-    asked: FlightMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,19 +78,14 @@ class TelemetryState:
         self.clock = BootClock()
         self.texts = StatusTexts()
         self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
-        self._imu = ImuSamples()
         self.origin_offset_ned_m: Array | None = None  # (3,) the run's origin about the above one
+        self.modes = ModeTrack()
+        self._imu = ImuSamples()
         self._queue: deque[Telemetry] = deque(maxlen=_QUEUED)
         self._attitude: Attitude | None = None
         self._attitude_boot_s = -math.inf
         self._rates_rad_s = np.zeros(3)
         self._heartbeat_t_s = -math.inf
-        self._mode = FlightMode.UNKNOWN
-        self._mode_t_s = -math.inf
-        self._mode_changed_s = -math.inf
-        self._intent: _Intent | None = None
-        self._critical = False
-        self._commanded: tuple[FlightMode, FlightMode, float] | None = None  # new, old, when
         self._armed = False
         self._landed_state = 0
         self._sensors: tuple[int, int] | None = None  # present, healthy
@@ -109,6 +94,7 @@ class TelemetryState:
         self._own_position: _OwnPosition | None = None
         self._range: _Stamped | None = None
         self._heights: dict[str, _Stamped] = {}
+        self._pressure_boot_s: dict[str, float] = {}
         self._barometers = {name: BarometricHeight() for name in ("SCALED_PRESSURE", "HIGHRES_IMU")}
         self._handlers: dict[str, Callable[[Fields, float], None]] = {
             "HEARTBEAT": self._handle_heartbeat,
@@ -157,10 +143,6 @@ class TelemetryState:
         R_ned_body = rotation_from_quat(self._attitude.quat_wxyz) @ turn
         return Attitude(t_s, quat_from_rotation(R_ned_body))
 
-    def expect_mode(self, mode: FlightMode, t_s: float) -> None:
-        """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
-        self._commanded = (mode, self._mode, t_s)
-
     def aiding(self, t_s: float) -> bool | None:
         """The autopilot's filter predicts position from what we send; None when it never said.
 
@@ -170,24 +152,18 @@ class TelemetryState:
             return None
         return bool(self._estimator[1] & _PREDICTED)
 
-    def has_height(self, t_s: float) -> bool:
-        """A barometric height comes often enough."""
-        height = self._height(t_s)
-        return height is not None and t_s - height.t_s < _PRESSURE_STALE_S
-
     def state(self, t_s: float) -> VehicleState:
         """The snapshot at `t_s`."""
         beat_age_s = t_s - self._heartbeat_t_s
         height = self._height(t_s)
         fresh_range = self._range is not None and t_s - self._range.t_s < _RANGE_STALE_S
         present, healthy = self._sensors or (0, 0)
-        mode = self._mode_now(t_s)
         return VehicleState(
             t_s=t_s,
             connected=beat_age_s < _LINK_LOST_S,
             armed=self._armed,
             in_air=self._landed_state in _IN_AIR or (self._landed_state == 0 and self._armed),
-            mode=mode,
+            mode=self.modes.mode(t_s),
             attitude=self._attitude,
             height_m=None if height is None else height.value,
             height_t_s=None if height is None else height.t_s,
@@ -197,26 +173,11 @@ class TelemetryState:
             local_position_ok=self._position_ok(t_s),
             armable=bool(healthy & _PREARM) and self._can_take_off(),
             heartbeat_age_s=beat_age_s,
-            intended_mode=self._intended_mode(mode, t_s),
-            failsafe=self._flies_failsafe(mode, t_s),
+            intended_mode=self.modes.intended(t_s),
+            failsafe=self.modes.is_failsafe(t_s),
             aiding=self.aiding(t_s),
             own_position_ned_m=self._own_position_about_run(t_s),
         )
-
-    def _intended_mode(self, mode: FlightMode, t_s: float) -> FlightMode:
-        """Who asked: PX4 says it a moment after the mode itself has changed."""
-        intent = self._intent
-        if intent is None or mode is not self._mode:
-            return mode
-        if intent.flown is mode and intent.t_s >= self._mode_changed_s:
-            return intent.asked
-        return FlightMode.UNKNOWN if t_s - self._mode_changed_s < _UNDECIDED_S else mode
-
-    def _flies_failsafe(self, mode: FlightMode, t_s: float) -> bool:
-        if self.kind is AutopilotKind.ARDUPILOT:
-            return self._critical
-        intended = self._intended_mode(mode, t_s)
-        return intended is not mode and intended is not FlightMode.UNKNOWN
 
     def _own_position_about_run(self, t_s: float) -> Array | None:
         own, offset_ned_m = self._own_position, self.origin_offset_ned_m
@@ -230,21 +191,6 @@ class TelemetryState:
         if scaled is not None and t_s - scaled.t_s < _PRESSURE_STALE_S:
             return scaled
         return highres or scaled
-
-    def _mode_now(self, t_s: float) -> FlightMode:
-        """The heartbeat's mode, but for one that was sent before the command just accepted.
-
-        Heartbeats come once a second, later from a busy machine: the old mode is believed again
-        only when it was told anew.
-        """
-        if self._commanded is None:
-            return self._mode
-        commanded, old, when_s = self._commanded
-        told_again = self._mode_t_s > when_s + _MODE_SETTLES_S
-        if self._mode is not old or told_again or t_s - when_s > _LINK_LOST_S:
-            self._commanded = None
-            return self._mode
-        return commanded
 
     def _position_ok(self, t_s: float) -> bool:
         if self._estimator is None or t_s - self._estimator[0] > _STALE_S:
@@ -267,24 +213,11 @@ class TelemetryState:
             return  # a gimbal or camera that uses the autopilot's component id
         self._heartbeat_t_s = received_s
         self._armed = bool(fields["base_mode"] & _ARMED_FLAG)
-        self._critical = fields["system_status"] >= _CRITICAL
-        self._told_mode(fields["custom_mode"], received_s)
+        self.modes.handle_heartbeat(self.kind, fields, received_s)
 
     def _handle_current_mode(self, fields: Fields, received_s: float) -> None:
-        if self.kind is None:
-            return
-        self._told_mode(fields["custom_mode"], received_s)
-        asked = fields["intended_custom_mode"]  # 0: not known
-        if asked:
-            intended = flight_mode(self.kind, asked)
-            self._intent = _Intent(received_s, self._mode, intended)
-
-    def _told_mode(self, custom_mode: int, received_s: float) -> None:
-        assert self.kind is not None
-        mode = flight_mode(self.kind, custom_mode)
-        if mode is not self._mode:
-            self._mode_changed_s = received_s
-        self._mode, self._mode_t_s = mode, received_s
+        if self.kind is not None:
+            self.modes.handle_current_mode(self.kind, fields, received_s)
 
     def _handle_attitude(self, fields: Fields, received_s: float) -> None:
         boot_s = fields["time_boot_ms"] / 1e3
@@ -347,9 +280,12 @@ class TelemetryState:
         t_s = self.clock.to_monotonic(boot_s)
         if t_s is None or pressure_hpa is None or not is_pressure(pressure_hpa):
             return
-        before = self._heights.get(source)
-        if before is not None and t_s <= before.t_s and t_s > before.t_s - _STALE_S:
-            return  # a duplicate, or overtaken by a newer one on its way
+        if not received_s - _OLDEST_S < t_s < received_s + _CLOCK_ERROR_S:
+            return
+        overtaken_by_s = self._pressure_boot_s.get(source, -math.inf) - boot_s
+        if 0.0 <= overtaken_by_s < _OLDEST_S:
+            return  # a duplicate, or a newer one was faster
+        self._pressure_boot_s[source] = boot_s
         height_m = self._barometers[source].height_m(pressure_hpa)
         if height_m is None:
             return

@@ -17,8 +17,9 @@ _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about ac
 class AttitudeHistory:
     """Attitudes in order of time, looked up by time."""
 
-    def __init__(self, length_s: float) -> None:
+    def __init__(self, length_s: float, max_gap_s: float = MAX_GAP_S) -> None:
         self._length_s = length_s
+        self._max_gap_s = max_gap_s
         self._times_s: list[float] = []
         self._quats: list[Array] = []
 
@@ -50,11 +51,24 @@ class AttitudeHistory:
         i = bisect.bisect_left(self._times_s, t_s)
         if i < len(self._times_s) and self._times_s[i] == t_s:
             return Attitude(t_s, self._quats[i])
-        if i == 0 or t_s > self._times_s[-1] + _TURN_ON_S:
+        ahead_s = _TURN_ON_S if math.isfinite(self._max_gap_s) else math.inf
+        if i == 0 or t_s > self._times_s[-1] + ahead_s:
             return None
-        if i < len(self._times_s) and self._times_s[i] - self._times_s[i - 1] > MAX_GAP_S:
+        if i < len(self._times_s) and self._times_s[i] - self._times_s[i - 1] > self._max_gap_s:
             return None
         return Attitude(t_s, self.quat_at(t_s))
+
+    def __contains__(self, t_s: float) -> bool:
+        i = bisect.bisect_left(self._times_s, t_s)
+        return i < len(self._times_s) and self._times_s[i] == t_s
+
+    def tell(self, t_s: float) -> bool:
+        """Whether they tell how the aircraft leans then: the newest is held as long as a gap."""
+        i = bisect.bisect_right(self._times_s, t_s)
+        if i == 0:
+            return False
+        later_s = self._times_s[i] if i < len(self._times_s) else t_s
+        return later_s - self._times_s[i - 1] <= self._max_gap_s
 
     def forget_after(self, t_s: float) -> None:
         """Drop attitudes later than a time."""
@@ -111,10 +125,13 @@ def thrust_acceleration(quat_wxyz: Array) -> tuple[float, float]:
     return -size_m_s2 * north / math.hypot(north, east), -size_m_s2 * east / math.hypot(north, east)
 
 
-def cos_tilt(quat_wxyz: Array) -> float:
-    """Cosine of the angle between the body's down axis and the vertical."""
-    _, x, y, _ = quat_wxyz.tolist()
-    return float(1.0 - 2.0 * (x * x + y * y))
+def down_axis(quat_wxyz: Array) -> tuple[float, float, float]:
+    """The body's down axis along its level forward and right, and down."""
+    w, x, y, z = quat_wxyz.tolist()
+    north, east = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x)
+    yaw_rad = yaw_of(quat_wxyz)
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return c * north + s * east, c * east - s * north, 1.0 - 2.0 * (x * x + y * y)
 
 
 def level_axes(yaw_rad: float) -> Array:

@@ -10,18 +10,22 @@ from functools import partial
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.attitude_gate import AttitudeGate
+from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
     Event,
+    Exposed,
     Keyframe,
+    LateFix,
     NedFix,
 )
 from vwnav.estimation.fusion import apply
 from vwnav.estimation.imu import ImuHistory, is_sensible
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.process import predict
+from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
 from vwnav.estimation.timeline import Timeline
 from vwnav.estimation.updates import Innovation, Verdict
@@ -44,6 +48,9 @@ from vwnav.types import (
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 
 _ATTITUDE_MARGIN_S = 1.0
+_SAID_S = 5.0
+_NOISE_M = 0.5  # of odometry's ways
+_TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
 class Ekf:
@@ -62,12 +69,17 @@ class Ekf:
             ground: terrain heights of the map in the filter's own frame, where it has them.
         """
         self._config = config
-        self._attitudes = AttitudeHistory(config.history_s + _ATTITUDE_MARGIN_S)
-        self._imu = ImuHistory(self._attitudes, config.history_s + _ATTITUDE_MARGIN_S)
+        length_s = config.history_s + _ATTITUDE_MARGIN_S
+        gap_s = math.inf if config.odometry_turns_attitude else MAX_GAP_S
+        self._attitudes = AttitudeHistory(length_s, gap_s)
+        self._imu = ImuHistory(self._attitudes, length_s)
+        self._gate = AttitudeGate(self._attitudes, self._imu)
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
         self._tape: Callable[[Input], None] | None = None
+        self._on_restart: Callable[[str], None] | None = None
+        self._restarted_s = -math.inf
 
     @property
     def initialised(self) -> bool:
@@ -100,6 +112,14 @@ class Ekf:
         """
         self._tape = tape
 
+    def on_restart(self, say: Callable[[str], None]) -> None:
+        """Tell `say` in a sentence when the state has left its envelope and begins anew.
+
+        What happens again within seconds (an aircraft that truly flies faster than aircraft do) is
+        not said again.
+        """
+        self._on_restart = say
+
     def take(self, seen: Input) -> Estimate | None:
         """Take an input of any kind; the estimate where one was asked for.
 
@@ -121,11 +141,15 @@ class Ekf:
         Raises:
             ValueError: the start is not finite or a sigma is not positive.
         """
-        step = partial(apply, context=self._context)
-        self._timeline = Timeline(first_state(start, self._config), step, self._config.history_s)
+        self._begin(first_state(start, self._config))
         self._note(start)
-        self._asked_s = start.t_s
-        self._attitudes.forget_after(start.t_s + self._config.ahead_s)
+        # A start may be long ago: a first search took its time.
+        self._asked_s = max(start.t_s, self._asked_s)
+        self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
+
+    def _begin(self, state: FilterState) -> None:
+        step = partial(apply, context=self._context)
+        self._timeline = Timeline(state, step, self._config.history_s)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
@@ -136,6 +160,8 @@ class Ekf:
                 return self.handle_imu(seen)
             case OdometryMotion():
                 return self.handle_odometry(seen)
+            case NedFix():
+                return self.handle_fix(seen)
             case _:
                 return self._handle(seen)
 
@@ -148,8 +174,10 @@ class Ekf:
             return Innovation(Verdict.NOT_FINITE)
         if self._timeline is not None and self._ahead(attitude.t_s):
             return Innovation(Verdict.AHEAD)
-        self._attitudes.add(attitude)
-        return Innovation(Verdict.FUSED)
+        if self._config.odometry_turns_attitude:
+            self._attitudes.add(attitude)
+            return Innovation(Verdict.FUSED)
+        return Innovation(self._gate.take(attitude))
 
     def handle_imu(self, sample: ImuSample) -> Innovation:
         """Take a sample of the IMU, in order of time and after the attitude of its moment.
@@ -162,6 +190,9 @@ class Ekf:
             return Innovation(Verdict.NOT_FINITE)
         if self._timeline is not None and self._ahead(sample.t_s):
             return Innovation(Verdict.AHEAD)
+        self._gate.heard(sample.t_s)
+        if not self._imu.believes(sample):
+            return Innovation(Verdict.GATED)
         added = self._imu.add(sample)
         return Innovation(Verdict.FUSED if added else Verdict.TOO_LATE)
 
@@ -178,8 +209,19 @@ class Ekf:
         return self._handle(Stationary(t_s))
 
     def handle_fix(self, fix: NedFix) -> Innovation:
-        """Take a map fix; the heading and AGL in it are judged one by one (`parts`)."""
-        return self._handle(fix)
+        """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
+
+        One that is older than the history meets the clone of its picture's pose, if it was told
+        when that was taken (`Exposed`).
+        """
+        self._note(fix)
+        refusal = self._refusal(fix)
+        if refusal is not None or self._timeline is None:
+            return Innovation(refusal or Verdict.NOT_STARTED)
+        if fix.t_s >= self._timeline.oldest_s:
+            return self._insert(fix)
+        # At the beginning of the history: a picture taken since may have been cloned in its place.
+        return self._insert(LateFix(self._timeline.oldest_s, fix))
 
     def handle_odometry(self, motion: OdometryMotion) -> Innovation:
         """Take the motion since a keyframe, in NED as the autopilot's own heading has it."""
@@ -188,6 +230,10 @@ class Ekf:
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
+        if not self._possible(motion):
+            return Innovation(Verdict.IMPOSSIBLE)
+        if not self._seen_upright(motion):
+            return Innovation(Verdict.NO_ATTITUDE)
         if not self._timeline.keyframe_known(motion.t0_s):
             share = self._config.anchor_share
             covariance = share * motion.covariance_ned_m2
@@ -195,7 +241,24 @@ class Ekf:
             keyframe = self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad))
             if not keyframe.accepted:
                 return Innovation(Verdict.NO_ANCHOR)
-        return self._timeline.insert(event)
+        return self._insert(event)
+
+    def _possible(self, motion: OdometryMotion) -> bool:
+        """Whether an aircraft flies that far in that time, at the height that is believed."""
+        assert self._timeline is not None
+        scale = max(self._timeline.head.agl_m, 0.0) / motion.agl_m
+        way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
+        return way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s)
+
+    def _seen_upright(self, motion: OdometryMotion) -> bool:
+        """Whether attitudes that are believed tell how its pictures were turned to the ground."""
+        assert self._timeline is not None
+        if self._gate.refused(motion.t1_s) or self._gate.refused(motion.t0_s):
+            return False
+        if self._attitudes.at(motion.t1_s) is None:
+            return False
+        known = self._timeline.keyframe_known(motion.t0_s)
+        return known or self._attitudes.at(motion.t0_s) is not None
 
     def estimate(self, t_s: float) -> Estimate | None:
         """The estimate at `t_s` by prediction (at the newest event if that is later).
@@ -210,18 +273,35 @@ class Ekf:
         if self._attitudes.newest_s is None:
             return None
         state = predict(self._timeline.head, t_s, self._context)
-        return _estimate(state, self._attitudes.quat_at(state.t_s))
+        unseen_s = max(state.t_s - self._attitudes.newest_s - MAX_GAP_S, 0.0)
+        turned_rad = 0.0 if self._config.odometry_turns_attitude else _TURNING_RAD_S * unseen_s
+        return _estimate(state, self._attitudes.quat_at(state.t_s), turned_rad)
 
     def _note(self, seen: Input) -> None:
         if self._tape is not None:
             self._tape(seen)
 
-    def _handle(self, event: Height | Range | Stationary | NedFix) -> Innovation:
+    def _handle(self, event: Height | Range | Stationary | Exposed) -> Innovation:
         self._note(event)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
-        return self._timeline.insert(event)
+        if isinstance(event, Height | Range | Stationary):
+            self._gate.heard(event.t_s)
+        return self._insert(event)
+
+    def _insert(self, event: Event) -> Innovation:
+        """Into the timeline; a state that no aircraft has begins anew."""
+        assert self._timeline is not None
+        innovation = self._timeline.insert(event)
+        why = outside(self._timeline.head, self._config)
+        if why is not None:
+            head = self._timeline.head
+            self._begin(begun_anew(head, self._config))
+            again, self._restarted_s = head.t_s < self._restarted_s + _SAID_S, head.t_s
+            if self._on_restart is not None and not again:
+                self._on_restart(f"the estimate left its envelope ({why}) and begins anew")
+        return innovation
 
     def _refusal(self, event: Event) -> Verdict | None:
         if not event.sensible():
@@ -242,7 +322,8 @@ class Ekf:
         return t_s > newest_s + self._config.ahead_s
 
 
-def _estimate(state: FilterState, quat_measured_wxyz: Array) -> Estimate:
+def _estimate(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
+    """Of a state, and how far the aircraft may have turned since its attitude was known."""
     x, P = state.x, state.P
     kept = np.r_[0:6]
     down, terrain = 2, States.TERRAIN.start
@@ -253,7 +334,7 @@ def _estimate(state: FilterState, quat_measured_wxyz: Array) -> Estimate:
         velocity_ned_m_s=x[States.VELOCITY].copy(),
         covariance=P[np.ix_(kept, kept)],
         quat_wxyz=_true_attitude(x, quat_measured_wxyz),
-        sigma_yaw_rad=math.sqrt(_yaw_variance(P, quat_measured_wxyz)),
+        sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
         agl_m=max(state.agl_m, 0.0),
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,

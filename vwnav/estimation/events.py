@@ -10,14 +10,16 @@ from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
 
 
 class Rank(IntEnum):
-    """Order of events at the same time; the anchor is last, so that it clones what they left."""
+    """Order of events at the same time; clones are last, so that they copy what others left."""
 
-    STATIONARY = 0
-    HEIGHT = 1
-    RANGE = 2
-    FIX = 3
-    ODOMETRY = 4
-    ANCHOR = 5
+    LATE_FIX = 0
+    STATIONARY = 1
+    HEIGHT = 2
+    RANGE = 3
+    FIX = 4
+    ODOMETRY = 5
+    ANCHOR = 6
+    EXPOSURE = 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,11 +104,38 @@ class Keyframe:
         return True
 
 
-Event = NedFix | Height | Range | Stationary | Displacement | Keyframe
+@dataclass(frozen=True, slots=True)
+class Exposed:
+    """A picture was taken that is now being matched to the map: its pose is cloned.
+
+    However long the search takes, its fix meets the clone.
+    """
+
+    t_s: float
+
+    def sensible(self) -> bool:
+        """Whether the time is finite."""
+        return math.isfinite(self.t_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LateFix:
+    """The fix of the picture whose pose is cloned, older than the history that begins at `t_s`."""
+
+    t_s: float
+    fix: NedFix
+
+    def sensible(self) -> bool:
+        """Whether its fix is."""
+        return self.fix.sensible()
+
+
+Event = NedFix | Height | Range | Stationary | Displacement | Keyframe | Exposed | LateFix
 
 _RANKS = {
     Stationary: Rank.STATIONARY, Height: Rank.HEIGHT, Range: Rank.RANGE,
-    NedFix: Rank.FIX, Displacement: Rank.ODOMETRY, Keyframe: Rank.ANCHOR,
+    NedFix: Rank.FIX, Displacement: Rank.ODOMETRY, Keyframe: Rank.ANCHOR, Exposed: Rank.EXPOSURE,
+    LateFix: Rank.LATE_FIX,
 }  # fmt: skip
 
 

@@ -1,16 +1,15 @@
 """A map fix meets the state: position, then heading and height, and the jump when it must be."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory
 from vwnav.estimation.consensus import agreeing, convinces, remember
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
+from vwnav.estimation.states import Dispute, EkfConfig, FilterState, Place, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,
@@ -18,6 +17,7 @@ from vwnav.estimation.updates import (
     Verdict,
     correct,
     freed,
+    fuse,
     innovate,
 )
 from vwnav.geometry.rotations import wrap_pi
@@ -32,23 +32,44 @@ _MAP_TURN = States.MAP_TURN.start
 _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _SMALLEST_SIGMA_M = 0.03
+_AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """Where in the state the pose is that a fix tells; `agl` None: down and terrain."""
+
+    ne: slice
+    yaw: int
+    tilt: slice
+    agl: int | None
+
+
+_NOW = _Pose(_NE, _YAW, States.TILT, None)
+_THEN = _Pose(
+    States.EXPOSED_POSITION,
+    States.EXPOSED_HEADING_BIAS.start,
+    States.EXPOSED_TILT,
+    States.EXPOSED_AGL.start,
+)
 
 
 def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
     """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
     attitudes, config = context.attitudes, context.config
-    position = _position(state, fix, attitudes)
+    yaw_rad = attitudes.yaw_at(fix.t_s)
+    position = _position(state, fix, yaw_rad, _NOW)
     before = state
     state, innovation = _apply_position(state, fix, position, config)
     if not innovation.accepted:
         return state, innovation
     if innovation.verdict is Verdict.RELOCATED:
         state = _on_other_ground(before, state, context)
-    state = replace(state, t_last_fix_s=fix.t_s, disputed_fixes=())
+    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
     if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
-        bias_rad = wrap_pi(attitudes.yaw_at(fix.t_s) - fix.yaw_rad)
-        state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config)
+        bias_rad = wrap_pi(yaw_rad - fix.yaw_rad)
+        state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _NOW.yaw)
         parts.append(part)
     if fix.agl_m is not None and fix.sigma_agl_m is not None:
         state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config, by_map=True)
@@ -56,22 +77,53 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     return state, replace(innovation, parts=tuple(parts))
 
 
-def _position(state: FilterState, fix: NedFix, attitudes: AttitudeHistory) -> Measurement:
+def apply_late_fix(
+    state: FilterState, fix: NedFix, context: Context
+) -> tuple[FilterState, Innovation]:
+    """Fuse the fix of the picture whose pose is cloned: with the clone all that came since moves.
+
+    The map's own error there and here is not the same by now, so it is noise besides.
+    """
+    config, exposure = context.config, state.exposure
+    if exposure is None or exposure.t_s != fix.t_s:
+        return state, Innovation(Verdict.TOO_LATE)
+    position = _position(state, fix, exposure.yaw_rad, _THEN)
+    position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
+    before = state
+    state, innovation = _apply_position(state, fix, position, config)
+    if not innovation.accepted:
+        return state, innovation
+    if innovation.verdict is Verdict.RELOCATED:
+        state = _on_other_ground(before, state, context)
+    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
+    if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
+        bias_rad = wrap_pi(exposure.yaw_rad - fix.yaw_rad)
+        state, _ = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _THEN.yaw)
+    if fix.agl_m is not None and fix.sigma_agl_m is not None:
+        H = np.zeros((1, States.SIZE))
+        H[0, _THEN.agl], H[0, States.MAP_SCALE] = 1.0, float(state.x[_THEN.agl])
+        R = np.array([[fix.sigma_agl_m**2]])
+        state, _ = fuse(state, Measurement(fix.agl_m - H @ state.x, H, R))
+    return state, innovation
+
+
+def _position(state: FilterState, fix: NedFix, measured_yaw_rad: float, pose: _Pose) -> Measurement:
     """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
 
     With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
     AGL (-d_e, d_n) from the true one.
     """
-    yaw_rad = attitudes.yaw_at(fix.t_s) - state.x[_YAW]
+    yaw_rad = measured_yaw_rad - float(state.x[pose.yaw])
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    lever = state.agl_m * np.array([[-s, -c], [c, -s]])  # R2(yaw) @ [[0, -1], [1, 0]]
+    agl_m = state.agl_m if pose.agl is None else float(state.x[pose.agl])
+    lever = agl_m * np.array([[-s, -c], [c, -s]])  # R2(yaw) @ [[0, -1], [1, 0]]
     H = np.zeros((2, States.SIZE))
-    H[:, _NE] = np.eye(2)
-    H[:, States.TILT] = lever
+    H[:, pose.ne] = np.eye(2)
+    H[:, pose.tilt] = lever
     H[:, States.MAP] = np.eye(2)
     residual = fix.position_ne_m - H @ state.x
     # With the height that the fix itself was computed with: the tilt's share is most of the whole.
-    agl_m = state.agl_m if fix.agl_m is None else fix.agl_m
+    agl_m = agl_m if fix.agl_m is None else fix.agl_m
     own_m2 = (max(agl_m, 0.0) * fix.sigma_tilt_rad) ** 2 + fix.sigma_map_m**2
     variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
     rest = np.maximum(variances - own_m2, np.maximum(0.01 * variances, _SMALLEST_SIGMA_M**2))
@@ -83,7 +135,8 @@ def _apply_position(
 ) -> tuple[FilterState, Innovation]:
     innovation = innovate(state, measurement)
     if not state.position_known:
-        return _relocated(state, measurement), replace(innovation, verdict=Verdict.RELOCATED)
+        found = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
+        return found, replace(innovation, verdict=Verdict.RELOCATED)
     if innovation.accepted and not _sudden(measurement, config):
         return correct(state, measurement, config.visual_weight), innovation
     dispute = Dispute(fix.t_s, measurement.residual, measurement.R)
@@ -92,12 +145,33 @@ def _apply_position(
     drift = config.relocation_drift_m_s
     if innovation.accepted:
         if len(agreeing(disputes, drift)) < config.sudden_fixes:
-            return state, replace(innovation, verdict=Verdict.UNCONFIRMED)
+            return _leaning(state, measurement, config), replace(
+                innovation, verdict=Verdict.UNCONFIRMED
+            )
         return correct(state, measurement, config.visual_weight), innovation
     if not convinces(disputes, drift, config.relocation_fixes, config.relocation_span_s):
         return state, innovation
     jumped = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
     return jumped, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _leaning(state: FilterState, measurement: Measurement, config: EkfConfig) -> FilterState:
+    """A long pull that nothing confirms yet: believed as far as wrong ones usually are wrong.
+
+    A filter that knows its place to 300 m only is better off with it, and one that knows it to 5 m
+    is hardly moved.
+    """
+    doubted = measurement.R + config.lone_fix_sigma_m**2 * np.eye(2)
+    return correct(state, replace(measurement, R=doubted))
+
+
+def _trusting(state: FilterState, fix: NedFix) -> FilterState:
+    """Where a fix that agrees with one shortly before it shows the aircraft, to begin anew from."""
+    before_s = state.t_last_fix_s
+    if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
+        return state
+    sigma_m = math.sqrt(max(state.P[0, 0], state.P[1, 1]))
+    return replace(state, trusted=Place(state.t_s, state.x[_NE].copy(), sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:
@@ -113,7 +187,7 @@ def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
     The keyframe moves along, so displacements measured from it stay good.
     """
     jump = np.zeros((States.SIZE, 2))
-    jump[_NE] = jump[_ANCHOR_NE] = np.eye(2)
+    jump[_NE] = jump[_ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
     moved = _moved_along(state, measurement, jump)
     return replace(moved, position_known=True)
 
@@ -132,7 +206,7 @@ def _on_other_ground(before: FilterState, after: FilterState, context: Context) 
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (31, m) says which states move with the residual. The new error is
+    `jump` (n, m) says which states move with the residual. The new error is
     e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
     """
     A = np.eye(States.SIZE) - jump @ measurement.H
@@ -141,18 +215,18 @@ def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> F
 
 
 def _apply_heading(
-    state: FilterState, bias_rad: float, sigma_rad: float, config: EkfConfig
+    state: FilterState, bias_rad: float, sigma_rad: float, config: EkfConfig, yaw: int
 ) -> tuple[FilterState, Innovation]:
-    """Fuse the heading bias that a fix shows: less what the map is turned by.
+    """Fuse the heading bias (state `yaw`) that a fix shows: less what the map is turned by.
 
     A compass that suddenly errs is refused at first; when several fixes agree, the bias is freed.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, _YAW], H[0, _MAP_TURN] = 1.0, -1.0
+    H[0, yaw], H[0, _MAP_TURN] = 1.0, -1.0
     residual = np.array([wrap_pi(float(bias_rad - H[0] @ state.x))])
     measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
     jump = np.zeros((States.SIZE, 1))
-    jump[[_YAW, _ANCHOR_YAW]] = 1.0
+    jump[[_YAW, _ANCHOR_YAW, _THEN.yaw]] = 1.0
     if not state.heading_known:
         found = replace(_moved_along(state, measurement, jump), heading_known=True)
         return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)

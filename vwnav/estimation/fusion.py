@@ -6,18 +6,21 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory, level_axes
+from vwnav.estimation.consensus import convinces, remember
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import (
     Displacement,
     Event,
+    Exposed,
     Keyframe,
+    LateFix,
     NedFix,
 )
-from vwnav.estimation.fixes import apply_fix
+from vwnav.estimation.fixes import apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_agl, apply_height, apply_range
 from vwnav.estimation.imu import push_between
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import Anchor, EkfConfig, FilterState, States
+from vwnav.estimation.states import Anchor, Dispute, EkfConfig, Exposure, FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import skew, vector_from_quat, wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
@@ -29,23 +32,45 @@ _ANCHOR_TURN = States.ANCHOR_TURN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
 _CLONE_SIGMA_M = 0.01
+_EXPOSED_SIGMAS = (
+    (States.EXPOSED_POSITION, _CLONE_SIGMA_M),
+    (States.EXPOSED_HEADING_BIAS, _CLONE_SIGMA_RAD),
+    (States.EXPOSED_TILT, _CLONE_SIGMA_RAD),
+    (States.EXPOSED_AGL, _CLONE_SIGMA_M),
+)
 _ANCHOR_NORTH = States.ANCHOR_POSITION.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
 _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _STILL_S = 0.2
+_APART_M_S = 20.0  # by which refused ways that agree may part
+_WAYS_AGREE = 6
+_NOWHERE = np.zeros(3)
+_SHORTEST_S = 0.1
 
 
 def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
     """The state after an event, and what the event said. `event.t_s` is not before the state's."""
     state = predict(state, event.t_s, context)
+    after, innovation = _meet(state, event, context)
+    apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
+    if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
+        after = replace(after, reset_counter=state.reset_counter + 1)
+    return after, innovation
+
+
+def _meet(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
     attitudes, config = context.attitudes, context.config
     match event:
         case NedFix():
             return apply_fix(state, event, context)
         case Displacement(motion):
             return _apply_displacement(state, motion, context)
+        case LateFix(_, fix):
+            return apply_late_fix(state, fix, context)
+        case Exposed():
+            return _exposed(state, attitudes), Innovation(Verdict.FUSED)
         case Keyframe():
             return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
@@ -54,6 +79,20 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
             return apply_range(state, event, attitudes, config)
         case Stationary():
             return _apply_stationary(state, context)
+
+
+def _exposed(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
+    """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
+    copy = np.eye(States.SIZE)
+    copy[States.EXPOSED_POSITION] = copy[States.POSITION][:2]
+    copy[States.EXPOSED_HEADING_BIAS] = copy[States.HEADING_BIAS]
+    copy[States.EXPOSED_TILT] = copy[States.TILT]
+    copy[States.EXPOSED_AGL] = -copy[_DOWN] - copy[States.TERRAIN]
+    P = copy @ state.P @ copy.T
+    for clone, sigma in _EXPOSED_SIGMAS:
+        P[clone, clone] += sigma**2 * np.eye(clone.stop - clone.start)
+    exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
+    return replace(state, x=copy @ state.x, P=P, exposure=exposure)
 
 
 def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
@@ -98,8 +137,32 @@ def _apply_displacement(
     displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
     state, innovation = fuse(state, displacement)
     if innovation.accepted:
-        state = _in_scale(before, state, agl_m)
+        state = replace(_in_scale(before, state, agl_m), disputed_ways=())
+    else:
+        state = _disputed(state, displacement, config)
     return state, replace(innovation, parts=parts)
+
+
+def _disputed(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
+    """Ways that are refused and agree: pictures or the push are wrong, and which is not known.
+
+    What all of them are off by alike is an error of their keyframe (of its stamp, mostly), which
+    becomes as unsure as that. What they part by from picture to picture is an error of the
+    velocity, and that becomes as unsure.
+    """
+    dispute = Dispute(state.t_s, way.residual, way.R)
+    disputes = remember(state.disputed_ways, dispute, config.dispute_window_s)
+    if not convinces(disputes, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
+        return replace(state, disputed_ways=disputes)
+    assert state.anchor is not None
+    same = [d for d in disputes if d.t_s > state.anchor.t_s]
+    first = same[0] if len(same) >= _WAYS_AGREE // 2 else Dispute(state.anchor.t_s, _NOWHERE, way.R)
+    grew_m_s = (way.residual - first.offset) / max(state.t_s - first.t_s, _SHORTEST_S)
+    P = state.P.copy()
+    for i in range(3):
+        P[_ANCHOR_NORTH + i, _ANCHOR_NORTH + i] += float(way.residual[i]) ** 2
+        P[3 + i, 3 + i] += float(grew_m_s[i]) ** 2
+    return replace(state, P=P, disputed_ways=())
 
 
 def _keyframe_agl_m(state: FilterState) -> float:
@@ -173,6 +236,7 @@ def _displacement(
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
+    R[_DOWN, _DOWN] += (config.zoom_share * float(predicted_m[_DOWN])) ** 2
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))

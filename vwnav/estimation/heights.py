@@ -5,11 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory, cos_tilt
+from vwnav.estimation.attitudes import AttitudeHistory, down_axis
 from vwnav.estimation.consensus import convinces, remember
 from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
-from vwnav.estimation.updates import Innovation, Measurement, Verdict, correct, freed, fuse
-from vwnav.types import Height, Range
+from vwnav.estimation.updates import (
+    CHI_SQUARE_GATE,
+    Innovation,
+    Measurement,
+    Verdict,
+    correct,
+    freed,
+    fuse,
+)
+from vwnav.types import Array, Height, Range
 
 _DOWN = 2
 _CLIMB = 5
@@ -17,6 +25,7 @@ _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _LEAST_COS_TILT = 0.5
 _CLIMB_SIGMA_M_S = 5.0  # of an aircraft whose barometer was not believed
+_UNTHOUGHT_CLIMB_M_S = 12.0  # by which a climb may differ from the one believed
 _CLIMB_DRIFT_M_S = 15.0  # by which agreeing barometric heights may part: it climbs meanwhile
 
 
@@ -25,26 +34,51 @@ def apply_height(
 ) -> tuple[FilterState, Innovation]:
     """Fuse a barometric height.
 
-    A gust at the port is refused. When several heights agree, the aircraft has climbed or sunk as
-    nobody thought, and height and climb are freed: a filter that refused its barometer for good
-    flew at 90 m and took it for 60.
+    A gust at the port is refused. When several heights agree, either the pressure has stepped,
+    faster than any climb: then the barometer's bias is freed, and the height is left to those who
+    did not see it step. Or the aircraft has climbed or sunk as nobody thought, and height and climb
+    are freed: a filter that refused its barometer for good flew at 90 m and took it for 60.
     """
+    stepped = _stepped(state, event, config)
+    state = replace(state, newest_height=(event.t_s, event.height_m))
     H = np.zeros((1, States.SIZE))
     H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
-    R = np.array([[config.height_sigma_m**2]])
+    R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config)]])
     measurement = Measurement(event.height_m - H @ state.x, H, R)
     fused, innovation = fuse(state, measurement)
     if innovation.accepted:
-        return _touch(replace(fused, disputed_heights=()), config), innovation
+        fused = replace(fused, disputed_heights=(), height_stepped=False)
+        return _touch(fused, config), innovation
+    first = not state.disputed_heights
+    state = replace(state, height_stepped=stepped if first else state.height_stepped or stepped)
     dispute = Dispute(state.t_s, measurement.residual, measurement.R)
     disputes = remember(state.disputed_heights, dispute, config.dispute_window_s)
     state = replace(state, disputed_heights=disputes)
     if not convinces(disputes, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
         return state, innovation
-    state = freed(state, _DOWN, 2.0 * abs(float(measurement.residual[0])))
-    state = freed(state, _CLIMB, _CLIMB_SIGMA_M_S)
-    fused = correct(state, measurement)
-    return replace(fused, disputed_heights=()), replace(innovation, verdict=Verdict.RELOCATED)
+    open_m = 2.0 * abs(float(measurement.residual[0]))
+    if state.height_stepped:
+        state = freed(state, States.BARO.start, open_m)
+    else:
+        state = freed(freed(state, _DOWN, open_m), _CLIMB, _CLIMB_SIGMA_M_S)
+    fused = replace(correct(state, measurement), disputed_heights=(), height_stepped=False)
+    return fused, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _lag_m2(state: FilterState, config: EkfConfig) -> float:
+    """Variance of what a height is late by: it is filtered and polled before it is stamped."""
+    return float((config.height_lag_s * state.x[_CLIMB]) ** 2)
+
+
+def _stepped(state: FilterState, event: Height, config: EkfConfig) -> bool:
+    """Whether the height changed from one sample to the next by more than a climb explains."""
+    if state.newest_height is None:
+        return False
+    t0_s, height0_m = state.newest_height
+    span_s = max(event.t_s - t0_s, 0.0)
+    rose_m = event.height_m - height0_m + span_s * float(state.x[_CLIMB])
+    noise_m = math.sqrt(2.0 * CHI_SQUARE_GATE[1]) * config.height_sigma_m
+    return abs(rose_m) > noise_m + _UNTHOUGHT_CLIMB_M_S * span_s
 
 
 def _touch(state: FilterState, config: EkfConfig) -> FilterState:
@@ -65,27 +99,45 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
 def apply_range(
     state: FilterState, event: Range, attitudes: AttitudeHistory, config: EkfConfig
 ) -> tuple[FilterState, Innovation]:
-    """Fuse the distance to the ground along the body's down axis, unless that is far from down."""
-    cos = cos_tilt(attitudes.quat_at(event.t_s))
+    """Fuse the distance to the ground along the body's down axis, unless that is far from down.
+
+    An axis that leans by more or less than the autopilot says is as much longer or shorter: with
+    the tilt's error e about forward and right, cos = d_down - (e_f d_r - e_r d_f).
+    """
+    attitude = attitudes.at(event.t_s)
+    if attitude is None:
+        return state, Innovation(Verdict.NO_ATTITUDE)
+    forward, right, cos = down_axis(attitude.quat_wxyz)
     if cos < _LEAST_COS_TILT:
-        return state, Innovation(Verdict.NOT_FINITE)
-    sigma_m = math.hypot(
-        config.rangefinder_sigma_m, config.rangefinder_sigma_ratio * event.distance_m
+        return state, Innovation(Verdict.IMPOSSIBLE)
+    by_tilt = event.distance_m * np.array([right, -forward])
+    sigma_m = math.sqrt(
+        config.rangefinder_sigma_m**2
+        + (config.rangefinder_sigma_ratio * event.distance_m) ** 2
+        + _lag_m2(state, config)
     )
-    return apply_agl(state, event.distance_m * cos, sigma_m, config)
+    return apply_agl(state, event.distance_m * cos, sigma_m, config, by_tilt=by_tilt)
 
 
 def apply_agl(
-    state: FilterState, agl_m: float, sigma_m: float, config: EkfConfig, by_map: bool = False
+    state: FilterState,
+    agl_m: float,
+    sigma_m: float,
+    config: EkfConfig,
+    by_map: bool = False,
+    by_tilt: Array | None = None,
 ) -> tuple[FilterState, Innovation]:
     """Fuse a height above ground, of a fix or a rangefinder.
 
     A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    Heights `by_map` share the error of its scale.
+    Heights `by_map` share the error of its scale; `by_tilt` (2,) is what a radian of tilt error
+    adds to it.
     """
     H = np.zeros((1, States.SIZE))
     H[0, _DOWN] = H[0, _TERRAIN] = -1.0
     H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
+    if by_tilt is not None:
+        H[0, States.TILT] = by_tilt
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
     fused, innovation = fuse(state, measurement)
     if innovation.accepted:

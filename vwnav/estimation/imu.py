@@ -21,6 +21,9 @@ _SHAKE_S = 1.0  # over which the scatter of the samples is averaged
 _SCATTER_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
 _MOST_FORCE_M_S2 = 320.0  # 32 g and 4000 deg/s: no sensor measures more
 _MOST_RATE_RAD_S = 70.0
+# What an aircraft feels in flight and at a hard landing, and by how much it changes between samples
+_FELT_M_S2, _FELT_RAD_S = 60.0, 17.0
+_SUDDEN_M_S2, _SUDDEN_RAD_S = 30.0, 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +96,47 @@ class ImuHistory:
         self._newest: tuple[Array, Array] = (np.zeros((3, 4)), np.zeros(6))
         self._slope = np.zeros(6)  # of the newest sample against the one before
         self._scatter = np.zeros(2)  # variance per axis of force and rates
+        self._sudden: tuple[float, Array] | None = None  # the newest sample, believed or not
+        self._doubted = np.zeros(2)  # variances that refused samples since the newest one add
+
+    @property
+    def heard(self) -> bool:
+        """Whether a sample ever came."""
+        return bool(self._times_s)
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest sample, minus infinity before the first."""
+        return self._times_s[-1] if self._times_s else -math.inf
+
+    @property
+    def rate_rad_s(self) -> float:
+        """How fast it turned at the newest sample."""
+        rates = self._newest[1][3:]
+        return math.sqrt(float(rates @ rates))
+
+    def believes(self, sample: ImuSample) -> bool:
+        """Whether an aircraft can feel this; what comes suddenly must be felt twice."""
+        if sample.t_s <= self.newest_s:
+            return True  # too late to be compared, and to be added
+        values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
+        silent = sample.t_s > self.newest_s + _LONGEST_GAP_S
+        before, self._sudden = self._sudden, (sample.t_s, values)
+        if _within(values, _FELT_M_S2, _FELT_RAD_S):
+            if silent or _within(values - self._newest[1], _SUDDEN_M_S2, _SUDDEN_RAD_S):
+                return True
+            if before is not None and sample.t_s < before[0] + _LONGEST_GAP_S:
+                return _within(values - before[1], _SUDDEN_M_S2, _SUDDEN_RAD_S)
+        if not silent:
+            self._doubt(values - self._newest[1], sample.t_s - self.newest_s)
+        return False
+
+    def _doubt(self, change: Array, span_s: float) -> None:
+        """A sample is refused: wrong, or a blow too short for others."""
+        force, rates = change[:3], change[3:]
+        most = np.array([_MOST_FORCE_M_S2, _MOST_RATE_RAD_S])
+        size = np.minimum([math.sqrt(force @ force), math.sqrt(rates @ rates)], most)
+        self._doubted += (0.5 * span_s * size) ** 2
 
     def add(self, sample: ImuSample) -> bool:
         """Take the next sample; False when it is not later than the newest."""
@@ -138,10 +182,13 @@ class ImuHistory:
         if not self._felt:
             return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
-        span_s = sample.span_s or sample.t_s - self._times_s[-1]
+        span_s = sample.span_s
+        if span_s is None or self._doubted.any():  # its own clock counts from the one refused
+            span_s = sample.t_s - self._times_s[-1]
         if span_s > _LONGEST_GAP_S:
             return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
+        doubted, self._doubted = self._doubted, np.zeros(2)
         turned = quat_multiply(
             zero.turned, quat_from_vector((0.5 * span_s) * (before + values)[3:])
         )
@@ -150,7 +197,7 @@ class ImuHistory:
             zero.lasted_s + span_s,
             zero.pushed + (0.5 * span_s) * (pushed + now),
             turned / math.sqrt(turned @ turned),
-            zero.shaken + span_s**2 * self._scatter,
+            zero.shaken + span_s**2 * self._scatter + doubted,
         )
 
     def _learn_scatter(self, slope: Array, span_s: float) -> None:
@@ -160,14 +207,17 @@ class ImuHistory:
         self._scatter += -math.expm1(-span_s / _SHAKE_S) * (seen - self._scatter)
 
 
+def _within(values: Array, force_m_s2: float, rate_rad_s: float) -> bool:
+    """Whether force and rates (6,) are shorter than that."""
+    force, rates = values[:3], values[3:]
+    return float(force @ force) < force_m_s2**2 and float(rates @ rates) < rate_rad_s**2
+
+
 def is_sensible(sample: ImuSample) -> bool:
-    """Whether it is finite and within what a sensor can measure."""
+    """Whether its numbers are finite."""
     force, rates = np.asarray(sample.specific_force_m_s2), np.asarray(sample.rates_rad_s)
     if not math.isfinite(sample.t_s) or force.shape != (3,) or rates.shape != (3,):
         return False
     if sample.span_s is not None and not sample.span_s > 0.0:
         return False
-    # Not a number is not smaller than anything.
-    return bool(
-        np.all(np.abs(force) < _MOST_FORCE_M_S2) and np.all(np.abs(rates) < _MOST_RATE_RAD_S)
-    )
+    return bool(np.all(np.isfinite(force)) and np.all(np.isfinite(rates)))

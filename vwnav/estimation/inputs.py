@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from vwnav.errors import SourceError
-from vwnav.estimation.events import NedFix
+from vwnav.estimation.events import Exposed, NedFix
 from vwnav.estimation.states import Start
 from vwnav.types import (
     Array,
@@ -33,12 +33,13 @@ class Asked:
     t_s: float
 
 
-Measurement = Telemetry | NedFix | OdometryMotion
+Measurement = Telemetry | NedFix | OdometryMotion | Exposed
 Input = Start | Measurement | Asked
 
 _KINDS: dict[str, type[Input]] = {
     "start": Start, "attitude": Attitude, "imu": ImuSample, "height": Height, "range": Range,
     "stationary": Stationary, "fix": NedFix, "odometry": OdometryMotion, "asked": Asked,
+    "exposed": Exposed,
 }  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

@@ -36,9 +36,13 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     dt_s = span_s / count
     x, P = state.x, state.P
     quat, felt = state.measured or _measured(state.t_s, context)
+    told = context.attitudes.tell(state.t_s)
     for i in range(count):
-        (quat0, felt0), (quat, felt) = (quat, felt), _measured(state.t_s + (i + 1) * dt_s, context)
-        span = _Span(dt_s, quat0, quat, push_between(felt0, felt))
+        end_s = state.t_s + (i + 1) * dt_s
+        (quat0, felt0), (quat, felt) = (quat, felt), _measured(end_s, context)
+        told0, told = told, context.attitudes.tell(end_s)
+        both = told0 and told
+        span = _Span(dt_s, quat0, quat, push_between(felt0, felt) if both else None, both)
         x, P = _step(x, P, span, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=(quat, felt))
 
@@ -49,12 +53,16 @@ def _measured(t_s: float, context: Context) -> tuple[Array, Felt | None]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Span:
-    """A step of `dt_s`: the autopilot's attitudes (4,) at its ends, and what the IMU felt in it."""
+    """A step of `dt_s`: the autopilot's attitudes (4,) at its ends, and what the IMU felt in it.
+
+    `told` is False where attitudes are missing: nobody knows where the thrust pushed then.
+    """
 
     dt_s: float
     quat0: Array
     quat1: Array
     push: Push | None
+    told: bool = True
 
     @property
     def quat(self) -> Array:
@@ -69,13 +77,14 @@ class _Felt:
     """Acceleration (3,) NED of a step, and how it changes with forward and right tilt error.
 
     `by_bias` (3, 3): with the accelerometer's bias; None when it comes from thrust, to which the
-    slow acceleration must be added.
+    slow acceleration must be added (`by_slow`), or when nothing is known.
     """
 
     acceleration: Array
     by_forward: tuple[float, float] = (0.0, 0.0)
     by_right: tuple[float, float] = (0.0, 0.0)
     by_bias: Array | None = None
+    by_slow: bool = True
 
 
 def _felt(x: Array, span: _Span, config: EkfConfig) -> _Felt:
@@ -84,6 +93,8 @@ def _felt(x: Array, span: _Span, config: EkfConfig) -> _Felt:
     A tilt error d = (d_n, d_e) shows the thrust g (-d_e, d_n) off.
     """
     push, dt_s = span.push, span.dt_s
+    if not span.told:
+        return _Felt(np.zeros(3), by_slow=False)
     if push is None and not config.thrust_aided:
         return _Felt(np.array([float(x[_AN]), float(x[_AE]), 0.0]))
     quat = span.quat
@@ -122,13 +133,14 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     F = _IDENTITY.copy()
     F[_N, _VN] = F[_E, _VE] = F[_D, _VD] = dt_s
     F[_AN, _AN] = F[_AE, _AE] = keep
-    if felt.by_bias is None:
+    if felt.by_bias is None and felt.by_slow:
         F[_N, _AN] = F[_E, _AE] = 0.5 * dt_s**2
         F[_VN, _AN] = F[_VE, _AE] = dt_s
-    else:
+    elif felt.by_bias is not None:
         F[States.VELOCITY, States.ACCELEROMETER_BIAS] = dt_s * felt.by_bias
     # A wrong heading turns the acceleration, a wrong tilt adds to it.
-    slow = (x[_AN], x[_AE]) if felt.by_bias is None else (0.0, 0.0)
+    thrust = felt.by_bias is None and felt.by_slow
+    slow = (x[_AN], x[_AE]) if thrust else (0.0, 0.0)
     F[_VN, _YAW] = dt_s * (felt.acceleration[1] - slow[1])
     F[_VE, _YAW] = -dt_s * (felt.acceleration[0] - slow[0])
     F[_VN, _FORWARD], F[_VE, _FORWARD] = (dt_s * by for by in felt.by_forward)
@@ -136,7 +148,7 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
     F[_MAP, _MAP] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
-    Q = _process_noise(dt_s, flown_m, known, span.push, config)
+    Q = _process_noise(span, flown_m, abs(float(x[_VD])) * dt_s, known, config)
     if span.push is None:
         predicted = F @ P @ F.T + Q
     else:
@@ -165,12 +177,15 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
 
 
 def _process_noise(
-    dt_s: float, flown_m: float, ground_known: bool, push: Push | None, config: EkfConfig
+    span: _Span, flown_m: float, climbed_m: float, ground_known: bool, config: EkfConfig
 ) -> Array:
     """Q of one step: white acceleration, random walks, and what feeds the Gauss-Markov states."""
+    dt_s, push = span.dt_s, span.push
     Q = np.zeros((States.SIZE, States.SIZE))
     level, vertical = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
     heading = config.heading_walk_rad**2
+    if not span.told:
+        level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
     if push is not None:
         level = vertical = config.imu_noise_m_s2**2 + push.shaken_m2_s2 / dt_s
         heading = config.heading_slew_rad**2
@@ -189,7 +204,7 @@ def _process_noise(
     Q[_MAP, _MAP] = np.square(sigmas) * fed_map
     Q[_YAW, _YAW] = heading * dt_s
     baro = States.BARO.start
-    Q[baro, baro] = config.baro_walk_m**2 * dt_s
+    Q[baro, baro] = config.baro_walk_m**2 * dt_s + config.baro_climb_walk_m**2 * climbed_m
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
     Q[_TERRAIN, _TERRAIN] = walk_m**2 * flown_m
     return Q

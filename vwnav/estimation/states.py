@@ -33,7 +33,11 @@ class States:
     GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
     MAP_TURN = slice(29, 30)  # rad, by how much headings by this map, and matching on it, are off
     MAP_SCALE = slice(30, 31)  # the same of heights above ground, as a share of them
-    SIZE = 31
+    EXPOSED_POSITION = slice(31, 33)  # m, north and east of the picture that is being matched
+    EXPOSED_HEADING_BIAS = slice(33, 34)  # rad, the heading bias at its exposure
+    EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
+    EXPOSED_AGL = slice(36, 37)  # m, the height above ground then
+    SIZE = 37
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +54,7 @@ class EkfConfig:
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
+    baro_climb_walk_m: float = 0.15  # per root metre of climb: 1 m in 50; its lag, and warm air
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
     accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
     accelerometer_walk_m_s2: float = 0.003  # per root second
@@ -63,6 +68,8 @@ class EkfConfig:
     map_turn_rad: float = math.radians(0.25)  # likewise: a tilt that matching took for a turn, too
     map_scale: float = 0.008
     map_length_m: float = 100.0  # waves of 50 m, and ways that lead back over the same ground
+    lost_noise_m_s2: float = 5.0  # per root hertz, horizontal, while no attitude tells the thrust
+    lost_climb_noise_m_s2: float = 2.0  # per root hertz, likewise
     thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
     # How sure the states are at first
     heading_sigma_rad: float = math.radians(15.0)  # a compass near motors and steel
@@ -70,6 +77,7 @@ class EkfConfig:
     baro_sigma_m: float = 1.0
     # Measurements
     height_sigma_m: float = 0.25  # barometer, white part
+    height_lag_s: float = 0.15  # of barometer and rangefinder, beyond what their stamps say
     rangefinder_sigma_m: float = 0.05
     rangefinder_sigma_ratio: float = 0.02  # of the distance
     stationary_sigma_m_s: float = 0.05
@@ -78,9 +86,16 @@ class EkfConfig:
     stationary_agl_sigma_m: float = 0.15
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
+    zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
+    # What no aircraft does: a state beyond these begins anew from the last trusted fix
+    most_speed_m_s: float = 35.0
+    most_climb_m_s: float = 25.0
+    most_tilt_rad: float = math.radians(15.0)  # of the autopilot's attitude, its error
+    restart_sigma_m: float = 10.0  # and half the way it may have flown since that fix
+    restart_velocity_m_s: float = 15.0
     # Time
     history_s: float = 2.0  # how late a measurement may be
     ahead_s: float = 2.0  # how far ahead of the newest time known one may be
@@ -91,6 +106,8 @@ class EkfConfig:
     dispute_window_s: float = 30.0  # refused measurements are remembered this long
     sudden_sigma_m: float = 5.0  # a pull beyond what this explains needs ...
     sudden_fixes: int = 2  # ... so many fixes that agree, however unsure the filter is
+    lone_fix_sigma_m: float = 40.0  # by how much a sudden one that none agrees with may be wrong
+    jump_m: float = 3.0  # a correction that is longer counts as a reset
     offset_count: int = 4  # refused headings or AGLs that must agree before their state is freed
     offset_span_s: float = 0.5  # and the least time they span
     heading_drift_rad_s: float = math.radians(2.0)  # by which agreeing headings may drift apart
@@ -123,6 +140,23 @@ class Anchor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """The picture that is being matched, whose pose is cloned: its time and autopilot heading."""
+
+    t_s: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where a fix that was believed has shown it: (2,) north and east, per-axis sigma."""
+
+    t_s: float
+    position_ne_m: Array
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Dispute:
     """A measurement that the gate refused: what it wanted to change (n,), and its covariance."""
 
@@ -136,12 +170,15 @@ class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
-        x: (31,) see `States`. P: (31, 31) its covariance.
+        x: (n,) see `States`, n its size. P: (n, n) its covariance.
         measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
             known then: the next step goes on from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
-        disputed_fixes, disputed_headings, disputed_agls, disputed_heights: refused since the last
-            accepted one.
+        trusted: the last fix that agreed with one before it; the start until then.
+        newest_height: time and height that the barometer told last, believed or not.
+        height_stepped: the heights that are refused began with a step, not with a climb.
+        disputed_fixes, disputed_headings, disputed_agls, disputed_heights, disputed_ways: refused
+            since the last accepted one.
     """
 
     t_s: float
@@ -151,12 +188,17 @@ class FilterState:
     heading_known: bool
     measured: tuple[Array, Felt | None] | None = None
     anchor: Anchor | None = None
+    exposure: Exposure | None = None
     t_last_fix_s: float | None = None
+    trusted: Place | None = None
+    newest_height: tuple[float, float] | None = None
+    height_stepped: bool = False
     reset_counter: int = 0
     disputed_fixes: tuple[Dispute, ...] = ()
     disputed_headings: tuple[Dispute, ...] = ()
     disputed_agls: tuple[Dispute, ...] = ()
     disputed_heights: tuple[Dispute, ...] = ()
+    disputed_ways: tuple[Dispute, ...] = ()
 
     @property
     def agl_m(self) -> float:
@@ -199,19 +241,27 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     x = np.zeros(States.SIZE)
     x[States.POSITION] = position
     x[States.TERRAIN] = -position[2] - start.agl_m
-    variance = np.ones(States.SIZE)
+    variance = first_variance(config)
     variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
     variance[2] = 0.1**2  # the height is counted from here
     variance[States.VELOCITY] = start.sigma_velocity_m_s**2
+    variance[States.TERRAIN] = start.sigma_agl_m**2
+    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
+    heading_known = config.heading_sigma_rad < math.radians(45.0)
+    trusted = Place(start.t_s, position[:2], start.sigma_m) if known else None
+    return FilterState(start.t_s, x, np.diag(variance), known, heading_known, trusted=trusted)
+
+
+def first_variance(config: EkfConfig) -> Array:
+    """(n,) of what the settings know of at first; of the rest, which the start tells, ones."""
+    variance = np.ones(States.SIZE)
     variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
     variance[States.TILT] = config.tilt_sigma_rad**2
-    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
-    variance[States.TERRAIN] = start.sigma_agl_m**2
+    variance[States.BARO] = config.baro_sigma_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
     variance[States.MAP] = config.map_sigma_m**2
     variance[States.MAP_TURN] = config.map_turn_rad**2
     variance[States.MAP_SCALE] = config.map_scale**2
-    heading_known = config.heading_sigma_rad < math.radians(45.0)
-    return FilterState(start.t_s, x, np.diag(variance), known, heading_known)
+    return variance

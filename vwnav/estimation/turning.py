@@ -34,7 +34,7 @@ class Turned:
 
     Attributes:
         residual: (3,) rad, NED: seen minus predicted.
-        A, C: (3, 31). R: (3, 3).
+        A, C: (3, n). R: (3, 3).
     """
 
     residual: Array
@@ -54,7 +54,7 @@ def gyro_says(
     """Compare the autopilot's attitudes (4,) at a step's ends with the gyro's turn between them.
 
     Args:
-        x: (31,) the state before the step.
+        x: (n,) the state before the step.
         push: what the IMU felt in it.
         quats: quat_wxyz of the autopilot before and after.
         span_s: length of the step.

@@ -15,6 +15,11 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 
 _IDENTITY = np.eye(States.SIZE)
 _RIDGE = 1e-12
+_HEADINGS = (
+    States.HEADING_BIAS.start,
+    States.ANCHOR_HEADING_BIAS.start,
+    States.EXPOSED_HEADING_BIAS.start,
+)
 
 
 class Verdict(Enum):
@@ -29,6 +34,8 @@ class Verdict(Enum):
     AHEAD = "from the future"
     DUPLICATE = "already there"
     NO_ANCHOR = "its keyframe is not known"
+    NO_ATTITUDE = "no attitude that is believed tells how it was seen"
+    IMPOSSIBLE = "no aircraft does that"
     HEADING_UNKNOWN = "the heading is not known yet"
     NOT_STARTED = "the filter is not initialised"
 
@@ -57,7 +64,7 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """A linearised measurement: residual (m,), its Jacobian H (m, 31) and noise R (m, m).
+    """A linearised measurement: residual (m,), its Jacobian H (m, n) and noise R (m, m).
 
     Attributes:
         held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
@@ -101,7 +108,7 @@ def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Inn
 
 
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the gain K (31, m) for it: optimal but for held states."""
+    """What the measurement says, and the gain K (n, m) for it: optimal but for held states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
@@ -118,7 +125,7 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
 
 
 def _gain_given(P: Array, PHt: Array, measurement: Measurement) -> Array:
-    """The gain (31, m) that would be optimal if the held states were known as they are.
+    """The gain (n, m) that would be optimal if the held states were known as they are.
 
     P given the held states is P - P_h own^-1 P_h^T; only its product with H^T is needed.
 
@@ -141,7 +148,7 @@ def _corrected(state: FilterState, measurement: Measurement, K: Array) -> Filter
     P = A @ state.P @ A.T
     P += (K @ measurement.R) @ K.T
     x = state.x + K @ measurement.residual
-    for i in (States.HEADING_BIAS.start, States.ANCHOR_HEADING_BIAS.start):
+    for i in _HEADINGS:
         x[i] = wrap_pi(float(x[i]))
     return replace(state, x=x, P=0.5 * (P + P.T))
 

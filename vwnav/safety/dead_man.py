@@ -74,8 +74,8 @@ _STILL_LANDING = _COMES_DOWN | {FlightMode.OFFBOARD}
 class DeadMan:
     """Feed it beats, vehicle views and answers, and do what `step` says.
 
-    What the navigator claimed in flight it cannot simply drop: an aircraft that still listens to
-    it (Offboard, its take-off) stays claimed until it is in another mode.
+    What the navigator claimed in flight it cannot simply drop: an aircraft that does what it asked
+    for last (Offboard, take-off, landing) stays claimed until it is in another mode or disarmed.
     """
 
     config: DeadManConfig = field(default_factory=DeadManConfig)
@@ -132,7 +132,7 @@ class DeadMan:
             return
         self.state, self._land_seen, self._down = GuardState.RELAY, False, False
         self._beat, self._beat_t_s, self._mode_at_beat = beat, t_s, self.vehicle.mode
-        still_listens = self.vehicle.armed and self.vehicle.mode in _STEERED
+        still_listens = self.vehicle.armed and self.vehicle.mode in _STEERED | _COMES_DOWN
         self._claimed = beat.engaged or (self._claimed and still_listens)
 
     def handle_end(self) -> None:
@@ -198,8 +198,8 @@ class DeadMan:
             self._down = self._down or self.vehicle.landed
 
     def _is_someone_elses(self) -> bool:
-        ours = _STEERED | _COMES_DOWN
-        return self.vehicle.mode not in ours and not self._left_alone_in_hold()
+        claimed = self.vehicle.mode in _STEERED | _COMES_DOWN
+        return not claimed and not self._left_alone_in_hold()
 
     def _left_alone_in_hold(self) -> bool:
         """A take-off, or a Hold that the navigator knew of: nobody would ever end it."""

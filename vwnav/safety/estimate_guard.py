@@ -38,6 +38,7 @@ class EstimateLimits:
         brief_gap_s: after a gap no longer than that it goes on as the same, once it is steady.
         settle_s: for how long it has to be steady then.
         settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
+        steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
         new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
     """
 
@@ -54,6 +55,7 @@ class EstimateLimits:
     brief_gap_s: float = 1.0
     settle_s: float = 0.5
     settle_drift_m_s: float = 2.0
+    steady_s: float = 1.0
     new_fixes: int = 3
     new_fixes_s: float = 1.0
 
@@ -134,6 +136,7 @@ class EstimateGuard:
         self._limits = limits if limits is not None else EstimateLimits()
         self._renewals = first_counter
         self._last: Estimate | None = None
+        self._jumped_t_s = -math.inf
         self._track = self._new_track()
         self._trial: _Trial | None = None
         self._may_resume = False
@@ -217,6 +220,8 @@ class EstimateGuard:
         if gap_s > self._limits.max_gap_s:
             return f"there was no estimate for {gap_s:.1f} s"
         if estimate.reset_counter != self._last.reset_counter:
+            if estimate.t_s - self._jumped_t_s < self._limits.steady_s:
+                return "the estimate jumps again and again"
             self._track.clear()
             return self._unsure(estimate)
         if self._track.jumped(estimate.t_s, *_north_east(estimate)):
@@ -236,6 +241,8 @@ class EstimateGuard:
 
     def _sent(self, estimate: Estimate) -> Estimate:
         self.lost_since_s, self._trial, self.reason = None, None, ""
+        if self._last is not None and estimate.reset_counter != self._last.reset_counter:
+            self._jumped_t_s = estimate.t_s
         self._last = estimate
         self._track.add(estimate.t_s, *_north_east(estimate))
         return replace(estimate, reset_counter=estimate.reset_counter + self._renewals)
@@ -257,6 +264,7 @@ class EstimateGuard:
             return self._sent(estimate)
         if self._unsure(estimate) is None and self._is_proven(trial, t_s):
             self._renewals += 1
+            self._jumped_t_s = estimate.t_s
             self._track.clear()
             return self._sent(estimate)
         return None
@@ -302,7 +310,8 @@ class RelayLimits:
 
     Attributes:
         brief_gap_s: the navigator's own brief gap, and the time it waits until it is steady.
-        steady_s: for how long estimates come steadily before they are handed on again.
+        steady_s: for how long estimates come steadily before they are handed on again, and
+            between two jumps that are announced.
         fewest: estimates in that time.
     """
 
@@ -354,6 +363,7 @@ class RelayGuard:
         self._track = self._new_track()
         self._trial: _Trial | None = None
         self._may_resume = False
+        self._jumped_t_s = -math.inf
         self.last: RelayedPosition | None = None
         self.lost_since_s: float | None = None
         self.reason = ""
@@ -412,6 +422,8 @@ class RelayGuard:
         if gap_s > self._limits.max_gap_s:
             return f"no position for {gap_s:.1f} s"
         if position.reset_counter != last.reset_counter:
+            if position.t_s - self._jumped_t_s < self._limits.steady_s:
+                return "the position jumps again and again"
             self._track.clear()
             return self._unsure(position)
         if self._track.jumped(*_place(position)):
@@ -433,6 +445,8 @@ class RelayGuard:
 
     def _pass(self, position: RelayedPosition) -> bool:
         self.lost_since_s, self._trial, self.reason = None, None, ""
+        if self.last is not None and position.reset_counter != self.last.reset_counter:
+            self._jumped_t_s = position.t_s
         self.last = position
         self._track.add(*_place(position))
         return True

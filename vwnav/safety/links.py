@@ -30,7 +30,7 @@ _READ_BYTES = 4096
 _BITS_PER_BYTE = 10.0  # on a serial line: with start and stop bit
 _QUEUE_S = 0.05  # what may wait in the system's queue: nothing overtakes it there
 _SMALLEST_QUEUE_BYTES = 128
-_TCP_QUEUE_BYTES = 4096
+_TCP_QUEUE_BYTES = 2048
 _CONNECT_TIMEOUT_S = 5.0
 _RECONNECT_TIMEOUT_S = 0.3  # with the link down the watchdog has nobody to speak to
 _REOPEN_PERIOD_S = 1.0
@@ -46,17 +46,19 @@ class LinkAddress:
     place: str
     number: int
 
-    def is_same_port(self, other: "LinkAddress") -> bool:
-        """Whether both cannot be open at once, or would take each other's messages away."""
-        if self.kind != other.kind:
-            return False
-        same_place, same_number = self.place == other.place, self.number == other.number
+    @property
+    def port_name(self) -> str:
+        """What has one owner: listening, a port of this machine; a device; else the far end."""
         match self.kind:
             case "udpin":
-                return same_number
+                return f"udpin {self.number}"
             case "serial":
-                return same_place
-        return same_place and same_number
+                return f"serial {self.place}"
+        return f"{self.kind} {self.place}:{self.number}"
+
+    def is_same_port(self, other: "LinkAddress") -> bool:
+        """Whether both cannot be open at once, or would take each other's messages away."""
+        return self.port_name == other.port_name
 
 
 def parse_link(url: str) -> LinkAddress:

@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 _READS_IN_A_ROW = 32
 _CALL_PERIOD_S = 1.0
 _LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
+_SWITCHED_OFF_S = 60.0  # an autopilot that silent while nobody navigates
 _CUT_S = 1.2  # silence of the autopilot that estimates do not simply go on after
 
 
@@ -111,6 +112,7 @@ class Watchdog:
     def step(self, t_s: float) -> None:
         """Hand on, watch and act; call it at 50 Hz or more until `finished`."""
         before, had_it = self._guard.state, self._guard.has_taken_over
+        self._notice_cut(t_s)
         self._relay_autopilot(t_s)
         self._answer_beats(t_s)
         self._guard.handle_vehicle(self._ear.vehicle(t_s))
@@ -148,11 +150,8 @@ class Watchdog:
                 return
             self._links.navigator.write(data)
             self._links.observer.write(data)
-            silent_s = t_s - self._ear.heard_t_s
             for answer in self._ear.listen(data, t_s):
                 self._guard.handle_answer(answer, t_s)
-            if self._ear.vehicle(t_s).armed and _CUT_S < silent_s < math.inf:
-                self._lose_estimates(f"the autopilot was not heard for {silent_s:.1f} s", t_s)
 
     def _relay_navigator(self, t_s: float) -> None:
         for _ in range(_READS_IN_A_ROW):
@@ -208,10 +207,14 @@ class Watchdog:
             )
         return good
 
-    def _lose_estimates(self, reason: str, t_s: float) -> None:
+    def _notice_cut(self, t_s: float) -> None:
+        """Before news are read: what was made while nothing came is not to be the first word."""
+        silent_s = t_s - self._ear.heard_t_s
+        if not self._ear.vehicle(t_s).armed or silent_s <= _CUT_S:
+            return
         if self._estimates.lost_since_s is None:
-            _log.warning("estimates are held back: %s", reason)
-        self._estimates.lose(reason, t_s)
+            _log.warning("estimates are held back: the autopilot is not heard")
+        self._estimates.lose("the autopilot was not heard", t_s)
 
     def _answer_beats(self, t_s: float) -> None:
         while data := self._links.beats.receive():
@@ -246,7 +249,8 @@ class Watchdog:
     def _may_leave(self, t_s: float) -> bool:
         alone_s = t_s - self._ended_t_s
         vehicle = self._ear.vehicle(t_s)
-        if alone_s > self._config.limit_s:
+        silent_s = min(alone_s, self._ear.heartbeat_age_s(t_s))
+        if alone_s > self._config.limit_s or silent_s > _SWITCHED_OFF_S:
             return True
         heard_since = self._ear.heartbeat_t_s > self._ended_t_s
         was_heard = self._ear.heartbeat_t_s > -math.inf

@@ -5,6 +5,8 @@ import logging
 import os
 import selectors
 import signal
+import socket
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,6 +107,7 @@ class WatchdogPorts:
 
     def __init__(self, options: WatchdogOptions) -> None:
         address = parse_link(options.connection)
+        self._claim = _claim(address)
         self._clock = clock_of(options.clock_file)
         self._navigator = _local_link(options.navigator_port)
         self._observer = _local_link(0)
@@ -163,6 +166,8 @@ class WatchdogPorts:
         self._watchdog.close()
         if self._parent is not None:
             self._parent.close()
+        if self._claim is not None:
+            self._claim.close()
 
     def _step(self, now_s: float) -> None:
         """One that fails is said, and the guard goes on: nobody else would land the aircraft."""
@@ -193,6 +198,29 @@ class WatchdogPorts:
         if fd >= 0:
             self._selector.register(fd, selectors.EVENT_READ)
         self._link_fd = fd
+
+
+def _claim(address: LinkAddress) -> socket.socket | None:
+    """Own the link on this machine, until the process ends; None where there is no such claim.
+
+    A navigator that is restarted while its first watchdog still lands the aircraft must not get a
+    second one beside it: on UDP and TCP calls nothing else would keep the two apart.
+
+    Raises:
+        LinkError: another watchdog owns it.
+    """
+    if sys.platform != "linux":
+        return None
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0vwnav watchdog of {address.port_name}")  # abstract: leaves no file behind
+    except OSError as error:
+        claim.close()
+        raise LinkError(
+            f"another watchdog has {address.port_name}: it guards the aircraft until that is "
+            "disarmed, and leaves then"
+        ) from error
+    return claim
 
 
 def _local_link(port: int) -> UdpLink:

@@ -48,16 +48,18 @@ class SuccessorProcess:
             self._wake(self._process, resume)
 
     def close(self) -> None:
-        """End it: its stdin ends, and it is killed where that does not help."""
+        """End it: its stdin ends, then it is told to, then killed."""
         process, self._process = self._process, None
         if process is None:
             return
         _close_stdin(process)
-        try:
-            process.wait(_END_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        for end in (process.terminate, process.kill):
+            try:
+                process.wait(_END_TIMEOUT_S)
+                return
+            except subprocess.TimeoutExpired:
+                end()
+        process.wait()
 
     def _start(self, t_s: float) -> None:
         self._starts += 1

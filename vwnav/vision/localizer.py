@@ -5,6 +5,7 @@ pack is searched, coarse first, and what is found there is looked at again as wi
 """
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -105,6 +106,11 @@ class Localizer:
         self._looker = Looker(pack, extractor, camera)
         self._features = extractor.name
         self._clock = clock
+        self._given_up = threading.Event()
+
+    def give_up(self) -> None:
+        """Let a search that is running in another thread end at its next look."""
+        self._given_up.set()
 
     def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
         """Find where a picture was taken.
@@ -122,6 +128,7 @@ class Localizer:
             ModelError: the pack holds features of another model, or the model fails.
         """
         watch = Stopwatch(self._clock)
+        self._given_up.clear()
         if not is_finite(prior):
             return self._rejected(
                 frame, watch, Misplaced(RejectReason.PRIOR, "the prior holds no finite numbers")
@@ -157,6 +164,7 @@ class Localizer:
             self._rules(prior).max_stretch,
             self._config.threshold_px,
             lambda found: self._closer(job, found, len(tests)),
+            self._given_up.is_set,
         )
 
     def _track(self, job: Job, todo: list[Guess], radius_m: float) -> Found | Misplaced:

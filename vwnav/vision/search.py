@@ -47,6 +47,7 @@ def search(
     max_stretch: float,
     threshold_px: float,
     second_look: Callable[[Found], Found | Misplaced],
+    given_up: Callable[[], bool],
 ) -> Found | Misplaced:
     """Make all the coarse looks and look again at the best of what they find.
 
@@ -57,6 +58,7 @@ def search(
         max_stretch: as in `PlacingRules`.
         threshold_px: as in `PlacingRules`.
         second_look: a closer look at what a coarse one found.
+        given_up: asked before each look whether to leave it.
     """
     worth = WORTH_LOG10 - math.log10(max(1, len(tests)))
     rules = PlacingRules(
@@ -64,7 +66,9 @@ def search(
     )
     hits: list[Found] = []
     on_table: tuple[Level, Window] | None = None
-    for test in tests:
+    for made, test in enumerate(tests):
+        if given_up():
+            return Misplaced(RejectReason.GIVEN_UP, f"after {made} of {len(tests)} looks")
         if on_table != (test.level, test.window):
             on_table = (test.level, test.window)
             map_ = looker.map_features(job, test.level.zoom, test.window)

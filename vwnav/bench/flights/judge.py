@@ -14,6 +14,13 @@ _PILOT_S = 0.3  # from the pilot's mode to the last setpoint
 _NEVER_SIGMAS, _SELDOM_SIGMAS, _SELDOM_S = 5.0, 3.0, 1.0
 _FASTEST_ESTIMATE_M_S = 35.0
 _HARD_M_S = 2.5
+_GOES_ON = {
+    Phase.TAKEOFF: (Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE),
+    Phase.CLIMB: (Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE),
+    Phase.ROUTE: (Phase.ROUTE,),
+    Phase.RETURN: (Phase.RETURN, Phase.DESCEND, Phase.LAND),
+    Phase.DESCEND: (Phase.DESCEND, Phase.LAND),
+}
 _COMMANDS_OF_CONTROL = frozenset({16, 17, 20, 21, 22, 92, 176, 192, 300, 400})
 
 
@@ -56,14 +63,22 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
             return ["it never flew"]
         case Ending.LANDED if bound_m is not None and off_m is not None and off_m > bound_m:
             return [f"it landed {off_m:.1f} m off, {bound_m:.0f} m are allowed"]
-        case Ending.FLIES_ON if flown.world.navigator.flight.phase is not Phase.ROUTE:
-            if flown.end is None or flown.end.reason is not None:
-                return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
+        case Ending.FLIES_ON if not _flies_on(flown):
+            return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
         case Ending.PILOT if last.mode not in STICK_STATES:
             return [f"the pilot does not have it: {_where(last)}"]
         case Ending.STAYED if flew:
             return [f"it took off: {_where(last)}"]
     return []
+
+
+def _flies_on(flown: Flown) -> bool:
+    """The mission stands where it began, or where it goes from there, and nobody gave it up."""
+    if flown.end is not None:
+        return flown.end.reason is None
+    start = flown.scenario.setup.start
+    begun = Phase.TAKEOFF if start is None or start.phase is None else start.phase
+    return flown.world.navigator.flight.phase in _GOES_ON[begun]
 
 
 def _followed(flown: Flown) -> list[str]:

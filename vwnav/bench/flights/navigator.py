@@ -27,6 +27,7 @@ from vwnav.sim.processor import Costs, LateExecutor, Processor, Worker
 from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior, VehicleState
 
 _CAMERA_AGAIN_S = 1.0
+_FIXES_BEFORE = 2  # of a mission that begins in the air
 
 
 class Record:
@@ -81,6 +82,7 @@ class Navigator:
     Args:
         link: to the watchdog; `channel` carries the beats.
         note: takes every line said.
+        first_counter: of resets, where it goes on for another one.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class Navigator:
         processor: Processor,
         costs: Costs,
         note: Callable[[str], None],
+        first_counter: int = 0,
     ) -> None:
         place, config = equipped.place, equipped.config
         self._clock = clock
@@ -116,9 +119,10 @@ class Navigator:
             self.autopilot, equipped.mission, self.keep_alive, crew, config.flight, config.limits,
             config.safety,
         )  # fmt: skip
+        self._guard = EstimateGuard(config.estimate, first_counter)
         self.runtime = FlightRuntime(
-            self.pipeline, self.flight, self.autopilot, EstimateGuard(config.estimate),
-            self.keep_alive, self._watch, self.record,
+            self.pipeline, self.flight, self.autopilot, self._guard, self.keep_alive, self._watch,
+            self.record,
         )  # fmt: skip
         self._safety = config.safety
         frame = equipped.local_frame
@@ -144,19 +148,41 @@ class Navigator:
         for measurement in self.autopilot.take_measurements():
             self.pipeline.feed(measurement)
 
-    def start(self, start: Start, phase: Phase | None) -> None:
-        """Begin: on the ground, or with `phase` in the air as if it had flown there."""
-        t_s = start.t_s
-        self.ekf.initialise(start)
-        if phase is not None:
-            estimate = self.pipeline.estimate(t_s)
-            assert estimate is not None
-            self.flight.take_up(phase, estimate)
-        costs, processor = self._costs, self._processor
+    def pretend(self, estimate: Estimate, armed: bool) -> None:
+        """Send an estimate that no filter has made, as it would have been sent until now."""
+        sent = self._guard.admit(estimate, self._clock.now_s, armed)
+        if sent is not None:
+            self.autopilot.send_estimate(sent)
+
+    def start(self, start: Start | None) -> None:
+        """Begin, with what is known of the place; of an aircraft in flight that may be nothing."""
+        if start is not None:
+            self.ekf.initialise(start)
+        costs, processor, t_s = self._costs, self._processor, self._clock.now_s
         self._workers = {
             "link": Worker(processor, lambda: costs.link, 1.0 / LINK_HZ, t_s),
             "mission": Worker(processor, lambda: costs.control, 1.0 / TICK_HZ, t_s),
         }
+
+    def fly_blindfold(self, t_s: float) -> None:
+        """As `step`, but the mission does not begin yet."""
+        self.port.poll()
+        if self._workers["link"].due(t_s):
+            self.runtime.step_link(t_s)
+        self._see(t_s)
+
+    @property
+    def knows_where(self) -> bool:
+        """Pictures have told a motion and places."""
+        return (
+            self.pipeline.accepted >= _FIXES_BEFORE and self.runtime.navigation.seen_s is not None
+        )
+
+    def take_up(self, phase: Phase) -> None:
+        """The mission begins here, as if it had flown to where it is."""
+        estimate = self.pipeline.estimate(self._clock.now_s)
+        assert estimate is not None
+        self.flight.take_up(phase, estimate)
 
     def step(self, t_s: float) -> None:
         """Let time pass: whatever work has ended by now is done."""

@@ -18,7 +18,7 @@ class Ending(Enum):
     """How a flight ends in good order."""
 
     LANDED = "landed: motors off, on the ground"
-    FLIES_ON = "still flies its route"
+    FLIES_ON = "the mission goes on"
     PILOT = "in the pilot's hands"
     STAYED = "never took off"
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
 from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
@@ -23,16 +24,17 @@ from vwnav.sim.processor import Costs, Processor
 from vwnav.sim.px4.config import PilotPlan, VehicleConfig
 from vwnav.sim.px4.core import Peer, VehicleCore
 from vwnav.sim.px4.link import ByteLink
-from vwnav.sim.px4.modes import NavState
+from vwnav.sim.px4.modes import NavState, Setpoint
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.px4.streams import COMPANION_RATES
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, FeatureExtractor, Features, Gray
+from vwnav.types import Array, Estimate, FeatureExtractor, Features, Gray
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
 _SETTLED_S = 0.5  # of telemetry before its filter begins
+_LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
 _LATENCY_S = 0.002
 _CAMERA_LATENCY_S = 0.04
@@ -156,11 +158,13 @@ class World:
         self._observer_link = MemoryLink(self.clock, rng)
         self._beats = MemoryLink(self.clock, rng)
         self.core = self._vehicle(place)
-        self.watchdog: Watchdog | None = self._watchdog()
         self.processor, self.costs = Processor(), Costs()
         self.camera = self._camera(place)
         self.features = BreakableFeatures(place.primary)
-        self.navigator = self._navigator(place)
+        self._local_frame = LocalFrame(place.site.home_lat_deg, place.site.home_lon_deg, 0.0)
+        self.navigator = self._navigator(place, 0)
+        self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self._local_frame)
+        self.watchdog: Watchdog | None = self._watchdog()
         self._steps = 0
         self.begun_s = 0.0
 
@@ -186,7 +190,7 @@ class World:
         links = WatchdogLinks(
             self.autopilot_link.b, self._navigator_link.a, self._observer_link.a, self._beats.a
         )
-        return Watchdog(links, WatchdogConfig())
+        return Watchdog(links, WatchdogConfig(), self.successor)
 
     def _camera(self, place: Place) -> LockstepCamera:
         rng = np.random.default_rng(self.setup.seed)
@@ -195,19 +199,18 @@ class World:
         period_s = 1.0 / self.setup.picture_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
-    def _navigator(self, place: Place) -> Navigator:
-        setup, site = self.setup, place.site
+    def _navigator(self, place: Place, first_counter: int) -> Navigator:
+        setup = self.setup
         route = np.array(setup.route_ned_m)
         mission = Mission(
             route,
             about_home=not setup.home_known,
             home_ne_m=np.array(setup.stands_ne_m) if setup.home_known else None,
         )
-        frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
-        equipped = Equipped(place, self.features, mission, frame, setup.config)
+        equipped = Equipped(place, self.features, mission, self._local_frame, setup.config)
         return Navigator(
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
-            self.processor, self.costs, self.note,
+            self.processor, self.costs, self.note, first_counter,
         )  # fmt: skip
 
     @property
@@ -221,39 +224,81 @@ class World:
 
     def begin(self) -> None:
         """Bring everything up to where the mission begins."""
-        setup = self.setup
-        position_ned_m: Array | None = self._stands_ned_m if setup.home_known else None
+        setup, navigator = self.setup, self.navigator
+        for _ in self._steps_of(_SETTLED_S if setup.start is None else _LINK_UP_S):
+            navigator.listen(self.clock.now_s)
         if setup.start is None:
-            for _ in self._steps_of(_SETTLED_S):
-                self.navigator.listen(self.clock.now_s)
-            start = Start(t_s=self.clock.now_s, position_ned_m=position_ned_m)
-            self._start(start, None)
-            return
-        for _ in self._steps_of(_LINK_UP_S):
-            self.navigator.listen(self.clock.now_s)
-        self._lift(setup.start)
-        self._start(self._known_in_the_air(), setup.start.phase)
-
-    def _start(self, start: Start, phase: Phase | None) -> None:
+            known = self._stands_ned_m if setup.home_known else None
+            navigator.start(Start(t_s=self.clock.now_s, position_ned_m=known))
+        elif setup.start.phase is None:
+            self._lift(setup.start)
+            navigator.start(None)
+        else:
+            self._fly_there(setup.start, setup.start.phase)
         self.begun_s = self.clock.now_s
-        self.navigator.start(start, phase)
-        self._forget_the_beginning()
+        for notes in (self.track.truth, self.track.sent, self.track.orders):
+            notes.clear()
+
+    def _fly_there(self, start: AirStart, phase: Phase) -> None:
+        """Estimates flow and pictures are matched, as after a flight to that place."""
+        place, velocity = np.array(start.place_ned_m), np.array(start.velocity_ned_m_s)
+        began = place - velocity * _SETTLED_S
+        for step in self._steps_of(_SETTLED_S):
+            self.navigator.listen(self.clock.now_s)
+            self._pretend(step, began, np.zeros(3), False)
+        self._lift(start)
+        for step in self._steps_of(_SETTLED_S):
+            self.navigator.hear(self.clock.now_s)
+            body = self.core.vehicle.body
+            here = np.array([body.n, body.e, body.d])
+            self._pretend(step, here, np.array([body.vn, body.ve, body.vd]), True)
+        self.navigator.start(self._known_in_the_air())
+        for _ in self._steps_of(_LOOKS_S):
+            self._steer(start)
+            self.navigator.fly_blindfold(self.clock.now_s)
+            if self.navigator.knows_where:
+                break
+        self.navigator.take_up(phase)
+
+    def _steer(self, start: AirStart) -> None:
+        """In Offboard, before the mission steers."""
+        vn, ve, vd = start.velocity_ned_m_s
+        yaw_rad = self.core.vehicle.estimator.attitude.yaw_rad
+        self.core.vehicle.set_offboard(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
 
     def _lift(self, start: AirStart) -> None:
-        """The vehicle flies steadily while the filter's telemetry begins."""
+        """The vehicle flies steadily, a little before its place."""
         vehicle = self.core.vehicle
-        heading_rad = float(np.radians(vehicle.config.heading_deg))
-        north, east, down = start.place_ned_m
-        velocity = np.array(start.velocity_ned_m_s)
-        place = np.array([north, east, down]) - velocity * _SETTLED_S
+        began = np.array(start.place_ned_m) - np.array(start.velocity_ned_m_s) * _SETTLED_S
         vehicle.begin_in_flight(
-            (float(place[0]), float(place[1]), float(place[2])),
+            (float(began[0]), float(began[1]), float(began[2])),
             start.velocity_ned_m_s,
-            heading_rad,
+            float(np.radians(vehicle.config.heading_deg)),
             start.mode,
         )
-        for _ in self._steps_of(_SETTLED_S):
-            self.navigator.hear(self.clock.now_s)
+
+    def _pretend(self, step: int, place_ned_m: Array, velocity_ned_m_s: Array, armed: bool) -> None:
+        """Estimates at 50 Hz of a place that it has flown to: the guards know it by them.
+
+        Of a disarmed aircraft they may jump: so they begin before it is lifted.
+        """
+        if step % _NOTED_EVERY:
+            return
+        variances = [0.25, 0.25, 0.05, 0.05, 0.05, 0.05]
+        now_s = self.clock.now_s
+        estimate = Estimate(
+            t_s=now_s,
+            position_ned_m=self._stands_ned_m + place_ned_m,
+            velocity_ned_m_s=velocity_ned_m_s,
+            covariance=np.diag(variances),
+            quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
+            sigma_yaw_rad=0.1,
+            agl_m=-float(place_ned_m[2]),
+            sigma_agl_m=0.5,
+            t_last_fix_s=now_s,
+            reset_counter=0,
+        )
+        self.navigator.pretend(estimate, armed)
 
     def _known_in_the_air(self) -> Start:
         """What the filter would know: the truth, with an error that its sigma covers."""
@@ -269,10 +314,6 @@ class World:
             sigma_agl_m=0.5,
             sigma_velocity_m_s=max(_AIR_SIGMA_M_S, float(np.hypot(body.vn, body.ve))),
         )
-
-    def _forget_the_beginning(self) -> None:
-        for notes in (self.track.truth, self.track.sent, self.track.orders):
-            notes.clear()
 
     def _steps_of(self, seconds: float) -> Iterable[int]:
         """Time passes for vehicle, watchdog and camera, step by step."""

@@ -237,7 +237,7 @@ def gps_global_origin(v: SimulatedPx4) -> Any:
         round(origin.lat_deg * 1e7),
         round(origin.lon_deg * 1e7),
         _mm(origin.alt_amsl_m),
-        round(v.estimator.origin_t_s * 1e6),
+        round(max(0.0, v.estimator.origin_t_s) * 1e6),
     )
 
 

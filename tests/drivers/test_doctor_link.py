@@ -1,0 +1,33 @@
+"""`vwnav doctor --connection`: the real command, and an autopilot to look at."""
+
+import json
+import subprocess
+import sys
+
+from link_peer import Peer, free_port
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+
+def checks(kind: int, params: dict[str, tuple[float, int]]) -> dict[str, str]:
+    port = free_port()
+    url = f"udpin://127.0.0.1:{port}"
+    with Peer(port, kind) as peer:
+        peer.params = params
+        command = [sys.executable, "-m", "vwnav", "doctor", "--json", "--connection", url]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return {check["name"]: check["detail"] for check in json.loads(done.stdout)["checks"]}
+
+
+def test_doctor_names_a_px4_and_what_is_missing():
+    real = mavlink.MAV_PARAM_TYPE_REAL32
+    found = checks(mavlink.MAV_AUTOPILOT_PX4, {"COM_OF_LOSS_T": (5.0, real)})
+    assert found["autopilot"].startswith("PX4 on udpin://")
+    assert found["COM_OF_LOSS_T"].startswith("is 5, should be 1 s or less")
+    assert found["EKF2_EV_CTRL"].startswith("is missing, should be")
+
+
+def test_doctor_names_an_arducopter():
+    kind = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    found = checks(kind, {"VISO_TYPE": (1.0, mavlink.MAV_PARAM_TYPE_INT8)})
+    assert found["autopilot"].startswith("ArduPilot on udpin://")
+    assert "VISO_TYPE" not in found

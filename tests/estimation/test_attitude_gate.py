@@ -1,0 +1,138 @@
+"""Attitudes that could have been turned to are believed, and only those."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vwnav.estimation.ekf import Ekf, EkfConfig, Start
+from vwnav.estimation.updates import Verdict
+from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
+
+STEP_S = 0.02
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+HOVER = np.array([0.0, 0.0, -9.80665])
+
+
+def quat(yaw_deg: float, pitch_deg: float = -8.0):
+    angles = 0.0, math.radians(pitch_deg), math.radians(yaw_deg)
+    return quat_from_rotation(rotation_from_euler(*angles))
+
+
+def cruising(seconds: float, imu: bool, quat_at=lambda t: quat(118.0)) -> Ekf:
+    """Told its attitude, height and perhaps its IMU at 50 Hz."""
+    ekf = Ekf(EkfConfig())
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=0.5, agl_m=50.0))
+    go_on(ekf, 0.0, seconds, imu, quat_at)
+    return ekf
+
+
+def go_on(ekf, start_s, seconds, imu, quat_at=lambda t: quat(118.0), rates=(0.0, 0.0, 0.0)):
+    verdicts = []
+    for i in range(1, round(seconds / STEP_S) + 1):
+        t_s = start_s + STEP_S * i
+        verdicts.append(ekf.handle(Attitude(t_s, quat_at(t_s))).verdict)
+        if imu:
+            ekf.handle(ImuSample(t_s, HOVER, np.array(rates)))
+        ekf.handle(Height(t_s, 50.0))
+    return verdicts
+
+
+@pytest.mark.parametrize("imu", [True, False])
+def test_one_level_attitude_among_right_ones_is_refused_and_leaves_no_trace(imu):
+    ekf, untouched = cruising(2.0, imu), cruising(2.0, imu)
+    assert ekf.handle(Attitude(2.01, LEVEL)).verdict is Verdict.GATED
+    for each in (ekf, untouched):
+        assert set(go_on(each, 2.0, 1.0, imu)) == {Verdict.FUSED}
+    first, second = ekf.estimate(3.0), untouched.estimate(3.0)
+    assert np.array_equal(first.velocity_ned_m_s, second.velocity_ned_m_s)
+    assert np.array_equal(first.quat_wxyz, second.quat_wxyz)
+
+
+@pytest.mark.parametrize("imu", [True, False])
+@pytest.mark.parametrize("turned_deg", [0.0, 118.0])
+def test_level_attitudes_while_the_link_is_cut_are_none_of_the_autopilot(imu, turned_deg):
+    """15 a second for five, as pictures came: nothing else of the autopilot is heard meanwhile."""
+    ekf = cruising(2.0, imu, lambda t: quat(turned_deg))
+    for i in range(75):
+        ekf.handle(Attitude(2.0 + (i + 1) / 15.0, LEVEL))
+        ekf.estimate(2.0 + (i + 1) / 15.0)
+    assert ekf.attitude_at(4.0) is None
+    assert ekf.attitude_at(7.0) is None
+    go_on(ekf, 7.0, 0.2, imu, lambda t: quat(turned_deg))
+    assert ekf.attitude_at(7.2) is not None
+
+
+def test_without_attitude_the_estimate_gets_as_unsure_as_an_aircraft_can_move():
+    ekf = cruising(10.0, imu=True)
+    before, after = ekf.estimate(10.0), ekf.estimate(15.0)
+    assert after.sigma_horizontal_m > before.sigma_horizontal_m + 25.0
+    assert after.sigma_yaw_rad > 1.0
+
+
+def test_odometry_counted_in_an_attitude_that_was_refused_is_refused():
+    ekf = cruising(2.0, imu=True)
+    ekf.handle(Attitude(2.01, LEVEL))
+    go_on(ekf, 2.0, 0.2, imu=True)
+    way = np.array([1.0, 0.0, 0.0])
+    for t0_s, t1_s in ((2.01, 2.1), (1.9, 2.01)):
+        motion = OdometryMotion(t0_s, t1_s, way, 0.01 * np.eye(3), 0.0, 0.01, 50.0, 99)
+        assert ekf.handle(motion).verdict is Verdict.NO_ATTITUDE
+
+
+def test_odometry_faster_than_any_aircraft_is_refused():
+    ekf = cruising(2.0, imu=True)
+    way = np.array([5.0, 0.0, 0.0])
+    motion = OdometryMotion(1.9, 2.0, way, 0.01 * np.eye(3), 0.0, 0.01, 50.0, 99)
+    assert ekf.handle(motion).verdict is Verdict.IMPOSSIBLE
+
+
+@pytest.mark.parametrize("imu", [True, False])
+def test_a_heading_that_the_autopilot_resets_is_followed_within_a_quarter_second(imu):
+    ekf = cruising(2.0, imu)
+    verdicts = go_on(ekf, 2.0, 0.3, imu, lambda t: quat(131.0))
+    assert verdicts[0] is Verdict.GATED
+    assert verdicts[-1] is Verdict.FUSED
+    assert ekf.attitude_at(2.25) is not None
+
+
+def test_a_turn_of_90_degrees_a_second_is_one():
+    ekf = cruising(2.0, imu=True)
+    turning = go_on(
+        ekf, 2.0, 1.0, True, lambda t: quat(90.0 * (t - 2.0) + 118.0, 0.0), (0.0, 0.0, 1.5708)
+    )
+    assert turning.count(Verdict.FUSED) > 30
+
+
+def test_duplicates_stale_ones_and_no_numbers_are_refused():
+    ekf = cruising(2.0, imu=True)
+    assert ekf.handle(Attitude(2.0, quat(118.0))).verdict is Verdict.DUPLICATE
+    assert ekf.handle(Attitude(1.99, LEVEL)).verdict is Verdict.GATED
+    assert ekf.handle(Attitude(-50.0, quat(118.0))).verdict is Verdict.GATED
+    assert ekf.handle(Attitude(2.01, np.full(4, np.nan))).verdict is Verdict.NOT_FINITE
+
+
+def test_one_wrong_sample_of_the_imu_is_refused_and_a_blow_makes_unsure():
+    ekf, calm = cruising(2.0, imu=True), cruising(2.0, imu=True)
+    assert ekf.handle(ImuSample(2.01, np.array([90.0, 0.0, 0.0]), np.zeros(3))).verdict is (
+        Verdict.GATED
+    )
+    for each in (ekf, calm):
+        go_on(each, 2.0, 0.2, imu=True)
+    struck, quiet = ekf.estimate(2.2), calm.estimate(2.2)
+    assert np.max(np.abs(struck.velocity_ned_m_s - quiet.velocity_ned_m_s)[:2]) < 0.1
+    assert struck.covariance[3, 3] > quiet.covariance[3, 3]
+
+
+def test_heights_of_once_a_second_are_company_enough():
+    ekf = Ekf(EkfConfig())
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=0.5, agl_m=50.0))
+    verdicts = []
+    for i in range(1, 200):
+        verdicts.append(ekf.handle(Attitude(0.05 * i, quat(118.0))).verdict)
+        if i % 20 == 0:
+            ekf.handle(Height(0.05 * i, 50.0))
+    assert verdicts[100:].count(Verdict.FUSED) == 99

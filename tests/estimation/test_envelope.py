@@ -1,0 +1,142 @@
+"""A filter that cannot run away: what it refuses, when it jumps, and how it begins anew."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vwnav.bench.estimator_run import play
+from vwnav.bench.estimator_streams import Stream, sense
+from vwnav.bench.estimator_world import World, fly
+from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
+from vwnav.estimation.restart import begun_anew, outside
+from vwnav.estimation.states import States
+from vwnav.types import Attitude, Height
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def hovering(position_ned_m=(0.0, 0.0, -50.0), seconds: float = 2.0, **config) -> Ekf:
+    ekf = Ekf(EkfConfig(**config))
+    place = None if position_ned_m is None else np.array(position_ned_m)
+    ekf.initialise(Start(t_s=0.0, position_ned_m=place, sigma_m=2.0, agl_m=50.0))
+    go_on(ekf, 0.0, seconds, 50.0 if place is not None else 0.0)
+    return ekf
+
+
+def go_on(ekf: Ekf, start_s: float, seconds: float, height_m: float) -> None:
+    for i in range(1, round(10 * seconds) + 1):
+        ekf.handle(Attitude(start_s + 0.1 * i, LEVEL))
+        ekf.handle(Height(start_s + 0.1 * i, height_m))
+
+
+def fix(t_s: float, north_m: float, sigma_m: float = 0.5) -> NedFix:
+    place, covariance = np.array([north_m, 0.0]), sigma_m**2 * np.eye(2)
+    return NedFix(t_s=t_s, position_ne_m=place, covariance_ne_m2=covariance)
+
+
+def test_the_first_fix_of_an_unknown_place_counts_as_a_reset():
+    ekf = hovering(None)
+    assert ekf.estimate(2.0).reset_counter == 0
+    assert ekf.handle(fix(2.0, 500.0)).verdict is Verdict.RELOCATED
+    assert ekf.estimate(2.0).reset_counter == 1
+
+
+def test_a_correction_by_metres_counts_as_a_reset_and_a_small_one_does_not():
+    ekf = hovering()
+    ekf.handle(fix(2.0, 1.0))
+    assert ekf.estimate(2.0).reset_counter == 0
+    ekf = hovering(seconds=20.0)
+    ekf.handle(fix(20.0, 8.0))
+    ekf.handle(fix(20.1, 8.0))
+    assert ekf.estimate(20.1).position_ned_m[0] > 5.0
+    assert ekf.estimate(20.1).reset_counter == 1
+
+
+def broken(ekf: Ekf, index: int, value: float):
+    state = ekf.state
+    x = state.x.copy()
+    x[index] = value
+    return replace(state, x=x)
+
+
+@pytest.mark.parametrize(
+    ("index", "value", "why"),
+    [
+        (States.VELOCITY.start, 40.0, "40 m/s"),
+        (States.VELOCITY.start + 2, -30.0, "30 m/s of climb"),
+        (States.TILT.start, math.radians(20.0), "20 degrees"),
+        (0, math.nan, "not finite"),
+    ],
+)
+def test_a_state_outside_of_the_envelope_begins_anew_at_the_last_trusted_fix(index, value, why):
+    ekf, config = hovering(), EkfConfig()
+    for t_s in (2.0, 2.1):
+        ekf.handle(fix(t_s, 1.0))
+    go_on(ekf, 2.1, 4.0, 50.0)
+    state = broken(ekf, index, value)
+    assert outside(ekf.state, config) is None
+    assert why in outside(state, config)
+    anew = begun_anew(state, config)
+    assert anew.x[0] == pytest.approx(1.0, abs=0.5)
+    assert anew.reset_counter == state.reset_counter + 1
+    assert math.sqrt(anew.P[0, 0]) > 0.4 * config.most_speed_m_s * 4.0
+    assert np.all(anew.x[States.VELOCITY] == 0.0)
+    assert anew.x[2] == pytest.approx(-50.0, abs=1.0) or math.isnan(value)
+    assert outside(anew, config) is None
+
+
+def test_a_runaway_is_said_and_counted():
+    said: list[str] = []
+    ekf = hovering(seconds=1.0, most_speed_m_s=2.0)
+    ekf.on_restart(said.append)
+    lean = np.array([math.cos(0.2), 0.0, -math.sin(0.2), 0.0])  # 4 m/s^2 by its thrust
+    for i in range(1, 100):
+        ekf.handle(Attitude(1.0 + 0.02 * i, lean))
+        ekf.handle(Height(1.0 + 0.02 * i, 50.0))
+    assert said
+    assert "left its envelope" in said[0]
+    found = ekf.estimate(3.0)
+    assert found.reset_counter >= 1
+    assert len(said) == 1  # not again and again
+    assert np.hypot(*found.velocity_ned_m_s[:2]) < 2.5
+
+
+def stream_of(world: World, seed: int) -> Stream:
+    rng = np.random.default_rng(seed)
+    return sense(world, fly(world, [rng])[0], rng)
+
+
+@pytest.mark.parametrize("imu_hz", [0.0, 50.0])
+def test_pressure_wrong_for_most_of_a_second_does_not_move_the_height_with_it(imu_hz):
+    """6 m for 0.7 s: it was followed by all of it, at a climb of 9.4 m/s."""
+    stream = stream_of(World(seconds=30.0, imu_hz=imu_hz), 2)
+    events = [
+        replace(event, seen=Height(event.seen.t_s, event.seen.height_m + 6.0))
+        if isinstance(event.seen, Height) and 20.0 < event.seen.t_s < 20.7
+        else event
+        for event in stream.events
+    ]
+    run, undisturbed = play(replace(stream, events=events)), play(stream)
+    moved_m = [
+        a.position_ned_m[2] - b.position_ned_m[2]
+        for a, b in zip(run.estimates, undisturbed.estimates, strict=True)
+    ]
+    assert np.max(np.abs(moved_m)) < 1.0
+    assert max(abs(e.velocity_ned_m_s[2]) for e in run.estimates if e.t_s > 19.0) < 2.0
+
+
+def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_ones_err():
+    ekf = hovering(None)
+    ekf.handle(fix(2.0, 0.0))
+    for i in range(1, 11):
+        ekf.handle(Attitude(2.0 + i, LEVEL))  # seconds apart: nothing tells how it flies
+        ekf.handle(Height(2.0 + i, 0.0))
+    wide = ekf.estimate(12.0)
+    assert wide.sigma_horizontal_m > 60.0
+    assert ekf.handle(fix(12.0, 100.0)).verdict is Verdict.UNCONFIRMED
+    lone = ekf.estimate(12.0)
+    assert 20.0 < lone.sigma_horizontal_m < 45.0
+    assert ekf.handle(fix(12.2, 100.0)).accepted
+    assert ekf.estimate(12.2).sigma_horizontal_m < 2.0

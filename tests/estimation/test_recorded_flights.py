@@ -1,0 +1,77 @@
+"""Three flights on real PX4 that were lost: the mended filter, told the same, stays honest."""
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vwnav.drivers.tape import PictureSeen, read_tape
+from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
+from vwnav.estimation.inputs import Asked
+from vwnav.types import Array, Estimate
+
+MOST_SIGMAS = 5.0
+MOST_ERROR_M = 3.0  # horizontally, where fixes are to be had
+LATELY_S = 1.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Position NED (n, 3) of the simulator over time, down from where it stood."""
+
+    t_s: Array
+    position_ned_m: Array
+
+    def at(self, t_s: float) -> Array:
+        return np.array([np.interp(t_s, self.t_s, axis) for axis in self.position_ned_m.T])
+
+    def covers(self, t_s: float) -> bool:
+        return bool(self.t_s[0] <= t_s <= self.t_s[-1])
+
+
+def truth_of(folder: Path) -> Truth:
+    with (folder / "truth.csv").open(newline="") as file:
+        names = ("t_s", "north_m", "east_m", "alt_amsl_m")
+        rows = np.array([[float(row[name]) for name in names] for row in csv.DictReader(file)])
+    down_m = rows[0, 3] - rows[:, 3]
+    return Truth(rows[:, 0], np.column_stack([rows[:, 1:3], down_m]))
+
+
+def replayed(tape: Path, ekf: Ekf) -> Iterator[tuple[Estimate, float]]:
+    """Each estimate that was asked for in flight, and when the last fix was told that came in."""
+    fix_s = -math.inf
+    for seen in read_tape(tape):
+        if isinstance(seen, PictureSeen):
+            continue
+        if isinstance(seen, Start | Asked):
+            estimate = ekf.take(seen)
+            if estimate is not None:
+                yield estimate, fix_s
+            continue
+        ekf.handle(seen)
+        if isinstance(seen, NedFix):
+            fix_s = max(fix_s, seen.t_s)
+
+
+@pytest.mark.parametrize("name", ["px4_attitude_missing", "px4_link_cut_5s", "px4_stopped_20s"])
+def test_a_lost_flight_replayed_stays_within_its_sigmas_and_near_its_fixes(name, data_folder):
+    folder = data_folder / "mavlink" / "vwnav_flights" / name
+    if not folder.is_dir():
+        pytest.skip(f"no recorded flight at {folder}")
+    truth, ekf, judged = truth_of(folder), Ekf(EkfConfig()), 0
+    for estimate, fix_s in replayed(folder / "flight.mcap", ekf):
+        if not truth.covers(estimate.t_s):
+            continue
+        error_m = estimate.position_ned_m - truth.at(estimate.t_s)
+        P, when = estimate.covariance, f"{estimate.t_s - truth.t_s[0]:.1f} s"
+        level = math.sqrt(error_m[:2] @ np.linalg.solve(P[:2, :2], error_m[:2]))
+        assert level < MOST_SIGMAS, when
+        assert abs(error_m[2]) < MOST_SIGMAS * math.sqrt(P[2, 2]), when
+        if 0.0 <= estimate.t_s - fix_s <= LATELY_S:
+            assert np.hypot(*error_m[:2]) < MOST_ERROR_M, when
+        judged += 1
+    assert judged > 9000

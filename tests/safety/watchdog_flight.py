@@ -1,0 +1,70 @@
+"""A flight of processes: a navigator, its watchdog, and the autopilot that hears them."""
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from link_peer import IN_AIR, PX4_OFFBOARD, Peer, free_port, is_still, wait_for
+
+HERE = Path(__file__).parent
+SETPOINT, ESTIMATE = "SET_POSITION_TARGET_LOCAL_NED", "VISION_POSITION_ESTIMATE"
+
+
+class Flight:
+    """A navigator's process, its watchdog, and the autopilot that hears them."""
+
+    def __init__(self, peer: Peer, process: subprocess.Popen, url: str) -> None:
+        self.peer, self.process, self.url = peer, process, url
+        assert process.stdout is not None
+        self.watchdog = int(process.stdout.readline())
+        peer.armed, peer.custom_mode, peer.landed_state = True, PX4_OFFBOARD, IN_AIR
+        wait_for(lambda: len(peer.of(ESTIMATE)) > 30 and len(peer.of(SETPOINT)) > 30)
+
+    def signal(self, number: int) -> float:
+        self.process.send_signal(number)
+        return time.monotonic()
+
+    def first_still_s(self, since_s: float) -> float:
+        """From then to the first zero velocity at the autopilot."""
+
+        def first() -> float | None:
+            found = [t for t, m in list(self.peer.heard) if t >= since_s and is_zero(m)]
+            return found[0] - since_s if found else None
+
+        return wait_for(first)
+
+    def watchdog_lives(self) -> bool:
+        return lives(self.watchdog)
+
+
+def is_zero(message) -> bool:
+    return message.get_type() == SETPOINT and is_still(message)
+
+
+def lives(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@contextlib.contextmanager
+def flight(standby: list[str] | None = None) -> Iterator[Flight]:
+    port = free_port()
+    url = f"udpin://127.0.0.1:{port}"
+    arguments = [url, *([json.dumps(standby)] if standby else [])]
+    command = [sys.executable, str(HERE / "navigator.py"), *arguments]
+    with Peer(port) as peer, subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        flying = Flight(peer, process, url)
+        try:
+            yield flying
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGCONT)
+                process.kill()
+            peer.armed = False
+            wait_for(lambda: not flying.watchdog_lives(), 10.0)

@@ -1,0 +1,154 @@
+"""The real command against a simulated vehicle in real time, with something broken on purpose.
+
+`vwnav fly` runs as a user starts it: watchdog process, MAVSDK, UDP, threads, files. Faults that a
+signal cannot make are patched in by a module that the interpreter loads at its start.
+"""
+
+import contextlib
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.sim.truth import TruthReader
+from vwnav.sim.vehicle import VehicleConfig, start_vehicle
+
+ROOT = Path(__file__).resolve().parents[2]
+HOME = LocalFrame(60.4, 22.5, 40.0)
+ROUTE_TEXT = "1,45,0,32\n2,45,-40,32\n"
+DOWN_M = 0.5
+_IN_THE_NAVIGATOR = 'import sys\nif "fly" in sys.orig_argv and "--standby" not in sys.orig_argv:\n'
+
+
+@dataclass
+class RealFlight:
+    """A flight under way.
+
+    Attributes:
+        process: of the navigator.
+        folder: of its run.
+        log: of what it says.
+        truth: where the vehicle truly is.
+    """
+
+    process: subprocess.Popen[bytes]
+    folder: Path
+    log: Path
+    truth: TruthReader
+    _track: list[tuple[float, np.ndarray, float]] = field(default_factory=list)
+
+    def said(self, text: str) -> bool:
+        return text in self.log.read_text(errors="replace")
+
+    def place_ned_m(self) -> np.ndarray:
+        state = self.truth.latest()
+        assert state is not None
+        return HOME.to_ned(state.lat_deg, state.lon_deg, state.alt_amsl_m)
+
+    def wait(self, what: Callable[[], bool], seconds: float) -> float:
+        """How long it took; its speed is watched meanwhile."""
+        began_s = time.monotonic()
+        while not what():
+            waited_s = time.monotonic() - began_s
+            assert waited_s < seconds, self.log.read_text(errors="replace")[-3000:]
+            self.look()
+            time.sleep(0.05)
+        return time.monotonic() - began_s
+
+    def look(self) -> None:
+        state = self.truth.latest()
+        if state is not None:
+            speed = float(np.hypot(*state.velocity_ned_m_s[:2]))
+            self._track.append((time.monotonic(), self.place_ned_m(), speed))
+
+    def wait_until_on_route(self) -> None:
+        self.wait(lambda: self.said("on route"), 120.0)
+        self.wait(lambda: self._speed_m_s() > 4.0, 30.0)
+
+    def wait_until_down(self, seconds: float) -> float:
+        return self.wait(lambda: -self.place_ned_m()[2] < DOWN_M, seconds)
+
+    def fastest_m_s(self) -> float:
+        return max(speed for _, _, speed in self._track)
+
+    def signal(self, number: signal.Signals) -> None:
+        os.kill(self.process.pid, number)
+
+    def _speed_m_s(self) -> float:
+        state = self.truth.latest()
+        return 0.0 if state is None else float(np.hypot(*state.velocity_ned_m_s[:2]))
+
+
+def broken(code: str, folder: Path) -> dict[str, str]:
+    """Environment in which the navigator has been patched by `code`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    body = "".join(f"    {line}\n" for line in code.strip().splitlines())
+    (folder / "sitecustomize.py").write_text(_IN_THE_NAVIGATOR + body)
+    return {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
+
+
+@contextlib.contextmanager
+def real_flight(
+    folder: Path, patch: str = "pass", file_limit: int | None = None, wind_m_s: float = 5.0
+) -> Iterator[RealFlight]:
+    """Start vehicle and navigator; both are gone at the end.
+
+    Args:
+        folder: of everything that is written.
+        patch: code that breaks the navigator.
+        file_limit: no file can grow beyond so many bytes: a full disk.
+        wind_m_s: with gusts.
+    """
+    link, truth = _free_ports(2)
+    config = VehicleConfig(
+        home_lat_deg=HOME.lat_deg, home_lon_deg=HOME.lon_deg, home_alt_amsl_m=HOME.alt_amsl_m,
+        companion_url=f"udpout:127.0.0.1:{link}", truth_url=f"udpin:127.0.0.1:{truth}",
+        ground_url="", wind_m_s=wind_m_s,
+    )  # fmt: skip
+    route = folder / "route.txt"
+    route.write_text(ROUTE_TEXT)
+    command = [
+        sys.executable, "-m", "vwnav", "fly", "--video", "sim:default", "--map", "sim:default",
+        "--route", str(route), "--home", f"{HOME.lat_deg},{HOME.lon_deg}",
+        "--connection", f"udpin://127.0.0.1:{link}", "--truth", f"udpout:127.0.0.1:{truth}",
+        "-o", str(folder / "run"),
+    ]  # fmt: skip
+
+    def limit() -> None:
+        if file_limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
+
+    env = os.environ | broken(patch, folder / "patch")
+    with start_vehicle(config), (folder / "log").open("wb") as log:
+        process = subprocess.Popen(
+            command, stdout=log, stderr=log, env=env, cwd=ROOT, preexec_fn=limit
+        )
+        reader = TruthReader(f"udpout:127.0.0.1:{truth}")
+        try:
+            yield RealFlight(process, folder / "run", folder / "log", reader)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGCONT)
+                process.kill()
+            process.wait()
+            reader.close()
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    try:
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        return [int(each.getsockname()[1]) for each in sockets]
+    finally:
+        for each in sockets:
+            each.close()

@@ -1,0 +1,122 @@
+"""What only real processes show: ends, stops, exceptions in threads, cameras and disks that fail.
+
+Bounds are wide: these machines are shared. The narrow ones are measured (docs/flying.md).
+"""
+
+import json
+import signal
+import time
+
+import numpy as np
+import pytest
+from real_flight import real_flight
+
+AFTER_TICKS_ON_ROUTE = """
+import vwnav.flight as flight
+whole = flight.Flight.tick
+def tick(self, t_s, navigation):
+    self.count = getattr(self, "count", 0) + (self.phase is flight.Phase.ROUTE)
+    if self.count > 80:
+        raise RuntimeError("broken on purpose")
+    return whole(self, t_s, navigation)
+flight.Flight.tick = tick
+"""
+CAMERA_FAILS = """
+import time
+import vwnav.sim.camera_source as camera
+whole = camera.SimulatedCamera.next_frame
+def next_frame(self):
+    self.count = getattr(self, "count", 0) + 1
+    if self.count > 700:
+        raise OSError("the cable is off")
+    return whole(self)
+camera.SimulatedCamera.next_frame = next_frame
+"""
+LINK_STEPS_FAIL = """
+import vwnav.runtime as runtime
+whole = runtime.FlightRuntime.step_link
+def step_link(self, t_s):
+    self.count = getattr(self, "count", 0) + 1
+    if self.count % 7 == 0:
+        raise ValueError("broken on purpose")
+    whole(self, t_s)
+runtime.FlightRuntime.step_link = step_link
+"""
+
+
+def test_a_navigator_that_is_killed_is_landed_and_a_second_one_tells_the_autopilot_where(tmp_path):
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        flight.wait_until_down(90.0)
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 40.0
+        assert flight.fastest_m_s() < 15.0
+        successor = (flight.folder / "watchdog.log").read_text()
+    assert "the navigator ended in flight" in successor
+
+
+def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(tmp_path):
+    with real_flight(tmp_path, AFTER_TICKS_ON_ROUTE) as flight:
+        flight.wait(lambda: flight.said("broken on purpose"), 150.0)
+        broke_at = flight.place_ned_m()
+        flight.wait_until_down(90.0)
+        assert np.hypot(*(flight.place_ned_m() - broke_at)[:2]) < 20.0
+        assert flight.process.wait(30.0) == 1
+    run = json.loads((flight.folder / "run.json").read_text())
+    assert not run["completed"]
+    assert run["score"]["error_at_landing_m"] < 5.0
+
+
+@pytest.mark.long
+def test_a_navigator_that_sleeps_for_20_s_is_landed_and_does_not_fly_away_when_it_wakes(tmp_path):
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        flight.signal(signal.SIGSTOP)
+        stopped_at = flight.place_ned_m()
+        time.sleep(20.0)
+        flight.signal(signal.SIGCONT)
+        flight.wait_until_down(90.0)
+        assert flight.fastest_m_s() < 15.0
+        assert np.hypot(*(flight.place_ned_m() - stopped_at)[:2]) < 100.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_flight_that_is_told_to_end_lands_first(tmp_path, number):
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        told_at = flight.place_ned_m()
+        flight.signal(number)
+        assert flight.process.wait(90.0) == 1
+        place = flight.place_ned_m()
+        assert -place[2] < 0.5
+        assert np.hypot(*(place - told_at)[:2]) < 15.0
+        assert flight.said("interrupted by the operator")
+
+
+@pytest.mark.long
+def test_a_camera_that_fails_for_good_brings_the_aircraft_down_near_by(tmp_path):
+    with real_flight(tmp_path, CAMERA_FAILS) as flight:
+        flight.wait(lambda: flight.said("camera fails"), 150.0)
+        failed_at = flight.place_ned_m()
+        flight.wait_until_down(75.0)
+        assert np.hypot(*(flight.place_ned_m() - failed_at)[:2]) < 50.0
+        assert flight.process.wait(30.0) == 1
+        assert flight.said("the camera shows nothing")
+
+
+@pytest.mark.long
+def test_a_disk_that_is_full_changes_nothing_in_the_air(tmp_path):
+    with real_flight(tmp_path, file_limit=200_000) as flight:
+        flight.wait_until_on_route()
+        assert flight.process.wait(150.0) == 0, flight.log.read_text()[-2000:]
+        assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
+        assert flight.said("recording")
+
+
+@pytest.mark.long
+def test_steps_of_the_link_that_fail_now_and_then_are_flown_through(tmp_path):
+    with real_flight(tmp_path, LINK_STEPS_FAIL) as flight:
+        assert flight.process.wait(240.0) == 0, flight.log.read_text()[-2000:]
+        assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
