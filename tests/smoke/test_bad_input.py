@@ -147,6 +147,15 @@ def test_a_command_without_its_arguments_is_a_usage_error(vwnav, arguments):
     assert vwnav(*arguments).code == 2
 
 
+def test_time_that_waits_is_for_the_embedded_simulation_alone(vwnav, place, tmp_path):
+    done = vwnav(
+        "fly", "--realtime", "--map", place.pack, "--route", _route(tmp_path, "1,20,0,50\n"),
+        "--video", place.video, "--connection", NO_LINK,
+    )  # fmt: skip
+    assert done.code == 2
+    assert "--sim" in done.err
+
+
 def _route(folder, text):
     path = folder / "route.txt"
     path.write_text(text)

@@ -1,0 +1,54 @@
+"""The simulated camera: a picture shows where the vehicle was when it was exposed."""
+
+import time
+
+import numpy as np
+import pytest
+
+from vwnav.clock import WallClock
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.sim.camera_source import SimulatedCamera
+from vwnav.sim.truth import TruthState
+
+HOME = (60.4, 22.5)
+SPEED_M_S = 10.0
+
+
+class LateTruth:
+    """Of a vehicle that flies north; told so long after it was so."""
+
+    def __init__(self, late_s):
+        self.late_s, self.began_s = late_s, time.monotonic()
+        self.frame = LocalFrame(*HOME, 0.0)
+
+    def north_m(self, t_s):
+        return SPEED_M_S * (t_s - self.began_s)
+
+    def wait(self, timeout_s):
+        return self.latest()
+
+    def latest(self):
+        return self.at(time.monotonic())
+
+    def at(self, t_s):
+        t_s = min(t_s, time.monotonic() - self.late_s)
+        place = self.frame.to_geodetic(np.array([self.north_m(t_s), 0.0, -50.0]))
+        zero = (0.0, 0.0, 0.0)
+        return TruthState(t_s, *map(float, place), (1.0, 0.0, 0.0, 0.0), zero, zero)
+
+
+class Renderer:
+    """Draws where it stands."""
+
+    def render(self, position_ned_m, R_ned_body, t_s, velocity_ned_m_s, rates_rad_s):
+        return np.full((2, 2), position_ned_m[0])
+
+
+@pytest.mark.parametrize(("late_s", "off_m"), [(0.0, 0.0), (0.06, 0.0), (0.5, 3.7)])
+def test_a_picture_waits_for_truth_of_its_exposure_and_not_for_ever(late_s, off_m):
+    truth = LateTruth(late_s)
+    camera = SimulatedCamera(Renderer(), truth, HOME, WallClock(), ground_alt_amsl_m=0.0)
+    frames = [camera.next_frame() for _ in range(4)]
+    camera.close()
+    for frame in frames:
+        assert truth.north_m(frame.t_s) - frame.image[0, 0] == pytest.approx(off_m, abs=0.3)
