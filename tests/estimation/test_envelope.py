@@ -12,7 +12,7 @@ from vwnav.bench.estimator_world import World, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import States
-from vwnav.types import Attitude, Height
+from vwnav.types import Attitude, Height, OdometryMotion, Stationary
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -140,3 +140,30 @@ def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_
     assert 20.0 < lone.sigma_horizontal_m < 45.0
     assert ekf.handle(fix(12.2, 100.0)).accepted
     assert ekf.estimate(12.2).sigma_horizontal_m < 2.0
+
+
+def test_who_stands_comes_to_rest_whatever_was_believed_in_the_landing():
+    ekf = hovering((0.0, 0.0, -0.3))
+    state = broken(ekf, States.VELOCITY.start, 4.0)
+    P = state.P.copy()
+    P[3:6, 3:6] = 0.04 * np.eye(3)
+    ekf._begin(replace(state, P=P))
+    for i in range(1, 20):
+        ekf.handle(Attitude(2.0 + 0.05 * i, LEVEL))
+        ekf.handle(Stationary(2.0 + 0.05 * i))
+    assert np.hypot(*ekf.estimate(3.0).velocity_ned_m_s[:2]) < 0.1
+
+
+def test_ways_from_a_forgotten_keyframe_are_told_from_picture_to_picture():
+    """A hovering aircraft's keyframe stays for minutes; the filter has begun anew meanwhile."""
+    ekf, told = hovering(seconds=4.0), []
+    for i in range(1, 30):
+        t_s = 4.0 + i / 15.0
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(Height(t_s, 50.0))
+        way = np.array([2.0 * (t_s - 4.0), 0.0, 0.0])
+        motion = OdometryMotion(0.5, t_s, way, 0.01**2 * np.eye(3), 0.0, 0.01, 50.0, 99)
+        told.append(ekf.handle(motion).verdict)
+    assert told[0] is Verdict.NO_ANCHOR
+    assert told.count(Verdict.FUSED) > 20
+    assert ekf.estimate(t_s).velocity_ned_m_s[0] == pytest.approx(2.0, abs=0.2)

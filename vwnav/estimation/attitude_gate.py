@@ -17,10 +17,12 @@ from vwnav.types import Array, Attitude
 
 _SLACK_RAD = math.radians(4.0)  # filters correct themselves, and stamps are some ms off
 _MOST_TURN_RAD_S = math.radians(250.0)  # of a multirotor that carries a camera
-_UNHEARD_TURN_RAD_S = math.radians(150.0)  # change of rate after the gyro's newest sample
+_UNHEARD_RAD_S2 = math.radians(400.0)  # its rate may change by so much a second ...
+_CARRIED_S = 0.1  # ... after the gyro's newest sample, which is carried on for so long
 _LEVEL_RAD = math.radians(4.0)  # a reset that leaves the tilt within this is one of the heading
 _ANYWHERE_S = 1.0  # after so long without one an attitude may be any
 _ALONE_S = 0.5  # an autopilot that tells its attitude tells its height or its IMU too
+_GYRO_SILENT_S, _GYRO_GONE_S = 0.4, 3.0  # for so long the silent gyro may come back
 _LONG_S, _FORGET = 2.0, 0.9
 # How long those that join each other must last, and how many they must be, after ...
 _SILENCE = (0.04, 3)  # ... a silence in which it could be turned to
@@ -61,7 +63,7 @@ class AttitudeGate:
             return Verdict.FUSED
         if attitude.t_s <= newest_s:
             return self._take_late(attitude)
-        if not self._alone(attitude.t_s) and self._follows(attitude, newest_s):
+        if not self._unvouched(attitude.t_s) and self._follows(attitude, newest_s):
             self._waiting.clear()
             self._attitudes.add(attitude)
             return Verdict.FUSED
@@ -74,9 +76,12 @@ class AttitudeGate:
         self._waiting.clear()
         return Verdict.RELOCATED
 
-    def _alone(self, t_s: float) -> bool:
+    def _unvouched(self, t_s: float) -> bool:
+        """Whether what used to come with attitudes is silent: the gyro, or all of it."""
         alone_s = max(_ALONE_S, 3.0 * self._spacing_s)
-        return -math.inf < self._others_s < t_s - alone_s
+        if -math.inf < self._others_s < t_s - alone_s:
+            return True
+        return _GYRO_SILENT_S < t_s - self._imu.newest_s < _GYRO_GONE_S
 
     def _take_late(self, attitude: Attitude) -> Verdict:
         """One that comes late must fit between its neighbours."""
@@ -99,16 +104,17 @@ class AttitudeGate:
     def _joins(self, before: Attitude, after: Attitude) -> bool:
         """Whether the aircraft may have turned from one to the other."""
         span_s = after.t_s - before.t_s
-        until_s = min(after.t_s, self._imu.newest_s)
+        until_s = min(after.t_s, self._imu.newest_s + _CARRIED_S)
         zero, one = self._imu.until(before.t_s), self._imu.until(until_s)
         push = push_between(zero, one) if until_s >= before.t_s else None
         if push is None:
             apart = _angle(before.quat_wxyz, after.quat_wxyz)
             return apart <= _SLACK_RAD + _MOST_TURN_RAD_S * span_s
         turned = quat_multiply(_unit(before.quat_wxyz), push.turn_wxyz)
-        unheard_s = after.t_s - until_s
-        apart = _angle(turned, after.quat_wxyz)
-        return apart <= _SLACK_RAD + (self._imu.rate_rad_s + _UNHEARD_TURN_RAD_S) * unheard_s
+        unheard_s = max(after.t_s - self._imu.newest_s, 0.0)
+        open_rad = 0.5 * _UNHEARD_RAD_S2 * unheard_s**2
+        open_rad += self._imu.rate_rad_s * (after.t_s - until_s)
+        return _angle(turned, after.quat_wxyz) <= _SLACK_RAD + open_rad
 
     def _wait(self, attitude: Attitude, newest_s: float) -> None:
         self._refuse(attitude.t_s)
@@ -128,7 +134,7 @@ class AttitudeGate:
     def _convinced(self, newest_s: float) -> bool:
         """Whether those that wait are the autopilot's: where a gyro was heard, it must go along."""
         first, last = self._waiting[0], self._waiting[-1]
-        if self._alone(last.t_s):
+        if self._unvouched(last.t_s):
             return False
         span_s, count = _SILENCE
         if self._jumped:

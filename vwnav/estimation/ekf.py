@@ -20,6 +20,7 @@ from vwnav.estimation.events import (
     Keyframe,
     LateFix,
     NedFix,
+    between,
 )
 from vwnav.estimation.fusion import apply
 from vwnav.estimation.imu import ImuHistory, is_sensible
@@ -80,6 +81,7 @@ class Ekf:
         self._tape: Callable[[Input], None] | None = None
         self._on_restart: Callable[[str], None] | None = None
         self._restarted_s = -math.inf
+        self._newest_way: OdometryMotion | None = None
 
     @property
     def initialised(self) -> bool:
@@ -232,16 +234,26 @@ class Ekf:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if not self._possible(motion):
             return Innovation(Verdict.IMPOSSIBLE)
-        if not self._seen_upright(motion):
-            return Innovation(Verdict.NO_ATTITUDE)
-        if not self._timeline.keyframe_known(motion.t0_s):
-            share = self._config.anchor_share
-            covariance = share * motion.covariance_ned_m2
-            sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
-            keyframe = self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad))
-            if not keyframe.accepted:
+        before, self._newest_way = self._newest_way, motion
+        if not self._timeline.keyframe_known(motion.t0_s) and motion.t0_s < self._timeline.oldest_s:
+            if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Innovation(Verdict.NO_ANCHOR)
+            event = Displacement(between(before, motion))
+        if not self._seen_upright(event.motion):
+            return Innovation(Verdict.NO_ATTITUDE)
+        if not self._anchored(event.motion):
+            return Innovation(Verdict.NO_ANCHOR)
         return self._insert(event)
+
+    def _anchored(self, motion: OdometryMotion) -> bool:
+        """Whether its keyframe is cloned, from now on if not before."""
+        assert self._timeline is not None
+        if self._timeline.keyframe_known(motion.t0_s):
+            return True
+        share = self._config.anchor_share
+        covariance = share * motion.covariance_ned_m2
+        sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
+        return self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
 
     def _possible(self, motion: OdometryMotion) -> bool:
         """Whether an aircraft flies that far in that time, at the height that is believed."""

@@ -1,11 +1,12 @@
 """What may happen to the filter, each at its own time."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
 
 
@@ -85,6 +86,22 @@ class Displacement:
             and m.agl_m > 0.0
             and 0.0 <= m.tilt_share <= 1.0
         )
+
+
+def between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
+    """The way from one picture to a later one that were both compared with the same keyframe.
+
+    For a keyframe that the filter has forgotten: over a spot where nothing changes odometry keeps
+    it for minutes, and a filter that begins anew meanwhile would have no ways at all.
+    """
+    return replace(
+        after,
+        t0_s=before.t1_s,
+        displacement_ned_m=after.displacement_ned_m - before.displacement_ned_m,
+        covariance_ned_m2=after.covariance_ned_m2 + before.covariance_ned_m2,
+        yaw_increment_rad=wrap_pi(after.yaw_increment_rad - before.yaw_increment_rad),
+        sigma_yaw_rad=math.hypot(after.sigma_yaw_rad, before.sigma_yaw_rad),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,6 +44,7 @@ _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, accelerati
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _STILL_S = 0.2
+_REST_SHARE = 0.3
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
 _NOWHERE = np.zeros(3)
@@ -248,9 +249,13 @@ def _apply_stationary(state: FilterState, context: Context) -> tuple[FilterState
     H = np.zeros((3, States.SIZE))
     H[:, States.VELOCITY] = np.eye(3)
     R = config.stationary_sigma_m_s**2 * np.eye(3)
-    state, innovation = fuse(state, Measurement(-state.x[States.VELOCITY], H, R))
+    velocity = state.x[States.VELOCITY]
+    state, innovation = fuse(state, Measurement(-velocity, H, R))
     if not innovation.accepted:
-        return state, innovation
+        # Who stands does not move, whatever was believed in the landing: it is open to that.
+        P = state.P.copy()
+        P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)
+        return replace(state, P=P), innovation
     imu = context.imu
     felt = push_between(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
     if felt is not None:

@@ -43,7 +43,7 @@ def apply_height(
     state = replace(state, newest_height=(event.t_s, event.height_m))
     H = np.zeros((1, States.SIZE))
     H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
-    R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config)]])
+    R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config.height_lag_s)]])
     measurement = Measurement(event.height_m - H @ state.x, H, R)
     fused, innovation = fuse(state, measurement)
     if innovation.accepted:
@@ -65,9 +65,9 @@ def apply_height(
     return fused, replace(innovation, verdict=Verdict.RELOCATED)
 
 
-def _lag_m2(state: FilterState, config: EkfConfig) -> float:
-    """Variance of what a height is late by: it is filtered and polled before it is stamped."""
-    return float((config.height_lag_s * state.x[_CLIMB]) ** 2)
+def _lag_m2(state: FilterState, lag_s: float) -> float:
+    """Variance of what a height is wrong by because it is late."""
+    return float((lag_s * state.x[_CLIMB]) ** 2)
 
 
 def _stepped(state: FilterState, event: Height, config: EkfConfig) -> bool:
@@ -114,7 +114,7 @@ def apply_range(
     sigma_m = math.sqrt(
         config.rangefinder_sigma_m**2
         + (config.rangefinder_sigma_ratio * event.distance_m) ** 2
-        + _lag_m2(state, config)
+        + _lag_m2(state, config.rangefinder_lag_s)
     )
     return apply_agl(state, event.distance_m * cos, sigma_m, config, by_tilt=by_tilt)
 

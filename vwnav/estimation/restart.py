@@ -8,6 +8,7 @@ from vwnav.estimation.states import EkfConfig, FilterState, States, first_varian
 
 _HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
 _TERRAIN_SIGMA_M = 30.0
+_BARO_SIGMA_M = 2.0
 
 
 def outside(state: FilterState, config: EkfConfig) -> str | None:
@@ -36,7 +37,10 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
     heights = [2, States.BARO.start, States.TERRAIN.start]
     if np.all(np.isfinite(state.x[heights])):
         x[heights] = state.x[heights]
+        # Nor may what it took the barometer's bias for be far from what weather does in an hour.
+        x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
     variance[2], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
+    variance[States.BARO] = _BARO_SIGMA_M**2
     variance[States.VELOCITY] = config.restart_velocity_m_s**2
     known = state.trusted is not None
     sigma_m = config.unknown_sigma_m

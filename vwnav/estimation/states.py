@@ -54,7 +54,7 @@ class EkfConfig:
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
-    baro_climb_walk_m: float = 0.15  # per root metre of climb: 1 m in 50; its lag, and warm air
+    baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
     accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
     accelerometer_walk_m_s2: float = 0.003  # per root second
@@ -77,7 +77,8 @@ class EkfConfig:
     baro_sigma_m: float = 1.0
     # Measurements
     height_sigma_m: float = 0.25  # barometer, white part
-    height_lag_s: float = 0.15  # of barometer and rangefinder, beyond what their stamps say
+    height_lag_s: float = 0.05  # of the barometer, beyond what its stamps say
+    rangefinder_lag_s: float = 0.15  # likewise: it is polled before it is stamped
     rangefinder_sigma_m: float = 0.05
     rangefinder_sigma_ratio: float = 0.02  # of the distance
     stationary_sigma_m_s: float = 0.05
