@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vwnav.safety.estimate_guard import EstimateGuard, RelayedPosition, RelayGuard
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.safety.relay_guard import RelayedPosition, RelayGuard
 from vwnav.types import Estimate
 
 mcap = pytest.importorskip("mcap.reader")

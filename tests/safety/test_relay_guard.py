@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.safety.estimate_guard import (
+from vwnav.safety.relay_guard import (
     RelayedPosition,
     RelayedVelocity,
     RelayGuard,

@@ -4,19 +4,16 @@ An autopilot chases whatever it is told. One that has lost its position comes do
 when estimates stop; one that follows a runaway estimate flies away. So what was lost comes back
 only as a new estimate, with another reset counter, after several fixes that agree.
 
-`EstimateGuard` stands at the navigator's exit. `RelayGuard` stands in the watchdog and sees only
-what the messages carry; its bounds are a little wider, so that the navigator trips first.
+`EstimateGuard` stands at the navigator's exit; `relay_guard` stands in the watchdog.
 """
 
 import math
-from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.safety.estimate_track import Track, Trial
 from vwnav.types import Array, Estimate
-
-_TRACK_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,65 +57,6 @@ class EstimateLimits:
     new_fixes_s: float = 1.0
 
 
-class _Track:
-    """Positions of the last second: could the next one be of the same aircraft?"""
-
-    def __init__(self, max_speed_m_s: float, max_jump_m: float) -> None:
-        self._max_speed_m_s, self._max_jump_m = max_speed_m_s, max_jump_m
-        self._points: deque[tuple[float, float, float]] = deque()  # time, north, east
-
-    def excess_m(self, t_s: float, north_m: float, east_m: float) -> float:
-        """How much further it is than flight explains, against the oldest and the newest."""
-        excess_m = 0.0
-        for then_s, then_north_m, then_east_m in (self._points[i] for i in self._ends()):
-            moved_m = math.hypot(north_m - then_north_m, east_m - then_east_m)
-            excess_m = max(excess_m, moved_m - self._max_speed_m_s * max(t_s - then_s, 0.0))
-        return excess_m
-
-    def jumped(self, t_s: float, north_m: float, east_m: float) -> bool:
-        """Whether it is further than flight and a correction explain."""
-        return self.excess_m(t_s, north_m, east_m) > self._max_jump_m
-
-    def add(self, t_s: float, north_m: float, east_m: float) -> None:
-        """One that belongs to it."""
-        self._points.append((t_s, north_m, east_m))
-        while t_s - self._points[0][0] > _TRACK_S:
-            self._points.popleft()
-
-    def silent_s(self, t_s: float) -> float:
-        """Since the newest one; 0 before the first."""
-        return t_s - self._points[-1][0] if self._points else 0.0
-
-    def velocity_m_s(self) -> tuple[float, float]:
-        """North, east, from its ends; zero of a track too short to tell."""
-        if not self._points:
-            return 0.0, 0.0
-        (t0_s, north0_m, east0_m), (t1_s, north1_m, east1_m) = self._points[0], self._points[-1]
-        span_s = t1_s - t0_s
-        if span_s < 0.2:
-            return 0.0, 0.0
-        return (north1_m - north0_m) / span_s, (east1_m - east0_m) / span_s
-
-    def clear(self) -> None:
-        """Begin anew."""
-        self._points.clear()
-
-    def _ends(self) -> tuple[int, ...]:
-        return (0, -1) if self._points else ()
-
-
-@dataclass
-class _Trial:
-    """A lost estimate that is watched until it may come back."""
-
-    since_s: float
-    counter: int
-    track: _Track
-    may_resume: bool
-    fixes_t_s: list[float] = field(default_factory=list)
-    count: int = 0
-
-
 class EstimateGuard:
     """The navigator's: every estimate on its way to the autopilot goes through `admit`.
 
@@ -138,7 +76,7 @@ class EstimateGuard:
         self._last: Estimate | None = None
         self._jumped_t_s = -math.inf
         self._track = self._new_track()
-        self._trial: _Trial | None = None
+        self._trial: Trial | None = None
         self._may_resume = False
         self.lost_since_s: float | None = None
         self.reason = ""
@@ -256,7 +194,7 @@ class EstimateGuard:
         trial = self._trial
         if trial is None or estimate.reset_counter != trial.counter or trial.track.jumped(*place):
             resume = trial is None and self._may_resume
-            trial = _Trial(t_s, estimate.reset_counter, self._new_track(), resume)
+            trial = Trial(t_s, estimate.reset_counter, self._new_track(), resume)
             self._trial = trial
         trial.track.add(*place)
         self._count_fix(trial, estimate)
@@ -269,7 +207,7 @@ class EstimateGuard:
             return self._sent(estimate)
         return None
 
-    def _count_fix(self, trial: _Trial, estimate: Estimate) -> None:
+    def _count_fix(self, trial: Trial, estimate: Estimate) -> None:
         t_fix_s = estimate.t_last_fix_s
         assert self.lost_since_s is not None
         is_new = t_fix_s is not None and t_fix_s >= self.lost_since_s
@@ -277,13 +215,13 @@ class EstimateGuard:
             assert t_fix_s is not None
             trial.fixes_t_s.append(t_fix_s)
 
-    def _is_proven(self, trial: _Trial, t_s: float) -> bool:
+    def _is_proven(self, trial: Trial, t_s: float) -> bool:
         fixes_t_s, limits = trial.fixes_t_s, self._limits
         if len(fixes_t_s) < limits.new_fixes or t_s - trial.since_s < limits.new_fixes_s:
             return False
         return fixes_t_s[-1] - fixes_t_s[0] >= limits.new_fixes_s
 
-    def _goes_on(self, trial: _Trial, estimate: Estimate, t_s: float) -> bool:
+    def _goes_on(self, trial: Trial, estimate: Estimate, t_s: float) -> bool:
         """After a brief stall: steady again, and where it would be by now. Asked once."""
         last = self._last
         if not trial.may_resume or last is None or t_s - trial.since_s < self._limits.settle_s:
@@ -300,210 +238,8 @@ class EstimateGuard:
     def _drift_m(self, span_s: float) -> float:
         return self._limits.max_jump_m + self._limits.settle_drift_m_s * span_s
 
-    def _new_track(self) -> _Track:
-        return _Track(self._limits.max_speed_m_s, self._limits.max_jump_m)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RelayLimits:
-    """As `EstimateLimits`, a little wider.
-
-    Attributes:
-        brief_gap_s: the navigator's own brief gap, and the time it waits until it is steady.
-        steady_s: for how long estimates come steadily before they are handed on again, and
-            between two jumps that are announced.
-        fewest: estimates in that time.
-    """
-
-    max_age_s: float = 0.3
-    max_speed_m_s: float = 35.0
-    max_jump_m: float = 4.0
-    max_gap_s: float = 0.5
-    brief_gap_s: float = 2.0
-    drift_m_s: float = 2.5
-    new_position_sigma_m: float = 6.0
-    steady_s: float = 0.3
-    fewest: int = 5
-
-
-@dataclass(frozen=True, slots=True)
-class RelayedPosition:
-    """What VISION_POSITION_ESTIMATE says: NED about the autopilot's origin.
-
-    Attributes:
-        t_s: on the clock of this machine.
-        sigma_m: the larger horizontal one.
-    """
-
-    t_s: float
-    position_ned_m: tuple[float, float, float]
-    sigma_m: float
-    reset_counter: int
-
-
-@dataclass(frozen=True, slots=True)
-class RelayedVelocity:
-    """What VISION_SPEED_ESTIMATE says."""
-
-    t_s: float
-    velocity_ned_m_s: tuple[float, float, float]
-
-
-class RelayGuard:
-    """The watchdog's, over messages that pass: true means that one may be handed on.
-
-    Attributes:
-        last: the position handed on last.
-        lost_since_s: since when none is; None while they pass.
-        reason: why.
-    """
-
-    def __init__(self, limits: RelayLimits | None = None) -> None:
-        self._limits = limits if limits is not None else RelayLimits()
-        self._track = self._new_track()
-        self._trial: _Trial | None = None
-        self._may_resume = False
-        self._jumped_t_s = -math.inf
-        self.last: RelayedPosition | None = None
-        self.lost_since_s: float | None = None
-        self.reason = ""
-
-    @property
-    def velocity_ne_m_s(self) -> tuple[float, float]:
-        """North and east, from the positions of the last second that were handed on."""
-        return self._track.velocity_m_s()
-
-    def admit_position(self, position: RelayedPosition, t_s: float, armed: bool) -> bool:
-        """Whether this one may pass now; disarmed on the ground it may jump."""
-        if not self._is_of_now(position, t_s):
-            return False
-        numbers = (*position.position_ned_m, position.sigma_m)
-        fault = None if all(map(math.isfinite, numbers)) else "a position that is not finite"
-        if not armed:
-            return self._on_ground(position, fault)
-        if self.lost_since_s is None:
-            gap_s = position.t_s - self.last.t_s if self.last is not None else math.inf
-            broken = fault or self._break(position, gap_s)
-            if broken is None:
-                return self._pass(position)
-            self.lose(broken, t_s)
-            self._may_resume = self._limits.max_gap_s < gap_s <= self._limits.brief_gap_s
-        return self._try(position, fault, t_s)
-
-    def admit_velocity(self, velocity: RelayedVelocity, t_s: float) -> bool:
-        """Whether this one may pass now; one that cannot be takes the positions with it."""
-        if self.lost_since_s is not None:
-            return False
-        if not all(map(math.isfinite, (velocity.t_s, *velocity.velocity_ned_m_s))):
-            self.lose("a velocity that is not finite", t_s)
-            return False
-        speed_m_s = math.hypot(*velocity.velocity_ned_m_s[:2])
-        if speed_m_s > self._limits.max_speed_m_s:
-            self.lose(f"a velocity of {speed_m_s:.0f} m/s", t_s)
-            return False
-        return abs(t_s - velocity.t_s) <= self._limits.max_age_s
-
-    def lose(self, reason: str, t_s: float) -> None:
-        """Hand nothing more on until it comes as a new one."""
-        if self.lost_since_s is None:
-            self.lost_since_s = t_s
-        self.reason, self._trial, self._may_resume = reason, None, False
-
-    def _is_of_now(self, position: RelayedPosition, t_s: float) -> bool:
-        """One that is late is left out; if that goes on, the gap makes it lost."""
-        if not abs(t_s - position.t_s) <= self._limits.max_age_s:
-            return False
-        return self.last is None or position.t_s >= self.last.t_s
-
-    def _break(self, position: RelayedPosition, gap_s: float) -> str | None:
-        last = self.last
-        if last is None:
-            return "no position was handed on yet"
-        if gap_s > self._limits.max_gap_s:
-            return f"no position for {gap_s:.1f} s"
-        if position.reset_counter != last.reset_counter:
-            if position.t_s - self._jumped_t_s < self._limits.steady_s:
-                return "the position jumps again and again"
-            self._track.clear()
-            return self._unsure(position)
-        if self._track.jumped(*_place(position)):
-            return "the position jumped"
-        return None
-
-    def _unsure(self, position: RelayedPosition) -> str | None:
-        if position.sigma_m > self._limits.new_position_sigma_m:
-            return f"the new position is uncertain by {position.sigma_m:.0f} m"
-        return None
-
-    def _on_ground(self, position: RelayedPosition, fault: str | None) -> bool:
-        self.lost_since_s, self._trial = None, None
-        self._track.clear()
-        if fault is not None:
-            self.reason = fault
-            return False
-        return self._pass(position)
-
-    def _pass(self, position: RelayedPosition) -> bool:
-        self.lost_since_s, self._trial, self.reason = None, None, ""
-        if self.last is not None and position.reset_counter != self.last.reset_counter:
-            self._jumped_t_s = position.t_s
-        self.last = position
-        self._track.add(*_place(position))
-        return True
-
-    def _try(self, position: RelayedPosition, fault: str | None, t_s: float) -> bool:
-        if fault is not None:
-            self._trial, self._may_resume = None, False
-            return False
-        trial, place = self._trial, _place(position)
-        gap_s = self._limits.max_gap_s
-        if (
-            trial is None
-            or position.reset_counter != trial.counter
-            or trial.track.jumped(*place)
-            or trial.track.silent_s(position.t_s) > gap_s
-        ):
-            resume = trial is None and self._may_resume
-            self._trial = trial = _Trial(t_s, position.reset_counter, self._new_track(), resume)
-        trial.track.add(*place)
-        trial.count += 1
-        if t_s - trial.since_s < self._limits.steady_s or trial.count < self._limits.fewest:
-            return False
-        if not (self._is_new(position) or self._goes_on(trial, position)):
-            return False
-        self._track.clear()
-        return self._pass(position)
-
-    def _is_new(self, position: RelayedPosition) -> bool:
-        is_renewed = self.last is None or position.reset_counter != self.last.reset_counter
-        return is_renewed and self._unsure(position) is None
-
-    def _goes_on(self, trial: _Trial, position: RelayedPosition) -> bool:
-        """After a brief gap: the same one, about where it would be by now. Asked once."""
-        last = self.last
-        if not trial.may_resume or last is None or position.reset_counter != last.reset_counter:
-            return False
-        trial.may_resume = False
-        span_s = position.t_s - last.t_s
-        north_m, east_m = (
-            last.position_ned_m[i] + v * span_s for i, v in enumerate(self.velocity_ne_m_s)
-        )
-        _, now_north_m, now_east_m = _place(position)
-        off_m = math.hypot(now_north_m - north_m, now_east_m - east_m)
-        allowed_m = self._limits.max_jump_m + self._limits.drift_m_s * span_s
-        return not self._track.jumped(*_place(position)) and off_m <= allowed_m
-
-    def _new_track(self) -> _Track:
-        return _Track(self._limits.max_speed_m_s, self._limits.max_jump_m)
-
-
-def is_flyable(estimate: Estimate) -> bool:
-    """Whether an autopilot may steer by it, by itself alone."""
-    return EstimateGuard().admit(estimate, estimate.t_s, armed=False) is not None
-
-
-def _place(position: RelayedPosition) -> tuple[float, float, float]:
-    return position.t_s, position.position_ned_m[0], position.position_ned_m[1]
+    def _new_track(self) -> Track:
+        return Track(self._limits.max_speed_m_s, self._limits.max_jump_m)
 
 
 def _north_east(estimate: Estimate) -> tuple[float, float]:

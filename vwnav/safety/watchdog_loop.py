@@ -12,10 +12,10 @@ from typing import Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.safety.dead_man import DeadMan, DeadManConfig
-from vwnav.safety.estimate_guard import RelayedPosition, RelayedVelocity, RelayGuard
 from vwnav.safety.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.safety.links import Link
 from vwnav.safety.mavlink_framing import Framer, Packet
+from vwnav.safety.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
 from vwnav.safety.watchdog_filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass
 from vwnav.safety.watchdog_outbox import Outbox
 from vwnav.safety.watchdog_voice import AutopilotEar, Origin, Voice
