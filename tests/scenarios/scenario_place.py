@@ -1,6 +1,9 @@
 """The place that all scenarios share: the embedded site with its map, learned features, camera."""
 
+import fcntl
+import tempfile
 from functools import cache
+from pathlib import Path
 
 import cv2
 
@@ -8,6 +11,7 @@ from vwnav.bench.flights.place import Place
 from vwnav.cli.simulation import DEFAULT_SITE, map_pack_of
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import parse_site
+from vwnav.types import FeatureExtractor
 from vwnav.vision.features import load_features
 
 
@@ -16,5 +20,13 @@ def default_place() -> Place:
     """One for each process."""
     cv2.setNumThreads(1)
     learned, sift = load_features("learned"), load_features("sift")
-    pack = map_pack_of(DEFAULT_SITE, [learned, sift])
+    pack = _pack_once([learned, sift])
     return Place(parse_site(DEFAULT_SITE), pack, default_camera(), learned, sift)
+
+
+def _pack_once(extractors: list[FeatureExtractor]) -> Path:
+    """Drawn by one of the test processes; the others wait for it."""
+    lock = Path(tempfile.gettempdir()) / "vwnav_scenarios_map.lock"
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        return map_pack_of(DEFAULT_SITE, extractors)

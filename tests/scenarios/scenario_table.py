@@ -42,7 +42,15 @@ def attitude(name: str, fault: broken.Fault, for_s: float) -> Scenario:
 ATTITUDE = [
     *(
         attitude(f"attitude missing for {seconds:g} s", broken.Missing(), seconds)
-        for seconds in (0.05, 0.2, 1.0, 5.0)
+        for seconds in (0.05, 0.2, 1.0)
+    ),
+    Scenario(
+        name="attitude missing for 5 s",
+        setup=setup(),
+        breaks=(Break(fault=broken.Missing(), at_s=9.0, for_s=5.0),),
+        limit_s=80.0,
+        follows=(mode(5.0, "LAND"),),
+        lands_within_m=30.0,
     ),
     attitude("one attitude level and facing north", broken.WrongAttitude(level=True), 0.02),
     attitude("attitudes level and facing north for 1 s", broken.WrongAttitude(level=True), 1.0),
@@ -177,7 +185,7 @@ PILOT = [
         breaks=(Break(fault=broken.PilotSwitches(), at_s=at_s, phase=begun),),
         limit_s=limit_s,
         ending=Ending.PILOT,
-        follows=(phase(1.5, "pilot flies"),),
+        follows=(phase(3.0, "pilot flies"),),
     )
     for where, start, begun, at_s, limit_s in (
         ("climbing", CLIMB, None, 4.0, 12.0),
@@ -185,7 +193,7 @@ PILOT = [
         ("returning", RETURN, None, 5.0, 12.0),
         ("descending", DESCEND, None, 3.0, 12.0),
         ("landing", DESCEND, Phase.LAND, 1.5, 30.0),
-        ("taking off", None, Phase.TAKEOFF, 3.5, 35.0),
+        ("taking off", None, Phase.TAKEOFF, 6.0, 40.0),
         ("Offboard is being asked for", None, Phase.CLIMB, 0.0, 35.0),
     )
 ] + [

@@ -42,8 +42,8 @@ class FlyOptions:
         words = [sys.executable, "-m", "vwnav", "fly", "--standby"]
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name in ("sim", "arm", "standby", "output") or value is None:
-                continue
+            if isinstance(value, bool) or value is None or field.name == "output":
+                continue  # flags are about the first navigator's part: arming, simulated time
             words += [flags.get(field.name, "--" + field.name.replace("_", "-")), str(value)]
         return [*words, "--output", str(folder / "successor")]
 
