@@ -21,6 +21,7 @@ venv: .venv/.onboard
 	@touch $@
 
 # FLY adds options, for example: make fly FLY="--features sift"
+# By the wall clock, which waits for nobody: make fly FLY="--realtime"
 fly: .venv/.onboard
 	$(BIN)/vwnav fly --sim $(FLY)
 

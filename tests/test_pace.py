@@ -59,25 +59,30 @@ def other(clock):
     participant.process.communicate()
 
 
-def passed_s(clock, wall_s):
-    """How far it goes while the wall's goes `wall_s`."""
-    begin_s = clock()
+def pace_of(clock, wall_s=0.3):
+    """Seconds that pass for each second of the wall's."""
+    wall_begin_s, begin_s = time.monotonic(), clock()
     time.sleep(wall_s)
-    return clock() - begin_s
+    return (clock() - begin_s) / (time.monotonic() - wall_begin_s)
+
+
+RUNS = pytest.approx(1.0, abs=0.15)
+STANDS = pytest.approx(0.0, abs=0.15)
 
 
 def test_with_nobody_late_it_is_the_walls(clock, other):
     assert clock() == pytest.approx(time.monotonic(), abs=0.1)
-    assert passed_s(clock, 0.2) == pytest.approx(0.2, abs=0.02)
+    assert pace_of(clock) == RUNS
     assert sum(clock.held_s().values()) == 0.0
 
 
 def test_it_waits_for_one_who_is_late_and_never_catches_up(clock, other):
-    other.until(0.05)
-    assert passed_s(clock, 0.5) <= 0.05
-    other.until(60.0)
-    assert passed_s(clock, 0.1) == pytest.approx(0.1, abs=0.02)
-    assert clock.held_s()["other"] == pytest.approx(0.45, abs=0.05)
+    until_s = other.until(0.05) + 0.05
+    time.sleep(0.5)
+    assert clock() <= until_s
+    assert clock.held_s()["other"] >= 0.4
+    assert other.until(60.0) <= until_s
+    assert pace_of(clock) == RUNS
 
 
 def test_all_processes_have_the_same_time(clock, other):
@@ -92,34 +97,34 @@ def test_nobody_is_waited_for_longer_than_that_and_then_until_the_next_word(cloc
     other.until(0.0)
     began_s = time.monotonic()
     clock.wait_until(clock() + 0.05)
-    assert time.monotonic() - began_s == pytest.approx(PATIENCE_S + 0.05, abs=0.1)
-    assert passed_s(clock, 0.2) == pytest.approx(0.2, abs=0.02)
+    assert PATIENCE_S <= time.monotonic() - began_s < PATIENCE_S + 0.5
+    assert pace_of(clock) == RUNS
     other.until(0.0)
-    assert passed_s(clock, 0.2) < 0.01
+    assert pace_of(clock) == STANDS
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 def test_one_that_was_stopped_is_not_waited_for_and_again_once_it_goes_on(clock, other):
     other.until(0.0)
     os.kill(other.process.pid, signal.SIGSTOP)
-    assert passed_s(clock, 0.3) > 0.25
+    assert pace_of(clock) == RUNS
     os.kill(other.process.pid, signal.SIGCONT)
-    assert passed_s(clock, 0.2) == pytest.approx(0.2, abs=0.02)
+    assert pace_of(clock) == RUNS
     other.until(0.0)
-    assert passed_s(clock, 0.2) < 0.01
+    assert pace_of(clock) == STANDS
 
 
 def test_one_that_has_ended_is_not_waited_for(clock, other):
     other.until(0.0)
     other.process.kill()
-    assert passed_s(clock, 0.3) > 0.25
+    assert pace_of(clock) == RUNS
 
 
 def test_it_never_goes_back_for_one_who_names_a_time_that_has_passed(clock, other):
     before_s = clock()
     assert other.until(-5.0) >= before_s
     assert clock() >= before_s
-    assert passed_s(clock, 0.2) < 0.01
+    assert pace_of(clock) == STANDS
 
 
 def test_it_is_monotonic_while_many_are_late_by_turns(clock, other):
@@ -147,9 +152,9 @@ def test_it_is_monotonic_while_many_are_late_by_turns(clock, other):
 def test_one_who_left_is_not_waited_for(clock):
     mine = clock.join("mine")
     mine.until(clock())
-    assert passed_s(clock, 0.1) < 0.01
+    assert pace_of(clock) == STANDS
     mine.leave()
-    assert passed_s(clock, 0.1) == pytest.approx(0.1, abs=0.02)
+    assert pace_of(clock) == RUNS
 
 
 def test_one_stopped_while_it_held_the_file_stops_nobody(clock):
@@ -161,7 +166,7 @@ def test_one_stopped_while_it_held_the_file_stops_nobody(clock):
     began_s = time.monotonic()
     for _ in range(20):
         mine.until(clock() + 60.0)
-    assert time.monotonic() - began_s < 0.3
+    assert time.monotonic() - began_s < 0.6
     blocker.kill()
     blocker.communicate()
 
@@ -180,9 +185,9 @@ def test_waiting_ends_at_the_time_waited_for(paced, clock):
     chosen = clock if paced else WallClock()
     until_s = chosen() + 0.1
     chosen.wait_until(until_s)
-    assert 0.0 <= chosen() - until_s < 0.02
+    assert 0.0 <= chosen() - until_s < 0.1
     chosen.wait_until(until_s)  # has passed: at once
-    assert chosen() - until_s < 0.02
+    assert chosen() - until_s < 0.1
 
 
 def test_time_waits_for_a_call_that_takes_longer_than_usual(clock):
@@ -191,4 +196,4 @@ def test_time_waits_for_a_call_that_takes_longer_than_usual(clock):
         began_s = clock()
         assert executor.submit(time.sleep, 0.4).result() is None
         assert clock() - began_s < 0.1
-        assert passed_s(clock, 0.1) == pytest.approx(0.1, abs=0.02)
+        assert pace_of(clock) == RUNS
