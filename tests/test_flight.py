@@ -8,9 +8,9 @@ from vehicles import FLYING
 
 from vwnav.flight import Crew, Flight, FlightConfig, Mission, Phase
 from vwnav.guidance.controller import LimitsConfig
+from vwnav.safety.check import Check
 from vwnav.safety.keepalive import GuardState, WatchdogReport
 from vwnav.safety.monitor import SafetyConfig
-from vwnav.safety.readiness import Check
 from vwnav.types import (
     Estimate,
     FlightMode,

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from vwnav.safety.readiness import Check, missing
+from vwnav.safety.check import Check
+from vwnav.safety.readiness import missing
 from vwnav.types import Autopilot, FlightMode, Request, VehicleState
 
 

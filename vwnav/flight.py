@@ -16,9 +16,9 @@ from vwnav.departure import Departure, DepartureConfig
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
 from vwnav.home import Home
 from vwnav.landing import COMING_DOWN, Landing, LandingState
+from vwnav.safety.check import Check
 from vwnav.safety.keepalive import GuardState, WatchdogReport
 from vwnav.safety.monitor import Action, SafetyMonitor
-from vwnav.safety.readiness import Check
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import (

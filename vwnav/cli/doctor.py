@@ -5,28 +5,18 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
 
 import typer
 
 from vwnav.errors import PreflightError, VwnavError
+from vwnav.safety.check import Check, Verdict
 
-Verdict = Literal["PASS", "WARN", "FAIL"]
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
 FREE_DISK_GB = 1.0
 CAMERA_FPS = 8.0
 CLOCK_NOT_SET_S = 1_700_000_000.0  # 2023: a board without a clock battery starts earlier
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of the report."""
-
-    name: str
-    verdict: Verdict
-    detail: str
 
 
 def doctor(
@@ -168,6 +158,8 @@ def _camera(video: str) -> Check:
 
 def _autopilot(url: str) -> list[Check]:
     from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
+    from vwnav.safety.readiness import check_battery, check_parameters
+    from vwnav.safety.safety_config import SafetyConfig
 
     try:
         autopilot = MavsdkAutopilot(url)
@@ -178,23 +170,12 @@ def _autopilot(url: str) -> list[Check]:
         checks = [Check("autopilot", "PASS", f"{autopilot.kind} on {url}")]
         if autopilot.budget_refusal is not None:
             checks.append(Check("link", "FAIL", autopilot.budget_refusal))
-        checks += [
-            Check(
-                finding.parameter,
-                "FAIL" if finding.severity == "fail" else "WARN",
-                f"is {_in_words(finding.present)}, should be {finding.wanted}: {finding.why}",
-            )
-            for finding in findings
-        ]
-        return checks
+        checks += check_parameters(findings)
+        return [*checks, check_battery(autopilot.state(), SafetyConfig())]
     except VwnavError as error:
         return [Check("autopilot", "FAIL", str(error))]
     finally:
         autopilot.close()
-
-
-def _in_words(value: float | None) -> str:
-    return "missing" if value is None else f"{value:g}"
 
 
 def _print(checks: list[Check], as_json: bool) -> None:
@@ -202,11 +183,7 @@ def _print(checks: list[Check], as_json: bool) -> None:
         print(json.dumps({"checks": [asdict(check) for check in checks]}))
         return
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(show_header=False)
-    colours = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
-    for check in checks:
-        verdict = f"[{colours[check.verdict]}]{check.verdict}[/]"
-        table.add_row(verdict, check.name, check.detail)
-    Console().print(table)
+    from vwnav.cli.screen import check_table
+
+    Console().print(check_table(checks))

@@ -42,9 +42,10 @@ from vwnav.maps.pack import MapPack
 from vwnav.pace import PacedClock
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.links import parse_link
-from vwnav.safety.readiness import Check, Equipment, check_flight
+from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
 from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.renderer import CameraRenderer, default_camera

@@ -18,7 +18,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from vwnav.safety.readiness import Check
+from vwnav.safety.check import Check
 
 talk = Console(stderr=True, highlight=False)
 

@@ -2,22 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
+from vwnav.safety.check import Check
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Finding, Navigation, VehicleState
 
-Verdict = Literal["PASS", "WARN", "FAIL"]
 _PICTURE_AGE_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of the list."""
-
-    name: str
-    verdict: Verdict
-    detail: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,10 @@ from vwnav.maps.pack import MapPack
 from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.keepalive import KeepAlive
-from vwnav.safety.readiness import Check, Equipment, check_flight
+from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
