@@ -432,6 +432,16 @@ def test_it_is_not_left_while_it_stands_armed_and_land_is_not_asked_for_again():
     assert scene.run().flight.end is not None
 
 
+def test_an_autopilot_that_is_gone_for_good_is_not_waited_for():
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(1.0)
+    scene.vehicle.be(heartbeat_age_s=50.0)
+    assert scene.go_on(5.0).flight.end is None
+    scene.vehicle.be(heartbeat_age_s=61.0)
+    assert "not heard any more" in scene.go_on(1.0).flight.end.reason
+
+
 def test_without_an_estimate_to_fly_on_it_stops_and_is_landed_before_the_autopilot_gives_up():
     scene = on_route()
     scene.lost, lost_s = "its velocity is unknown", scene.t_s

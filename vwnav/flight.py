@@ -33,6 +33,7 @@ from vwnav.types import (
 )
 
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
+_GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 
 
@@ -530,6 +531,8 @@ class Flight:
         """The aircraft comes down, or is somebody else's; it is left when the motors stop."""
         if not vehicle.armed:
             self._finish(self._trouble)
+        elif vehicle.heartbeat_age_s > _GONE_S:
+            self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             self._recover(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:
