@@ -28,7 +28,7 @@ from vwnav.errors import LinkError
 from vwnav.safety.keepalive import KeepAlive, UdpChannel
 
 _log = logging.getLogger(__name__)
-_READY_TIMEOUT_S = 15.0
+_READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
 _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
 _ANSWERS_WITHIN_S = 2.0
 
