@@ -29,6 +29,10 @@ class Truth:
     def at(self, t_s: float) -> Array:
         return np.array([np.interp(t_s, self.t_s, axis) for axis in self.position_ned_m.T])
 
+    def near(self, fix: NedFix) -> bool:
+        """On the tapes some fixes are wrong themselves: no filter is right by one of those."""
+        return bool(np.hypot(*(fix.position_ne_m - self.at(fix.t_s)[:2])) < MOST_ERROR_M)
+
     def covers(self, t_s: float) -> bool:
         return bool(self.t_s[0] <= t_s <= self.t_s[-1])
 
@@ -41,8 +45,8 @@ def truth_of(folder: Path) -> Truth:
     return Truth(rows[:, 0], np.column_stack([rows[:, 1:3], down_m]))
 
 
-def replayed(tape: Path, ekf: Ekf) -> Iterator[tuple[Estimate, float]]:
-    """Each fourth estimate that was asked for in flight, and the exposure of the newest fix."""
+def replayed(tape: Path, ekf: Ekf, truth: Truth) -> Iterator[tuple[Estimate, float]]:
+    """Each fourth estimate asked for in flight, and the exposure of the newest right fix."""
     fix_s, asked = -math.inf, 0
     for seen in read_tape(tape):
         asked += isinstance(seen, Asked)
@@ -54,7 +58,7 @@ def replayed(tape: Path, ekf: Ekf) -> Iterator[tuple[Estimate, float]]:
                 yield estimate, fix_s
             continue
         ekf.handle(seen)
-        if isinstance(seen, NedFix):
+        if isinstance(seen, NedFix) and truth.near(seen):
             fix_s = max(fix_s, seen.t_s)
 
 
@@ -64,7 +68,7 @@ def test_a_lost_flight_replayed_stays_within_its_sigmas_and_near_its_fixes(name,
     if not folder.is_dir():
         pytest.skip(f"no recorded flight at {folder}")
     truth, ekf, judged = truth_of(folder), Ekf(EkfConfig()), 0
-    for estimate, fix_s in replayed(folder / "flight.mcap", ekf):
+    for estimate, fix_s in replayed(folder / "flight.mcap", ekf, truth):
         if not truth.covers(estimate.t_s):
             continue
         error_m = estimate.position_ned_m - truth.at(estimate.t_s)

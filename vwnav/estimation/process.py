@@ -148,7 +148,7 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
     F[_MAP, _MAP] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
-    Q = _process_noise(span, flown_m, abs(float(x[_VD])) * dt_s, known, config)
+    Q = _process_noise(span, x, flown_m, known, config)
     if span.push is None:
         predicted = F @ P @ F.T + Q
     else:
@@ -177,7 +177,7 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
 
 
 def _process_noise(
-    span: _Span, flown_m: float, climbed_m: float, ground_known: bool, config: EkfConfig
+    span: _Span, x: Array, flown_m: float, ground_known: bool, config: EkfConfig
 ) -> Array:
     """Q of one step: white acceleration, random walks, and what feeds the Gauss-Markov states."""
     dt_s, push = span.dt_s, span.push
@@ -191,6 +191,8 @@ def _process_noise(
         heading = config.heading_slew_rad**2
         Q[_FORCE_BIAS, _FORCE_BIAS] = config.accelerometer_walk_m_s2**2 * dt_s
         Q[_RATE_BIAS, _RATE_BIAS] = config.gyro_walk_rad_s**2 * dt_s
+    if -x[_D] - x[_TERRAIN] < config.blow_agl_m:
+        level = max(level, config.blow_noise_m_s2**2)
     for p, v, q in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):
         Q[p, p] = q * dt_s**3 / 3.0
         Q[p, v] = Q[v, p] = q * dt_s**2 / 2.0
@@ -204,7 +206,9 @@ def _process_noise(
     Q[_MAP, _MAP] = np.square(sigmas) * fed_map
     Q[_YAW, _YAW] = heading * dt_s
     baro = States.BARO.start
-    Q[baro, baro] = config.baro_walk_m**2 * dt_s + config.baro_climb_walk_m**2 * climbed_m
+    Q[baro, baro] = (
+        config.baro_walk_m**2 * dt_s + config.baro_climb_walk_m**2 * abs(float(x[_VD])) * dt_s
+    )
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
     Q[_TERRAIN, _TERRAIN] = walk_m**2 * flown_m
     return Q

@@ -85,6 +85,8 @@ class EkfConfig:
     stationary_sigma_rad_s: float = math.radians(0.4)  # of its turning, by the gyro
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
+    blow_agl_m: float = 2.0  # lower than this it may strike the ground, shorter than an IMU hears
+    blow_noise_m_s2: float = 1.0  # per root hertz, horizontal, instead of less
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
