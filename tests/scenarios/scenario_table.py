@@ -132,8 +132,11 @@ NAVIGATOR = [
         setup=setup(),
         breaks=(Break(fault=broken.NavigatorStopped(20.0), at_s=9.0),),
         limit_s=80.0,
-        follows=(mode(2.5, "HOLD"), mode(5.0, "LAND", "DESCEND"), down(60.0)),
-        lands_within_m=60.0,
+        follows=(
+            mode(2.5, "HOLD"),
+            mode(5.0, "LAND", "DESCEND"),
+            down(60.0),
+        ),  # nobody tells it where it is: it comes down with the wind
     ),
     Scenario(
         name="navigator killed",

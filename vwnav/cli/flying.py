@@ -253,8 +253,12 @@ def open_camera(
     truth: TruthReader | None,
     clock: Clock,
     stack: ExitStack,
+    flown_m: float = 0.0,
 ) -> FrameSource:
-    """The camera, or one that is drawn from a simulator's truth."""
+    """The camera, or one that is drawn from a simulator's truth.
+
+    `flown_m` is how high the vehicle flies already: its ground, which is drawn, lies so far below.
+    """
     source: FrameSource
     if renderer is None:
         source = open_source(str(options.video))
@@ -262,7 +266,7 @@ def open_camera(
         assert truth is not None
         site = parse_site(str(options.video))
         home = (site.home_lat_deg, site.home_lon_deg)
-        source = SimulatedCamera(renderer, truth, home, clock)
+        source = SimulatedCamera(renderer, truth, home, clock, flown_m)
     stack.callback(source.close)
     return source
 

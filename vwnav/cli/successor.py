@@ -130,7 +130,7 @@ def _succeed(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
     truth = open_truth(options.truth, str(options.connection), resume.observer, clock, stack)
-    source = open_camera(options, renderer, truth, clock, stack)
+    source = open_camera(options, renderer, truth, clock, stack, resume.height_m)
     folder = make_run_folder(options.output, "fly")
     record = FlightRecord(
         folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,

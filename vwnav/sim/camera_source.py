@@ -23,8 +23,7 @@ class SimulatedCamera:
     """A `FrameSource` that behaves like a real camera: the newest picture wins.
 
     Args:
-        ground_alt_amsl_m: height of the site's ground; that of the first truth when None, which
-            is right for a vehicle that stands on it.
+        flown_m: how high the vehicle is above the site's ground as this begins.
     """
 
     def __init__(
@@ -33,11 +32,11 @@ class SimulatedCamera:
         truth: TruthReader,
         site_home: tuple[float, float],
         clock: Clock,
-        ground_alt_amsl_m: float | None = None,
+        flown_m: float = 0.0,
         rate_hz: float = FRAME_HZ,
     ) -> None:
         first = _wait_for(truth)
-        ground_m = first.alt_amsl_m if ground_alt_amsl_m is None else ground_alt_amsl_m
+        ground_m = first.alt_amsl_m - flown_m
         self._site_frame = LocalFrame(*site_home, ground_m)
         self._renderer = renderer
         self._truth = truth
