@@ -56,7 +56,8 @@ def compute_losses(
     Returns:
         Every loss and figure by name; "total" is the one to descend.
     """
-    pairs, H_1_0, noise = len(batch["uv0"]), batch["H_1_0"], batch["label_noise"]
+    pairs, noise = len(batch["uv0"]), batch["label_noise"]
+    ground = losses.Ground(batch["H_1_0"], batch["relief"])
     robustness = noise * min(1.0, progress / config.doubt_from)
     images = torch.cat([batch["image0"], batch["image1"]]).to(memory_format=torch.channels_last)
     with torch.autocast(images.device.type, torch.bfloat16, enabled=config.bfloat16):
@@ -73,9 +74,14 @@ def compute_losses(
     blur = max(0.0, 1.0 - progress / config.sharp_from)
     sigma_px = config.sharpness_px + 2.0 * blur + config.label_error_px * noise
     agreed = losses.agreement_log_probability(
-        surfaces, batch["uv0"][:, few] + jitter, H_1_0, sigma_px
+        surfaces, batch["uv0"][:, few] + jitter, ground, sigma_px
     )
     agreement = losses.robust_loss(agreed, robustness)
+    reach_px = config.reach_px + config.label_error_px * noise
+    expected, chance = losses.repeat_probability(peak_logits, ground, reach_px)
+    shared_cells = batch["valid0"].flatten(1)
+    repeating = (expected * shared_cells).sum() / shared_cells.sum().clamp_min(1.0)
+    by_chance = (chance * shared_cells).sum() / shared_cells.sum().clamp_min(1.0)
     corner_weight = config.corner_weight * max(0.0, 1.0 - progress / config.corners_until)
     corner = peak_logits[0].new_zeros(())
     if corner_weight > 0.0:
@@ -88,39 +94,44 @@ def compute_losses(
     own = torch.multinomial(seen[0] + 1e-6, half)
     own0 = torch.gather(uv[0].detach(), 1, own[..., None].expand(-1, -1, 2))
     points0 = torch.cat([batch["uv0"][:, torch.randperm(batch["uv0"].shape[1])[:half]], own0], 1)
-    points1 = losses.carry(H_1_0, points0)
+    size_px = images.shape[-1]
+    points1 = losses.carry(ground, points0, size_px)
     log_probability = losses.match_log_probability(
         [sample_descriptors(cells[0], points0), sample_descriptors(cells[1], points1)],
         [points0, points1],
         cells,
+        rivals=config.rivals,
         temperature=config.temperature,
         near_px=config.near_px,
     )
     trusted = torch.cat([torch.ones_like(own0[..., 0]), torch.gather(seen[0], 1, own)], dim=1)
     matching = losses.robust_loss(log_probability * trusted, robustness)
 
-    # Half of the pairs are matched as in flight, for the losses that look at every keypoint.
-    part = slice(0, (pairs + 1) // 2)
+    # A quarter of the pairs are matched as in flight, for the losses that look at every keypoint:
+    # all keypoints against all cost more than the network.
+    part = slice(0, -(-pairs // 4))
     uv, kept, seen = [x[part] for x in uv], [x[part] for x in kept], [x[part] for x in seen]
-    H_1_0, noise = H_1_0[part], noise[part]
-    fixed = [x.detach() for x in uv]
+    noise = noise[part]
+    carried0 = losses.carry(ground.part(part), uv[0], size_px)
+    fixed, fixed_carried0 = [x.detach() for x in uv], carried0.detach()
 
     # positions: keypoints that mean the same place are at the same place, to a fraction of a pixel
-    meeting = losses.meet(fixed, seen, H_1_0)
+    meeting = losses.meet(fixed, fixed_carried0, seen)
     same = (meeting.mutual & (meeting.distance_px < config.same_px)).float()
     weight = same / (1.0 + 10.0 * noise[:, None])
-    reprojection = losses.reprojection_loss(uv, meeting, H_1_0, weight)
+    reprojection = losses.reprojection_loss(carried0, uv[1], meeting, weight)
 
     # scores: what became of the keypoints
     right_px = config.right_px + config.label_error_px * noise
     described = [sample_descriptors(cells[k][part].detach(), fixed[k]) for k in (0, 1)]
-    success = losses.rightly_matched(described, fixed, kept, H_1_0, right_px)
+    success = losses.rightly_matched(described, fixed[1], fixed_carried0, kept, right_px)
     score = 0.5 * sum(
         losses.score_loss(score_logits[k][part].flatten(1), success[k], seen[k]) for k in (0, 1)
     )
     return {
         "total": matching
         + config.agreement_weight * agreement
+        + config.repeat_weight * (1.0 - repeating)
         + corner_weight * corner
         + config.reprojection_weight * reprojection
         + config.score_weight * score,
@@ -128,6 +139,7 @@ def compute_losses(
         "agreement": agreement,
         "reprojection": reprojection,
         "score": score,
+        "repeats": repeating - by_chance,
         "repeated": same.sum() / seen[0].sum().clamp_min(1.0),
         "matched": success[0].sum() / seen[0].sum().clamp_min(1.0),
     }
