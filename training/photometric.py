@@ -95,7 +95,7 @@ def season(bgr: Image, grey: Image, rng: np.random.Generator) -> Image:
     blue, green, red = cv2.split(cv2.GaussianBlur(bgr, (0, 0), 1.0).astype(np.float32))
     excess = (2.0 * green - red - blue) / (green + red + blue + 1.0)
     middle, width = np.quantile(excess[::4, ::4], rng.uniform(0.2, 0.8)), excess.std() + 0.01
-    growing = 1.0 / (1.0 + np.exp(-3.0 / width * (excess - middle), dtype=np.float32))
+    growing = 0.5 + 0.5 * np.tanh(1.5 / width * (excess - middle), dtype=np.float32)  # logistic
     of_growing, of_bare = np.exp(rng.normal(0.0, [0.4, 0.2]))
     return cv2.multiply(grey, of_bare + (of_growing - of_bare) * growing, dtype=cv2.CV_8U)
 
