@@ -78,14 +78,14 @@ def feature_set_id(network: FeatureNetwork) -> str:
 def fold_batch_norm(module: nn.Module) -> None:
     """Merge every batch norm into the convolution before it, in place."""
     for name, child in module.named_children():
-        if (
-            isinstance(child, nn.Sequential)
-            and len(child) > 1
-            and isinstance(child[1], nn.BatchNorm2d)
-        ):
-            setattr(module, name, nn.Sequential(fuse_conv_bn_eval(child[0], child[1]), *child[2:]))
-        else:
+        norms = [i for i, layer in enumerate(child.children()) if isinstance(layer, nn.BatchNorm2d)]
+        if not norms:
             fold_batch_norm(child)
+            continue
+        [i] = norms  # one a block
+        layers = list(child.children())
+        layers[i - 1 : i + 1] = [fuse_conv_bn_eval(layers[i - 1], layers[i])]
+        setattr(module, name, nn.Sequential(*layers))
 
 
 def to_onnx(network: FeatureNetwork) -> onnx.ModelProto:

@@ -1,5 +1,7 @@
 """From dense features to keypoints: the part of the exported graph behind the network."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -38,11 +40,11 @@ def refine(uv: Tensor, windows: Tensor) -> Tensor:
     """Move peaks to the centre of mass of exp(logit) around them: sub-pixel and differentiable.
 
     Args:
-        uv: (B, n, 2) int64, pixels.
-        windows: (B, n, 25), peak logits around each of them.
+        uv: (..., n, 2) int64, pixels.
+        windows: (..., n, 25), peak logits around each of them.
 
     Returns:
-        (B, n, 2) float32, pixels, centres at integers.
+        (..., n, 2) float32, pixels, centres at integers.
     """
     weights = windows.softmax(dim=-1)
     steps = torch.arange(WINDOW_PX, device=windows.device) - WINDOW_PX // 2
@@ -51,17 +53,21 @@ def refine(uv: Tensor, windows: Tensor) -> Tensor:
     return uv.to(windows.dtype) + weights @ offsets
 
 
-def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor]:
+class CellPeaks(NamedTuple):
+    """The strongest pixel of every cell."""
+
+    uv: Tensor  # (B, h w, 2) int64, pixels
+    windows: Tensor  # (B, h w, 25), peak logits around each of them
+    keep: Tensor  # (B, h w) float32: 1 where it is the strongest of its window, else 0
+
+
+def strongest_pixels(cells: Tensor) -> CellPeaks:
     """Find the strongest pixel of every cell, and whether it is the strongest of its 5 x 5 window.
 
     One candidate per cell makes suppression cheap: it touches the full picture only there.
 
     Args:
         cells: (B, 64, h, w), the peak logits of the 64 pixels of each cell, row by row.
-
-    Returns:
-        Refined positions (B, h w, 2) float32 in pixels, and 1 or 0 for peaks to keep or drop
-        (B, h w) float32.
     """
     h, w = cells.shape[-2:]
     index = cells.permute(0, 2, 3, 1).contiguous().argmax(dim=-1)  # faster along memory
@@ -74,7 +80,21 @@ def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor]:
     inside = (u >= BORDER_PX) & (u < w * CELL_PX - BORDER_PX)
     inside &= (v >= BORDER_PX) & (v < h * CELL_PX - BORDER_PX)
     keep = (peak >= windows.amax(dim=-1)) & inside
-    return refine(uv, windows), keep.to(cells.dtype)
+    return CellPeaks(uv, windows, keep.to(cells.dtype))
+
+
+def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor]:
+    """Refine the strongest pixel of every cell.
+
+    Args:
+        cells: (B, 64, h, w) peak logits.
+
+    Returns:
+        Refined positions (B, h w, 2) float32 in pixels, and 1 or 0 for peaks to keep or drop
+        (B, h w) float32.
+    """
+    peaks = strongest_pixels(cells)
+    return refine(peaks.uv, peaks.windows), peaks.keep
 
 
 class Extractor(nn.Module):
@@ -98,13 +118,13 @@ class Extractor(nn.Module):
             (n, D) of unit length; n <= max_keypoints.
         """
         dense = self.network(image.to(torch.float32))
-        uv, keep = cell_peaks(dense.peak_logits)
-        scores = (dense.score_logits.flatten(1).sigmoid() * keep)[0]
+        peaks = strongest_pixels(dense.peak_logits)
+        scores = (dense.score_logits.flatten(1).sigmoid() * peaks.keep)[0]
         # k depends on the data: the exporter wants a number, and to be told its bounds.
-        count = torch.minimum(max_keypoints[0], keep.sum().to(torch.int64)).item()
+        count = torch.minimum(max_keypoints[0], peaks.keep.sum().to(torch.int64)).item()
         torch._check(count >= 0)
         torch._check(count <= scores.shape[0])
         best_scores, best = torch.topk(scores, count)
-        best_uv = uv[0][best] - self.network.peak_bias
+        best_uv = refine(peaks.uv[0][best], peaks.windows[0][best]) - self.network.peak_bias
         descriptors = sample_descriptors(dense.descriptors, best_uv[None])[0]
         return best_uv, best_scores, descriptors

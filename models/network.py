@@ -30,11 +30,25 @@ class NetworkConfig:
     keypoint_channels: int = 128  # hidden width of the keypoint head
     score_channels: int = 32  # hidden width of the score head
     descriptor_dim: int = 64
+    # Of the 3 x 3 convolutions: they give so many channels, which a 1 x 1 convolution spreads.
+    # 0: whole, as in the first generation.
+    stem_rank: int = 0  # at 1/4
+    rank: int = 0  # at 1/8
+    coarse_rank: int = 0  # at 1/16 and 1/32
 
 
 NETWORK_SIZES: dict[Size, NetworkConfig] = {
-    "nano": NetworkConfig(name="nano", stem_channels=16, channels=48, keypoint_channels=64),
-    "default": NetworkConfig(),
+    "nano": NetworkConfig(
+        name="nano",
+        stem_channels=16,
+        channels=48,
+        keypoint_channels=64,
+        score_channels=16,
+        stem_rank=8,
+        rank=16,
+        coarse_rank=16,
+    ),
+    "default": NetworkConfig(stem_rank=16, rank=48, coarse_rank=32),
 }
 
 
@@ -46,13 +60,21 @@ class DenseFeatures(NamedTuple):
     score_logits: Tensor  # (B, 1, h, w): will the cell's keypoint be found again and matched?
 
 
-def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    """Convolution, batch norm, ReLU: the only building block."""
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(inplace=True),
-    )
+def conv(
+    inputs: int, outputs: int, kernel: int = 3, stride: int = 1, rank: int = 0
+) -> nn.Sequential:
+    """Convolution, batch norm, ReLU: the only building block.
+
+    With a rank the convolution is two, one after the other: what a product of two thin matrices is
+    to a matrix (Zhang et al. 2015, "Accelerating very deep convolutional networks").
+    """
+    thin = rank or outputs
+    layers: list[nn.Module] = [
+        nn.Conv2d(inputs, thin, kernel, stride, padding=kernel // 2, bias=False)
+    ]
+    if rank:
+        layers.append(nn.Conv2d(rank, outputs, 1, bias=False))
+    return nn.Sequential(*layers, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 
 def normalise_contrast(image: Tensor) -> Tensor:
@@ -90,19 +112,24 @@ def fold4(image: Tensor) -> Tensor:
 
 
 class FeatureNetwork(nn.Module):
-    """Grey picture -> `DenseFeatures`. 1.03 million parameters in the default size."""
+    """Grey picture -> `DenseFeatures`."""
 
     def __init__(self, config: NetworkConfig) -> None:
         """Build the layers; weights are random until a checkpoint is loaded."""
         super().__init__()
         self.config = config
         c1, c2 = config.stem_channels, config.channels
-        self.level4 = nn.Sequential(conv(16, c1), conv(c1, c1))
-        self.level8 = nn.Sequential(conv(c1, c2, stride=2), conv(c2, c2))
-        self.level16 = nn.Sequential(conv(c2, c2, stride=2), conv(c2, c2))
-        self.level32 = nn.Sequential(conv(c2, c2, stride=2), conv(c2, c2), conv(c2, c2, kernel=1))
+        fine, thin, coarse = config.stem_rank, config.rank, config.coarse_rank
+        self.level4 = nn.Sequential(conv(16, c1, rank=fine), conv(c1, c1, rank=fine))
+        self.level8 = nn.Sequential(conv(c1, c2, stride=2, rank=thin), conv(c2, c2, rank=thin))
+        self.level16 = nn.Sequential(conv(c2, c2, stride=2, rank=coarse), conv(c2, c2, rank=coarse))
+        self.level32 = nn.Sequential(
+            conv(c2, c2, stride=2, rank=coarse),
+            conv(c2, c2, rank=coarse),
+            conv(c2, c2, kernel=1),
+        )
         self.fuse16 = conv(c2, c2, kernel=1)
-        self.fuse8 = conv(c2, c2)
+        self.fuse8 = conv(c2, c2, rank=thin)
         self.descriptors = nn.Conv2d(c2, config.descriptor_dim, 1)
         # The keypoint head reads the 1/4 level, 2 x 2 folded into channels, which stays sharp, and
         # the 1/8 level, which knows more of what is around.
@@ -130,7 +157,7 @@ class FeatureNetwork(nn.Module):
         return DenseFeatures(
             descriptors=self.descriptors(fused),
             peak_logits=self.peak_logits(peaks),
-            score_logits=self.score(torch.cat([fused, peaks], dim=1)),
+            score_logits=self.judge(fused, peaks),
         )
 
     def see(self, image: Tensor) -> Tensor:
@@ -142,6 +169,19 @@ class FeatureNetwork(nn.Module):
         x16 = self.level16(x8)
         x16 = self.fuse16(x16 + upsample2(self.level32(x16)))
         return self.fuse8(x8 + upsample2(x16))
+
+    def judge(self, fused: Tensor, peaks: Tensor) -> Tensor:
+        """Apply `self.score` to descriptors' and keypoints' features side by side.
+
+        Two convolutions, added, are one of both concatenated, and move no memory.
+        """
+        (joint, *rest), last = self.score
+        channels = fused.shape[1]
+        hidden = F.conv2d(fused, joint.weight[:, :channels], joint.bias)
+        hidden = hidden + F.conv2d(peaks, joint.weight[:, channels:])
+        for layer in rest:
+            hidden = layer(hidden)
+        return last(hidden)
 
     def join_levels(self, x4: Tensor, x8: Tensor) -> Tensor:
         """Apply `self.peaks` to the 1/4 level, folded 2 x 2, beside the 1/8 level.

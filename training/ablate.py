@@ -25,6 +25,7 @@ from models.network import DenseFeatures, FeatureNetwork, NetworkConfig, conv, n
 from training import train, validate
 from training.config import PRESETS, changed
 from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes
+from training.journal import SCORES
 from training.photometric import PhotometricConfig
 from training.sampling import Sample, SampleConfig
 from training.warps import WarpConfig
@@ -173,7 +174,7 @@ def main() -> None:
             continue
         done[name] = run(name, given.steps, given.out)
         with table.open("w", newline="") as file:
-            header = ["choice", "parameters", "inliers", "precision", "located", "error_px"]
+            header = ["choice", "parameters", *SCORES]
             csv.writer(file).writerows([header, *done.values()])
     print(table.read_text())
 

@@ -26,7 +26,7 @@ class TrainConfig:
     terms: Terms = "all"  # "open": only pictures that anybody may use for anything
     init: str = ""  # checkpoint whose weights a new run starts from, where they fit
     seed: int = 1
-    network: NetworkConfig = field(default_factory=NetworkConfig)
+    network: NetworkConfig = field(default_factory=lambda: NETWORK_SIZES["default"])
     samples: SampleConfig = field(default_factory=SampleConfig)
     # length: whichever is given ends the run and shapes the learning rate
     minutes: float = 80.0  # of the iterations' own time: a stopped process does not age
@@ -42,7 +42,8 @@ class TrainConfig:
     temperature: float = 0.07
     doubt_from: float = 0.3  # share of the run after which a network may doubt labels fully
     matches: int = 288  # points per pair whose descriptors are compared
-    windows: int = 96  # per pair in which peaks are compared
+    rivals: float = 0.5  # share of the other view's cells, drawn anew each time, that compete
+    windows: int = 48  # per pair in which peaks are compared
     near_px: float = 6.0  # descriptors so near to each other need not differ
     sharpness_px: float = 0.6  # how exactly the peaks of two views shall agree
     sharp_from: float = 0.3  # share of the run; before, two pixels less exactly at first
@@ -50,6 +51,8 @@ class TrainConfig:
     same_px: float = 2.5  # keypoints of two views that are nearer mean the same place
     right_px: float = 2.0  # a match nearer to the truth is right
     agreement_weight: float = 1.0
+    repeat_weight: float = 2.0
+    reach_px: float = 1.0  # a keypoint this near to another counts 0.6 as its repetition
     corner_weight: float = 0.3  # of the teacher's corners at the start
     corners_until: float = 0.25  # share of the run over which the teacher falls silent
     reprojection_weight: float = 0.2

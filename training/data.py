@@ -5,6 +5,7 @@ Everything is decoded once. Training reads `train/` of the data folder and gener
 
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from training.photometric import to_grey
 from training.warps import FloatArray, Image
 
 ROOT = Path(__file__).resolve().parents[1]
+WEAK_PAIRS = "pairs_weak.json"
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
 Terms = Literal["all", "open"]
 # Sources whose pictures may be used for anything; generated pairs are, too.
@@ -26,6 +28,9 @@ OPEN_SOURCES = {
     "neon",
     "neon_sjer",
     "naip_nd",
+    "oam_banepa",
+    "odm_ochota_kap",
+    "sheffield_cross",
     "odm_boruszyn_kap",
     "odm_data_caliterra",
     "odm_data_copr",
@@ -39,7 +44,28 @@ NEAR_FRAMES = 4  # frames of a flight so far apart in it may overlap
 # Of real pairs as their labels have them, and after `training/register.py`.
 LABELLED_NOISE, REGISTERED_NOISE = 0.3, 0.15
 # Draws per pair: large pictures hold many crops, small ones few.
-PAIR_WEIGHTS = {"sztaki": 4.0, "cd_LEVIR": 4.0, "cd_WHU-CD": 3.0, "cd_levir256": 0.7}
+PAIR_WEIGHTS = {
+    "sztaki": 4.0,
+    "cd_LEVIR": 4.0,
+    "cd_WHU-CD": 3.0,
+    "cd_levir256": 0.7,
+    "quake_tr": 3.0,
+    "stanford_drone": 2.0,
+}
+# Draws of all pairs of one place together: two campus places have 14 pairs of the same pictures.
+MOST_OF_A_PLACE = {"stanford_drone": 4.0}
+# Kept for validation with everything that shows them. The pictures of srif_whu overlap each other
+# at random; SIFT finds numbers 1 to 14 in none of the others.
+KEPT_PLACES = {
+    *(f"srif_whu {number}" for number in range(1, 15)),
+    *(f"neon_sjer SJER_{number:03d}" for number in range(45, 49)),
+    "stanford_drone gates",
+    "quake_tr gaziantep",
+    "sztaki SZTAKI",
+    "levir test_7",
+    "levir test_12",
+    "odm_tuniu",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +80,7 @@ class Scene:
     weight: float = 1.0
     label_noise: float = 0.0  # q of the generalised cross-entropy
     name: str = ""  # of a pair, the same in every run
+    place: str = ""  # scenes of one place share ground: they are kept together
 
 
 def data_folder(given: str = "") -> Path | None:
@@ -86,6 +113,7 @@ def scene(
     weight: float = 1.0,
     label_noise: float = 0.0,
     name: str = "",
+    place: str = "",
 ) -> Scene:
     """Make a scene of registered pictures; homographies default to identity."""
     # Only registered pictures have black corners; a mask for each of the others would cost seconds.
@@ -94,7 +122,9 @@ def scene(
     else:
         masks = [np.full(p.shape[:2], 255, np.uint8) for p in pictures]
     identities = [np.eye(3)] * len(pictures)
-    return Scene(group, source, pictures, H_i_0 or identities, masks, weight, label_noise, name)
+    return Scene(
+        group, source, pictures, H_i_0 or identities, masks, weight, label_noise, name, place
+    )
 
 
 def registration(entry: dict[str, Any]) -> FloatArray | None:
@@ -112,21 +142,51 @@ def registration(entry: dict[str, Any]) -> FloatArray | None:
     return H_b_a if np.hypot(*entry.get("res", (0.0, 0.0))) < 10.0 else None
 
 
-def real_pairs(folder: Path, split: str = "train") -> Iterator[Scene]:
-    """Pairs of two dates or two sensors, from one split of pairs.json."""
-    for entry in json.loads((folder / "pairs.json").read_text()):
+def place_of(entry: dict[str, Any]) -> str:
+    """Which ground an entry of pairs.json shows; pairs of one place are not independent."""
+    source, stem = entry["src"], Path(entry["a"]).stem
+    match source:
+        case "stanford_drone" | "quake_tr":  # campus place, town
+            return f"{source} {stem.split('_')[0]}"
+        case "cd_LEVIR" | "cd_levir256":  # the small pictures are cut from the large ones
+            return "levir " + "_".join(stem.split("_")[:2])
+        case "sztaki":  # Szada 1 to 7 are neighbours
+            return f"{source} {stem.split('_')[0]}"
+        case _:
+            return f"{source} {stem.removesuffix('_a')}"
+
+
+def real_pairs(folder: Path, split: str = "train", listing: str = "pairs.json") -> Iterator[Scene]:
+    """Pairs of two dates or two sensors, from one split of a listing of the data folder."""
+    path = folder / listing
+    entries = json.loads(path.read_text()) if path.exists() else []
+    pairs_of = Counter(place_of(entry) for entry in entries)
+    for entry in entries:
         H_b_a = registration(entry)
         if entry["split"] != split or H_b_a is None:
             continue
+        source, place = entry["src"], place_of(entry)
+        most = MOST_OF_A_PLACE.get(source, np.inf) / pairs_of[place]
         yield scene(
             "pair",
-            entry["src"],
+            source,
             [read(folder / entry["a"]), read(folder / entry["b"])],
             H_i_0=[np.eye(3), H_b_a],
-            weight=PAIR_WEIGHTS.get(entry["src"], 1.0),
+            weight=min(PAIR_WEIGHTS.get(source, 1.0), most),
             label_noise=LABELLED_NOISE,
-            name="_".join([entry["src"], Path(entry["a"]).stem, Path(entry["b"]).stem]),
+            name="_".join([source, Path(entry["a"]).stem, Path(entry["b"]).stem]),
+            place=place,
         )
+
+
+def labelled_pairs(folder: Path, registrations: Path) -> list[Scene]:
+    """The real pairs as training takes them, registered again where that was done.
+
+    Pairs whose homography is known to be off by 2 to 3 px count only once they are.
+    """
+    pairs = [registered(pair, registrations) for pair in real_pairs(folder)]
+    weak = (registered(pair, registrations) for pair in real_pairs(folder, listing=WEAK_PAIRS))
+    return pairs + [pair for pair in weak if pair.label_noise == REGISTERED_NOISE]
 
 
 def single_pictures(folder: Path, group: str) -> Iterator[Scene]:
@@ -141,6 +201,7 @@ def single_pictures(folder: Path, group: str) -> Iterator[Scene]:
                 [picture],
                 weight=weight,
                 name=f"{path.parent.name}_{path.stem}",
+                place=path.parent.name if group == "drone" else "",
             )
 
 
@@ -177,6 +238,7 @@ def overlapping(frames: list[Scene]) -> Iterator[Scene]:
                     H_i_0=[np.eye(3), H_b_a],
                     label_noise=LABELLED_NOISE,
                     name=f"{first.name}_{second.name}",
+                    place=first.place,
                 )
 
 
@@ -205,11 +267,14 @@ def landmarks(picture: Image) -> Landmarks:
 
 def register(a: Landmarks, b: Landmarks) -> FloatArray | None:
     """Homography b from a of two overlapping pictures, None where there is none to be sure of."""
-    matches = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(a.descriptors, b.descriptors)
-    if len(matches) < LEAST_OVERLAP_INLIERS:
+    if min(len(a.uv), len(b.uv)) < LEAST_OVERLAP_INLIERS:
         return None
-    points_a = a.uv[[m.queryIdx for m in matches]]
-    points_b = b.uv[[m.trainIdx for m in matches]]
+    similarity = a.descriptors @ b.descriptors.T  # SIFT's descriptors are all of one length
+    nearest_b, nearest_a = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    mutual = np.flatnonzero(nearest_a[nearest_b] == np.arange(len(nearest_b)))
+    if len(mutual) < LEAST_OVERLAP_INLIERS:
+        return None
+    points_a, points_b = a.uv[mutual], b.uv[nearest_b[mutual]]
     H_b_a, inliers = cv2.findHomography(points_a, points_b, cv2.USAC_MAGSAC, 3.0 / b.shrunk)
     if H_b_a is None or inliers.sum() < LEAST_OVERLAP_INLIERS:
         return None
@@ -272,7 +337,7 @@ def site_pairs(folder: Path) -> Iterator[Scene]:
 def load_scenes(
     folder: Path | None, sites: Path, registrations: Path, terms: Terms = "all"
 ) -> tuple[list[Scene], list[Scene]]:
-    """Decode everything; every 12th real pair is kept for validation, whatever the terms.
+    """Decode everything; some places are kept for validation, whatever the terms.
 
     Args:
         folder: the data folder, None for generated pairs alone.
@@ -283,17 +348,18 @@ def load_scenes(
     Returns:
         Scenes to train on, scenes to validate on.
     """
-    pairs = [registered(p, registrations) for p in real_pairs(folder)] if folder else []
-    training = [pair for i, pair in enumerate(pairs) if i % 12 != 5]
+    scenes: list[Scene] = []
     if folder:
         frames = list(single_pictures(folder, "drone"))
-        training += [
+        scenes = [
+            *labelled_pairs(folder, registrations),
             *single_pictures(folder, "single"),
             *frames,
             *(registered(pair, registrations) for pair in overlapping(frames)),
             *series(folder),
         ]
+    training = [s for s in scenes if s.place not in KEPT_PLACES]
     if terms == "open":
         training = [s for s in training if s.source in OPEN_SOURCES]
-    training += site_pairs(sites)
-    return training, pairs[5::12]
+    kept = [s for s in scenes if s.place in KEPT_PLACES and s.group in ("pair", "overlap")]
+    return training + list(site_pairs(sites)), kept

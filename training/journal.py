@@ -12,8 +12,17 @@ from torch.utils.tensorboard import SummaryWriter
 from training.config import TrainConfig
 from training.validate import MatchScore
 
-LOSSES = ("total", "matching", "agreement", "reprojection", "score", "repeated", "matched")
-SCORES = ("inliers", "precision", "located", "error_px")
+LOSSES = (
+    "total",
+    "matching",
+    "agreement",
+    "reprojection",
+    "score",
+    "repeats",
+    "repeated",
+    "matched",
+)
+SCORES = ("inliers", "precision", "located", "error_px", "above_chance")
 
 
 class StopWatch:

@@ -12,10 +12,30 @@ WINDOW_PX = 13  # peaks are compared in windows of this side
 MASKED = -30.0  # a logit that means "not here"
 
 
-def carry(H_1_0: Tensor, uv0: Tensor) -> Tensor:
-    """Carry points (B, n, 2) of picture 0 to picture 1 by (B, 3, 3)."""
+class Ground(NamedTuple):
+    """Where the ground of picture 0 lies in picture 1: a plane, and what relief adds to it."""
+
+    H_1_0: Tensor  # (B, 3, 3)
+    relief_px: Tensor  # (B, 2, h, w): (u, v) in picture 1, on an even grid over picture 0
+
+    def part(self, pairs: slice) -> "Ground":
+        """Some pairs of the batch."""
+        return Ground(self.H_1_0[pairs], self.relief_px[pairs])
+
+
+def carry(ground: Ground, uv0: Tensor, size_px: int) -> Tensor:
+    """Carry points (B, n, 2) of picture 0, `size_px` wide and high, to picture 1."""
+    H_1_0 = ground.H_1_0
     carried = uv0 @ H_1_0[:, :, :2].transpose(1, 2) + H_1_0[:, None, :, 2]
-    return carried[..., :2] / carried[..., 2:]
+    planar = carried[..., :2] / carried[..., 2:]
+    return planar + sample_surface(ground.relief_px, uv0, (size_px, size_px)).transpose(1, 2)
+
+
+def sample_surface(surface: Tensor, uv: Tensor, size_hw: tuple[int, int]) -> Tensor:
+    """Interpolate (B, C, h, w), spread over pictures of `size_hw`, at (B, n, 2): (B, C, n)."""
+    size = torch.tensor([size_hw[1], size_hw[0]], device=uv.device)
+    grid = ((2.0 * uv + 1.0) / size - 1.0).unsqueeze(1)
+    return F.grid_sample(surface, grid, padding_mode="border", align_corners=False)[:, :, 0]
 
 
 def robust_loss(log_probability: Tensor, robustness: Tensor) -> Tensor:
@@ -43,17 +63,19 @@ def match_log_probability(
     uv: list[Tensor],
     cells: list[Tensor],
     *,
+    rivals: float,
     temperature: float,
     near_px: float,
 ) -> Tensor:
     """Dual softmax: point i of picture 0 belongs to point i of picture 1 and to nothing else.
 
-    "Nothing else" is all other points of the pair and every cell of the other picture.
+    "Nothing else" is all other points of the pair and the cells of the other picture.
 
     Args:
         descriptors: (B, n, D) of unit length, of the points in either picture.
         uv: (B, n, 2), pixels of the points in either picture.
         cells: (B, D, h, w) dense descriptors of either picture.
+        rivals: share of the cells that are compared, drawn at random.
         temperature: divides the cosine similarities.
         near_px: neighbours nearer than this may look the same: left out of the denominators.
 
@@ -68,11 +90,13 @@ def match_log_probability(
         near = torch.cdist(uv[there], uv[there]) < near_px
         own = torch.eye(near.shape[1], dtype=torch.bool, device=near.device)
         others = others.masked_fill(near & ~own, MASKED / temperature)
-        dense = F.normalize(cells[there].flatten(2), dim=1)
-        rivals = descriptors[here] @ dense / temperature
-        centres = cell_centres(cells[there])
-        rivals = rivals.masked_fill(torch.cdist(uv[there], centres) < near_px, MASKED / temperature)
-        log_p = log_p + 0.5 * (right - torch.cat([others, rivals], dim=2).logsumexp(dim=2))
+        count = cells[there].shape[-2] * cells[there].shape[-1]
+        drawn = torch.randperm(count, device=near.device)[: max(1, round(rivals * count))]
+        dense = F.normalize(cells[there].flatten(2)[:, :, drawn], dim=1)
+        strangers = descriptors[here] @ dense / temperature
+        apart = torch.cdist(uv[there], cell_centres(cells[there])[:, drawn])
+        strangers = strangers.masked_fill(apart < near_px, MASKED / temperature)
+        log_p = log_p + 0.5 * (right - torch.cat([others, strangers], dim=2).logsumexp(dim=2))
     return log_p
 
 
@@ -90,7 +114,7 @@ def cell_centres(cells: Tensor) -> Tensor:
 
 
 def agreement_log_probability(
-    surfaces: list[Tensor], centres_uv0: Tensor, H_1_0: Tensor, sigma_px: Tensor
+    surfaces: list[Tensor], centres_uv0: Tensor, ground: Ground, sigma_px: Tensor
 ) -> Tensor:
     """Do both views put the peak of a small window at the same place of the ground?
 
@@ -102,7 +126,7 @@ def agreement_log_probability(
     Args:
         surfaces: (B, 1, H, W) peak logits of either picture.
         centres_uv0: (B, n, 2), centres of the windows in picture 0, any fraction of a pixel.
-        H_1_0: (B, 3, 3).
+        ground: of the two pictures.
         sigma_px: (B,), how exactly the two shall agree.
 
     Returns:
@@ -114,19 +138,56 @@ def agreement_log_probability(
     offsets = torch.stack([du.flatten(), dv.flatten()], dim=-1)
     uv0 = (centres_uv0.round()[:, :, None] + offsets).flatten(1, 2)
     probability = []
-    for surface, uv in zip(surfaces, (uv0, carry(H_1_0, uv0)), strict=True):
-        height, width = surface.shape[-2:]
-        limit = torch.tensor([width - 1.0, height - 1.0], device=uv.device)
-        inside = ((uv >= 0) & (uv <= limit)).all(dim=-1)
-        grid = ((2.0 * uv + 1.0) / (limit + 1.0) - 1.0).unsqueeze(1)
-        logits = F.grid_sample(surface, grid, padding_mode="border", align_corners=False)
-        logits = logits[:, 0, 0].masked_fill(~inside, MASKED)
+    side = surfaces[0].shape[-1]
+    for surface, uv in zip(surfaces, (uv0, carry(ground, uv0, side)), strict=True):
+        inside = ((uv >= 0) & (uv <= side - 1.0)).all(dim=-1)
+        logits = sample_surface(surface, uv, (side, side))[:, 0].masked_fill(~inside, MASKED)
         probability.append(logits.view(batch, count, -1).softmax(dim=-1))
     # a Gaussian between all places of the window, for each pair of pictures
     distance2 = torch.cdist(offsets, offsets) ** 2
     kernel = torch.exp(-0.5 * distance2 / sigma_px[:, None, None] ** 2)
     met = (probability[0] * (probability[1] @ kernel)).sum(dim=-1)
     return met.clamp_min(1e-9).log()
+
+
+def repeat_probability(
+    peak_logits: list[Tensor], ground: Ground, reach_px: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Will the keypoint of a cell of picture 0 have one of picture 1 beside it?
+
+    Each cell draws its keypoint from the softmax of its 64 logits. What picture 1 draws is spread
+    by a Gaussian and carried to picture 0; a cell's expectation over it is the reward of DISK
+    (Tyszkiewicz et al. 2020) without the matching, computed instead of sampled. Where nothing
+    repeats the reward is small whatever is drawn, and so is its pull.
+
+    Args:
+        peak_logits: (B, 64, h, w) of either picture.
+        ground: of the two pictures.
+        reach_px: (B,), standard deviation of the Gaussian, whose peak is 1.
+
+    Returns:
+        (B, h w), 0 to 1, and the same for a keypoint drawn anywhere in its cell: chance.
+    """
+    drawn = [F.pixel_shuffle(logits.softmax(dim=1), CELL_PX) for logits in peak_logits]
+    side = drawn[0].shape[-1]
+    near1 = spread(drawn[1], reach_px)
+    v, u = torch.meshgrid(*(torch.arange(side, device=reach_px.device),) * 2, indexing="ij")
+    uv0 = torch.stack([u.flatten(), v.flatten()], dim=-1).float().expand(len(near1), -1, -1)
+    near0 = sample_surface(near1, carry(ground, uv0, side), (side, side)).view_as(drawn[0])
+    expected = F.avg_pool2d(drawn[0] * near0.clamp_max(1.0), CELL_PX) * CELL_PX**2
+    chance = F.avg_pool2d(near0.clamp_max(1.0), CELL_PX)
+    return expected.flatten(1), chance.flatten(1)
+
+
+def spread(density: Tensor, sigma_px: Tensor) -> Tensor:
+    """Convolve (B, 1, H, W) with a Gaussian of its own for each picture, 1 at its peak."""
+    radius = int(3.0 * float(sigma_px.max()) + 1.0)
+    steps = torch.arange(-radius, radius + 1, device=density.device)
+    kernel = torch.exp(-0.5 * (steps / sigma_px[:, None]) ** 2)[:, None]
+    pictures = density.transpose(0, 1)  # each picture is a channel, with kernels of its own
+    rows = F.conv2d(pictures, kernel[:, :, None], padding=(0, radius), groups=len(density))
+    both = F.conv2d(rows, kernel[..., None], padding=(radius, 0), groups=len(density))
+    return both.transpose(0, 1)
 
 
 def corner_loss(peak_logits: Tensor, corners_uv: Tensor, present: Tensor) -> Tensor:
@@ -165,15 +226,15 @@ class Meeting(NamedTuple):
 
 
 @torch.no_grad()
-def meet(uv: list[Tensor], seen: list[Tensor], H_1_0: Tensor) -> Meeting:
+def meet(uv: list[Tensor], carried0: Tensor, seen: list[Tensor]) -> Meeting:
     """Bring the keypoints of both views together.
 
     Args:
         uv: (B, n0, 2) and (B, n1, 2), pixels.
+        carried0: (B, n0, 2), where those of view 0 lie in view 1.
         seen: (B, n0) and (B, n1), 1 for keypoints on ground that both views see.
-        H_1_0: (B, 3, 3).
     """
-    distance = torch.cdist(carry(H_1_0, uv[0]), uv[1])
+    distance = torch.cdist(carried0, uv[1])
     unseen = (seen[0][:, :, None] * seen[1][:, None, :]) == 0
     distance = distance.masked_fill(unseen, 1e4)
     nearest, partner = distance.min(dim=2)
@@ -185,18 +246,18 @@ def meet(uv: list[Tensor], seen: list[Tensor], H_1_0: Tensor) -> Meeting:
 @torch.no_grad()
 def rightly_matched(
     descriptors: list[Tensor],
-    uv: list[Tensor],
+    uv1: Tensor,
+    carried0: Tensor,
     kept: list[Tensor],
-    H_1_0: Tensor,
     right_px: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Match all keypoints of two views as the localizer will, and say which matches are right.
 
     Args:
         descriptors: (B, n0, D) and (B, n1, D) of unit length.
-        uv: (B, n0, 2) and (B, n1, 2), pixels.
+        uv1: (B, n1, 2), pixels.
+        carried0: (B, n0, 2), where the keypoints of view 0 lie in view 1.
         kept: (B, n0) and (B, n1), 0 for keypoints that the extractor drops.
-        H_1_0: (B, 3, 3).
         right_px: (B,), a match nearer to the truth than this is right.
 
     Returns:
@@ -208,27 +269,27 @@ def rightly_matched(
     best1, best0 = similarity.argmax(dim=2), similarity.argmax(dim=1)
     own = torch.arange(best1.shape[1], device=best1.device)
     mutual = (torch.gather(best0, 1, best1) == own) & (kept[0] > 0)
-    matched = torch.gather(uv[1], 1, best1[..., None].expand(-1, -1, 2))
-    distance = (carry(H_1_0, uv[0]) - matched).norm(dim=-1)
+    matched = torch.gather(uv1, 1, best1[..., None].expand(-1, -1, 2))
+    distance = (carried0 - matched).norm(dim=-1)
     right0 = (mutual & (distance < right_px[:, None])).float()
     right1 = torch.zeros_like(kept[1]).scatter_reduce_(1, best1, right0, "amax")
     return right0, right1
 
 
-def reprojection_loss(uv: list[Tensor], meeting: Meeting, H_1_0: Tensor, weight: Tensor) -> Tensor:
+def reprojection_loss(carried0: Tensor, uv1: Tensor, meeting: Meeting, weight: Tensor) -> Tensor:
     """Mean distance, in pixels, between keypoints of two views that mean the same place.
 
     Args:
-        uv: (B, n0, 2) and (B, n1, 2), refined positions; the gradient reaches both.
+        carried0: (B, n0, 2), where those of view 0 lie in view 1; the gradient reaches both.
+        uv1: (B, n1, 2), refined positions.
         meeting: who belongs to whom.
-        H_1_0: (B, 3, 3).
         weight: (B, n0).
 
     Returns:
         Scalar.
     """
     partner = meeting.partner[..., None].expand(-1, -1, 2)
-    difference = carry(H_1_0, uv[0]) - torch.gather(uv[1], 1, partner)
+    difference = carried0 - torch.gather(uv1, 1, partner)
     distance = (difference.square().sum(dim=-1) + 1e-4).sqrt()
     return (distance * weight).sum() / weight.sum().clamp_min(1.0)
 

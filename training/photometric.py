@@ -21,6 +21,7 @@ class PhotometricConfig:
     """Probability of each change per view."""
 
     channel_mix: float = 0.35
+    season: float = 0.25
     changed_things: float = 0.35
     recolour: float = 0.25
     snow: float = 0.06
@@ -28,6 +29,7 @@ class PhotometricConfig:
     gamma: float = 0.5
     shading: float = 0.3
     shadow: float = 0.3
+    cast_shadows: float = 0.2
     haze: float = 0.15
     resolution: float = 0.3
     blur: float = 0.25
@@ -81,6 +83,38 @@ def shadow_field(rng: np.random.Generator, size_px: int) -> NDArray[np.float32]:
             field, cv2.convexHull(corners.astype(np.int32)), float(rng.uniform(0.35, 0.8))
         )
     return cv2.GaussianBlur(field, (0, 0), float(rng.uniform(0.5, 4.0)))
+
+
+def season(bgr: Image, grey: Image, rng: np.random.Generator) -> Image:
+    """Make what grows brighter or darker than the rest: crops, leaves, dry grass, wet soil.
+
+    By the excess of green over red and blue (Woebbecke et al. 1995), relative to the picture.
+    """
+    if bgr.ndim == 2:
+        return grey
+    blue, green, red = cv2.split(cv2.GaussianBlur(bgr, (0, 0), 1.0).astype(np.float32))
+    excess = (2.0 * green - red - blue) / (green + red + blue + 1.0)
+    middle, width = np.quantile(excess[::4, ::4], rng.uniform(0.2, 0.8)), excess.std() + 0.01
+    growing = 0.5 + 0.5 * np.tanh(1.5 / width * (excess - middle), dtype=np.float32)  # logistic
+    of_growing, of_bare = np.exp(rng.normal(0.0, [0.4, 0.2]))
+    return cv2.multiply(grey, of_bare + (of_growing - of_bare) * growing, dtype=cv2.CV_8U)
+
+
+def cast_shadows(grey: Image, rng: np.random.Generator) -> Image:
+    """Let what stands out, brighter or darker than around it, throw a shadow from some sun."""
+    size = int(rng.integers(3, 13))
+    blob = cv2.subtract(
+        cv2.blur(grey, (size, size)), cv2.blur(grey, (6 * size, 6 * size)), dtype=cv2.CV_32F
+    )
+    blob *= rng.choice([-1.0, 1.0])
+    stands = (blob > np.quantile(blob[::4, ::4], rng.uniform(0.85, 0.97))).astype(np.uint8)
+    length, angle = int(rng.integers(3, 15)), rng.uniform(0.0, 2 * np.pi)
+    away = np.zeros((2 * length + 1, 2 * length + 1), np.uint8)
+    tip = np.rint(length * (1.0 + np.array([np.cos(angle), np.sin(angle)]))).astype(int)
+    cv2.line(away, (length, length), (int(tip[0]), int(tip[1])), 1)
+    shade = cv2.dilate(stands, away) * (1 - stands)
+    shade = cv2.GaussianBlur(shade.astype(np.float32), (0, 0), float(rng.uniform(0.5, 1.2)))
+    return (grey * (1.0 - float(rng.uniform(0.3, 0.65)) * shade)).astype(np.uint8)
 
 
 def change_things(grey: Image, rng: np.random.Generator) -> Image:
@@ -177,6 +211,8 @@ def photograph(view: Image, rng: np.random.Generator, config: PhotometricConfig)
         return bool(rng.random() < probability)
 
     grey = to_grey(view, rng if happens(config.channel_mix) else None)
+    if happens(config.season):
+        grey = season(view, grey, rng)
     if happens(config.changed_things):
         grey = change_things(grey, rng)
     if happens(config.recolour):
@@ -193,6 +229,8 @@ def photograph(view: Image, rng: np.random.Generator, config: PhotometricConfig)
         grey = cv2.multiply(grey, smooth_field(rng, grey.shape[0], 0.55, 1.4), dtype=cv2.CV_8U)
     if happens(config.shadow):
         grey = cv2.multiply(grey, shadow_field(rng, grey.shape[0]), dtype=cv2.CV_8U)
+    if happens(config.cast_shadows):
+        grey = cast_shadows(grey, rng)
     if happens(config.haze):
         grey = haze(grey, rng)
     if happens(config.resolution):

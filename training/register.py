@@ -25,6 +25,7 @@ from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
 from training.config import load_checkpoint
 from training.data import (
     ROOT,
+    WEAK_PAIRS,
     Scene,
     data_folder,
     overlapping,
@@ -128,6 +129,7 @@ def register_again(pair: Scene, extract: Extract) -> NDArray[np.float32] | None:
 def pairs_to_register(folder: Path) -> Iterator[Scene]:
     """All real pairs: of two dates, and of two viewpoints."""
     yield from real_pairs(folder)
+    yield from real_pairs(folder, listing=WEAK_PAIRS)
     yield from overlapping(list(single_pictures(folder, "drone")))
 
 

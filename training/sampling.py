@@ -42,6 +42,8 @@ class SampleConfig:
             "site": 0.25,
         }
     )
+    relief_share: float = 0.4  # of pairs see hills and houses from two places, not a plane
+    relief_sigma_px: float = 2.5  # by how much what stands up is displaced
     warp: warps.WarpConfig = field(default_factory=warps.WarpConfig)
     photo: photometric.PhotometricConfig = field(default_factory=photometric.PhotometricConfig)
 
@@ -110,26 +112,36 @@ def draw_sample(scene: Scene, rng: np.random.Generator, config: SampleConfig) ->
 
     Returns:
         image0, image1 (1, S, S) uint8; uv0, uv1 (matches, 2); corners0, corners1 (corners, 2) and
-        present (corners,); valid0, valid1 (S / 8, S / 8); H_1_0 (3, 3); label_noise ().
+        present (corners,); valid0, valid1 (S / 8, S / 8); H_1_0 (3, 3); relief (2, S / 4, S / 4),
+        what is to be added to it, in pixels of view 1; label_noise ().
     """
     pair = draw_views(scene, rng, config)
     if min(seen.mean() for seen in pair.seen_by_both) < config.least_overlap * 255:
         return None
     corners0 = common_corners(pair, config.corners)
     uv0 = choose_matches(rng, corners0, pair.seen_by_both[0], config)
+    happens = rng.random() < config.relief_share
+    relief = warps.random_relief(rng, config.size_px, config.relief_sigma_px * happens)
+    view1 = warps.bent(pair.views[1], pair.H_1_0, relief) if happens else pair.views[1]
+
+    def carried(uv: FloatArray) -> FloatArray:
+        raised = warps.relief_at(relief, uv[None], config.size_px)[0]
+        return warps.warp_points(pair.H_1_0, uv) + raised
+
     sample = {
         "uv0": uv0,
-        "uv1": warps.warp_points(pair.H_1_0, uv0),
+        "uv1": carried(uv0),
         "corners0": padded(corners0, config.corners),
-        "corners1": padded(warps.warp_points(pair.H_1_0, corners0), config.corners),
+        "corners1": padded(carried(corners0), config.corners),
         "present": np.arange(config.corners) < len(corners0),
         "valid0": whole_cells(pair.seen_by_both[0]),
         "valid1": whole_cells(pair.seen_by_both[1]),
         "H_1_0": pair.H_1_0,
+        "relief": relief.transpose(2, 0, 1),
         "label_noise": np.array(scene.label_noise),
     }
     tensors = {name: torch.from_numpy(value.astype(np.float32)) for name, value in sample.items()}
-    for k, view in enumerate(pair.views):
+    for k, view in enumerate((pair.views[0], view1)):
         photo = photometric.photograph(view, rng, config.photo)
         tensors[f"image{k}"] = torch.from_numpy(photo)[None]
     return tensors

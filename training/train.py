@@ -23,19 +23,17 @@ from pathlib import Path
 
 import cv2
 import torch
-from torch import Tensor
-from torch.nn import functional as F
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
-from models.extractor import cell_peaks
-from models.network import CELL_PX, FeatureNetwork, NetworkConfig, sample_descriptors
-from training import losses, validate
+from models.network import FeatureNetwork, NetworkConfig
+from training import validate
 from training.config import TrainConfig, load_checkpoint, parse
 from training.data import ROOT, Scene, data_folder, load_scenes
 from training.journal import Every, Journal, StopWatch, progress_of, save_checkpoint
+from training.objective import compute_losses
 from training.photometric import batch_augmentation
 from training.sampling import ViewPairs
 from training.team import Team
@@ -46,91 +44,6 @@ def learning_rate(progress: float, config: TrainConfig) -> float:
     if progress < config.warm_up:
         return config.learning_rate * (progress + 1e-3) / (config.warm_up + 1e-3)
     return config.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
-
-
-def compute_losses(
-    network: torch.nn.Module, batch: dict[str, Tensor], config: TrainConfig, progress: float
-) -> dict[str, Tensor]:
-    """Run both views through the network and compare.
-
-    Returns:
-        Every loss and figure by name; "total" is the one to descend.
-    """
-    pairs, H_1_0, noise = len(batch["uv0"]), batch["H_1_0"], batch["label_noise"]
-    robustness = noise * min(1.0, progress / config.doubt_from)
-    images = torch.cat([batch["image0"], batch["image1"]]).to(memory_format=torch.channels_last)
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=config.bfloat16):
-        dense = network(images)
-    cells, peak_logits, score_logits = (x.float().split(pairs) for x in dense)
-    found = [cell_peaks(logits) for logits in peak_logits]
-    uv, kept = [x[0] for x in found], [x[1] for x in found]
-    seen = [kept[k] * batch[f"valid{k}"].flatten(1) for k in (0, 1)]
-
-    # peaks: both views put them at the same place; at first also where a teacher sees corners
-    few = torch.randperm(batch["uv0"].shape[1], device=images.device)[: config.windows]
-    jitter = 12.0 * torch.rand(pairs, len(few), 2, device=images.device) - 6.0
-    surfaces = [F.pixel_shuffle(logits, CELL_PX) for logits in peak_logits]
-    blur = max(0.0, 1.0 - progress / config.sharp_from)
-    sigma_px = config.sharpness_px + 2.0 * blur + config.label_error_px * noise
-    agreed = losses.agreement_log_probability(
-        surfaces, batch["uv0"][:, few] + jitter, H_1_0, sigma_px
-    )
-    agreement = losses.robust_loss(agreed, robustness)
-    corner_weight = config.corner_weight * max(0.0, 1.0 - progress / config.corners_until)
-    corner = peak_logits[0].new_zeros(())
-    if corner_weight > 0.0:
-        for k in (0, 1):
-            corner += losses.corner_loss(peak_logits[k], batch[f"corners{k}"], batch["present"])
-
-    # descriptors: each point must find its own partner among all points and cells of the other
-    # view; half of the points are drawn, half are what the detector itself finds
-    half = config.matches // 2
-    own = torch.multinomial(seen[0] + 1e-6, half)
-    own0 = torch.gather(uv[0].detach(), 1, own[..., None].expand(-1, -1, 2))
-    points0 = torch.cat([batch["uv0"][:, torch.randperm(batch["uv0"].shape[1])[:half]], own0], 1)
-    points1 = losses.carry(H_1_0, points0)
-    log_probability = losses.match_log_probability(
-        [sample_descriptors(cells[0], points0), sample_descriptors(cells[1], points1)],
-        [points0, points1],
-        cells,
-        temperature=config.temperature,
-        near_px=config.near_px,
-    )
-    trusted = torch.cat([torch.ones_like(own0[..., 0]), torch.gather(seen[0], 1, own)], dim=1)
-    matching = losses.robust_loss(log_probability * trusted, robustness)
-
-    # Half of the pairs are matched as in flight, for the losses that look at every keypoint.
-    part = slice(0, (pairs + 1) // 2)
-    uv, kept, seen = [x[part] for x in uv], [x[part] for x in kept], [x[part] for x in seen]
-    H_1_0, noise = H_1_0[part], noise[part]
-    fixed = [x.detach() for x in uv]
-
-    # positions: keypoints that mean the same place are at the same place, to a fraction of a pixel
-    meeting = losses.meet(fixed, seen, H_1_0)
-    same = (meeting.mutual & (meeting.distance_px < config.same_px)).float()
-    weight = same / (1.0 + 10.0 * noise[:, None])
-    reprojection = losses.reprojection_loss(uv, meeting, H_1_0, weight)
-
-    # scores: what became of the keypoints
-    right_px = config.right_px + config.label_error_px * noise
-    described = [sample_descriptors(cells[k][part].detach(), fixed[k]) for k in (0, 1)]
-    success = losses.rightly_matched(described, fixed, kept, H_1_0, right_px)
-    score = 0.5 * sum(
-        losses.score_loss(score_logits[k][part].flatten(1), success[k], seen[k]) for k in (0, 1)
-    )
-    return {
-        "total": matching
-        + config.agreement_weight * agreement
-        + corner_weight * corner
-        + config.reprojection_weight * reprojection
-        + config.score_weight * score,
-        "matching": matching,
-        "agreement": agreement,
-        "reprojection": reprojection,
-        "score": score,
-        "repeated": same.sum() / seen[0].sum().clamp_min(1.0),
-        "matched": success[0].sum() / seen[0].sum().clamp_min(1.0),
-    }
 
 
 def start_from(network: FeatureNetwork, checkpoint: str) -> None:

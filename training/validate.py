@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from models.extractor import Extractor
-from models.network import FeatureNetwork
+from models.network import CELL_PX, FeatureNetwork
 from training.data import Scene
 from training.sampling import Sample, SampleConfig, ViewPairs
 from training.warps import FloatArray, Image, warp_points
@@ -21,6 +21,7 @@ Extract = Callable[[Image], Features]
 RIGHT_PX = 3.0  # a match nearer than this to the truth counts as an inlier
 PLACE_PX = 8.0  # a pair counts as located when its centre is found this near to the truth
 KEYPOINTS = 500
+SHIFTS_PX = (20.0, 30.0, 40.0)  # of keypoints, to see how many meet by chance
 SAME_PX = 1.5  # keypoints of a picture and of the turned one that are nearer are the same
 
 
@@ -32,18 +33,20 @@ class MatchScore:
     precision: float
     located: float  # share of pairs whose place a similarity through the matches finds
     error_px: float  # median distance of the inliers from the truth
+    above_chance: float  # share of keypoints that are found again, less that by chance
 
     def __str__(self) -> str:
         """One line for the log."""
         right = f"{100 * self.precision:5.1f} % right"
         place = f"{100 * self.located:5.1f} % located"
-        return f"{self.inliers:6.1f} inliers, {right}, {place}, {self.error_px:.2f} px"
+        repeated = f"{100 * self.above_chance:.1f} % repeated above chance"
+        return f"{self.inliers:6.1f} inliers, {right}, {place}, {self.error_px:.2f} px, {repeated}"
 
 
 def calm_views(scenes: list[Scene], config: SampleConfig, count: int) -> list[Sample]:
     """Draw the same views every time: 320 px, turned less than in training."""
     warp = replace(config.warp, rotation_sigma_deg=8.0, wide_rotation_share=0.0)
-    pairs = ViewPairs(scenes, replace(config, size_px=320, warp=warp), seed=99)
+    pairs = ViewPairs(scenes, replace(config, size_px=320, warp=warp, relief_share=0.0), seed=99)
     return [pairs[i] for i in range(count)]
 
 
@@ -118,13 +121,40 @@ def finds_its_place(uv0: FloatArray, uv1: FloatArray, H_1_0: FloatArray, size_px
     return bool(np.linalg.norm(apart) < PLACE_PX)
 
 
+def repeated_above_chance(uv0: FloatArray, uv1: FloatArray, view: Sample) -> float:
+    """Share of keypoints found again within 3 px, less the share with one picture's shifted.
+
+    Args:
+        uv0: (n, 2) keypoints of view 0; only those on ground that view 1 sees count.
+        uv1: (m, 2) keypoints of view 1.
+        view: the two views.
+    """
+    h, w = view["valid0"].shape
+    cell = np.clip(uv0 / CELL_PX, 0, [w - 1, h - 1]).astype(int)
+    shared = view["valid0"].numpy()[cell[:, 1], cell[:, 0]] > 0
+    if not shared.any() or len(uv1) == 0:
+        return 0.0
+    carried = warp_points(view["H_1_0"].numpy().astype(np.float64), uv0[shared].astype(np.float64))
+
+    def met(shift: FloatArray) -> float:
+        there = carried + shift
+        there = there[((there > 0) & (there < CELL_PX * np.array([w, h]))).all(axis=1)]
+        apart = np.linalg.norm(there[:, None] - uv1[None], axis=2)
+        return float((apart.min(axis=1) < RIGHT_PX).mean()) if len(there) else 0.0
+
+    shifts = [px * np.array(way) for px in SHIFTS_PX for way in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    return met(np.zeros(2)) - float(np.mean([met(shift) for shift in shifts]))
+
+
 def score_matches(extract: Extract, views: list[Sample]) -> MatchScore:
     """Match each pair and compare with the true homography."""
-    inliers, precisions, places = [], [], []
+    inliers, precisions, places, repeated = [], [], [], []
     errors: list[float] = []
     for view in views:
         image0, image1 = (view[f"image{k}"][0].numpy() for k in (0, 1))
-        uv0, uv1 = mutual_matches(extract(image0), extract(image1))
+        found0, found1 = extract(image0), extract(image1)
+        repeated.append(repeated_above_chance(found0.uv, found1.uv, view))
+        uv0, uv1 = mutual_matches(found0, found1)
         H_1_0 = view["H_1_0"].numpy().astype(np.float64)
         distance = np.linalg.norm(warp_points(H_1_0, uv0) - uv1, axis=1)
         right = distance < RIGHT_PX
@@ -137,4 +167,5 @@ def score_matches(extract: Extract, views: list[Sample]) -> MatchScore:
         precision=float(np.mean(precisions)),
         located=float(np.mean(places)),
         error_px=float(np.median(errors)) if errors else float("nan"),
+        above_chance=float(np.mean(repeated)),
     )

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Relief = NDArray[np.float32]  # (S / 4, S / 4, 2): displacement in pixels, on an even grid
+RELIEF_PX = 4  # pixels per node of a relief
 Image = NDArray[np.uint8]
 
 
@@ -145,3 +147,44 @@ def around_view(source: Image, H_source_view: FloatArray, size_px: int) -> tuple
     least = np.clip(np.floor(seen.min(axis=0)) - 8, 0, None).astype(int)
     most = np.ceil(seen.max(axis=0)).astype(int) + 9
     return source[least[1] : max(most[1], 0), least[0] : max(most[0], 0)], least.astype(np.float64)
+
+
+def random_relief(rng: np.random.Generator, size_px: int, sigma_px: float) -> Relief:
+    """Draw what relief does between two viewpoints: all that stands up moves along one direction.
+
+    Hills are smooth, houses have edges as steep as the ground between them allows without folds.
+    """
+    nodes = size_px // RELIEF_PX
+    hills = rng.normal(0.0, 0.5, (4, 4)).astype(np.float32)
+    height = cv2.resize(hills, (nodes, nodes), interpolation=cv2.INTER_CUBIC)
+    houses = np.zeros((nodes, nodes), np.float32)
+    for _ in range(rng.integers(0, 9)):
+        box = (rng.uniform(0, nodes, 2), rng.uniform(4.0, 20.0, 2), rng.uniform(0.0, 90.0))
+        corners = cv2.boxPoints(box).round().astype(np.int32)
+        cv2.fillConvexPoly(houses, corners, float(rng.uniform(0.5, 2.0)))
+    height += cv2.GaussianBlur(houses, (0, 0), 1.5)
+    angle, length_px = rng.uniform(0.0, 2 * np.pi), min(abs(rng.normal(0.0, sigma_px)), 5.0)
+    along = length_px * np.array([np.cos(angle), np.sin(angle)])
+    return (height[..., None] * along).astype(np.float32)
+
+
+def relief_at(relief: Relief, points_uv: FloatArray, size_px: int) -> FloatArray:
+    """Interpolate a relief over a picture of `size_px` at points (h, w, 2)."""
+    nodes = (points_uv + 0.5) * (relief.shape[0] / size_px) - 0.5  # half-pixel rule
+    place = nodes.astype(np.float32)
+    found = cv2.remap(relief, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found.astype(np.float64)
+
+
+def bent(view1: Image, H_1_0: FloatArray, relief: Relief) -> Image:
+    """Show in view 1 what a plane's point `uv0` shows at H_1_0 uv0 + relief(uv0)."""
+    size, nodes = view1.shape[0], relief.shape[0]
+    v, u = (np.indices((nodes, nodes), np.float64) + 0.5) * (size / nodes) - 0.5  # half-pixel rule
+    uv1 = np.stack([u, v], axis=-1)
+    H_0_1, offset = np.linalg.inv(H_1_0), np.zeros_like(uv1)
+    for _ in range(3):  # fixed point: relief is told where it is in view 0
+        uv0 = warp_points(H_0_1, (uv1 - offset).reshape(-1, 2)).reshape(uv1.shape)
+        offset = relief_at(relief, uv0, size)
+    v, u = np.indices((size, size), np.float32)
+    place = np.stack([u, v], axis=-1) - cv2.resize(offset.astype(np.float32), (size, size))
+    return cv2.remap(view1, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -1,5 +1,7 @@
 """Small scenes and feature sets with known answers."""
 
+from itertools import cycle
+
 import cv2
 import numpy as np
 
@@ -28,8 +30,8 @@ def features(uv: np.ndarray) -> Features:
 
 
 def fixed(name: str, *found: Features) -> FeatureSet:
-    """A feature set that finds the map's features first, then the picture's."""
-    answers = iter(found)
+    """A feature set that finds the map's features first, then the picture's, and so on."""
+    answers = cycle(found)
     return FeatureSet(name, lambda gray, count: next(answers), [Method(name)])
 
 

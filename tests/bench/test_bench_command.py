@@ -12,6 +12,7 @@ from vwnav.errors import ConfigError
 
 SCORE = {
     "scenes", "keypoints", "matches", "inliers", "precision", "reprojection_px", "repeatability",
+    "repeated_above_chance",
     "auc", "located_near", "located_far", "place_error",
 }  # fmt: skip
 TIMES = {

@@ -52,6 +52,17 @@ def test_a_place_is_off_by_what_the_map_is_off():
     assert found.corner_error_px is None
 
 
+def test_without_a_label_right_matches_say_what_repeats():
+    # The feature set is asked for the map, the picture, and the map and the picture of 1000.
+    found = outcome(None, places(), places() + np.array([1.0, 0.5]))
+    assert found.repeatable.repeated == 1.0
+    assert found.repeatable.above_chance > 0.5
+
+
+def test_where_nobody_finds_the_place_nothing_is_said_of_repetition():
+    assert outcome(None, np.zeros((0, 2)), np.zeros((0, 2))).repeatable is None
+
+
 def test_a_similarity_is_found_among_wrong_matches():
     uv1 = transform_points(TURN, places())
     uv1[::3] = np.random.default_rng(2).uniform(0, 127, uv1[::3].shape)

@@ -7,6 +7,8 @@ import torch
 
 from export import export_onnx, parity
 from models.extractor import Extractor
+from models.network import NETWORK_SIZES, FeatureNetwork
+from vwnav.bench.macs import graph_cost
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 RELEASED = sorted(MODELS.glob("vwnav_*.onnx"))
@@ -43,6 +45,12 @@ def test_other_weights_have_another_name(network):
 def test_the_graph_has_no_batch_norm_left_and_no_path_of_the_machine(model):
     assert "BatchNormalization" not in {node.op_type for node in model.graph.node}
     assert str(Path(__file__).resolve().parents[2]).encode() not in model.SerializeToString()
+
+
+@pytest.mark.parametrize(("size", "most"), [("nano", 0.25e9), ("default", 1.3e9)])
+def test_a_picture_costs_half_of_what_it_did(size, most):
+    graph = export_onnx.to_onnx(FeatureNetwork(NETWORK_SIZES[size]).eval())
+    assert graph_cost(graph.SerializeToString()).macs <= most
 
 
 def test_an_export_is_whole_and_can_be_opened(checkpoint, tmp_path, monkeypatch, model):

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -6,6 +8,7 @@ from hypothesis import strategies as st
 from models.network import (
     NETWORK_SIZES,
     FeatureNetwork,
+    NetworkConfig,
     normalise_contrast,
     sample_descriptors,
 )
@@ -24,10 +27,32 @@ def test_every_cell_gets_a_descriptor_64_logits_and_a_score(size, height_width):
     assert dense.score_logits.shape == (2, 1, *cells)
 
 
-@pytest.mark.parametrize(("size", "most"), [("nano", 200_000), ("default", 1_100_000)])
+@pytest.mark.parametrize(("size", "most"), [("nano", 80_000), ("default", 420_000)])
 def test_the_networks_stay_small(size, most):
     network = FeatureNetwork(NETWORK_SIZES[size])
     assert sum(p.numel() for p in network.parameters()) < most
+
+
+def released(name: str) -> dict:
+    models = Path(__file__).resolve().parents[2] / "models"
+    return torch.load(models / f"vwnav_{name}.ckpt", map_location="cpu", weights_only=True)
+
+
+@pytest.mark.parametrize("name", ["default", "default_open", "nano"])
+def test_weights_of_the_first_generation_still_fit(name):
+    state = released(name)
+    network = FeatureNetwork(NetworkConfig(**state["config"]["network"]))
+    average = {k.removeprefix("module."): v for k, v in state["average"].items()}
+    network.load_state_dict({k: v for k, v in average.items() if k != "n_averaged"})
+
+
+def test_the_score_reads_descriptors_and_keypoints_side_by_side():
+    torch.manual_seed(0)
+    network = FeatureNetwork(NETWORK_SIZES["nano"]).eval()
+    fused, peaks = torch.randn(1, 48, 4, 6), torch.randn(1, 64, 4, 6)
+    with torch.inference_mode():
+        expected = network.score(torch.cat([fused, peaks], dim=1))
+        torch.testing.assert_close(network.judge(fused, peaks), expected)
 
 
 @settings(max_examples=10, deadline=None)

@@ -1,3 +1,6 @@
+import json
+from collections import Counter
+
 import cv2
 import numpy as np
 import pytest
@@ -91,3 +94,69 @@ def test_open_terms_leave_only_open_sources(monkeypatch):
     assert {s.source for s in training} <= data.OPEN_SOURCES
     assert len(training) > 100
     assert len(kept) > 10
+
+
+def entry(source, stem):
+    return {"src": source, "a": f"train/pair/{source}/{stem}.jpg"}
+
+
+@pytest.mark.parametrize(
+    ("source", "stem", "place"),
+    [
+        ("stanford_drone", "hyang_v0", "stanford_drone hyang"),
+        ("quake_tr", "adiyaman_merkez_1_0_920_a", "quake_tr adiyaman"),
+        ("cd_LEVIR", "test_7_a", "levir test_7"),
+        ("cd_levir256", "test_7_0256_0512_a", "levir test_7"),
+        ("sztaki", "Szada_3_a", "sztaki Szada"),
+        ("neon_sjer", "SJER_002_a", "neon_sjer SJER_002"),
+        ("srif_whu", "12_a", "srif_whu 12"),
+    ],
+)
+def test_pairs_that_share_ground_are_one_place(source, stem, place):
+    assert data.place_of(entry(source, stem)) == place
+
+
+@needs_data
+def test_validation_shows_no_place_that_training_shows(monkeypatch):
+    monkeypatch.setattr(data, "read", lambda path: np.zeros((9, 9, 3), np.uint8))
+    training, kept = data.load_scenes(FOLDER, FOLDER / "nowhere", FOLDER / "nowhere")
+    assert {s.place for s in kept} & {s.place for s in training} == set()
+    assert {s.source for s in kept} >= {"srif_whu", "stanford_drone", "quake_tr", "sztaki"}
+    assert not any(s.source == "odm_tuniu" for s in training)
+
+
+@needs_data
+def test_a_place_with_many_pairs_counts_no_more_than_one_with_few(monkeypatch):
+    monkeypatch.setattr(data, "read", lambda path: np.zeros((9, 9, 3), np.uint8))
+    drawn = Counter()
+    for pair in data.real_pairs(FOLDER):
+        drawn[pair.place] += pair.weight
+    campus = {place: w for place, w in drawn.items() if place.startswith("stanford")}
+    assert len(campus) == 6
+    assert max(campus.values()) <= data.MOST_OF_A_PLACE["stanford_drone"] + 1e-6
+
+
+def weak_folder(tmp_path):
+    picture = np.random.default_rng(0).integers(50, 200, (40, 40, 3)).astype(np.uint8)
+    for letter in "ab":
+        cv2.imwrite(str(tmp_path / f"x_{letter}.png"), picture)
+    pair = {
+        "src": "drawn",
+        "split": "train",
+        "a": "x_a.png",
+        "b": "x_b.png",
+        "H": np.eye(3).tolist(),
+    }
+    (tmp_path / data.WEAK_PAIRS).write_text(json.dumps([pair]))
+    return tmp_path
+
+
+def test_weak_pairs_are_used_only_once_they_are_registered_again(tmp_path):
+    folder, registrations = weak_folder(tmp_path), tmp_path / "registered"
+    assert data.labelled_pairs(folder, registrations) == []
+    registrations.mkdir()
+    (pair,) = data.real_pairs(folder, listing=data.WEAK_PAIRS)
+    data.save_registration(registrations, pair, np.zeros((10, 10, 2), np.float32))
+    assert [p.label_noise for p in data.labelled_pairs(folder, registrations)] == [
+        data.REGISTERED_NOISE
+    ]

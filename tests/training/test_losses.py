@@ -10,6 +10,15 @@ from training import losses, warps
 IDENTITY = torch.eye(3)[None]
 
 
+def plane(H_1_0=IDENTITY, size_px=64):
+    """Ground without relief."""
+    return losses.Ground(H_1_0, torch.zeros(len(H_1_0), 2, size_px // 4, size_px // 4))
+
+
+def carry(H_1_0, uv0):
+    return losses.carry(plane(H_1_0), uv0, 64)
+
+
 def match(descriptors1, uv=None, cells=None):
     """log p of orthogonal descriptors against `descriptors1`, the points 20 px apart."""
     count = descriptors1.shape[1]
@@ -21,6 +30,7 @@ def match(descriptors1, uv=None, cells=None):
         [torch.eye(count)[None], descriptors1],
         [uv, uv],
         [nothing, nothing if cells is None else cells],
+        rivals=1.0,
         temperature=0.07,
         near_px=6.0,
     )
@@ -71,7 +81,7 @@ def surface_with_peak(u, v, size=64):
 def agreement(surface0, surface1, H_1_0=IDENTITY, sigma_px=1.0):
     centre = torch.tensor([[[30.0, 30.0]]])
     log_p = losses.agreement_log_probability(
-        [surface0, surface1], centre, H_1_0, torch.tensor([sigma_px])
+        [surface0, surface1], centre, plane(H_1_0), torch.tensor([sigma_px])
     )
     return log_p.exp().item()
 
@@ -117,7 +127,7 @@ def test_keypoints_meet_where_the_homography_carries_them():
     uv0 = torch.tensor([[[10.0, 10.0], [40.0, 40.0], [60.0, 5.0]]])
     uv1 = torch.tensor([[[45.5, 43.0], [15.0, 13.0], [65.0, 8.0]]])
     seen = [torch.tensor([[1.0, 1.0, 0.0]]), torch.ones(1, 3)]
-    meeting = losses.meet([uv0, uv1], seen, H_1_0)
+    meeting = losses.meet([uv0, uv1], carry(H_1_0, uv0), seen)
     assert meeting.partner[0, :2].tolist() == [1, 0]
     assert meeting.mutual.tolist() == [[True, True, False]]
     torch.testing.assert_close(meeting.distance_px[0, :2], torch.tensor([0.0, 0.5]))
@@ -126,8 +136,9 @@ def test_keypoints_meet_where_the_homography_carries_them():
 def test_the_reprojection_loss_pulls_partners_together():
     uv0 = torch.tensor([[[10.0, 10.0]]], requires_grad=True)
     uv1 = torch.tensor([[[11.0, 10.0]]], requires_grad=True)
-    meeting = losses.meet([uv0, uv1], [torch.ones(1, 1)] * 2, IDENTITY)
-    loss = losses.reprojection_loss([uv0, uv1], meeting, IDENTITY, torch.ones(1, 1))
+    carried0 = carry(IDENTITY, uv0)
+    meeting = losses.meet([uv0, uv1], carried0, [torch.ones(1, 1)] * 2)
+    loss = losses.reprojection_loss(carried0, uv1, meeting, torch.ones(1, 1))
     loss.backward()
     assert loss.item() == pytest.approx(1.0, abs=0.01)
     assert uv0.grad[0, 0, 0] < 0 < uv1.grad[0, 0, 0]
@@ -138,7 +149,7 @@ def test_a_right_match_is_the_mutual_neighbour_at_the_right_place():
     descriptors = torch.eye(3)[None]
     swapped = descriptors[:, [0, 2, 1]]  # the first is right, the others are each other's
     kept = [torch.ones(1, 3)] * 2
-    right = losses.rightly_matched([descriptors, swapped], [uv, uv], kept, IDENTITY, torch.ones(1))
+    right = losses.rightly_matched([descriptors, swapped], uv, uv, kept, torch.ones(1))
     assert right[0].tolist() == right[1].tolist() == [[1.0, 0.0, 0.0]]
 
 
@@ -146,7 +157,7 @@ def test_dropped_keypoints_match_nothing():
     uv = torch.tensor([[[10.0, 10.0], [40.0, 40.0]]])
     kept = [torch.tensor([[1.0, 0.0]]), torch.ones(1, 2)]
     described = [torch.eye(2)[None]] * 2
-    right0, right1 = losses.rightly_matched(described, [uv, uv], kept, IDENTITY, torch.ones(1))
+    right0, right1 = losses.rightly_matched(described, uv, uv, kept, torch.ones(1))
     assert right0.tolist() == right1.tolist() == [[1.0, 0.0]]
 
 
@@ -159,5 +170,57 @@ def test_keypoints_without_weight_do_not_count_for_the_score():
 def test_carry_agrees_with_the_warps():
     H = warps.random_relative_view(np.random.default_rng(0), warps.WarpConfig(), 64)
     points = np.random.default_rng(1).uniform(0, 64, (10, 2))
-    carried = losses.carry(torch.from_numpy(H)[None], torch.from_numpy(points)[None])[0]
-    np.testing.assert_allclose(carried.numpy(), warps.warp_points(H, points), atol=1e-9)
+    relief = warps.random_relief(np.random.default_rng(2), 64, 3.0)
+    ground = losses.Ground(*(torch.from_numpy(x)[None] for x in (H, relief.transpose(2, 0, 1))))
+    ground = ground._replace(relief_px=ground.relief_px.double())
+    carried = losses.carry(ground, torch.from_numpy(points)[None], 64)[0]
+    expected = warps.warp_points(H, points) + warps.relief_at(relief, points[None], 64)[0]
+    # remap interpolates in steps of 1/32 of a node
+    np.testing.assert_allclose(carried.numpy(), expected, atol=0.1)
+
+
+def logits_with_peak(u, v, size=64):
+    """(1, 64, h, w): every cell draws its first pixel, the one at (u, v) that pixel."""
+    surface = torch.zeros(1, 1, size, size)
+    surface[:, :, ::8, ::8] = 20.0
+    surface[..., v, u] = 60.0
+    return F.pixel_unshuffle(surface, 8)
+
+
+def repeated(logits0, logits1, H_1_0=IDENTITY):
+    expected, chance = losses.repeat_probability(
+        [logits0, logits1], plane(H_1_0), torch.tensor([1.0])
+    )
+    return expected.view(8, 8), chance.view(8, 8)
+
+
+@pytest.mark.parametrize(("off_px", "reward"), [(0, 1.0), (1, 0.607), (3, 0.011)])
+def test_a_keypoint_is_repeated_by_one_beside_it(off_px, reward):
+    H_1_0 = torch.from_numpy(warps.translation(8.0, 0.0)).float()[None]
+    expected, chance = repeated(logits_with_peak(20, 21), logits_with_peak(28 + off_px, 21), H_1_0)
+    assert expected[2, 2].item() == pytest.approx(reward, abs=0.01)
+    assert chance[2, 2] < 0.15
+
+
+def test_the_pull_is_towards_what_the_other_view_draws():
+    logits0 = torch.zeros(1, 64, 8, 8, requires_grad=True)
+    expected, _ = repeated(logits0, logits_with_peak(20, 21))
+    expected[2, 2].backward()
+    pull = F.pixel_shuffle(logits0.grad, 8)[0, 0]
+    assert pull.argmax().item() == 21 * 64 + 20
+
+
+def test_where_nothing_repeats_nothing_pulls():
+    logits0 = logits_with_peak(20, 21).requires_grad_()
+    expected, _ = repeated(logits0, logits_with_peak(20, 28))  # seven pixels beside it
+    expected[2, 2].backward()
+    assert logits0.grad.abs().max() < 1e-3
+
+
+def test_each_picture_is_spread_by_its_own_gaussian():
+    density = torch.zeros(2, 1, 16, 16)
+    density[:, :, 8, 8] = 1.0
+    near = losses.spread(density, torch.tensor([1.0, 2.0]))
+    assert near[:, 0, 8, 8].tolist() == [1.0, 1.0]
+    at_2_px = near[:, 0, 8, 10]
+    np.testing.assert_allclose(at_2_px.numpy(), np.exp([-2.0, -0.5]), rtol=1e-5)

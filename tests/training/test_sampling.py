@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -19,8 +17,10 @@ def test_a_sample_depends_on_seed_and_number_alone(drawn_scenes):
     assert not torch.equal(samples[0]["image0"], other["image0"])
 
 
-def test_both_views_look_alike_at_corresponding_points(drawn_scenes):
-    pairs = ViewPairs(drawn_scenes, replace(SampleConfig(), photo=NO_CHANGE), seed=1)
+@pytest.mark.parametrize("relief_share", [0.0, 1.0])
+def test_both_views_look_alike_at_corresponding_points(relief_share, drawn_scenes):
+    config = SampleConfig(photo=NO_CHANGE, relief_share=relief_share)
+    pairs = ViewPairs(drawn_scenes, config, seed=1)
     differences = []
     for index in range(6):
         sample = pairs[index]
@@ -31,7 +31,7 @@ def test_both_views_look_alike_at_corresponding_points(drawn_scenes):
 
 
 def test_corners_are_carried_by_the_homography(drawn_scenes):
-    sample = ViewPairs(drawn_scenes, SampleConfig(), seed=2)[3]
+    sample = ViewPairs(drawn_scenes, SampleConfig(relief_share=0.0), seed=2)[3]
     present = sample["present"] > 0
     carried = warps.warp_points(sample["H_1_0"].numpy(), sample["corners0"][present].numpy())
     assert present.sum() > 20

@@ -90,3 +90,30 @@ def test_relative_views_turn_and_scale_as_configured():
     assert 9 < np.std(angles) < 17
     assert 0.65 < min(scales) < 0.8
     assert 1.25 < max(scales) < 1.5
+
+
+def test_a_bent_view_shows_points_where_relief_puts_them():
+    size, rng = 256, np.random.default_rng(4)
+    scenery = cv2.resize(rng.integers(0, 255, (32, 32)).astype(np.uint8), (size, size))
+    H_1_0 = warps.random_relative_view(rng, warps.WarpConfig(), size)
+    relief = warps.random_relief(rng, size, 3.0)
+    flat = warps.view(scenery, np.linalg.inv(H_1_0), size)
+    bent = warps.bent(flat, H_1_0, relief)
+    uv0 = rng.uniform(60, 196, (1, 200, 2))
+    planar = warps.warp_points(H_1_0, uv0[0])[None]
+    there = planar + warps.relief_at(relief, uv0, size)
+
+    def seen(picture, uv):
+        return cv2.remap(picture, uv.astype(np.float32), None, cv2.INTER_LINEAR)[0].astype(float)
+
+    truth = seen(scenery, uv0)
+    assert np.abs(seen(bent, there) - truth).mean() < 3.0
+    assert np.abs(seen(bent, planar) - truth).mean() > 6.0
+
+
+def test_relief_moves_things_along_one_direction_and_not_far():
+    for seed in range(10):
+        relief = warps.random_relief(np.random.default_rng(seed), 320, 2.5).reshape(-1, 2)
+        singular = np.linalg.svd(relief, compute_uv=False)
+        assert singular[1] < 1e-3 * singular[0]
+        assert np.abs(relief).max() < 20.0

@@ -60,7 +60,7 @@ def tables(report: Report) -> Iterator[Table]:
 
 def _group_table(name: str, unit: str, scores: dict[str, Score]) -> Table:
     scenes = next(iter(scores.values())).scenes
-    columns = ["points", "matches", "inliers", "right %", "error px", "rep %"]
+    columns = ["points", "matches", "inliers", "right %", "error px", "rep %", "+chance"]
     columns += ["AUC@1", "AUC@3", "AUC@5"]
     columns += [f"{what} {unit}".strip() for what in ("<3", "<8", "off")]
     table = _table(f"{name}: {scenes} scenes", ["features", *columns])
@@ -74,6 +74,7 @@ def _group_table(name: str, unit: str, scores: dict[str, Score]) -> Table:
             _percent(each.precision),
             _number(each.reprojection_px),
             _percent(each.repeatability),
+            _percent(each.repeated_above_chance),
             *(_percent(area) for area in auc),
             _percent(each.located_near),
             _percent(each.located_far),

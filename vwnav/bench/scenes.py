@@ -13,6 +13,7 @@ from vwnav.types import Array, Gray
 
 BLOCK_PX = 640  # large maps are extracted in blocks of this side, as map packs are
 MARGIN_PX = 64  # of a block that only lends its surroundings
+EDGE_PX = 6  # keypoints nearer to the end of the ground see what is not there
 MULTIPLE_PX = 32  # sides of all pictures: no feature set has to resize or pad
 _SHRINK_AT_ONCE = 1.3  # a warp alone would alias below that
 

@@ -1,14 +1,15 @@
 """One feature set on one scene, and the mean over a group of scenes."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.bench.methods import FeatureSet
-from vwnav.bench.scenes import BLOCK_PX, MARGIN_PX, MapPicture, Mask, Scene
+from vwnav.bench.repeatability import KEYPOINTS, Repeatability, repeatability
+from vwnav.bench.scenes import BLOCK_PX, EDGE_PX, MARGIN_PX, MapPicture, Mask, Scene
 from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
 from vwnav.types import Array, Features, Gray
 from vwnav.vision.checks import take
@@ -17,7 +18,6 @@ RIGHT_PX = 3.0  # a match nearer to the truth than this is an inlier
 FIT_PX = 5.0  # of the similarity: it does not follow tilt and relief
 AUC_PX = (1.0, 3.0, 5.0)
 NEAR, FAR = 3.0, 8.0  # metres on flights, pixels on pairs
-EDGE_PX = 6  # keypoints nearer to the end of the ground see what is not there
 _MAX_OVERSAMPLING = 2.5
 _SEED = 0
 
@@ -33,6 +33,7 @@ class Outcome:
         place_error: of the similarity, in the scene's unit; infinite where there is no fit.
         corner_error_px: mean over the picture's corners of the homography; None without a truth.
         repeated: share of keypoints that the other picture has too; None without a truth.
+        repeatable: the same of 1000 keypoints, beside chance; None where nobody finds the place.
     """
 
     scene: Scene
@@ -45,6 +46,7 @@ class Outcome:
     place_error: float
     corner_error_px: float | None
     repeated: float | None
+    repeatable: Repeatability | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +60,7 @@ class Score:
     precision: float
     reprojection_px: float | None  # median over all inliers
     repeatability: float | None
+    repeated_above_chance: float | None
     auc: dict[str, float] | None
     located_near: float
     located_far: float
@@ -76,17 +79,49 @@ class Judge:
         """One outcome for each method."""
         if scene.map_ is not self._map:
             self._map, self._map_features = scene.map_, {}
+        outcomes: list[tuple[FeatureSet, list[Outcome]]] = []
         for each in self.feature_sets:
             if each.name not in self._map_features:
                 self._map_features[each.name] = map_features(each, scene.map_)
             reference = inside_window(self._map_features[each.name], scene.window)
-            found = masked_features(each, scene.picture, scene.mask, scene.keypoints)
-            repeated = _repeated(found, reference, scene)
-            for method in each.methods:
-                index = method.match(found, reference)
-                pair = (found.uv[index[:, 0]], reference.uv[index[:, 1]])
-                uv0, uv1 = (uv.astype(np.float64) for uv in pair)
-                yield _outcome(scene, method.name, len(found), uv0, uv1, repeated)
+            outcomes.append((each, list(_outcomes(each, scene, reference))))
+        H_1_0 = scene.H_1_0
+        if H_1_0 is None:
+            H_1_0 = agreed_homography([o for _, of_set in outcomes for o in of_set])
+        for each, of_set in outcomes:
+            repeatable = None if H_1_0 is None else self._repeatable(each, scene, H_1_0)
+            yield from (replace(outcome, repeatable=repeatable) for outcome in of_set)
+
+    def _repeatable(self, each: FeatureSet, scene: Scene, H_1_0: Array) -> Repeatability | None:
+        """1000 keypoints of the picture beside as many per area of its map."""
+        reference = self._map_features[each.name]
+        if scene.keypoints != KEYPOINTS:
+            budget = round(scene.map_.keypoints * KEYPOINTS / scene.keypoints)
+            reference = map_features(each, replace(scene.map_, keypoints=budget))
+        found = masked_features(each, scene.picture, scene.mask, KEYPOINTS)
+        return repeatability(found, reference, H_1_0, scene.map_)
+
+
+def _outcomes(each: FeatureSet, scene: Scene, reference: Features) -> Iterator[Outcome]:
+    """One feature set on one scene, matched in all its ways."""
+    found = masked_features(each, scene.picture, scene.mask, scene.keypoints)
+    repeated = _repeated(found, reference, scene)
+    for method in each.methods:
+        index = method.match(found, reference)
+        pair = (found.uv[index[:, 0]], reference.uv[index[:, 1]])
+        uv0, uv1 = (uv.astype(np.float64) for uv in pair)
+        yield _outcome(scene, method.name, len(found), uv0, uv1, repeated)
+
+
+def agreed_homography(outcomes: list[Outcome]) -> Array | None:
+    """What the right matches of all methods say together, where no label is that exact."""
+    placed = [o for o in outcomes if o.place_error < FAR]
+    if not placed:
+        return None
+    uv0 = np.concatenate([o.uv0[o.right] for o in placed])
+    uv1 = np.concatenate([o.uv1[o.right] for o in placed])
+    fit = estimate_homography(uv0, uv1, RIGHT_PX, _SEED)
+    return None if fit is None else fit.H
 
 
 def masked_features(each: FeatureSet, gray: Gray, mask: Mask, budget: int) -> Features:
@@ -209,6 +244,7 @@ def score(outcomes: Iterable[Outcome]) -> Score:
     errors = np.concatenate([o.errors_px for o in each])
     corners = np.array([o.corner_error_px for o in each if o.corner_error_px is not None])
     repeated = [o.repeated for o in each if o.repeated is not None]
+    margins = [o.repeatable.above_chance for o in each if o.repeatable is not None]
     near = places[places < FAR]
     # Without a true homography matches are right where the whole fit is.
     trusted = [o.scene.H_1_0 is not None or o.place_error < FAR for o in each]
@@ -224,6 +260,7 @@ def score(outcomes: Iterable[Outcome]) -> Score:
         precision=float(np.mean(shares)),
         reprojection_px=float(np.median(errors)) if errors.size else None,
         repeatability=float(np.mean(repeated)) if repeated else None,
+        repeated_above_chance=float(np.mean(margins)) if margins else None,
         auc=auc,
         located_near=float(np.mean(places < NEAR)),
         located_far=float(np.mean(places < FAR)),

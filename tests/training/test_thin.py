@@ -1,0 +1,60 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from models.network import FeatureNetwork, NetworkConfig
+from training.thin import Responses, thin_blocks, thinned
+
+SMALL = NetworkConfig(stem_channels=8, channels=16, keypoint_channels=16, score_channels=8)
+
+
+@pytest.fixture
+def pictures() -> list[torch.Tensor]:
+    generator = torch.Generator().manual_seed(2)
+    return [255 * torch.rand(1, 1, 64, 96, generator=generator) for _ in range(3)]
+
+
+@pytest.fixture
+def whole(pictures) -> FeatureNetwork:
+    """Random weights with the statistics of real responses."""
+    torch.manual_seed(1)
+    network = FeatureNetwork(SMALL).train()
+    with torch.no_grad():
+        for _ in range(30):
+            network(torch.cat(pictures))
+    return network.eval()
+
+
+def difference(whole, thin, picture) -> float:
+    with torch.inference_mode():
+        a, b = whole.eval()(picture).descriptors, thin.eval()(picture).descriptors
+    return float((a - b).norm() / a.norm())
+
+
+def test_at_full_rank_nothing_changes(whole, pictures):
+    config = replace(SMALL, stem_rank=8, rank=16, coarse_rank=16)
+    thin = thinned(whole, config, pictures)
+    assert len(list(thin_blocks(thin))) == 9
+    assert difference(whole, thin, pictures[0]) < 1e-4
+
+
+def test_at_half_of_the_rank_the_strongest_directions_stay(whole, pictures):
+    config = replace(SMALL, stem_rank=4, rank=8, coarse_rank=8)
+    torch.manual_seed(5)
+    anew = FeatureNetwork(config)
+    anew.load_state_dict(
+        anew.state_dict() | {"descriptors.weight": whole.state_dict()["descriptors.weight"]}
+    )
+    near = difference(whole, thinned(whole, config, pictures), pictures[0])
+    assert near < 0.7 * difference(whole, anew, pictures[0])
+
+
+def test_directions_are_those_of_the_responses():
+    responses, generator = Responses(3), torch.Generator().manual_seed(0)
+    along = torch.tensor([0.6, 0.8, 0.0])
+    values = torch.randn(4000, generator=generator)[:, None] * along + 5.0
+    responses.add(torch.nn.Identity(), (), values.T[None, :, :, None])
+    directions, kept = responses.directions(1)
+    assert kept == pytest.approx(1.0)
+    assert abs(directions[:, 0] @ along.double()).item() == pytest.approx(1.0, abs=1e-6)
