@@ -128,6 +128,7 @@ LINK = [
 
 NAVIGATOR = [
     Scenario(
+        # Nobody tells the autopilot where it is: it comes down with the wind, wherever that is.
         name="navigator stopped for 20 s",
         setup=setup(),
         breaks=(Break(fault=broken.NavigatorStopped(20.0), at_s=9.0),),

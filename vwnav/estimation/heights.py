@@ -85,10 +85,11 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     """Near the ground an aircraft hardly moves sideways, whatever its attitude seems to say.
 
     Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
-    if the wind blew it away, at a height where no picture tells otherwise. The gate refuses this
-    where it really flies.
+    if the wind blew it away, at a height where no picture tells otherwise. One that was believed to
+    move before it came so low does fly there: the ground may fall away below it.
     """
-    if state.agl_m > config.touching_agl_m:
+    speed_m_s = float(np.hypot(*state.x[States.VELOCITY][:2]))
+    if state.agl_m > config.touching_agl_m or speed_m_s > config.touching_speed_m_s:
         return state
     H = np.zeros((2, States.SIZE))
     H[:, States.VELOCITY.start : States.VELOCITY.start + 2] = np.eye(2)

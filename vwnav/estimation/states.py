@@ -88,6 +88,7 @@ class EkfConfig:
     blow_agl_m: float = 2.0  # lower than this it may strike the ground, shorter than an IMU hears
     blow_noise_m_s2: float = 1.0  # per root hertz, horizontal, instead of less
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
+    touching_speed_m_s: float = 1.5  # and no faster than this sideways
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
