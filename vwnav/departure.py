@@ -102,7 +102,7 @@ class Departure:
 
     def _wait(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
         """Until the list has been complete for a while, and somebody says go."""
-        if vehicle.armed or vehicle.in_air:
+        if vehicle.armed:
             return self._armed_by_somebody(vehicle)
         trouble = missing(checks)
         if trouble != self._shown:

@@ -108,6 +108,8 @@ def _estimate(navigation: Navigation) -> Check:
 
 
 def _autopilot(vehicle: VehicleState) -> Check:
+    if vehicle.in_air:
+        return Check("autopilot", "FAIL", "it reports to be in the air")
     if not vehicle.armable:
         return Check("autopilot", "FAIL", "it reports no readiness to arm")
     if not vehicle.local_position_ok:
