@@ -52,13 +52,21 @@ def lives(pid: int) -> bool:
     return False
 
 
+def heed_interrupts() -> None:
+    """As at a terminal: what a shell starts in the background ignores SIGINT."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @contextlib.contextmanager
 def flight(standby: list[str] | None = None) -> Iterator[Flight]:
     port = free_port()
     url = f"udpin://127.0.0.1:{port}"
     arguments = [url, *([json.dumps(standby)] if standby else [])]
     command = [sys.executable, str(HERE / "navigator.py"), *arguments]
-    with Peer(port) as peer, subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+    with (
+        Peer(port) as peer,
+        subprocess.Popen(command, stdout=subprocess.PIPE, preexec_fn=heed_interrupts) as process,
+    ):
         flying = Flight(peer, process, url)
         try:
             yield flying

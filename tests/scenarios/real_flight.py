@@ -124,6 +124,7 @@ def real_flight(
     ]  # fmt: skip
 
     def limit() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # what a shell starts behind it ignores it
         if file_limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
