@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from vehicles import FLYING
 
-from vwnav.flight import Crew, Flight, FlightConfig, Mission, Phase
+from vwnav.flight import Flight
 from vwnav.guidance.controller import LimitsConfig
+from vwnav.mission import Crew, FlightConfig, Mission, Phase
 from vwnav.safety.check import Check
 from vwnav.safety.keepalive import GuardState, WatchdogReport
 from vwnav.safety.monitor import SafetyConfig
@@ -294,7 +295,10 @@ def test_an_aircraft_that_somebody_armed_is_asked_for_nothing_until_it_is_disarm
 
 
 def test_without_leave_to_arm_it_waits_for_a_person():
-    scene = Scene(arms=False).run(limit_s=300.0)
+    scene = Scene(arms=False)
+    scene.run(limit_s=1.0)
+    scene.flight.go()  # it has not asked yet: an Enter too early lets nothing happen later
+    scene.run(limit_s=300.0)
     assert scene.vehicle.asked == []
     assert any("press Enter" in line for line in scene.said)
     scene.flight.go()
@@ -373,6 +377,14 @@ def test_a_home_given_wrong_is_not_returned_to():
     jump_at_first_fix(scene, (20.0, 0.0)).run()
     assert np.hypot(*scene.vehicle.position[:2]) < 2.0
     assert any("20 m from the home" in line for line in scene.said)
+
+
+def test_a_position_that_jumps_on_the_way_down_does_not_move_home():
+    scene = Scene().run(in_phase(Phase.DESCEND)).go_on(1.0)
+    scene.frame_ne_m, scene.reset_counter = np.array([4.0, 0.0]), scene.reset_counter + 1
+    scene.run()
+    believed_ne_m = scene.vehicle.position[:2] + scene.frame_ne_m
+    assert np.hypot(*believed_ne_m) < 1.0
 
 
 def test_a_return_before_anybody_knows_where_home_is_is_a_landing():

@@ -30,8 +30,9 @@ ALLOWED = {
     "home": BASE,
     "landing": BASE,
     "departure": BASE | {"safety"},
-    "flight": BASE | {"geometry", "guidance", "safety", "home", "landing", "departure"},
-    "runtime": BASE | {"safety", "pipeline", "flight"},
+    "mission": BASE | {"safety", "departure"},
+    "flight": BASE | {"geometry", "guidance", "safety", "home", "landing", "departure", "mission"},
+    "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
     "succession": BASE | {"estimation"},
     "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},
     "sim": BASE | {"geometry", "maps"},
@@ -39,9 +40,9 @@ ALLOWED = {
     | {"geometry", "maps", "vision", "estimation", "pipeline", "drivers", "config"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "drivers", "sim"}
-    | {"pipeline", "flight", "runtime", "config", "assemble", "succession"},
+    | {"pipeline", "flight", "mission", "runtime", "config", "assemble", "succession"},
     "config": BASE
-    | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "drivers"},
+    | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "mission", "drivers"},
 }
 
 

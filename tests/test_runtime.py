@@ -10,8 +10,8 @@ import pytest
 from vehicles import FLYING
 
 from vwnav.clock import WallClock
-from vwnav.flight import FlightEnd, Phase
-from vwnav.pipeline import StepResult
+from vwnav.mission import FlightEnd, Phase
+from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -228,7 +228,9 @@ def test_the_mission_flies_on_the_estimate_that_was_sent():
 def test_a_picture_waits_for_telemetry_of_its_exposure_and_not_for_ever():
     flown = fly(Path(covered=False), Mission(ticks=20))
     waits_s = [waited_s for _, waited_s in flown.path.seen]
-    assert waits_s[0] >= 0.25  # the last one may have been cut short by the end of the flight
+    assert (
+        waits_s[0] >= ATTITUDE_WAIT_S
+    )  # the last one may have been cut short by the end of the flight
 
 
 @pytest.mark.parametrize(
@@ -254,3 +256,10 @@ def test_what_breaks_the_mission_is_raised_once_it_is_down_and_estimates_go_on_t
         fly(mission=Mission(error=ZeroDivisionError()), link=link)
     assert time.monotonic() - began_s > 0.9
     assert link.steps > 30
+
+
+def test_a_mission_that_breaks_beside_an_autopilot_that_is_gone_ends_too():
+    link = Link()
+    link.vehicle = replace(FLYING, heartbeat_age_s=61.0)
+    with pytest.raises(ZeroDivisionError):
+        fly(mission=Mission(error=ZeroDivisionError()), link=link)

@@ -86,8 +86,8 @@ class Departure:
         return self._armed_s is not None
 
     def go(self) -> None:
-        """A person at the keyboard lets it arm, once it is ready."""
-        self._arms = True
+        """A person at the keyboard lets it arm; before it has asked for that word it is none."""
+        self._arms = self._arms or self.stage is Stage.PERSON
 
     def step(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
         """Advance; None while it goes on."""

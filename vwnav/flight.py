@@ -5,19 +5,16 @@ and never waits. Safety may overrule each setpoint, and the pilot overrules ever
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import Enum
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
 
-from vwnav.departure import Departure, DepartureConfig
+from vwnav.departure import Departure
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
 from vwnav.home import Home
 from vwnav.landing import COMING_DOWN, Landing, LandingState
-from vwnav.safety.check import Check
-from vwnav.safety.keepalive import GuardState, WatchdogReport
+from vwnav.mission import Crew, DeadMansHandle, FlightConfig, FlightEnd, Mission, Phase
+from vwnav.safety.keepalive import GuardState
 from vwnav.safety.monitor import Action, SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
@@ -33,104 +30,8 @@ from vwnav.types import (
 )
 
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
-_GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
+GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
-
-
-@dataclass(frozen=True, slots=True)
-class FlightConfig(DepartureConfig):
-    """Times and heights of a mission."""
-
-    climb_m_s: float = 3.0
-    descend_m_s: float = 2.0
-    land_from_m: float = 5.0  # below this the autopilot's own landing takes over
-    first_fix_timeout_s: float = 20.0  # hovering at height without any fix
-    fixes_to_start: int = 3
-    takeoff_timeout_s: float = 40.0
-    hold_gain_per_s: float = 0.5
-    hold_speed_m_s: float = 1.5
-
-
-class Phase(Enum):
-    """Where the mission stands."""
-
-    GET_READY = "getting ready"
-    TAKEOFF = "taking off"
-    CLIMB = "climbing"
-    FIRST_FIX = "waiting for a fix"
-    ROUTE = "on route"
-    RETURN = "returning"
-    DESCEND = "descending"
-    LAND = "landing"
-    FAILSAFE = "autopilot's failsafe"
-    RELEASED = "pilot flies"
-    DONE = "done"
-
-
-@dataclass(frozen=True, slots=True)
-class FlightEnd:
-    """How the flight ended.
-
-    Attributes:
-        reason: None when the whole route was flown.
-        unsafe: it never began, because it was not safe to.
-    """
-
-    reason: str | None
-    unsafe: bool = False
-
-
-class DeadMansHandle(Protocol):
-    """What the mission needs of `vwnav.safety.keepalive.KeepAlive`."""
-
-    @property
-    def report(self) -> WatchdogReport | None:
-        """The watchdog's newest answer."""
-        ...
-
-    def beat(self, engaged: bool, phase: str) -> None:
-        """Say that the loop lives, and whether it steers."""
-        ...
-
-    def rejoin(self) -> None:
-        """Take the aircraft back from a watchdog that acts."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Mission:
-    """What is to be flown.
-
-    Attributes:
-        route_ned_m: (n, 3) waypoints; the way back to above home is added.
-        about_home: the waypoints are counted from home, wherever that turns out to be; else from
-            the frame's origin.
-        home_ne_m: (2,) where the aircraft is thought to stand; None when nobody knows.
-        refuse: says why a route (n, 3) must not be flown, "" when it may; asked once home is known
-            if it was not before.
-    """
-
-    route_ned_m: Array
-    about_home: bool = False
-    home_ne_m: Array | None = None
-    refuse: Callable[[Array], str] = lambda _: ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Crew:
-    """Who the mission speaks with.
-
-    Attributes:
-        say: receives one line per event.
-        show: receives the readiness list when what is missing changes.
-        checks: makes the readiness list.
-        arms: arms by itself; else a person does.
-    """
-
-    say: Callable[[str], None]
-    checks: Callable[[VehicleState, Navigation, float], tuple[Check, ...]]
-    show: Callable[[tuple[Check, ...]], None] = lambda _: None
-    arms: bool = True
 
 
 class Flight:
@@ -226,7 +127,7 @@ class Flight:
         self._abort_reason = reason
 
     def go(self) -> None:
-        """A person at the keyboard lets it arm, once it is ready."""
+        """A person at the keyboard lets it arm, when it has said that it is ready."""
         self._departure.go()
 
     def _enter(self, phase: Phase, t_s: float) -> None:
@@ -251,7 +152,10 @@ class Flight:
             self._finish(self._abort_reason)
 
     def _note(self, estimate: Estimate | None) -> None:
-        """Count fixes, and let what is relative move along with a jump of the position."""
+        """Count fixes. Before anybody knows where home is, the held point jumps along: it is here.
+
+        After that it is home, and a position that jumps shows how far from it the aircraft is.
+        """
         if estimate is None:
             return
         before, self._before = self._before, estimate
@@ -264,7 +168,7 @@ class Flight:
             * (estimate.velocity_ned_m_s + before.velocity_ned_m_s)[:2]
             * (estimate.t_s - before.t_s)
         )
-        if estimate.reset_counter != before.reset_counter:
+        if estimate.reset_counter != before.reset_counter and self._home.place_ne_m is None:
             jump_m = (estimate.position_ned_m - before.position_ned_m)[:2] - flown_m
             self._hold_ne_m = self._hold_ne_m + jump_m
         if self.phase is not Phase.GET_READY:
@@ -452,9 +356,7 @@ class Flight:
 
     def _begin_route(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         """Now it is known where the aircraft stood, and with that where the route lies."""
-        told = self._home.settle(estimate)
-        if told:
-            self._crew.say(told)
+        self._settle_home(estimate)
         route_ned_m = self._route_ned_m()
         refused = self._mission.refuse(route_ned_m)
         if refused:
@@ -463,6 +365,11 @@ class Flight:
         self._follower = RouteFollower(route_ned_m, self._limits)
         self._enter(Phase.ROUTE, t_s)
         self._steer(self._hold(estimate, self._height_error(estimate)))
+
+    def _settle_home(self, estimate: Estimate) -> None:
+        told = self._home.settle(estimate)
+        if told:
+            self._crew.say(told)
 
     def _route_ned_m(self) -> Array:
         """(n + 1, 3) the waypoints and the way back to above home."""
@@ -473,9 +380,7 @@ class Flight:
         return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
 
     def _return(self, t_s: float, estimate: Estimate) -> None:
-        told = self._home.settle(estimate)
-        if told:
-            self._crew.say(told)
+        self._settle_home(estimate)
         assert self._home.place_ne_m is not None
         home_ned_m = np.array([[*self._home.place_ne_m, estimate.position_ned_m[2]]])
         self._follower = RouteFollower(home_ned_m, self._limits)
@@ -531,7 +436,7 @@ class Flight:
         """The aircraft comes down, or is somebody else's; it is left when the motors stop."""
         if not vehicle.armed:
             self._finish(self._trouble)
-        elif vehicle.heartbeat_age_s > _GONE_S:
+        elif vehicle.heartbeat_age_s > GONE_S:
             self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             self._recover(t_s, vehicle, navigation)

@@ -35,7 +35,7 @@ from vwnav.types import (
     Telemetry,
 )
 
-ATTITUDE_WAIT_S = 0.25  # a picture waits so long after its exposure for its attitude to come
+ATTITUDE_WAIT_S = 0.4  # a picture waits so long after its exposure for its attitude to come
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0

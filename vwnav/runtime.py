@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from vwnav.clock import Clock
-from vwnav.flight import DeadMansHandle, Flight, FlightEnd, Phase
+from vwnav.flight import GONE_S, Flight
+from vwnav.mission import DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -214,7 +215,9 @@ class FlightRuntime:
             self._flight.abort("interrupted by the operator: landing")
 
     def _is_down_after_failure(self) -> bool:
-        return self._failure is not None and not self._autopilot.state().armed
+        vehicle = self._autopilot.state()
+        over = not vehicle.armed or vehicle.heartbeat_age_s > GONE_S
+        return self._failure is not None and over
 
     def _link_loop(self, clock: Clock) -> None:
         telemetry, heard_s = clock.join("telemetry"), self._heard_s

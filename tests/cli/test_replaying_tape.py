@@ -23,13 +23,13 @@ from vwnav.drivers.recording import read_recording
 from vwnav.drivers.tape import About, PictureSeen, Tape, read_tape
 from vwnav.errors import MapError, SourceError
 from vwnav.estimation.ekf import Ekf, Start
-from vwnav.flight import FlightEnd, Phase
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.maps.builder import BuildOptions, build_pack
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.maps.raster import array_source, local_georeference
+from vwnav.mission import FlightEnd, Phase
 from vwnav.pipeline import FeatureChoice, Pipeline
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch

@@ -8,7 +8,6 @@ import contextlib
 import os
 import resource
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vwnav.cli.simulation import free_ports
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import VehicleConfig, start_vehicle
@@ -108,7 +108,7 @@ def real_flight(
         file_limit: no file can grow beyond so many bytes: a full disk.
         wind_m_s: with gusts.
     """
-    link, truth = _free_ports(2)
+    link, truth = free_ports(2)
     config = VehicleConfig(
         home_lat_deg=HOME.lat_deg, home_lon_deg=HOME.lon_deg, home_alt_amsl_m=HOME.alt_amsl_m,
         companion_url=f"udpout:127.0.0.1:{link}", truth_url=f"udpin:127.0.0.1:{truth}",
@@ -142,14 +142,3 @@ def real_flight(
                 process.kill()
             process.wait()
             reader.close()
-
-
-def _free_ports(count: int) -> list[int]:
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()

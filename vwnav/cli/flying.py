@@ -32,13 +32,14 @@ from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start
-from vwnav.flight import Crew, Flight, Mission
+from vwnav.flight import Flight
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.missions import LocalWaypoint, load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
+from vwnav.mission import Crew, Mission
 from vwnav.pace import PacedClock
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
@@ -362,7 +363,7 @@ def _listen_for_enter(flight: Flight) -> None:
         return
 
     def listen() -> None:
-        if sys.stdin.readline():
+        while sys.stdin.readline():
             flight.go()
 
     threading.Thread(target=listen, name="keyboard", daemon=True).start()

@@ -64,7 +64,7 @@ def start_embedded_vehicle(
     Returns:
         URLs of its link, for the watchdog, and of its ground truth.
     """
-    link, truth = _free_ports(2)
+    link, truth = free_ports(2)
     config = VehicleConfig(
         home_lat_deg=site.home_lat_deg,
         home_lon_deg=site.home_lon_deg,
@@ -109,7 +109,8 @@ def _cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "vwnav" / "maps"
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
+    """UDP ports of this machine that nobody has."""
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
     try:
         for each in sockets:

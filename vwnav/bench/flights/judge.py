@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav.bench.flights.scenario import Ending, Flown
 from vwnav.bench.flights.track import Track, Truth
-from vwnav.flight import Phase
+from vwnav.mission import Phase
 from vwnav.sim.px4.modes import STICK_STATES
 
 _PILOT_S = 0.3  # from the pilot's mode to the last setpoint

@@ -11,9 +11,10 @@ from vwnav.config import Config
 from vwnav.drivers.autopilot import LinkedAutopilot
 from vwnav.drivers.pymavlink_port import PymavlinkPort
 from vwnav.estimation.ekf import Start
-from vwnav.flight import Crew, Flight, Mission, Phase
+from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
+from vwnav.mission import Crew, Mission, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch

@@ -9,7 +9,7 @@ from vwnav.bench.flights.faults import Fault
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.track import Track
 from vwnav.bench.flights.world import Setup, World
-from vwnav.flight import FlightEnd, Phase
+from vwnav.mission import FlightEnd, Phase
 
 _DOWN_S = 1.0  # disarmed for so long: it is over
 

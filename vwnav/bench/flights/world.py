@@ -13,8 +13,8 @@ from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
-from vwnav.flight import Mission, Phase
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.mission import Mission, Phase
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lens import RenderConfig
