@@ -224,3 +224,18 @@ def test_arducopters_realignment_leaves_ours_alone(data_folder):
     slewing = rows[(rows[:, 0] > 14.0) & (rows[:, 0] < 24.0)]
     assert np.ptp(slewing[:, 1]) > 8.0
     assert np.ptp(slewing[:, 2]) < 2.5
+
+
+def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
+    """Telemetry 0.1 s late made the covariance none, and no estimate could be computed."""
+    history, rng = ImuHistory(AttitudeHistory(10.0), 10.0), np.random.default_rng(1)
+    for i in range(50):
+        shaken = AT_REST + rng.normal(0.0, 3.0, 3)
+        history.add(ImuSample(STEP_S * i, shaken, np.zeros(3)))
+    newest_s = STEP_S * 49
+    guessed = history.until(newest_s + 0.09)
+    for i in range(1, 10):
+        history.add(ImuSample(newest_s + 0.0101 * i, AT_REST, np.zeros(3)))
+    push = push_between(guessed, history.until(newest_s + 0.0905))
+    assert push.shaken_m2_s2 >= 0.0
+    assert push.shaken_rad2 >= 0.0

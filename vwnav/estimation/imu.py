@@ -73,7 +73,10 @@ def push_between(zero: Felt | None, one: Felt | None) -> Push | None:
     """What was felt from one moment to another; None where a silence lies between."""
     if zero is None or one is None or zero.series != one.series:
         return None
-    pushed, shaken = one.pushed - zero.pushed, one.shaken - zero.shaken
+    pushed = one.pushed - zero.pushed
+    # What was felt beyond the newest sample was guessed from it: where less came after that, the
+    # difference is negative, which is no variance, and made the covariance none either.
+    shaken = np.maximum(one.shaken - zero.shaken, 0.0)
     turn = quat_multiply(quat_conjugate(zero.turned), one.turned)
     return Push(
         one.lasted_s - zero.lasted_s,
