@@ -15,6 +15,7 @@ from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
+    Drag,
     Event,
     Exposed,
     Keyframe,
@@ -82,6 +83,7 @@ class Ekf:
         self._on_restart: Callable[[str], None] | None = None
         self._restarted_s = -math.inf
         self._newest_way: OdometryMotion | None = None
+        self._drag_s = -math.inf
 
     @property
     def initialised(self) -> bool:
@@ -195,8 +197,12 @@ class Ekf:
         self._gate.heard(sample.t_s)
         if not self._imu.believes(sample):
             return Innovation(Verdict.GATED)
-        added = self._imu.add(sample)
-        return Innovation(Verdict.FUSED if added else Verdict.TOO_LATE)
+        if not self._imu.add(sample):
+            return Innovation(Verdict.TOO_LATE)
+        if self._timeline is not None and sample.t_s >= self._drag_s + self._config.drag_interval_s:
+            self._drag_s = sample.t_s
+            self._insert(Drag(sample.t_s))
+        return Innovation(Verdict.FUSED)
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
         """Take the barometric height above the start, up positive."""

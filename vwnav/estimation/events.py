@@ -14,6 +14,7 @@ class Rank(IntEnum):
     """Order of events at the same time; clones are last, so that they copy what others left."""
 
     LATE_FIX = 0
+    DRAG = 8
     STATIONARY = 1
     HEIGHT = 2
     RANGE = 3
@@ -147,12 +148,23 @@ class LateFix:
         return self.fix.sensible()
 
 
-Event = NedFix | Height | Range | Stationary | Displacement | Keyframe | Exposed | LateFix
+@dataclass(frozen=True, slots=True)
+class Drag:
+    """The IMU has felt for a while what the air does to the aircraft."""
+
+    t_s: float
+
+    def sensible(self) -> bool:
+        """Always: it is made of samples that were believed."""
+        return True
+
+
+Event = NedFix | Height | Range | Stationary | Displacement | Keyframe | Exposed | LateFix | Drag
 
 _RANKS = {
     Stationary: Rank.STATIONARY, Height: Rank.HEIGHT, Range: Rank.RANGE,
     NedFix: Rank.FIX, Displacement: Rank.ODOMETRY, Keyframe: Rank.ANCHOR, Exposed: Rank.EXPOSURE,
-    LateFix: Rank.LATE_FIX,
+    LateFix: Rank.LATE_FIX, Drag: Rank.DRAG,
 }  # fmt: skip
 
 

@@ -67,7 +67,9 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         state = _on_other_ground(before, state, context)
     state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
-    if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
+    # Against an attitude that is only held, a heading would take a turn for the compass' error.
+    told = attitudes.at(fix.t_s) is not None
+    if told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(yaw_rad - fix.yaw_rad)
         state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _NOW.yaw)
         parts.append(part)

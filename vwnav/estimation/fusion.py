@@ -8,8 +8,10 @@ import numpy as np
 from vwnav.estimation.attitudes import AttitudeHistory, level_axes
 from vwnav.estimation.consensus import convinces, remember
 from vwnav.estimation.context import Context
+from vwnav.estimation.drag import apply_drag
 from vwnav.estimation.events import (
     Displacement,
+    Drag,
     Event,
     Exposed,
     Keyframe,
@@ -78,12 +80,16 @@ def _meet(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
             return apply_height(state, event, config)
         case Range():
             return apply_range(state, event, attitudes, config)
+        case Drag():
+            return apply_drag(state, context)
         case Stationary():
             return _apply_stationary(state, context)
 
 
 def _exposed(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
     """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
+    if attitudes.at(state.t_s) is None:
+        return replace(state, exposure=None)  # nobody knows how it was turned
     copy = np.eye(States.SIZE)
     copy[States.EXPOSED_POSITION] = copy[States.POSITION][:2]
     copy[States.EXPOSED_HEADING_BIAS] = copy[States.HEADING_BIAS]

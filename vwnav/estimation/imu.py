@@ -33,9 +33,10 @@ class Felt:
     In an hour they grow to some 4e4 m/s: differences of them keep ten digits for days.
 
     Attributes:
-        series: samples between silences share it.
+        series: samples between silences share it, of attitudes too: forces that nobody can turn
+            into NED are not counted.
         lasted_s: by the sensor's own clock.
-        pushed: (3, 4) integrals of R_ned_body and of R_ned_body f, side by side.
+        pushed: (3, 5) integrals of R_ned_body, of R_ned_body f and of f, side by side.
         turned: (4,) quaternion, the product of all turns of the body.
         shaken: (2,) variances per axis of the integrals of force and of rates by what happened
             between samples: rotors shake the sensors faster than they are heard.
@@ -55,6 +56,7 @@ class Push:
     Attributes:
         lasted_s: its length by the sensor's own clock.
         velocity_m_s: (3,) integral of R_ned_body f, gravity still in it.
+        body_m_s: (3,) integral of f itself, which no attitude has turned.
         rotation_s: (3, 3) integral of R_ned_body: what a bias of the accelerometer or of the gyro
             adds up to.
         turn_wxyz: (4,) the rotation that the gyro counted, R_body0_body1.
@@ -63,6 +65,7 @@ class Push:
 
     lasted_s: float
     velocity_m_s: Array
+    body_m_s: Array
     rotation_s: Array
     turn_wxyz: Array
     shaken_m2_s2: float
@@ -81,6 +84,7 @@ def push_between(zero: Felt | None, one: Felt | None) -> Push | None:
     return Push(
         one.lasted_s - zero.lasted_s,
         pushed[:, 3],
+        pushed[:, 4],
         pushed[:, :3],
         turn,
         float(shaken[0]),
@@ -96,7 +100,7 @@ class ImuHistory:
         self._length_s = length_s
         self._times_s: list[float] = []
         self._felt: list[Felt] = []
-        self._newest: tuple[Array, Array] = (np.zeros((3, 4)), np.zeros(6))
+        self._newest: tuple[Array, Array] = (np.zeros((3, 5)), np.zeros(6))
         self._slope = np.zeros(6)  # of the newest sample against the one before
         self._scatter = np.zeros(2)  # variance per axis of force and rates
         self._sudden: tuple[float, Array] | None = None  # the newest sample, believed or not
@@ -146,7 +150,8 @@ class ImuHistory:
         if self._times_s and sample.t_s <= self._times_s[-1]:
             return False
         R = rotation_from_quat(self._attitudes.quat_at(sample.t_s))
-        now = np.column_stack([R, R @ sample.specific_force_m_s2])
+        force = sample.specific_force_m_s2
+        now = np.column_stack([R, R @ force, force])
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
         self._felt.append(self._next(sample, now, values))
         self._times_s.append(sample.t_s)
@@ -183,12 +188,12 @@ class ImuHistory:
     def _next(self, sample: ImuSample, now: Array, values: Array) -> Felt:
         """Add a sample to the integrals, by the trapezoidal rule."""
         if not self._felt:
-            return Felt(0, 0.0, np.zeros((3, 4)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
+            return Felt(0, 0.0, np.zeros((3, 5)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
         span_s = sample.span_s
         if span_s is None or self._doubted.any():  # its own clock counts from the one refused
             span_s = sample.t_s - self._times_s[-1]
-        if span_s > _LONGEST_GAP_S:
+        if span_s > _LONGEST_GAP_S or not self._attitudes.tell(sample.t_s):
             return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
         doubted, self._doubted = self._doubted, np.zeros(2)

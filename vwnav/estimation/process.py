@@ -24,6 +24,8 @@ _MAP = np.r_[States.MAP, States.MAP_TURN, States.MAP_SCALE]
 _TERRAIN = States.TERRAIN.start
 _FORCE_BIAS = np.arange(States.ACCELEROMETER_BIAS.start, States.ACCELEROMETER_BIAS.stop)
 _RATE_BIAS = np.arange(States.GYRO_BIAS.start, States.GYRO_BIAS.stop)
+_WIND = np.arange(States.WIND_FORCE.start, States.WIND_FORCE.stop)
+_DRAG = States.DRAG.start
 _IDENTITY = np.eye(States.SIZE)
 
 
@@ -191,6 +193,8 @@ def _process_noise(
         heading = config.heading_slew_rad**2
         Q[_FORCE_BIAS, _FORCE_BIAS] = config.accelerometer_walk_m_s2**2 * dt_s
         Q[_RATE_BIAS, _RATE_BIAS] = config.gyro_walk_rad_s**2 * dt_s
+        Q[_WIND, _WIND] = (config.wind_walk_m_s * float(x[_DRAG])) ** 2 * dt_s
+        Q[_DRAG, _DRAG] = config.drag_walk_per_s**2 * dt_s
     if -x[_D] - x[_TERRAIN] < config.blow_agl_m:
         level = max(level, config.blow_noise_m_s2**2)
     for p, v, q in ((_N, _VN, level), (_E, _VE, level), (_D, _VD, vertical)):

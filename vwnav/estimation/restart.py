@@ -34,6 +34,7 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
     to them. Of the attitude's error nothing is believed but that it is as at first.
     """
     x, variance = np.zeros(States.SIZE), first_variance(config)
+    x[States.DRAG] = config.drag_per_s
     heights = [2, States.BARO.start, States.TERRAIN.start]
     if np.all(np.isfinite(state.x[heights])):
         x[heights] = state.x[heights]

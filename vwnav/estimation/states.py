@@ -37,7 +37,9 @@ class States:
     EXPOSED_HEADING_BIAS = slice(33, 34)  # rad, the heading bias at its exposure
     EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
     EXPOSED_AGL = slice(36, 37)  # m, the height above ground then
-    SIZE = 37
+    WIND_FORCE = slice(37, 39)  # m/s^2, north and east, what the wind alone pushes by drag
+    DRAG = slice(39, 40)  # 1/s, of a multirotor through air, across its thrust
+    SIZE = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +64,14 @@ class EkfConfig:
     gyro_share: float = 0.001  # of a turn: scale factor, and what happens between samples
     gyro_sigma_rad_s: float = math.radians(0.5)  # bias at first
     gyro_walk_rad_s: float = math.radians(0.005)  # per root second
+    drag_per_s: float = 0.35  # at first; from 0.1 of a slick large one to 1 of PX4's simulated one
+    drag_sigma_per_s: float = 0.3  # at first
+    drag_walk_per_s: float = 0.001  # per root second
+    drag_range_per_s: tuple[float, float] = (0.02, 2.0)
+    drag_noise_m_s2: float = 0.1  # of the force across the thrust, averaged, beyond what is shaken
+    drag_interval_s: float = 0.4  # between two
+    wind_force_sigma_m_s2: float = 2.0  # at first
+    wind_walk_m_s: float = 0.3  # per root second: gusts of 1 m/s that last 30 s
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
@@ -245,6 +255,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     x = np.zeros(States.SIZE)
     x[States.POSITION] = position
     x[States.TERRAIN] = -position[2] - start.agl_m
+    x[States.DRAG] = config.drag_per_s
     variance = first_variance(config)
     variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
     variance[2] = 0.1**2  # the height is counted from here
@@ -265,6 +276,8 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
+    variance[States.WIND_FORCE] = config.wind_force_sigma_m_s2**2
+    variance[States.DRAG] = config.drag_sigma_per_s**2
     variance[States.MAP] = config.map_sigma_m**2
     variance[States.MAP_TURN] = config.map_turn_rad**2
     variance[States.MAP_SCALE] = config.map_scale**2

@@ -35,6 +35,7 @@ class Verdict(Enum):
     DUPLICATE = "already there"
     NO_ANCHOR = "its keyframe is not known"
     NO_ATTITUDE = "no attitude that is believed tells how it was seen"
+    ON_GROUND = "the aircraft stands, or nearly"
     IMPOSSIBLE = "no aircraft does that"
     HEADING_UNKNOWN = "the heading is not known yet"
     NOT_STARTED = "the filter is not initialised"

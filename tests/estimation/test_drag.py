@@ -1,0 +1,92 @@
+"""What the air does to the aircraft tells how fast it flies, where pictures do not."""
+
+import gzip
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+
+from vwnav.bench.estimator_run import Run, play
+from vwnav.bench.estimator_streams import sense
+from vwnav.bench.estimator_world import World, fly
+from vwnav.estimation.ekf import NedFix
+from vwnav.estimation.states import States
+from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.types import OdometryMotion
+
+SEEN_S, BLIND_S = 60.0, 40.0
+RECORDINGS = Path(__file__).resolve().parents[3] / "shared" / "data" / "mavlink"
+
+
+def goes_blind(seed: int, imu_hz: float = 100.0) -> tuple[World, Run]:
+    """A minute of flight with pictures, then without, in wind with gusts."""
+    world = World(seconds=SEEN_S + BLIND_S, imu_hz=imu_hz, hover_share=0.3)
+    rng = np.random.default_rng(seed)
+    stream = sense(world, fly(world, [rng])[0], rng)
+    events = [
+        event
+        for event in stream.events
+        if event.arrival_s < SEEN_S or not isinstance(event.seen, OdometryMotion | NedFix)
+    ]
+    return world, play(replace(stream, events=events))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_without_pictures_the_velocity_stays_known_and_the_truth_within_5_sigma(seed):
+    world, run = goes_blind(seed)
+    assert run.last.x[States.DRAG] == pytest.approx(world.drag_per_s, abs=0.05)
+    for t_s, error_m, P in zip(run.rows.t_s, run.rows.error_ne_m, run.rows.P, strict=True):
+        sigmas = math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
+        assert sigmas < 5.0, f"{error_m} m at {t_s} s"
+    sigma_m_s = math.sqrt(np.linalg.norm(run.estimates[-1].covariance[3:5, 3:5], 2))
+    assert sigma_m_s < 2.0  # by counting accelerations alone it would be 4 and more
+    assert np.hypot(*run.rows.error_ne_m[-1]) < 3.0 * 30.0
+
+
+def test_without_an_imu_nothing_is_known_of_the_air():
+    _, run = goes_blind(0, imu_hz=0.0)
+    assert math.sqrt(np.linalg.norm(run.estimates[-1].covariance[3:5, 3:5], 2)) > 4.0
+
+
+@pytest.mark.parametrize(
+    ("name", "drag_per_s"), [("px4-1.18_nominal", 1.0), ("arducopter-4.7dev_nominal", 0.384)]
+)
+def test_what_real_autopilots_feel_across_their_thrust_grows_with_the_speed(
+    name, drag_per_s, tmp_path
+):
+    """Least squares over a recording: the law, its constant, and that little else is felt."""
+    recording = RECORDINGS / f"{name}.tlog.gz"
+    if not recording.exists():
+        pytest.skip("needs the recordings of real autopilots")
+    tlog = tmp_path / "flight.tlog"
+    tlog.write_bytes(gzip.decompress(recording.read_bytes()))
+    felt, speed = forward_force_and_speed(tlog)
+    window = np.ones(20) / 20.0
+    felt, speed = np.convolve(felt, window, "valid"), np.convolve(speed, window, "valid")
+    slope, offset = np.polyfit(speed, felt, 1)
+    assert -slope == pytest.approx(drag_per_s, rel=0.03)
+    assert abs(offset) < 0.03
+    assert np.std(felt - slope * speed - offset) < 0.05
+
+
+def forward_force_and_speed(tlog: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Along the nose, m/s^2 and m/s, of all samples above 3 m."""
+    os.environ["MAVLINK20"] = "1"
+    link = mavutil.mavlink_connection(str(tlog), dialect="ardupilotmega")
+    quat = velocity = None
+    rows = []
+    while (message := link.recv_match()) is not None:
+        match message.get_type():
+            case "ATTITUDE_QUATERNION":
+                quat = np.array([message.q1, message.q2, message.q3, message.q4])
+            case "LOCAL_POSITION_NED":
+                high = message.z < -3.0
+                velocity = np.array([message.vx, message.vy, message.vz]) if high else None
+            case "HIGHRES_IMU" if quat is not None and velocity is not None:
+                forward = rotation_from_quat(quat)[:, 0]
+                rows.append((message.xacc, forward @ velocity))
+    return np.array(rows).T
