@@ -25,7 +25,8 @@ class EstimateLimits:
         max_speed_m_s: horizontal; no multirotor of ours flies faster, wind included.
         max_tilt_rad: of the attitude that comes with it.
         max_velocity_sigma_m_s, max_position_sigma_m: larger semi-axis, while it is sent; the
-            position's only after a first fix: before, the aircraft is wherever it stands.
+            position's only after a first fix: before, the aircraft is wherever it stands. It is
+            wide: what comes down without pictures needs a velocity, or the wind has it.
         new_velocity_sigma_m_s, new_position_sigma_m: of one that comes back, or that says by its
             reset counter that it jumped.
         max_jump_m: beyond what `max_speed_m_s` explains, without another reset counter. Autopilots
@@ -43,7 +44,7 @@ class EstimateLimits:
     max_speed_m_s: float = 35.0
     max_tilt_rad: float = math.radians(70.0)
     max_velocity_sigma_m_s: float = 4.0
-    max_position_sigma_m: float = 30.0
+    max_position_sigma_m: float = 60.0
     new_velocity_sigma_m_s: float = 1.5
     new_position_sigma_m: float = 5.0
     max_jump_m: float = 3.0

@@ -1,0 +1,87 @@
+"""What is promised of most flights, not of one: dozens of seeds, in lockstep. Minutes each."""
+
+import itertools
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenario_place import default_place
+from scenario_table import TABLE
+
+from vwnav.bench.flights.judge import STICK_STATES, judge
+from vwnav.bench.flights.scenario import Flown, Scenario, fly
+
+pytestmark = pytest.mark.long
+
+TAKEOVERS = ("on the route", "while climbing", "while returning", "while descending")
+GROUPS = 5  # so that two processes share the work
+
+
+def row(part: str) -> Scenario:
+    return next(each for each in TABLE if part in each.name)
+
+
+def flown_with(scenario: Scenario, seed: int, wind_m_s: float, at_s: float) -> Flown:
+    setup = replace(scenario.setup, seed=seed, wind_m_s=wind_m_s)
+    breaks = (replace(scenario.breaks[0], at_s=at_s), *scenario.breaks[1:])
+    return fly(replace(scenario, setup=setup, breaks=breaks), default_place())
+
+
+@pytest.mark.parametrize("group", range(GROUPS))
+def test_no_setpoint_0_3_s_after_a_pilot_takes_over(group):
+    for trial in range(group, 50, GROUPS):
+        rng = random.Random(trial)
+        where = TAKEOVERS[trial % len(TAKEOVERS)].split()[-1]
+        scenario = replace(row(f"pilot takes over while {where}"), limit_s=9.0)
+        flown = flown_with(scenario, trial, rng.uniform(0.0, 8.0), rng.uniform(2.0, 5.0))
+        assert not judge(flown).wrong, (trial, judge(flown).wrong)
+        taken_s = next(each.t_s for each in flown.track.truth if each.mode in STICK_STATES)
+        last_s = max(each.t_s for each in flown.track.orders if each.kind == "setpoint")
+        assert last_s - taken_s <= 0.3, f"trial {trial}: {last_s - taken_s:.2f} s"
+
+
+def test_a_lens_covered_at_50_m_costs_at_most_50_m_in_18_of_20():
+    scenario = row("pictures black for good")
+    flights = [flown_with(scenario, seed, 5.0, 9.0) for seed in range(1, 21)]
+    verdicts = [judge(flown) for flown in flights]
+    off_m = sorted(verdict.landed_off_m or 1e9 for verdict in verdicts)
+    assert off_m[17] <= 50.0, off_m
+    assert max(verdict.worst_sigmas for verdict in verdicts) < 5.0
+    assert max(flown.world.t_s - 9.0 for flown in flights) < 60.0 + 5.0  # and the motors stop
+
+
+@pytest.mark.parametrize("group", range(GROUPS))
+def test_after_a_kill_the_estimate_is_back_in_4_s_and_it_lands_where_it_stopped_nine_times_of_ten(
+    group,
+):
+    good, told = 0, []
+    for trial in range(group, 50, GROUPS):
+        rng = random.Random(trial)
+        scenario = row("navigator killed")
+        flown = flown_with(scenario, trial, rng.uniform(0.0, 6.0), rng.uniform(7.0, 12.0))
+        back_s, off_m = estimate_back_s(flown), landed_from_where_it_stopped_m(flown)
+        told.append((trial, round(back_s, 1), round(off_m, 1)))
+        good += back_s <= 4.0 and off_m <= 5.0
+        assert judge(flown).worst_sigmas < 5.0, told
+    assert good >= 9, told
+
+
+def broke_at_s(flown: Flown) -> float:
+    assert flown.broke_s is not None
+    return flown.broke_s + flown.world.begun_s
+
+
+def estimate_back_s(flown: Flown) -> float:
+    """From the fault until estimates come again for good."""
+    since_s = broke_at_s(flown)
+    times = [since_s] + [each.t_s for each in flown.track.sent if each.t_s > since_s]
+    gaps = [b - a for a, b in itertools.pairwise(times)]
+    return sum(gap for gap in gaps if gap > 0.5)
+
+
+def landed_from_where_it_stopped_m(flown: Flown) -> float:
+    """Horizontally, from where it was first slower than 0.5 m/s after the fault."""
+    after = [each for each in flown.track.truth if each.t_s > broke_at_s(flown)]
+    stopped = next(e for e in after if np.hypot(*e.velocity_ned_m_s[:2]) < 0.5)
+    return float(np.hypot(*(after[-1].position_ned_m - stopped.position_ned_m)[:2]))
