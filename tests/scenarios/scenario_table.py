@@ -97,7 +97,7 @@ def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = 
     is from the first second on where it was coming down already.
     """
     short = seconds <= 1.0
-    blind = seconds > 10.0 or start is DESCEND and phase is None
+    blind = seconds > 10.0 or (start is DESCEND and phase is None)
     at_s = {Phase.ROUTE: 9.0, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
     return Scenario(
         name=f"link cut for {seconds:g} s {where}",
