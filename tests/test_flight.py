@@ -16,6 +16,7 @@ from vwnav.types import (
     Estimate,
     FlightMode,
     Navigation,
+    Order,
     Request,
     VehicleState,
     VelocitySetpoint,
@@ -64,6 +65,7 @@ class PointVehicle:
     answers_after: int = 1
     stays_armed: bool = False
     setpoints: int = 0
+    texts: list[str] = field(default_factory=list)
     under_way: tuple[str, Request, int] | None = None
 
     def state(self) -> VehicleState:
@@ -98,6 +100,9 @@ class PointVehicle:
 
     def land(self) -> Request:
         return self.ask("land")
+
+    def send_text(self, text: str) -> None:
+        self.texts.append(text)
 
     def send_velocity(self, setpoint: VelocitySetpoint) -> None:
         self.setpoints += 1
@@ -589,3 +594,46 @@ def test_the_dead_mans_handle_is_held_exactly_while_we_steer():
     assert any(scene.handle.beats)
     assert not scene.handle.beats[0]
     assert not scene.handle.beats[-1]
+
+
+def test_a_poor_position_is_flown_slower_and_then_sought_from_higher_up():
+    scene = on_route()
+    scene.variance = 5.0**2
+    scene.go_on(3.0)
+    assert np.hypot(*scene.vehicle.velocity[:2]) < 0.6 * LimitsConfig().cruise_m_s
+    scene.variance = 9.0**2
+    scene.go_on(12.0)
+    assert scene.flight.phase is Phase.ROUTE
+    assert -scene.vehicle.position[2] > -ROUTE[0, 2] + 10.0
+    assert "position uncertain by 9 m: climbing to where the map shows more" in scene.said
+    scene.variance = 0.25
+    scene.go_on(30.0)
+    assert -scene.vehicle.position[2] == pytest.approx(-ROUTE[0, 2], abs=3.0)
+
+
+def test_where_the_position_is_poor_it_returns_along_the_flown_way():
+    """Out along two legs at right angles, and back along them, not across."""
+    corner = np.array([[0.0, 150.0, -50.0], [150.0, 150.0, -50.0]])
+    scene = Scene(mission=Mission(corner, home_ne_m=np.zeros(2)))
+    scene.run(lambda scene: scene.vehicle.position[0] > 120.0)
+    scene.fixes = False
+    scene.run(in_phase(Phase.RETURN))
+    farthest_off_m = 0.0
+    while scene.flight.phase is Phase.RETURN:
+        scene.go_on(0.5)
+        north, east = scene.vehicle.position[:2]
+        off_m = min(np.hypot(max(-east, east - 150.0, 0.0), north), abs(east - 150.0))
+        farthest_off_m = max(farthest_off_m, off_m)
+    assert farthest_off_m < 25.0
+
+
+def test_what_it_decides_is_told_to_the_ground_stations_in_the_same_words():
+    scene = on_route()
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(3.0)
+    assert scene.vehicle.texts[-1] == "the ground station asks for a pause: holding"
+    assert np.hypot(*scene.vehicle.velocity[:2]) < 0.5
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(1.0)
+    assert scene.vehicle.texts[-1] == "all well again: going on"
+    assert scene.vehicle.texts == scene.said

@@ -31,7 +31,9 @@ ALLOWED = {
     "landing": BASE,
     "departure": BASE | {"safety"},
     "mission": BASE | {"safety", "departure"},
-    "flight": BASE | {"geometry", "guidance", "safety", "home", "landing", "departure", "mission"},
+    "flown_way": BASE,
+    "flight": BASE
+    | {"geometry", "guidance", "safety", "home", "landing", "departure", "mission", "flown_way"},
     "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
     "succession": BASE | {"estimation"},
     "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},

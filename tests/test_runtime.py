@@ -61,6 +61,9 @@ class Link:
     def take_measurements(self):
         return (ImuSample(time.monotonic(), np.array([0.0, 0.0, -9.8]), np.zeros(3)),)
 
+    def take_orders(self):
+        return (), ()
+
     def send_estimate(self, estimate):
         self.sent.append(estimate)
         self.sent_s.append(time.monotonic())

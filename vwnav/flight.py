@@ -10,12 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.departure import Departure
+from vwnav.flown_way import FlownWay
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
 from vwnav.home import Home
 from vwnav.landing import COMING_DOWN, Landing, LandingState
 from vwnav.mission import Crew, DeadMansHandle, FlightConfig, FlightEnd, Mission, Phase
 from vwnav.safety.keepalive import GuardState
-from vwnav.safety.monitor import Action, SafetyMonitor
+from vwnav.safety.monitor import Action, Decision, Rank, SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import (
@@ -24,6 +25,7 @@ from vwnav.types import (
     Estimate,
     FlightMode,
     Navigation,
+    Order,
     Request,
     VehicleState,
     VelocitySetpoint,
@@ -31,6 +33,14 @@ from vwnav.types import (
 
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
+_SLOW_PACE = 0.5
+_DOING = {
+    Action.SLOW: "slower",
+    Action.HOLD: "holding",
+    Action.CLIMB: "climbing to where the map shows more",
+}
+# Phases of their own, which say it.
+_TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RELEASE})
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 
 
@@ -55,11 +65,14 @@ class Flight:
         self._limits = limits
         self._safety_config = safety
         self._safety = SafetyMonitor(safety)
-        self._departure = Departure(autopilot, config, crew.arms, crew.say, crew.show)
+        self._departure = Departure(autopilot, config, crew.arms, self._say, crew.show)
         self._home = Home(mission.home_ne_m)
         self._height_m = float(-mission.route_ned_m[0, 2])
         self._follower: RouteFollower | None = None
         self._hold_ne_m = np.zeros(2)
+        self._way = FlownWay()
+        self._pace = 1.0
+        self._decided = (Action.NAVIGATE, Rank.NAVIGATION)
         self._fixes = 0
         self._before: Estimate | None = None
         self._phase_since_s: float | None = None
@@ -115,7 +128,9 @@ class Flight:
         if phase is Phase.RETURN:
             self._return(estimate.t_s, estimate)
         elif phase is Phase.ROUTE:
-            self._follower = RouteFollower(self._route_ned_m(), self._limits)
+            route_ned_m = self._route_ned_m()
+            self._follower = RouteFollower(route_ned_m, self._limits)
+            self._safety.fly_within(route_ned_m, route_ned_m[-1, :2])
         self.phase, self._phase_since_s = phase, estimate.t_s
 
     def ride(self, t_s: float, reason: str) -> None:
@@ -130,9 +145,21 @@ class Flight:
         """A person at the keyboard lets it arm, when it has said that it is ready."""
         self._departure.go()
 
+    def obey(self, order: Order) -> None:
+        """A ground station asks for it; in the air the hierarchy decides what comes of that."""
+        if order is Order.START:
+            self.go()
+        else:
+            self._safety.obey(order)
+
+    def _say(self, text: str) -> None:
+        """To whoever is at the keyboard, and to the ground stations."""
+        self._crew.say(text)
+        self._autopilot.send_text(text)
+
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
-        self._crew.say(phase.value)
+        self._say(phase.value)
 
     def _in_phase_s(self, t_s: float) -> float:
         return t_s - (self._phase_since_s if self._phase_since_s is not None else t_s)
@@ -196,7 +223,7 @@ class Flight:
         if report is None or report.state is GuardState.RELAY:
             return False
         if report.state is GuardState.BRAKING:
-            self._crew.say("the control loop had stalled: taking over from the watchdog again")
+            self._say("the control loop had stalled: taking over from the watchdog again")
             self._keep_alive.rejoin()
             return False
         self._release(
@@ -209,8 +236,10 @@ class Flight:
         if navigation.estimate is None:
             self._lost_s = t_s
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
+        self._tell(decision)
+        self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
-            case Action.NAVIGATE:
+            case Action.NAVIGATE | Action.SLOW:
                 return False
             case Action.RELEASE:
                 self._release(t_s, decision.reason)
@@ -218,22 +247,45 @@ class Flight:
                 self._yield(t_s, decision.reason)
             case Action.LAND:
                 self._begin_landing(t_s, vehicle, decision.reason)
-            case Action.HOLD | Action.RETURN if self.phase is Phase.TAKEOFF:
+            case _ if self.phase is Phase.TAKEOFF:
                 return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
-            case Action.HOLD | Action.RETURN if self.phase is Phase.DESCEND:
+            case _ if self.phase is Phase.DESCEND:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False
                 self._steer(replace(_STILL, down_m_s=self._config.descend_m_s))
             case Action.HOLD:
                 self._steer(_STILL)
+            case Action.CLIMB:
+                assert navigation.estimate is not None
+                self._steer(replace(_STILL, down_m_s=-self._searching_climb(navigation.estimate)))
             case Action.RETURN:
                 if self.phase is Phase.RETURN:
                     return False
                 assert navigation.estimate is not None
                 self._trouble = decision.reason
-                self._return(t_s, navigation.estimate)
+                self._say(decision.reason)
+                self._return(t_s, navigation.estimate, decision.rank is Rank.POSITION)
         return True
+
+    def _tell(self, decision: Decision) -> None:
+        """A decision that is another than the last one, in words."""
+        before, self._decided = self._decided, (decision.action, decision.rank)
+        if self._decided == before or decision.action in _TOLD_ELSEWHERE:
+            return
+        if decision.action is Action.NAVIGATE:
+            if before[0] not in _TOLD_ELSEWHERE:
+                self._say("all well again: going on")
+        else:
+            self._say(f"{decision.reason}: {_DOING[decision.action]}")
+
+    def _searching_climb(self, estimate: Estimate) -> float:
+        """Upward speed, to where the map shows more: no higher than is allowed."""
+        highest_m = min(
+            self._height_m + self._safety_config.climb_most_m, self._safety_config.ceiling_m
+        )
+        missing_m = highest_m + float(estimate.position_ned_m[2])
+        return float(np.clip(0.5 * missing_m, 0.0, self._config.climb_m_s))
 
     def _sighted(self, t_s: float, navigation: Navigation) -> Navigation:
         """Pictures count from the climb on: standing and lifting off there is little to see."""
@@ -249,7 +301,7 @@ class Flight:
         self._autopilot.withdraw()
         self._trouble = self._trouble or reason
         self.setpoint = None
-        self._crew.say(reason)
+        self._say(reason)
         self._enter(Phase.RELEASED, t_s)
 
     def _yield(self, t_s: float, reason: str) -> None:
@@ -260,7 +312,7 @@ class Flight:
         self._recovery = Recovery(self._safety_config, explained)
         self._phase_before_failsafe = self.phase
         self.setpoint = None
-        self._crew.say(reason)
+        self._say(reason)
         self._enter(Phase.FAILSAFE, t_s)
 
     def _recover(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
@@ -363,13 +415,14 @@ class Flight:
             self._begin_landing(t_s, vehicle, refused)
             return
         self._follower = RouteFollower(route_ned_m, self._limits)
+        self._safety.fly_within(route_ned_m, route_ned_m[-1, :2])
         self._enter(Phase.ROUTE, t_s)
         self._steer(self._hold(estimate, self._height_error(estimate)))
 
     def _settle_home(self, estimate: Estimate) -> None:
         told = self._home.settle(estimate)
         if told:
-            self._crew.say(told)
+            self._say(told)
 
     def _route_ned_m(self) -> Array:
         """(n + 1, 3) the waypoints and the way back to above home."""
@@ -379,17 +432,23 @@ class Flight:
             route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
         return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
 
-    def _return(self, t_s: float, estimate: Estimate) -> None:
+    def _return(self, t_s: float, estimate: Estimate, as_flown: bool = False) -> None:
+        """Straight home, or `as_flown`: over ground where the map has matched."""
         self._settle_home(estimate)
-        assert self._home.place_ne_m is not None
-        home_ned_m = np.array([[*self._home.place_ne_m, estimate.position_ned_m[2]]])
-        self._follower = RouteFollower(home_ned_m, self._limits)
+        home_ne_m = self._home.place_ne_m
+        assert home_ne_m is not None
+        way_ned_m = np.array([[*home_ne_m, estimate.position_ned_m[2]]])
+        if as_flown:
+            way_ned_m = self._way.back_ned_m(estimate, home_ne_m)
+        self._follower = RouteFollower(way_ned_m, self._limits)
         self._enter(Phase.RETURN, t_s)
 
     def _follow(self, t_s: float, estimate: Estimate) -> None:
         assert self._follower is not None
         assert self._home.place_ne_m is not None
-        step = self._follower.step(estimate)
+        if self.phase is Phase.ROUTE:
+            self._way.note(estimate)
+        step = self._follower.step(estimate, self._pace)
         self._steer(step.setpoint)
         if step.done:
             self._hold_ne_m = self._home.place_ne_m
@@ -427,9 +486,9 @@ class Flight:
         """Hand over to the autopilot's own landing; `trouble` is why, None after a whole route."""
         self._trouble = self._trouble or trouble
         if trouble:
-            self._crew.say(trouble)
+            self._say(trouble)
         self.setpoint = None
-        self._landing = Landing(self._autopilot, vehicle, t_s, self._crew.say)
+        self._landing = Landing(self._autopilot, vehicle, t_s, self._say)
         self._enter(Phase.LAND, t_s)
 
     def _wait_for_ground(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:

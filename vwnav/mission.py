@@ -23,6 +23,7 @@ class FlightConfig(DepartureConfig):
     takeoff_timeout_s: float = 40.0
     hold_gain_per_s: float = 0.5
     hold_speed_m_s: float = 1.5
+    ground_station_ids: tuple[int, ...] = (255,)  # MAVLink systems that may command it
 
 
 class Phase(Enum):

@@ -108,6 +108,7 @@ class FlightRuntime:
         self._autopilot.step(t_s)
         for measurement in self._autopilot.take_measurements():
             self._pipeline.feed(measurement)
+        self._obey_ground_stations()
         believed = self._pipeline.estimate(t_s)
         vehicle = self._autopilot.state()
         self._heard_s = None if vehicle.attitude is None else vehicle.attitude.t_s
@@ -121,6 +122,14 @@ class FlightRuntime:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):
             self._event(f"the estimate is not sent any more: {lost}" if lost else "estimates again")
+
+    def _obey_ground_stations(self) -> None:
+        orders, refused = self._autopilot.take_orders()
+        for order in orders:
+            self._event(f"a ground station asks for {order.value}")
+            self._flight.obey(order)
+        for text in refused:
+            self._event(text)
 
     def _lose_what_is_not_heard(self, vehicle: VehicleState, t_s: float) -> None:
         """What the guard cannot see: a silent autopilot, a watchdog that hands nothing on.

@@ -283,6 +283,7 @@ class Estimate:
         agl_m: height above the ground below.
         t_last_fix_s: exposure of the last map fix that was fused, None before the first.
         reset_counter: counts re-localisations (jumps), nothing else.
+        wind_ne_m_s: (2,) where it blows to; None while it is not known.
     """
 
     t_s: float
@@ -295,6 +296,7 @@ class Estimate:
     sigma_agl_m: float
     t_last_fix_s: float | None
     reset_counter: int
+    wind_ne_m_s: Array | None = None
 
     @property
     def fix_age_s(self) -> float | None:
@@ -360,6 +362,7 @@ class VehicleState:
             a change of mode and PX4's word on who asked for it.
         failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
         aiding: its filter predicts the position from what we send; None when it does not say.
+        ground_station: one has been heard within some seconds.
         own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
             when that is older than a second, or the two have not agreed upon an origin.
     """
@@ -381,7 +384,18 @@ class VehicleState:
     intended_mode: FlightMode = FlightMode.UNKNOWN
     failsafe: bool = False
     aiding: bool | None = None
+    ground_station: bool = False
     own_position_ned_m: Array | None = None
+
+
+class Order(Enum):
+    """What a ground station may ask of the mission."""
+
+    START = "the start"
+    PAUSE = "a pause"
+    GO_ON = "going on"
+    RETURN = "the way home"
+    LAND = "a landing"
 
 
 Severity = Literal["fail", "warn"]
@@ -468,6 +482,14 @@ class Autopilot(Protocol):
 
     def send_velocity(self, setpoint: VelocitySetpoint) -> None:
         """Ask for a velocity, in Offboard."""
+        ...
+
+    def send_text(self, text: str) -> None:
+        """Tell the ground stations."""
+        ...
+
+    def take_orders(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:
+        """What ground stations ordered since the last call, and what was refused, in words."""
         ...
 
     def arm(self) -> Request:

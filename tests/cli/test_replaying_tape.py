@@ -65,6 +65,9 @@ class Link:
     def step(self, t_s):
         pass
 
+    def take_orders(self):
+        return (), ()
+
     def take_measurements(self):
         """Attitude, height, range, and three IMU samples in each 20 ms, which feel the swaying."""
         state = self.state()

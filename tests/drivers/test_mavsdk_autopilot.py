@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.errors import LinkError
 from vwnav.safety.flight_modes import AutopilotKind
-from vwnav.types import Attitude, FlightMode, ImuSample
+from vwnav.types import Attitude, FlightMode, ImuSample, Order
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +109,24 @@ def test_a_link_that_falls_silent_is_not_connected(px4):
     assert autopilot.arm().refused == "the autopilot is not heard"
     peer.speaks = True
     wait_for(lambda: autopilot.state().connected)
+
+
+def test_texts_leave_and_a_ground_station_on_the_link_is_heard_and_obeyed(px4):
+    peer, autopilot = px4
+    autopilot.send_text("battery low: the way home")
+    wait_for(
+        lambda: any(each.text == "battery low: the way home" for each in peer.of("STATUSTEXT"))
+    )
+    own_system, own_component = autopilot._port.own_id
+    station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    command = mavlink.MAVLink_command_long_message(own_system, own_component, 193, *[0] * 8)
+    beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+
+    def hears(message, what):
+        peer.socket.sendto(bytes(message.pack(station)), peer.to)
+        time.sleep(0.05)
+        return what()
+
+    wait_for(lambda: hears(beat, lambda: autopilot.state().ground_station))
+    wait_for(lambda: hears(command, lambda: Order.PAUSE in autopilot.take_orders()[0]))
+    wait_for(lambda: any(each.command == 193 for each in peer.of("COMMAND_ACK")))

@@ -63,7 +63,7 @@ def test_a_good_estimate_is_sent_as_it_is():
         (at(0.1, math.nan), "finite"),
         (at(0.1, 0.0, 40.0), "40 m/s"),
         (at(0.1, covariance=covariance(sigma_m_s=5.0)), "velocity is lost"),
-        (at(0.1, covariance=covariance(sigma_m=40.0)), "uncertain by 40 m"),
+        (at(0.1, covariance=covariance(sigma_m=70.0)), "uncertain by 70 m"),
         (at(0.1, covariance=-covariance()), "velocity is lost"),
         (at(0.1, quat_wxyz=np.array([0.5, 0.866, 0.0, 0.0])), "tilted"),
         (at(0.1, quat_wxyz=np.zeros(4)), "tilted"),

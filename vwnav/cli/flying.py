@@ -136,7 +136,10 @@ def fly_route(options: FlyOptions) -> None:
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
         source = open_camera(options, renderer, truth, clock, stack)
-        autopilot = MavsdkAutopilot(watchdog.navigator_url, clock=clock, link_url=link)
+        autopilot = MavsdkAutopilot(
+            watchdog.navigator_url, clock=clock, link_url=link,
+            ground_station_ids=plan.config.flight.ground_station_ids,
+        )  # fmt: skip
         stack.callback(autopilot.close)
         _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
 

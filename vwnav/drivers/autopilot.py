@@ -4,12 +4,14 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Generator
+from dataclasses import replace
 
 from vwnav.drivers.autopilot_commands import CommandSender, Procedure
 from vwnav.drivers.autopilot_outputs import Outputs
 from vwnav.drivers.autopilot_parameters import ParameterTable
 from vwnav.drivers.autopilot_procedures import NOT_HEARD, TAKEOFF_HEIGHT, Procedures
 from vwnav.drivers.autopilot_upkeep import OriginAgreement, StreamKeeper, Timesync
+from vwnav.drivers.ground_commands import GroundCommands
 from vwnav.drivers.link_budget import LinkBudget, plan_link
 from vwnav.drivers.port import Fields, Port
 from vwnav.drivers.preflight_parameters import check_parameters, parameter_names
@@ -20,6 +22,7 @@ from vwnav.types import (
     Estimate,
     Finding,
     FlightMode,
+    Order,
     Request,
     Telemetry,
     VehicleState,
@@ -28,6 +31,7 @@ from vwnav.types import (
 
 _log = logging.getLogger(__name__)
 _READ_AGAIN_S = 5.0
+_CHUNK, _NOTICE = 50, 5  # of STATUSTEXT: bytes, severity
 _LEAST_ATTITUDE_HZ = 18.0  # of 20 that are asked for at least
 _PATIENCE_S = (0.25, 2.0)  # for an answer, at least and at most
 _PATIENCE_UNKNOWN_S = 0.6  # before a round trip has been seen
@@ -43,10 +47,15 @@ class LinkedAutopilot:
         port: the connection.
         clock: monotonic clock, in seconds.
         capacity_bytes_s: what the narrowest part of the way carries, None when it is wide.
+        ground_station_ids: of those that may command the navigator.
     """
 
     def __init__(
-        self, port: Port, clock: Callable[[], float], capacity_bytes_s: float | None = None
+        self,
+        port: Port,
+        clock: Callable[[], float],
+        capacity_bytes_s: float | None = None,
+        ground_station_ids: tuple[int, ...] = (255,),
     ) -> None:
         self._port = port
         self._clock = clock
@@ -71,6 +80,8 @@ class LinkedAutopilot:
         self._findings: tuple[Finding, ...] | None = None
         self._frame: LocalFrame | None = None
         self._restarts = 0
+        self._texts = 0
+        self._ground = GroundCommands(port, ground_station_ids, clock)
         for name in self._telemetry.messages:
             port.subscribe(name, self._handle_telemetry)
         port.subscribe("COMMAND_ACK", self._handle_ack)
@@ -87,7 +98,8 @@ class LinkedAutopilot:
     def state(self) -> VehicleState:
         """The newest snapshot."""
         with self._lock:
-            return self._telemetry.state(self._clock())
+            state = self._telemetry.state(self._clock())
+            return replace(state, ground_station=self._ground.is_heard)
 
     def take_measurements(self) -> tuple[Telemetry, ...]:
         """What was measured since the last call, in order of arrival, each once."""
@@ -160,6 +172,23 @@ class LinkedAutopilot:
         with self._lock:
             self._procedures.steered(setpoint, self._clock())
             self._outputs.setpoint(setpoint)
+
+    def send_text(self, text: str) -> None:
+        """Tell the ground stations (STATUSTEXT, ASCII); a long text goes in chunks of 50."""
+        text = text.encode("ascii", "replace").decode()
+        chunks = [text[i : i + _CHUNK] for i in range(0, len(text), _CHUNK)]
+        with self._lock:
+            self._texts = self._texts % 0xFFFF + 1
+            number = self._texts if len(chunks) > 1 else 0
+            for sequence, words in enumerate(chunks):
+                self._port.send("STATUSTEXT", {
+                    "severity": _NOTICE, "text": words, "id": number, "chunk_seq": sequence,
+                })  # fmt: skip
+
+    def take_orders(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:
+        """What ground stations ordered since the last call, and what was refused, in words."""
+        with self._lock:
+            return self._ground.take()
 
     # ---- what is asked for, and carried on by `step`
 

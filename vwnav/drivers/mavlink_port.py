@@ -27,7 +27,7 @@ from mavsdk.plugins.mavlink_direct import (  # type: ignore[import-untyped]
     MavlinkMessage,
 )
 
-from vwnav.drivers.port import Fields, Handler
+from vwnav.drivers.port import Fields, Handler, Listener, Sender
 from vwnav.errors import LinkError
 
 _log = logging.getLogger(__name__)
@@ -82,6 +82,9 @@ class MavlinkPort:
             raise
         self._closed = False
         self._closing = threading.Lock()
+        self._listeners: dict[str, Listener] = {}
+        self._others: dict[int, MavlinkDirect] = {}  # by their system, the autopilot's own too
+        self._system_count = 0
 
     @property
     def system_id(self) -> int:
@@ -98,6 +101,20 @@ class MavlinkPort:
                 handler(name, json.loads(message.fields_json), received_s)
 
         self._direct.subscribe_message(name, receive)
+
+    @property
+    def own_id(self) -> Sender:
+        """System and component that we are."""
+        return self._own_system, self._own_component
+
+    def listen(self, name: str, listener: Listener) -> None:
+        """Hand every message `name` of whoever else is on the link to `listener`.
+
+        MAVSDK hands out messages system by system: each that appears is subscribed to anew.
+        """
+        self._listeners[name] = listener
+        for direct in self._others.values():
+            _listen(direct, name, listener)
 
     def is_for_us(self, fields: Fields) -> bool:
         """Whether a message that has a target is ours; others speak with the autopilot too."""
@@ -116,12 +133,25 @@ class MavlinkPort:
         with self._closing:
             if self._closed:
                 return
+            if self._system_count != self._mavsdk.system_count():
+                self._meet_others()
             try:
                 self._direct.send_message(message)
             except MavlinkDirectError as error:
                 if error.result in _MISTAKES:
                     raise ValueError(f"{name} {fields}: {error.result.name}") from error
                 _log.debug("%s was not sent: %s", name, error.result.name)
+
+    def _meet_others(self) -> None:
+        """Listen to systems that have appeared: ground stations, and what else is on board."""
+        systems = self._mavsdk.get_systems()
+        self._system_count = len(systems)
+        for system in systems:
+            number = int(system.get_system_id())
+            if number not in self._others:
+                self._others[number] = MavlinkDirect(system)
+                for name, listener in self._listeners.items():
+                    _listen(self._others[number], name, listener)
 
     def close(self) -> None:
         """Give the link back."""
@@ -145,3 +175,11 @@ class MavlinkPort:
             f"no autopilot on {url} within {timeout_s:.0f} s: check its power, the cable, the "
             "baud rate, and that it sends MAVLink on that port"
         )
+
+
+def _listen(direct: Any, name: str, listener: Listener) -> None:
+    def receive(message: Any, _: Any) -> None:
+        if message.component_id != _AUTOPILOT_COMPONENT:
+            listener(json.loads(message.fields_json), (message.system_id, message.component_id))
+
+    direct.subscribe_message(name, receive)

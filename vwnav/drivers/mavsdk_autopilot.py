@@ -26,6 +26,7 @@ class MavsdkAutopilot(LinkedAutopilot):
             one would never act. For the bench, not for flight.
         clock: monotonic clock, in seconds.
         link_url: the autopilot's own link, when `url` is that of a relay in front of it.
+        ground_station_ids: of those that may command the navigator.
 
     Raises:
         LinkError: no PX4 or ArduPilot is on the link.
@@ -38,10 +39,11 @@ class MavsdkAutopilot(LinkedAutopilot):
         as_ground_station: bool = False,
         clock: Callable[[], float] = time.monotonic,
         link_url: str | None = None,
+        ground_station_ids: tuple[int, ...] = (255,),
     ) -> None:
         capacity_bytes_s = bytes_per_s(link_url or url)
         port = MavlinkPort(url, as_ground_station, timeout_s, clock)
-        super().__init__(port, clock, capacity_bytes_s)
+        super().__init__(port, clock, capacity_bytes_s, ground_station_ids)
         until_s = time.monotonic() + _FIRST_HEARTBEAT_S
         while self.kind is None:
             if time.monotonic() > until_s:

@@ -5,6 +5,8 @@ from typing import Any, Protocol
 
 Fields = Mapping[str, Any]
 Handler = Callable[[str, Fields, float], None]
+Sender = tuple[int, int]  # system and component
+Listener = Callable[[Fields, Sender], None]
 Send = Callable[[str, Fields], None]
 
 
@@ -26,6 +28,15 @@ class Port(Protocol):
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, with the time of arrival."""
+        ...
+
+    @property
+    def own_id(self) -> Sender:
+        """System and component that we are."""
+        ...
+
+    def listen(self, name: str, listener: Listener) -> None:
+        """Hand every message `name` of whoever else is on the link to `listener`."""
         ...
 
     def is_for_us(self, fields: Fields) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vwnav.drivers.port import Fields, Handler
+from vwnav.drivers.port import Fields, Handler, Listener, Sender
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.safety.links import Link
 from vwnav.safety.mavlink_framing import Framer, Packet
@@ -35,6 +35,7 @@ class PymavlinkPort:
         self._framer = Framer()
         self._mavlink = mavlink.MAVLink(None, srcSystem=_OWN_SYSTEM, srcComponent=_OWN_COMPONENT)
         self._handlers: dict[int, Handler] = {}
+        self._listeners: dict[int, Listener] = {}
         self._system_id = 0
         self._beat_s = -math.inf
         self._closed = False
@@ -47,6 +48,15 @@ class PymavlinkPort:
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, within `poll`."""
         self._handlers[_number(name)] = handler
+
+    @property
+    def own_id(self) -> Sender:
+        """System and component that we are."""
+        return _OWN_SYSTEM, _OWN_COMPONENT
+
+    def listen(self, name: str, listener: Listener) -> None:
+        """Hand every message `name` of whoever else is on the link to `listener`, in `poll`."""
+        self._listeners[_number(name)] = listener
 
     def is_for_us(self, fields: Fields) -> bool:
         """Whether a message that has a target is ours; others speak with the autopilot too."""
@@ -86,7 +96,9 @@ class PymavlinkPort:
         self._link.close()
 
     def _handle(self, packet: Packet) -> None:
-        if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id not in self._handlers:
+        by_autopilot = packet.component_id == _AUTOPILOT_COMPONENT
+        wanted = self._handlers if by_autopilot else self._listeners
+        if packet.message_id is None or packet.message_id not in wanted:
             return
         try:
             message = self._mavlink.decode(bytearray(packet.data))
@@ -94,8 +106,10 @@ class PymavlinkPort:
             return  # damaged on the way
         if not self._system_id and getattr(message, "autopilot", None) in _KINDS:
             self._system_id = packet.system_id
-        if packet.system_id == self._system_id:
-            fields = {field: _decoded(getattr(message, field)) for field in message.fieldnames}
+        fields = {field: _decoded(getattr(message, field)) for field in message.fieldnames}
+        if not by_autopilot:
+            self._listeners[packet.message_id](fields, (packet.system_id, packet.component_id))
+        elif packet.system_id == self._system_id:
             self._handlers[packet.message_id](message.get_type(), fields, self._clock())
 
 

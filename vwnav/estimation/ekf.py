@@ -13,6 +13,7 @@ import numpy as np
 from vwnav.estimation.attitude_gate import AttitudeGate
 from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.context import Context, Ground
+from vwnav.estimation.drag import wind_ne_m_s
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -357,6 +358,7 @@ def _estimate(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) 
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
+        wind_ne_m_s=wind_ne_m_s(state),
     )
 
 

@@ -68,11 +68,16 @@ class RouteFollower:
         self._velocity_ne_m_s = np.zeros(2)
         self._bias_ne_m_s = np.zeros(2)
         self._yaw_rad: float | None = None
+        self._pace = 1.0
 
-    def step(self, estimate: Estimate) -> Guidance:
-        """The setpoint for the newest estimate; zero velocity when that is absurd."""
+    def step(self, estimate: Estimate, pace: float = 1.0) -> Guidance:
+        """The setpoint for the newest estimate; zero velocity when that is absurd.
+
+        `pace` is a share of the cruising speed.
+        """
         if not _is_usable(estimate):
             return Guidance(_HOLD_STILL, False, self._target, 0.0)
+        self._pace = pace
         position = estimate.position_ned_m
         if not self._legs:
             self._begin(estimate)
@@ -166,7 +171,7 @@ class RouteFollower:
         end_m_s = self._end_speeds_m_s[self._target]
         if ahead_m <= 0.0:
             return max(limits.position_gain_per_s * ahead_m, -limits.cross_speed_m_s)
-        cruise_m_s = min(limits.cruise_m_s, leg.speed_for_slope_m_s(limits))
+        cruise_m_s = min(self._pace * limits.cruise_m_s, leg.speed_for_slope_m_s(limits))
         speed_m_s = float(np.hypot(*self._velocity_ne_m_s))
         braking_m = max(ahead_m - speed_m_s * limits.latency_s, 0.0)
         braked_m_s = math.sqrt(end_m_s**2 + 2.0 * limits.braking_m_s2 * braking_m)

@@ -31,6 +31,8 @@ _QUESTIONS = {
     mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
 }
+# To the ground stations: an autopilot hands it on and does nothing else with it.
+_WORDS = {mavlink.MAVLINK_MSG_ID_STATUSTEXT, mavlink.MAVLINK_MSG_ID_COMMAND_ACK}
 _QUESTION_COMMANDS = {
     mavlink.MAV_CMD_REQUEST_MESSAGE,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
@@ -70,7 +72,7 @@ def may_pass(packet: Packet, rights: Rights, kind: AutopilotKind | None) -> bool
         return False
     if rights is Rights.FLIES or number in _QUESTIONS:
         return True
-    if number in ESTIMATES or number in _CLOCKS:
+    if number in ESTIMATES or number in _CLOCKS or number in _WORDS:
         return rights is not Rights.LISTENS
     gives_up = rights is Rights.GIVES_UP
     if number == mavlink.MAVLINK_MSG_ID_SET_MODE:

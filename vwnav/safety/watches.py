@@ -1,11 +1,11 @@
 """What the safety monitor watches: the pilot, the link, the battery, the camera, the position."""
 
 import math
-from enum import IntEnum
 
 import numpy as np
 
 from vwnav.safety.safety_config import SafetyConfig
+from vwnav.safety.situation import BatteryLevel
 from vwnav.types import Estimate, FlightMode, VehicleState
 
 # Modes in which nobody else has taken over, by how far we have got.
@@ -122,12 +122,23 @@ def _heard_s_ago(vehicle: VehicleState, t_s: float) -> float:
     return min((age_s for age_s in ages_s if math.isfinite(age_s)), default=math.inf)
 
 
-class BatteryLevel(IntEnum):
-    """How much is left, in three steps."""
+class LossWatch:
+    """For how long something that was heard once is not heard any more.
 
-    CRITICAL = 0
-    LOW = 1
-    ENOUGH = 2
+    Attributes:
+        lost_s: negative while it is heard, and when it never was.
+    """
+
+    def __init__(self) -> None:
+        self._heard_s: float | None = None
+        self.lost_s = -math.inf
+
+    def step(self, heard: bool, t_s: float) -> None:
+        """One look."""
+        if heard:
+            self._heard_s = t_s
+        lost = self._heard_s is not None and not heard
+        self.lost_s = t_s - self._heard_s if lost and self._heard_s is not None else -math.inf
 
 
 class BatteryWatch:
@@ -160,6 +171,7 @@ class PositionWatch:
         usable: the way home can be found with it.
         bad_s: for how long it has been out of its bounds; None while it is within them.
         reason: why it was so last.
+        warning: why it is poor, though within its bounds; empty when it is not.
     """
 
     def __init__(self, config: SafetyConfig) -> None:
@@ -169,6 +181,7 @@ class PositionWatch:
         self.usable = False
         self.bad_s: float | None = None
         self.reason = ""
+        self.warning = ""
 
     def step(self, estimate: Estimate | None, t_s: float) -> None:
         """One estimate; None while there is none to fly on."""
@@ -177,6 +190,7 @@ class PositionWatch:
         sigma_m = math.inf if estimate is None else self._sigma_m(estimate, t_s)
         self.usable = self.had_fix and sigma_m <= self._config.return_sigma_m
         reason = self._complaint(estimate, sigma_m, t_s)
+        self.warning = self._warning(estimate, sigma_m, t_s)
         if reason is None:
             self._bad_since_s = self.bad_s = None
             return
@@ -207,3 +221,12 @@ class PositionWatch:
         if t_fix_s is None or not t_s - t_fix_s <= self._config.hold_fix_age_s:
             return f"no map fix for {self._config.hold_fix_age_s:.0f} s"
         return None
+
+    def _warning(self, estimate: Estimate | None, sigma_m: float, t_s: float) -> str:
+        if estimate is None or estimate.t_last_fix_s is None:
+            return ""
+        if sigma_m > self._config.slow_sigma_m:
+            return f"position uncertain by {sigma_m:.0f} m"
+        if t_s - estimate.t_last_fix_s > self._config.slow_fix_age_s:
+            return f"no map fix for {self._config.slow_fix_age_s:.0f} s"
+        return ""
