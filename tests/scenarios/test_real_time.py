@@ -4,6 +4,7 @@ Bounds are wide: these machines are shared. The narrow ones are measured (docs/f
 """
 
 import json
+import os
 import signal
 import time
 
@@ -120,3 +121,13 @@ def test_steps_of_the_link_that_fail_now_and_then_are_flown_through(tmp_path):
     with real_flight(tmp_path, LINK_STEPS_FAIL) as flight:
         assert flight.process.wait(240.0) == 0, flight.log.read_text()[-2000:]
         assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
+
+
+@pytest.mark.long
+def test_a_watchdog_that_is_killed_is_replaced_and_the_route_is_flown_to_its_end(tmp_path):
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        os.kill(flight.watchdog_pid(), signal.SIGKILL)
+        assert flight.process.wait(180.0) == 0, flight.log.read_text()[-2000:]
+        assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
+        assert flight.said("another one takes its place")

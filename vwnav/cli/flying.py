@@ -132,7 +132,7 @@ def fly_route(options: FlyOptions) -> None:
         # An embedded simulation ends with its navigator: there is nothing left to succeed in.
         successor = [] if options.sim else options.successor(folder)
         watchdog = stack.enter_context(
-            start_watchdog(link, folder / "watchdog.log", successor, clock)
+            start_watchdog(link, folder / "watchdog.log", successor, clock, say)
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
         source = open_camera(options, renderer, truth, clock, stack)

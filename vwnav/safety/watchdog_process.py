@@ -32,7 +32,8 @@ class WatchdogOptions:
 
     Attributes:
         connection: URL of the autopilot's link.
-        navigator_port, keepalive_port: UDP ports on 127.0.0.1; 0 lets the system choose.
+        navigator_port, keepalive_port, observer_port: UDP ports on 127.0.0.1; 0 lets the system
+            choose.
         parent: process id of the navigator, whose end is noticed. None: only its silence is.
         standby: command line of the successor; none when empty.
         limit_s: longest time it goes on without the navigator.
@@ -42,6 +43,7 @@ class WatchdogOptions:
     connection: str
     navigator_port: int = 0
     keepalive_port: int = 0
+    observer_port: int = 0
     parent: int | None = None
     standby: Sequence[str] = ()
     limit_s: float = 900.0
@@ -110,7 +112,7 @@ class WatchdogPorts:
         self._claim = _claim(address)
         self._clock = clock_of(options.clock_file)
         self._navigator = _local_link(options.navigator_port)
-        self._observer = _local_link(0)
+        self._observer = _local_link(options.observer_port)
         self._beats = UdpChannel(options.keepalive_port, listens=True)
         self._link = open_link(address)
         links = WatchdogLinks(self._link, self._navigator, self._observer, self._beats)
