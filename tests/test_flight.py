@@ -637,3 +637,44 @@ def test_what_it_decides_is_told_to_the_ground_stations_in_the_same_words():
     scene.go_on(1.0)
     assert scene.vehicle.texts[-1] == "all well again: going on"
     assert scene.vehicle.texts == scene.said
+
+
+def taken() -> Scene:
+    """A pilot has taken over on the route, and the watchdog stood down."""
+    scene = on_route()
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.RELEASED
+    return scene
+
+
+def test_what_the_pilots_side_gives_back_goes_on_where_it_was_left():
+    scene = taken()
+    asked = len(scene.vehicle.asked)
+    scene.go_on(20.0)
+    assert len(scene.vehicle.asked) == asked  # never by itself
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(2.0)
+    assert scene.vehicle.asked[asked:] == ["offboard"]
+    assert scene.flight.phase is Phase.ROUTE
+    scene.run()
+    assert scene.flight.end.reason is None
+    assert scene.farthest_m > 80.0
+
+
+def test_an_autopilot_that_refuses_leaves_the_aircraft_with_the_pilot():
+    scene = taken()
+    scene.vehicle.refuse["offboard"] = ["no"]
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(30.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked.count("offboard") == 2
+
+
+def test_without_an_estimate_nothing_is_taken_back():
+    scene = taken()
+    scene.lost = "velocity unknown"
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert "no estimate" in scene.said[-1]

@@ -34,6 +34,7 @@ from vwnav.types import (
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
 _SLOW_PACE = 0.5
+_REJOIN_S = 1.0
 _DOING = {
     Action.SLOW: "slower",
     Action.HOLD: "holding",
@@ -81,6 +82,8 @@ class Flight:
         self._recovery: Recovery | None = None
         self._phase_before_failsafe = Phase.GET_READY
         self._lost_s: float | None = None
+        self._phase_before_release = Phase.GET_READY
+        self._handed_back = False
         self._trouble: str | None = None
         self._abort_reason: str | None = None
         self.phase = Phase.GET_READY
@@ -149,6 +152,8 @@ class Flight:
         """A ground station asks for it; in the air the hierarchy decides what comes of that."""
         if order is Order.START:
             self.go()
+        elif order is Order.GO_ON and self.phase is Phase.RELEASED:
+            self._handed_back = True
         else:
             self._safety.obey(order)
 
@@ -222,6 +227,8 @@ class Flight:
         report = self._keep_alive.report
         if report is None or report.state is GuardState.RELAY:
             return False
+        if self.phase is Phase.RESUME and self._in_phase_s(t_s) < _REJOIN_S:
+            return False  # it stood down, and has not heard of the new claim yet
         if report.state is GuardState.BRAKING:
             self._say("the control loop had stalled: taking over from the watchdog again")
             self._keep_alive.rejoin()
@@ -247,7 +254,7 @@ class Flight:
                 self._yield(t_s, decision.reason)
             case Action.LAND:
                 self._begin_landing(t_s, vehicle, decision.reason)
-            case _ if self.phase is Phase.TAKEOFF:
+            case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
                 return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
             case _ if self.phase is Phase.DESCEND:
                 # Near the ground the map shows nothing: down is the way out.
@@ -299,6 +306,8 @@ class Flight:
     def _release(self, t_s: float, reason: str) -> None:
         """Somebody else has the aircraft: nothing more is asked for, estimates go on."""
         self._autopilot.withdraw()
+        if self.phase in (Phase.ROUTE, Phase.RETURN):
+            self._phase_before_release = self.phase
         self._trouble = self._trouble or reason
         self.setpoint = None
         self._say(reason)
@@ -339,6 +348,30 @@ class Flight:
             case Wish.WAIT:
                 pass
 
+    def _resume(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
+        """The pilot's side gives the aircraft back, in so many words: on where it was left."""
+        self._handed_back = False
+        if self._phase_before_release is Phase.GET_READY or not vehicle.in_air:
+            self._say("there is no route to go on with: the aircraft stays the pilot's")
+        elif navigation.estimate is None:
+            self._say("there is no estimate to fly on: the aircraft stays the pilot's")
+        else:
+            self._safety.resume()
+            self._trouble = None
+            self._keep_alive.rejoin()
+            self._offboard = self._autopilot.start_offboard()
+            self._enter(Phase.RESUME, t_s)
+
+    def _take_again(self, t_s: float) -> None:
+        request = self._offboard
+        assert request is not None
+        if not request.done:
+            return
+        if request.refused is None:
+            self._enter(self._phase_before_release, t_s)
+        else:
+            self._release(t_s, f"the autopilot refused Offboard: {request.refused}")
+
     def _lost_lately(self, t_s: float) -> bool:
         memory_s = self._safety_config.gap_memory_s
         return self._lost_s is not None and t_s - self._lost_s < memory_s
@@ -349,6 +382,8 @@ class Flight:
         match self.phase:
             case Phase.TAKEOFF:
                 self._take_off(t_s, estimate, vehicle)
+            case Phase.RESUME:
+                self._take_again(t_s)
             case Phase.CLIMB:
                 self._climb(t_s, estimate)
             case Phase.FIRST_FIX:
@@ -499,6 +534,8 @@ class Flight:
             self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             self._recover(t_s, vehicle, navigation)
+        elif self.phase is Phase.RELEASED and self._handed_back:
+            self._resume(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:
             assert self._landing is not None
             state = self._landing.step(vehicle, t_s)
@@ -509,6 +546,14 @@ class Flight:
 
 # In the autopilot's own take-off too: if we die in it, nobody else would bring the aircraft down.
 _STEERING = frozenset(
-    {Phase.TAKEOFF, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN, Phase.DESCEND}
+    {
+        Phase.TAKEOFF,
+        Phase.RESUME,
+        Phase.CLIMB,
+        Phase.FIRST_FIX,
+        Phase.ROUTE,
+        Phase.RETURN,
+        Phase.DESCEND,
+    }
 )
 _OURS_NO_MORE = frozenset({Phase.LAND, Phase.FAILSAFE, Phase.RELEASED})

@@ -39,6 +39,7 @@ class Phase(Enum):
     LAND = "landing"
     FAILSAFE = "autopilot's failsafe"
     RELEASED = "pilot flies"
+    RESUME = "taking over again"
     DONE = "done"
 
 
