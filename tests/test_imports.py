@@ -35,14 +35,15 @@ ALLOWED = {
     "flight": BASE
     | {"geometry", "guidance", "safety", "home", "landing", "departure", "mission", "flown_way"},
     "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
+    "rules": BASE | {"safety", "mission"},
     "succession": BASE | {"estimation"},
-    "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety"},
+    "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety", "mission", "rules"},
     "sim": BASE | {"geometry", "maps"},
     "assemble": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "drivers", "config"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "drivers", "sim"}
-    | {"pipeline", "flight", "mission", "runtime", "config", "assemble", "succession"},
+    | {"pipeline", "flight", "mission", "runtime", "config", "assemble", "succession", "rules"},
     "config": BASE
     | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "mission", "drivers"},
 }

@@ -7,7 +7,7 @@ import typer
 
 def replay(
     source: str = typer.Argument(help="Video, folder of pictures, or a flight.mcap."),
-    map_path: Path = typer.Option(..., "--map", help="Map pack (vwnav map build)."),
+    map_path: Path | None = typer.Option(None, "--map", help="Map pack (vwnav map build)."),
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
     hfov_deg: float | None = typer.Option(None, help="Horizontal field of view instead of it."),
     telemetry: Path | None = typer.Option(None, help="Attitude and height: CSV, ULog or tlog."),
@@ -17,6 +17,12 @@ def replay(
     ),
     config_path: Path | None = typer.Option(None, "--config", help="Settings (TOML)."),
     output: Path | None = typer.Option(None, "-o", "--output", help="Folder of the results."),
+    check: bool = typer.Option(
+        False, "--check", help="Hold a flight.mcap against the rules of every flight instead."
+    ),
+    truth: Path | None = typer.Option(
+        None, help="With --check: the true way, CSV of t_s, north_m, east_m, alt_amsl_m."
+    ),
 ) -> None:
     """Fly a recording again: writes trajectory.csv, run.json and a picture of the track.
 
@@ -26,10 +32,20 @@ def replay(
     Of a flight's own flight.mcap, without options about pictures: the filter takes what it took in
     flight, and the trajectory is the flight's to the last bit.
 
+    With --check nothing is flown again: the recording is held against the rules of every flight,
+    and the exit code is 1 when one is broken.
+
     Examples:
     vwnav replay flight.mp4 --map field.mbtiles --hfov-deg 78 -o result
     vwnav replay runs/fly-1/flight.mcap --map field.mbtiles -o result
+    vwnav replay runs/fly-1/flight.mcap --check
     """
+    if check:
+        from vwnav.cli.checking import check_recording
+
+        raise typer.Exit(check_recording(Path(source), truth))
+    if map_path is None:
+        raise typer.BadParameter("a map pack is needed to fly it again", param_hint="--map")
     from vwnav.cli.replay_report import ReplayOptions
 
     options = ReplayOptions(

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Ending, Flown
 from vwnav.bench.flights.track import Track, Truth
 from vwnav.mission import Phase
+from vwnav.rules.belief import estimate_sigmas
+from vwnav.rules.flight_log import FlightLog
+from vwnav.rules.rule import check
+from vwnav.rules.table import RULES
 from vwnav.sim.px4.modes import STICK_STATES
 
-_PILOT_S = 0.3  # from the pilot's mode to the last setpoint
-_NEVER_SIGMAS, _SELDOM_SIGMAS, _SELDOM_S = 5.0, 3.0, 1.0
-_FASTEST_ESTIMATE_M_S = 35.0
-_HARD_M_S = 2.5
 _GOES_ON = {
     Phase.TAKEOFF: (Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE),
     Phase.CLIMB: (Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE),
@@ -21,7 +22,6 @@ _GOES_ON = {
     Phase.RETURN: (Phase.RETURN, Phase.DESCEND, Phase.LAND),
     Phase.DESCEND: (Phase.DESCEND, Phase.LAND),
 }
-_COMMANDS_OF_CONTROL = frozenset({16, 17, 20, 21, 22, 92, 176, 192, 300, 400})
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +35,19 @@ class Verdict:
 
 
 def judge(flown: Flown) -> Verdict:
-    """Look at a flight by all rules."""
+    """Look at a flight by what it asks for itself, and by the rules of every flight."""
     track = flown.track
-    sigmas = track.sigmas()
+    log = flight_log(flown)
     fastest_m_s = _fastest(track, flown)
     off_m = _landed_off_m(flown)
     wrong = [
         *_ending(flown, off_m),
         *_followed(flown),
-        *_pilot_has_it(flown),
-        *_sent_wrong(flown, sigmas),
+        *_broken_rules(flown, log),
         *_too_fast(flown, fastest_m_s),
     ]
-    return Verdict(
-        tuple(wrong), off_m, fastest_m_s, float(sigmas[:, 1].max()) if len(sigmas) else 0.0
-    )
+    worst_sigmas = max((count for _, count in estimate_sigmas(log)), default=0.0)
+    return Verdict(tuple(wrong), off_m, fastest_m_s, worst_sigmas)
 
 
 def _ending(flown: Flown, off_m: float | None) -> list[str]:
@@ -97,45 +95,13 @@ def _followed(flown: Flown) -> list[str]:
     return wrong
 
 
-def _pilot_has_it(flown: Flown) -> list[str]:
-    """No setpoint and no command of control once a person has chosen a mode."""
-    taken = [each.t_s for each in flown.track.truth if each.mode in STICK_STATES]
-    if not taken:
-        return []
-    late = [
-        order
-        for order in flown.track.orders
-        if order.t_s > taken[0] + _PILOT_S
-        and (order.kind == "setpoint" or order.number in _COMMANDS_OF_CONTROL)
-    ]
-    if not late:
-        return []
-    first = late[0]
+def _broken_rules(flown: Flown, log: FlightLog) -> list[str]:
     return [
-        f"{len(late)} orders after the pilot had it, the first {first.t_s - taken[0]:.2f} s later: "
-        f"{first.kind} {first.number or ''} of component {first.component}"
+        f"{verdict.rule.name}, at {verdict.breach.t_s - flown.world.begun_s:.2f} s: "
+        f"{verdict.breach.what}"
+        for verdict in check(RULES, log)
+        if verdict.breach is not None
     ]
-
-
-def _sent_wrong(flown: Flown, sigmas: np.ndarray) -> list[str]:
-    if not len(sigmas):
-        return []
-    wrong = []
-    worst = int(np.argmax(sigmas[:, 1]))
-    if sigmas[worst, 1] > _NEVER_SIGMAS:
-        t_s = sigmas[worst, 0] - flown.world.begun_s
-        wrong.append(f"an estimate {sigmas[worst, 1]:.1f} sigmas wrong was sent at {t_s:.1f} s")
-    since_s = None
-    for t_s, count in sigmas:
-        if count <= _SELDOM_SIGMAS:
-            since_s = None
-        elif since_s is None:
-            since_s = t_s
-        elif t_s - since_s > _SELDOM_S:
-            begun_s = since_s - flown.world.begun_s
-            wrong.append(f"for over 1 s from {begun_s:.1f} s estimates over 3 sigmas wrong")
-            break
-    return wrong
 
 
 def _fastest(track: Track, flown: Flown) -> float:
@@ -152,18 +118,9 @@ def _fastest(track: Track, flown: Flown) -> float:
 def _too_fast(flown: Flown, fastest_m_s: float) -> list[str]:
     setup = flown.scenario.setup
     limit_m_s = setup.config.limits.speed_max_m_s + setup.wind_m_s + flown.scenario.faster_m_s
-    wrong = []
-    if fastest_m_s > limit_m_s:
-        wrong.append(f"{fastest_m_s:.1f} m/s over the ground, {limit_m_s:.1f} are allowed")
-    steps = flown.world.navigator.record.steps
-    believed = [
-        math.hypot(*step.estimate.velocity_ned_m_s[:2].tolist())
-        for step in steps
-        if step.estimate is not None
-    ]
-    if max(believed, default=0.0) > _FASTEST_ESTIMATE_M_S:
-        wrong.append(f"the filter believed in {max(believed):.0f} m/s")
-    return wrong
+    if fastest_m_s <= limit_m_s:
+        return []
+    return [f"{fastest_m_s:.1f} m/s over the ground, {limit_m_s:.1f} are allowed"]
 
 
 def _landed_off_m(flown: Flown) -> float | None:

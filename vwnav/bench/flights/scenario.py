@@ -10,6 +10,7 @@ from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.track import Track
 from vwnav.bench.flights.world import Setup, World
 from vwnav.mission import FlightEnd, Phase
+from vwnav.rules.temporal import Span
 
 _DOWN_S = 1.0  # disarmed for so long: it is over
 
@@ -81,6 +82,7 @@ class Flown:
 
     Attributes:
         broke_s: when the first fault began, since the mission began; None: it never did.
+        broken: from when to when each fault lasted, likewise.
         end: what the mission said; None while it went on.
     """
 
@@ -88,6 +90,7 @@ class Flown:
     world: World
     track: Track
     broke_s: float | None
+    broken: tuple[Span, ...]
     end: FlightEnd | None
 
 
@@ -102,6 +105,11 @@ class _Planned:
     @property
     def _lasts_s(self) -> float:
         return math.inf if self.plan.for_s is None else self.plan.for_s
+
+    @property
+    def span(self) -> Span | None:
+        """While it lasts, since the mission began; None: it never began."""
+        return None if self.begun_s is None else (self.begun_s, self.begun_s + self._lasts_s)
 
     def step(self, world: World, phases: dict[str, float]) -> None:
         """Begin or end it when it is time to."""
@@ -140,4 +148,5 @@ def fly(scenario: Scenario, place: Place) -> Flown:
         elif world.t_s - down_s > _DOWN_S and world.navigator.over:
             break
     broke_s = planned[0].begun_s if planned else None
-    return Flown(scenario, world, world.track, broke_s, world.navigator.flight.end)
+    broken = tuple(each.span for each in planned if each.span is not None)
+    return Flown(scenario, world, world.track, broke_s, broken, world.navigator.flight.end)

@@ -3,18 +3,19 @@
 import random
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
+from vwnav.bench.flights.noted_link import NotedLink
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.successor import LockstepSuccessor
-from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
+from vwnav.bench.flights.track import Event, Heard, Track, Truth
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission import Mission, Phase
+from vwnav.rules.flight_log import At
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lens import RenderConfig
@@ -23,7 +24,6 @@ from vwnav.sim.memory_link import MemoryLink
 from vwnav.sim.processor import Costs, Processor
 from vwnav.sim.px4.config import PilotPlan, VehicleConfig
 from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import ByteLink
 from vwnav.sim.px4.modes import NavState, Setpoint
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.px4.streams import COMPANION_RATES
@@ -104,40 +104,6 @@ class BreakableFeatures:
         return self._features.extract(gray, max_keypoints)
 
 
-class NotedLink(ByteLink):
-    """The vehicle's end of its companion link; what arrives is noted.
-
-    Args:
-        track: gets it.
-    """
-
-    def __init__(self, end: Any, clock: SimulatedClock, track: Track) -> None:
-        super().__init__(end, 1)
-        self._clock = clock
-        self._track = track
-
-    def receive(self, t_s: float) -> list[Any]:
-        """Every valid message that has arrived."""
-        messages = super().receive(t_s)
-        for message in messages:
-            self._note(message, self._clock())
-        return messages
-
-    def _note(self, m: Any, t_s: float) -> None:
-        kind, component = m.get_type(), m.get_srcComponent()
-        if kind == "VISION_POSITION_ESTIMATE":
-            c = m.covariance
-            covariance = np.array([[c[0], c[1]], [c[1], c[6]]])
-            place = np.array([m.x, m.y, m.z])
-            sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
-            self._track.sent.append(sent)
-        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
-            self._track.orders.append(Order(t_s, "setpoint", component, 0, (m.vx, m.vy, m.vz)))
-        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
-            parameters = (m.param1, m.param2, m.param3)
-            self._track.orders.append(Order(t_s, "command", component, m.command, parameters))
-
-
 class World:
     """A flight in lockstep. Deterministic: no clock but its own, no thread, no global randomness.
 
@@ -161,9 +127,9 @@ class World:
         self.processor, self.costs = Processor(), Costs()
         self.camera = self._camera(place)
         self.features = BreakableFeatures(place.primary)
-        self._local_frame = LocalFrame(place.site.home_lat_deg, place.site.home_lon_deg, 0.0)
+        self.local_frame = LocalFrame(place.site.home_lat_deg, place.site.home_lon_deg, 0.0)
         self.navigator = self._navigator(place, 0)
-        self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self._local_frame)
+        self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self.local_frame)
         self.watchdog: Watchdog | None = self._watchdog()
         self._steps = 0
         self.begun_s = 0.0
@@ -207,7 +173,7 @@ class World:
             about_home=not setup.home_known,
             home_ne_m=np.array(setup.stands_ne_m) if setup.home_known else None,
         )
-        equipped = Equipped(place, self.features, mission, self._local_frame, setup.config)
+        equipped = Equipped(place, self.features, mission, self.local_frame, setup.config)
         return Navigator(
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
             self.processor, self.costs, self.note, first_counter,
@@ -236,8 +202,8 @@ class World:
         else:
             self._fly_there(setup.start, setup.start.phase)
         self.begun_s = self.clock.now_s
-        for notes in (self.track.truth, self.track.sent, self.track.orders):
-            notes.clear()
+        self.track.truth.clear()
+        self.track.heard = Heard()
 
     def _fly_there(self, start: AirStart, phase: Phase) -> None:
         """Estimates flow and pictures are matched, as after a flight to that place."""
@@ -347,8 +313,12 @@ class World:
                 vehicle.commander.state,
                 vehicle.commander.armed,
                 body.on_ground,
+                vehicle.battery.remaining,
             )
         )
+        home = self.navigator.flight.home_ne_m
+        if home is not None:
+            track.homes.append(At(t_s, (float(home[0]), float(home[1]))))
         phase = self.navigator.flight.phase.value
         if not track.phases or track.phases[-1].text != phase:
             track.phases.append(Event(self.t_s, phase))

@@ -1,0 +1,102 @@
+"""A flight in lockstep as the rules see it."""
+
+from collections.abc import Iterable
+
+from vwnav.bench.flights.navigator import Navigator
+from vwnav.bench.flights.scenario import Flown
+from vwnav.config import Config
+from vwnav.mission import Phase
+from vwnav.pipeline import StepResult
+from vwnav.rules.flight_log import (
+    At,
+    Bounds,
+    FlightLog,
+    Moment,
+    Said,
+    Stage,
+    Truth,
+    Vector,
+    Vehicle,
+)
+from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.types import Array, MapFix, OdometryMotion
+
+
+def flight_log(flown: Flown) -> FlightLog:
+    """Times are those of the world's clock."""
+    world, track, heard = flown.world, flown.track, flown.track.heard
+    begun_s = world.begun_s
+    steps = [step for each in _navigators(flown) for step in each.record.steps]
+    return FlightLog(
+        bounds=bounds_of(flown.scenario.setup.config),
+        vehicle=[
+            Vehicle(
+                row.t_s,
+                flight_mode(AutopilotKind.PX4, row.mode.custom_mode),
+                row.armed,
+                not row.on_ground,
+                row.battery_ratio,
+            )
+            for row in track.truth
+        ],
+        estimates=heard.estimates,
+        setpoints=heard.setpoints,
+        commands=heard.commands,
+        answers=heard.answers,
+        parameters_set=heard.parameters_set,
+        beats=heard.beats,
+        phases=[Stage(row.t_s + begun_s, Phase(row.text)) for row in track.phases],
+        events=[Said(row.t_s + begun_s, row.text) for row in track.events],
+        fixes=_fixes(flown, steps),
+        sights=[Moment(step.t_s) for step in steps if isinstance(step.motion, OdometryMotion)],
+        beliefs=[
+            At(
+                step.t_s,
+                (
+                    float(step.estimate.velocity_ned_m_s[0]),
+                    float(step.estimate.velocity_ned_m_s[1]),
+                ),
+            )
+            for step in steps
+            if step.estimate is not None
+        ],
+        homes=track.homes,
+        truth=[
+            Truth(row.t_s, _vector(row.position_ned_m), _vector(row.velocity_ned_m_s))
+            for row in track.truth
+        ],
+        broken=[(lo + begun_s, hi + begun_s) for lo, hi in flown.broken],
+    )
+
+
+def bounds_of(config: Config) -> Bounds:
+    """The settings that a flight is held to."""
+    return Bounds(
+        speed_max_m_s=config.limits.speed_max_m_s,
+        climb_m_s=config.limits.climb_m_s,
+        descend_m_s=config.limits.descend_m_s,
+        safety=config.safety,
+        estimate=config.estimate,
+        flight=config.flight,
+    )
+
+
+def _navigators(flown: Flown) -> list[Navigator]:
+    """The first one, and the one that stood in for it if it did."""
+    second = flown.world.successor.navigator
+    return [flown.world.navigator] + ([] if second is None else [second])
+
+
+def _fixes(flown: Flown, steps: Iterable[StepResult]) -> list[At]:
+    frame = flown.world.local_frame
+    found = []
+    for step in steps:
+        if isinstance(step.outcome, MapFix):
+            ned_m = frame.to_ned(step.outcome.lat_deg, step.outcome.lon_deg, frame.alt_amsl_m)
+            found.append(At(step.outcome.t_s, (float(ned_m[0]), float(ned_m[1]))))
+    return sorted(found, key=lambda fix: fix.t_s)
+
+
+def _vector(ned: Array) -> Vector:
+    north, east, down = ned.tolist()
+    return north, east, down

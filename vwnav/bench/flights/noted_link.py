@@ -1,0 +1,56 @@
+"""The vehicle's end of its companion link; what passes it is noted for the rules."""
+
+from typing import Any
+
+from vwnav.bench.flights.track import Track
+from vwnav.rules.flight_log import Answer, Beat, Command, Moment, Sent, Setpoint
+from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.px4.link import ByteLink
+
+
+class NotedLink(ByteLink):
+    """A link that notes what arrives, and the answers to it.
+
+    Args:
+        track: gets it.
+    """
+
+    def __init__(self, end: Any, clock: SimulatedClock, track: Track) -> None:
+        super().__init__(end, 1)
+        self._clock = clock
+        self._track = track
+
+    def receive(self, t_s: float) -> list[Any]:
+        """Every valid message that has arrived."""
+        messages = super().receive(t_s)
+        for message in messages:
+            self._note(message, self._clock())
+        return messages
+
+    def send(self, message: Any) -> None:
+        """Send to the peer."""
+        if message.get_type() == "COMMAND_ACK" and message.result != _IN_PROGRESS:
+            answer = Answer(self._clock(), message.command, message.result == 0)
+            self._track.heard.answers.append(answer)
+        super().send(message)
+
+    def _note(self, m: Any, t_s: float) -> None:
+        heard, component = self._track.heard, m.get_srcComponent()
+        match m.get_type():
+            case "VISION_POSITION_ESTIMATE":
+                c = m.covariance
+                place, covariance = (m.x, m.y, m.z), (c[0], c[1], c[6])
+                sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
+                heard.estimates.append(sent)
+            case "SET_POSITION_TARGET_LOCAL_NED":
+                heard.setpoints.append(Setpoint(t_s, (m.vx, m.vy, m.vz), component))
+            case "COMMAND_LONG" | "COMMAND_INT":
+                parameters = (m.param1, m.param2, m.param3)
+                heard.commands.append(Command(t_s, m.command, parameters, component))
+            case "PARAM_SET":
+                heard.parameters_set.append(Moment(t_s))
+            case "HEARTBEAT":
+                heard.beats.append(Beat(t_s, component, m.type))
+
+
+_IN_PROGRESS = 5  # MAV_RESULT: the answer proper is still to come

@@ -1,0 +1,1 @@
+"""What holds for every flight, in temporal form, over a neutral log of it."""

@@ -1,0 +1,209 @@
+"""A flight as the rules see it: time-stamped values, wherever they were noted."""
+
+import bisect
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from vwnav.mission import FlightConfig, Phase
+from vwnav.rules.temporal import Span
+from vwnav.safety.estimate_guard import EstimateLimits
+from vwnav.safety.safety_config import SafetyConfig
+from vwnav.types import FlightMode
+
+Vector = tuple[float, float, float]  # north, east, down
+Level = tuple[float, float]  # north, east
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """The aircraft at a moment."""
+
+    t_s: float
+    mode: FlightMode
+    armed: bool
+    in_air: bool
+    battery_ratio: float | None = None
+
+    def has_less_than(self, ratio: float) -> bool:
+        """Of the full battery; not where the autopilot does not say."""
+        return self.battery_ratio is not None and self.battery_ratio < ratio
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """An estimate as the autopilot got it.
+
+    Attributes:
+        t_s: arrival; `stamp_s` is the moment that it is about, the same where that is not known.
+        covariance_ne_m2: north, north-east, east.
+        velocity_ned_m_s: None where it was not noted.
+    """
+
+    t_s: float
+    stamp_s: float
+    position_ned_m: Vector
+    covariance_ne_m2: Vector
+    reset_counter: int
+    velocity_ned_m_s: Vector | None = None
+
+    @property
+    def sigma_m(self) -> float:
+        """The larger semi-axis of the one-sigma ellipse; NaN where the covariance is none."""
+        a, b, c = self.covariance_ne_m2
+        square = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
+        return math.sqrt(square) if square >= 0.0 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """A velocity that was asked for; `component` is who did, None where it was not noted."""
+
+    t_s: float
+    velocity_ned_m_s: Vector
+    component: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A MAV_CMD with its parameters as the autopilot got it."""
+
+    t_s: float
+    number: int
+    parameters: tuple[float, ...] = ()
+    component: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The autopilot's MAV_RESULT to a command."""
+
+    t_s: float
+    number: int
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """A heartbeat of ours; `kind` is its MAV_TYPE."""
+
+    t_s: float
+    component: int
+    kind: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """The mission enters a phase."""
+
+    t_s: float
+    phase: Phase
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A line that the program said."""
+
+    t_s: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class At:
+    """A place or a velocity, north and east, at a moment."""
+
+    t_s: float
+    ne: Level
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Something happened."""
+
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Where the aircraft truly was."""
+
+    t_s: float
+    position_ned_m: Vector
+    velocity_ned_m_s: Vector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """The settings that a flight is held to; speeds are those of its route."""
+
+    speed_max_m_s: float = 10.0
+    climb_m_s: float = 3.0
+    descend_m_s: float = 2.0
+    safety: SafetyConfig = field(default_factory=SafetyConfig)
+    estimate: EstimateLimits = field(default_factory=EstimateLimits)
+    flight: FlightConfig = field(default_factory=FlightConfig)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FlightLog:
+    """Rows in order of time, on one clock.
+
+    Attributes:
+        unknown: names of the streams that nobody noted.
+        vehicle: its states, at 5 Hz or more.
+        estimates: as sent; setpoints and commands likewise.
+        fixes: places of map fixes that the filter took, by their exposure.
+        sights: exposures of pictures that told a motion or a place.
+        beliefs: horizontal velocities of the filter, sent or not.
+        homes: where home is held to be, from when on.
+        sampled: estimates and setpoints are a few of all: gaps between them tell nothing.
+        broken: when something was broken on purpose: what must be steady need not be then.
+    """
+
+    bounds: Bounds = field(default_factory=Bounds)
+    vehicle: Sequence[Vehicle] = ()
+    estimates: Sequence[Sent] = ()
+    setpoints: Sequence[Setpoint] = ()
+    commands: Sequence[Command] = ()
+    answers: Sequence[Answer] = ()
+    parameters_set: Sequence[Moment] = ()
+    beats: Sequence[Beat] = ()
+    phases: Sequence[Stage] = ()
+    events: Sequence[Said] = ()
+    fixes: Sequence[At] = ()
+    sights: Sequence[Moment] = ()
+    beliefs: Sequence[At] = ()
+    homes: Sequence[At] = ()
+    truth: Sequence[Truth] = ()
+    unknown: frozenset[str] = frozenset()
+    sampled: bool = False
+    broken: Sequence[Span] = ()
+
+    @cached_property
+    def end_s(self) -> float:
+        """Of what was noted of the vehicle: nothing can be asked of the time after it."""
+        return self.vehicle[-1].t_s if self.vehicle else math.inf
+
+    def vehicle_at(self, t_s: float) -> Vehicle | None:
+        """Its newest state; None before the first."""
+        rows = self.vehicle
+        i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1
+        return rows[i] if i >= 0 else None
+
+    def phase_at(self, t_s: float) -> Phase | None:
+        """Where the mission stands; None before the first that is known."""
+        rows = self.phases
+        i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1
+        return rows[i].phase if i >= 0 else None
+
+    def true_place_ne_m(self, t_s: float) -> Level | None:
+        """The truth carried on from its newest row; None where there is none within a second."""
+        rows = self.truth
+        i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1
+        if i < 0 or t_s - rows[i].t_s > 1.0:
+            return None
+        row, ahead_s = rows[i], t_s - rows[i].t_s
+        north, east = row.position_ned_m[:2]
+        vn, ve = row.velocity_ned_m_s[:2]
+        return north + ahead_s * vn, east + ahead_s * ve
