@@ -10,6 +10,7 @@ from vwnav.rules.flight_log import (
     Command,
     FlightLog,
     Moment,
+    ParameterSet,
     Said,
     Sent,
     Setpoint,
@@ -77,7 +78,10 @@ def good_flight() -> FlightLog:
             Answer(t_s, number, True)
             for t_s, number in ((2.5, ARM), (2.7, TAKEOFF), (5.9, SET_MODE), (24.1, SET_MODE))
         ],
-        parameters_set=[Moment(0.5)],
+        parameters_set=[
+            ParameterSet(0.5, "EKF2_EV_CTRL", 1.0),
+            ParameterSet(7.0, "MIS_TAKEOFF_ALT", 2.5),
+        ],
         beats=[Beat(t_s, NAVIGATOR, 18) for t_s in times(0.0, END_S, 1.0)],
         phases=[
             Stage(0.0, Phase.GET_READY),

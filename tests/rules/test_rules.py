@@ -26,7 +26,7 @@ from good_flight import (
 )
 
 from vwnav.mission import Phase
-from vwnav.rules.flight_log import Answer, At, Beat, FlightLog, Moment, Said
+from vwnav.rules.flight_log import Answer, At, Beat, FlightLog, ParameterSet, Said
 from vwnav.rules.rule import Rule, check
 from vwnav.rules.table import RULES
 from vwnav.types import FlightMode
@@ -100,7 +100,9 @@ RED: dict[str, Callable[[FlightLog], FlightLog]] = {
     "commands repeated": lambda log: replace(
         log, commands=[replace(log.commands[-1], t_s=LAND_S + 0.1 * k) for k in range(6)]
     ),
-    "parameters in flight": lambda log: replace(log, parameters_set=[Moment(12.0)]),
+    "parameters in flight": lambda log: replace(
+        log, parameters_set=[ParameterSet(12.0, "EKF2_EV_CTRL", 0.0)]
+    ),
     "order of phases": lambda log: with_phases(log, (0.0, Phase.CLIMB), (9.0, Phase.DESCEND)),
     "route after fixes": lambda log: silent(log, "fixes", 0.0, ROUTE_S),
     "over on the ground": lambda log: with_phases(log, (0.0, Phase.LAND), (26.0, Phase.DONE)),
@@ -130,6 +132,7 @@ RED: dict[str, Callable[[FlightLog], FlightLog]] = {
     "estimate finite": lambda log: with_sent(log, 12.0, 12.1, position_ned_m=(NAN, 0.0, 0.0)),
     "estimate covariance": lambda log: with_sent(log, 12.0, 12.1, covariance_ne_m2=(1.0, 2.0, 1.0)),
     "estimate age": lambda log: with_sent(log, 12.0, 12.1, stamp_s=11.0),
+    "estimate of the future": lambda log: with_sent(log, 12.0, 12.1, stamp_s=12.4),
     "estimate order": lambda log: with_sent(log, 12.0, 12.1, stamp_s=11.8),
     "estimate speed": running_away,
     "estimate jump": lambda log: further(log, 8.0, 12.0),

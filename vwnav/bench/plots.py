@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from vwnav.bench.features import ALL, Report
+from vwnav.bench.figures import pyplot, save
 from vwnav.bench.scoring import Score
-from vwnav.errors import ConfigError
 
 _COLOURS = (
     "#1b6ca8", "#63a4d8", "#0f8b6d", "#7cc8b0", "#b0752a", "#e0b476", "#8a8a8a", "#c23b3b",
@@ -18,16 +18,9 @@ def write_plot(path: Path, report: Report) -> None:
     """Inliers, places found, AUC by group, and inliers against time.
 
     Raises:
-        ConfigError: matplotlib is not installed.
+        VwnavError: matplotlib is not installed.
     """
-    try:
-        import matplotlib
-
-        matplotlib.use("Agg")
-        from matplotlib import pyplot
-    except ImportError as error:
-        raise ConfigError("the plot needs matplotlib: pip install 'vwnav[eval]'") from error
-    figure, axes = pyplot.subplots(2, 2, figsize=(14.0, 8.5), layout="constrained")
+    figure, axes = pyplot().subplots(2, 2, figsize=(14.0, 8.5), layout="constrained")
     _bars(axes[0, 0], report, "Inliers", lambda s: s.inliers)
     _bars(axes[0, 1], report, "Located within 3 m or px, %", lambda s: 100.0 * s.located_near)
     _bars(
@@ -39,8 +32,7 @@ def write_plot(path: Path, report: Report) -> None:
     _cost(axes[1, 1], report)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
+    save(figure, path)
 
 
 def _bars(axis: Any, report: Report, title: str, value: Callable[[Score], float | None]) -> None:

@@ -10,12 +10,14 @@ from pathlib import Path
 import typer
 
 from vwnav.cli.bench_estimator import estimator
+from vwnav.cli.bench_flights import flights
 from vwnav.cli.screen import print_table, progress_bar, say
 
 _WIDTH = 120
 
 app = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
 app.command("estimator")(estimator)
+app.command("flights")(flights)
 
 
 @app.callback()

@@ -12,18 +12,18 @@ from vwnav.cli.fly import FlyOptions
 from vwnav.cli.screen import LiveLine, print_table, say
 from vwnav.clock import Clock
 from vwnav.config import Config
-from vwnav.drivers.recorder import Recorder, plain
+from vwnav.drivers.flight_recorder import FlightRecorder, was_tried
+from vwnav.drivers.recorder import plain
 from vwnav.drivers.run_folder import TrajectoryWriter, write_json
-from vwnav.drivers.tape import About, Tape
+from vwnav.drivers.tape import About
 from vwnav.drivers.track_picture import TrackPicture
 from vwnav.flight import Flight
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, StepResult
 from vwnav.sim.score import Score, summarise
 from vwnav.sim.truth import TruthReader
-from vwnav.types import Estimate, Frame, MapFix, Rejected, RejectReason, VehicleState
+from vwnav.types import Estimate, Frame, MapFix, Rejected, VehicleState
 
-SCORE_PERIOD_S = 0.2
 _log = logging.getLogger(__name__)
 
 
@@ -48,8 +48,9 @@ class FlightRecord:
         self._truth = truth
         self._started_s = clock()
         self._trajectory: TrajectoryWriter | None = None
-        self._recorder = Recorder(folder / "flight.mcap", config.model_dump(mode="json"))
-        self.tape = Tape(self._recorder, about)
+        settings = config.model_dump(mode="json")
+        self._recorder = FlightRecorder(folder / "flight.mcap", about, settings)
+        self.tape = self._recorder.tape
         self._picture = TrackPicture(pack, about.local_frame)
         self._score = Score(about.local_frame) if truth is not None else None
         self._line = LiveLine()
@@ -57,7 +58,6 @@ class FlightRecord:
         self._lock = threading.Lock()
         self._rejected: Counter[str] = Counter()
         self._frames = 0
-        self._next_score_s = 0.0
         self._last: MapFix | Rejected | None = None
         self._flight: Flight | None = None
         self._pipeline: Pipeline | None = None
@@ -75,8 +75,7 @@ class FlightRecord:
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
         """A picture went through the pipeline."""
         setpoint = self._flight.setpoint if self._flight else None
-        yaw_rad = setpoint.yaw_rad if setpoint else None
-        self.tape.picture(step, yaw_rad)  # first: close behind its estimate
+        self._recorder.picture(step, setpoint)  # first: close behind its estimate
         with self._lock:
             self._frames += 1
         self._recorder.frame(frame)
@@ -85,12 +84,12 @@ class FlightRecord:
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
             self._trajectory = TrajectoryWriter(path, self.tape.about.local_frame, frame.t_s)
+        yaw_rad = setpoint.yaw_rad if setpoint else None
         self._trajectory.write(step, yaw_rad)  # last: a full disk takes nothing else along
 
     def _saw_outcome(self, outcome: MapFix | Rejected) -> None:
-        if isinstance(outcome, Rejected) and outcome.reason is RejectReason.NOT_TRIED:
+        if not was_tried(outcome):
             return
-        self._recorder.outcome(outcome)
         self._last = outcome
         if isinstance(outcome, Rejected):
             self._rejected[outcome.reason.name.lower()] += 1
@@ -101,15 +100,9 @@ class FlightRecord:
 
     def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
         """The control loop ticked."""
-        if t_s < self._next_score_s:
+        setpoint = self._flight.setpoint if self._flight else None
+        if not self._recorder.tick(t_s, estimate, vehicle, setpoint) or estimate is None:
             return
-        self._next_score_s = t_s + SCORE_PERIOD_S
-        self._recorder.vehicle(vehicle)
-        if self._flight and self._flight.setpoint:
-            self._recorder.setpoint(t_s, self._flight.setpoint)
-        if estimate is None:
-            return
-        self._recorder.estimate(estimate)
         truth = self._truth.at(estimate.t_s) if self._truth else None
         if truth is not None and self._score is not None and vehicle.armed:
             self._score.add_estimate(estimate, truth)

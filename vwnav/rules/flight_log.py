@@ -85,6 +85,15 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """A parameter of the autopilot is written."""
+
+    t_s: float
+    name: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
 class Beat:
     """A heartbeat of ours; `kind` is its MAV_TYPE."""
 
@@ -167,7 +176,7 @@ class FlightLog:
     setpoints: Sequence[Setpoint] = ()
     commands: Sequence[Command] = ()
     answers: Sequence[Answer] = ()
-    parameters_set: Sequence[Moment] = ()
+    parameters_set: Sequence[ParameterSet] = ()
     beats: Sequence[Beat] = ()
     phases: Sequence[Stage] = ()
     events: Sequence[Said] = ()

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from vwnav.assemble import assemble_with
+from vwnav.assemble import about_run, assemble_with
 from vwnav.bench.flights.place import Place
 from vwnav.config import Config
 from vwnav.drivers.autopilot import LinkedAutopilot
+from vwnav.drivers.flight_recorder import FlightRecorder
 from vwnav.drivers.pymavlink_port import PymavlinkPort
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
@@ -26,7 +28,15 @@ from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, Worker
-from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior, VehicleState
+from vwnav.types import (
+    Estimate,
+    FeatureExtractor,
+    Frame,
+    Navigation,
+    Prior,
+    VehicleState,
+    VelocitySetpoint,
+)
 
 _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air
@@ -37,26 +47,39 @@ class Record:
 
     Args:
         note: takes every line said.
+
+    Attributes:
+        recorder: the recording on disk, where one is kept.
+        setpoint: asks for what the mission steers by.
     """
 
-    def __init__(self, note: Callable[[str], None]) -> None:
+    def __init__(self, note: Callable[[str], None], clock: SimulatedClock) -> None:
         self._note = note
+        self._clock = clock
         self.disk_full = False
         self.steps: list[StepResult] = []
+        self.recorder: FlightRecorder | None = None
+        self.setpoint: Callable[[], VelocitySetpoint | None] = lambda: None
 
     def event(self, text: str) -> None:
         """A line."""
         self._note(text)
         self._write()
+        if self.recorder is not None:
+            self.recorder.event(self._clock(), text)
 
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
         """A picture went through the pipeline."""
-        self._write()
         self.steps.append(step)
+        self._write()
+        if self.recorder is not None:
+            self.recorder.picture(step, self.setpoint())
 
     def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
         """The mission ticked."""
         self._write()
+        if self.recorder is not None:
+            self.recorder.tick(t_s, estimate, vehicle, self.setpoint())
 
     def _write(self) -> None:
         if self.disk_full:
@@ -104,7 +127,7 @@ class Navigator:
         self._processor = processor
         self._costs = costs
         self._camera = camera
-        self.record = Record(note)
+        self.record = Record(note, clock)
         self.port = PymavlinkPort(link, clock)
         self.autopilot = LinkedAutopilot(self.port, clock)
         self.keep_alive = KeepAlive(channel, clock)
@@ -115,6 +138,7 @@ class Navigator:
             config, self._executor, self.record.event,
         )  # fmt: skip
         self.pipeline, self.ekf = assembled.pipeline, assembled.ekf
+        self._about = about_run(assembled, equipped.primary.name, "nadir")
         self._watch = CameraWatch(place.camera.width_px, place.camera.height_px)
         crew = Crew(self.record.event, self._checks)
         self.flight = Flight(
@@ -126,7 +150,7 @@ class Navigator:
             self.pipeline, self.flight, self.autopilot, self._guard, self.keep_alive, self._watch,
             self.record,
         )  # fmt: skip
-        self._safety = config.safety
+        self._config = config
         frame = equipped.local_frame
         self.autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
         self._workers: dict[str, Worker] = {}
@@ -136,6 +160,17 @@ class Navigator:
         self._asleep_until_s = -np.inf
         self.broken: Exception | None = None
         self.ended = False
+
+    def keep(self, path: Path) -> None:
+        """Record this flight as `vwnav fly` does, pictures left out; before it starts.
+
+        Raises:
+            VwnavError: the file cannot be made.
+        """
+        recorder = FlightRecorder(path, self._about, self._config.model_dump(mode="json"))
+        self.ekf.record(recorder.tape.input)
+        self.record.setpoint = lambda: self.flight.setpoint
+        self.record.recorder = recorder
 
     def listen(self, t_s: float) -> None:
         """Before its loops run: the link comes up, and nothing that is heard is believed."""
@@ -254,4 +289,4 @@ class Navigator:
             self.autopilot.findings, self.autopilot.budget_refusal, self._watch.picture_s,
             self._watch.trouble,
         )  # fmt: skip
-        return check_flight(vehicle, navigation, equipment, self._safety, t_s)
+        return check_flight(vehicle, navigation, equipment, self._config.safety, t_s)

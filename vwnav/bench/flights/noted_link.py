@@ -3,7 +3,7 @@
 from typing import Any
 
 from vwnav.bench.flights.track import Track
-from vwnav.rules.flight_log import Answer, Beat, Command, Moment, Sent, Setpoint
+from vwnav.rules.flight_log import Answer, Beat, Command, ParameterSet, Sent, Setpoint
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.px4.link import ByteLink
 
@@ -48,7 +48,7 @@ class NotedLink(ByteLink):
                 parameters = (m.param1, m.param2, m.param3)
                 heard.commands.append(Command(t_s, m.command, parameters, component))
             case "PARAM_SET":
-                heard.parameters_set.append(Moment(t_s))
+                heard.parameters_set.append(ParameterSet(t_s, m.param_id, m.param_value))
             case "HEARTBEAT":
                 heard.beats.append(Beat(t_s, component, m.type))
 

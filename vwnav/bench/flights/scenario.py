@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 
 from vwnav.bench.flights.faults import Fault
 from vwnav.bench.flights.place import Place
@@ -126,9 +127,11 @@ class _Planned:
             self.plan.fault.end(world)
 
 
-def fly(scenario: Scenario, place: Place) -> Flown:
-    """Fly it to its end."""
+def fly(scenario: Scenario, place: Place, recording: Path | None = None) -> Flown:
+    """Fly it to its end; `recording` is where to keep what it records."""
     world = World(scenario.setup, place)
+    if recording is not None:
+        world.navigator.keep(recording)
     world.begin()
     planned = [_Planned(each) for each in scenario.breaks]
     phases: dict[str, float] = {}
@@ -147,6 +150,8 @@ def fly(scenario: Scenario, place: Place) -> Flown:
             down_s = world.t_s
         elif world.t_s - down_s > _DOWN_S and world.navigator.over:
             break
+    if world.navigator.record.recorder is not None:
+        world.navigator.record.recorder.close()
     broke_s = planned[0].begun_s if planned else None
     broken = tuple(each.span for each in planned if each.span is not None)
     return Flown(scenario, world, world.track, broke_s, broken, world.navigator.flight.end)

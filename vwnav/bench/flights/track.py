@@ -3,7 +3,7 @@
 import bisect
 from dataclasses import dataclass, field, replace
 
-from vwnav.rules.flight_log import Answer, At, Beat, Command, Moment, Sent, Setpoint
+from vwnav.rules.flight_log import Answer, At, Beat, Command, ParameterSet, Sent, Setpoint
 from vwnav.sim.px4.modes import NavState
 from vwnav.types import Array
 
@@ -37,7 +37,7 @@ class Heard:
     setpoints: list[Setpoint] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
-    parameters_set: list[Moment] = field(default_factory=list)
+    parameters_set: list[ParameterSet] = field(default_factory=list)
     beats: list[Beat] = field(default_factory=list)
 
 

@@ -1,0 +1,30 @@
+"""Figures of the benchmarks; matplotlib, of the eval extra, is loaded when one is drawn."""
+
+from pathlib import Path
+from typing import Any
+
+from vwnav.errors import VwnavError
+
+
+def pyplot() -> Any:
+    """Matplotlib's, drawing to files.
+
+    Raises:
+        VwnavError: it is not installed.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise VwnavError("plots need matplotlib: pip install 'vwnav[eval]'") from error
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt
+
+
+def save(figure: Any, path: Path) -> None:
+    """Write a figure and forget it."""
+    if figure.get_layout_engine() is None:
+        figure.tight_layout()
+    figure.savefig(path, dpi=120)
+    pyplot().close(figure)

@@ -1,0 +1,96 @@
+"""Many flights of one route: where, in which wind and with which luck each is flown."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from vwnav import __version__
+from vwnav.bench.flights.scenario import Scenario
+from vwnav.bench.flights.world import Setup
+from vwnav.errors import RouteError
+from vwnav.sim.site import FIRST_TRAINING_SEED
+from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M, SITE_PREFIX
+from vwnav.types import Array
+
+_MARGIN_M = 90.0  # of map around the route: what the camera sees, and the prior
+_GROUND_S = 240.0  # getting ready, climb, descent and landing
+_SLOWEST_M_S = 2.0  # along the route, on average
+_LANDS_WITHIN_M = 3.0
+
+Place3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Campaign:
+    """What the flights have in common; flight k of it is always the same.
+
+    Attributes:
+        route_ned_m: waypoints about home; the way back is added.
+        sites: generated sites, each with two looks of its own, flown one after the other.
+        wind_m_s: mean wind, with gusts; where it comes from is drawn for each flight.
+        seed: of winds, gusts and sensors.
+    """
+
+    route_ned_m: tuple[Place3, ...]
+    sites: int = 4
+    wind_m_s: float = 8.0
+    seed: int = 0
+    version: str = __version__
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.sites < FIRST_TRAINING_SEED:
+            raise ValueError(f"expected 1 to {FIRST_TRAINING_SEED - 1} sites, got {self.sites}")
+
+    def as_json(self) -> dict[str, Any]:
+        """What a folder of flights is of."""
+        return asdict(self) | {"route_ned_m": [list(point) for point in self.route_ned_m]}
+
+    def site_of(self, number: int) -> str:
+        """The site of a flight, numbered from 0, as commands name it."""
+        return f"{SITE_PREFIX}{1 + number % self.sites}"
+
+    def scenario(self, number: int) -> Scenario:
+        """A flight from the ground to the ground in which nothing breaks."""
+        rng = np.random.default_rng([self.seed, number])
+        setup = Setup(
+            seed=int(rng.integers(1, 2**31)),
+            route_ned_m=self.route_ned_m,
+            wind_m_s=self.wind_m_s,
+            wind_from_deg=float(rng.uniform(0.0, 360.0)),
+        )
+        return Scenario(
+            name=f"flight {number}",
+            setup=setup,
+            breaks=(),
+            limit_s=_GROUND_S + self.way_m / _SLOWEST_M_S,
+            lands_within_m=_LANDS_WITHIN_M,
+            lands_at_ne_m=(0.0, 0.0),
+        )
+
+    @property
+    def way_ne_m(self) -> Array:
+        """(n + 2, 2) from home over the waypoints and back."""
+        return np.vstack([np.zeros(2), np.array(self.route_ned_m)[:, :2], np.zeros(2)])
+
+    @property
+    def way_m(self) -> float:
+        """Horizontal length of that."""
+        return float(np.hypot(*np.diff(self.way_ne_m, axis=0).T).sum())
+
+
+def campaign_of(route_ned_m: Array, **changes: Any) -> Campaign:
+    """A campaign over a route (n, 3) about home.
+
+    Raises:
+        RouteError: the route leaves what maps of generated sites show.
+    """
+    north_m, east_m = MAP_NORTH_M / 2.0 - _MARGIN_M, MAP_EAST_M / 2.0 - _MARGIN_M
+    for number, (north, east, _) in enumerate(route_ned_m.tolist(), 1):
+        if abs(north) > north_m or abs(east) > east_m:
+            raise RouteError(
+                f"waypoint {number} is {north:.0f} m north and {east:.0f} m east of home: maps of "
+                f"generated sites carry routes within {north_m:.0f} and {east_m:.0f} m of it"
+            )
+    points = tuple((float(n), float(e), float(d)) for n, e, d in route_ned_m)
+    return Campaign(route_ned_m=points, **changes)

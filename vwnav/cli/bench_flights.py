@@ -1,0 +1,100 @@
+"""`vwnav bench flights`: many lockstep flights of a route, in numbers with intervals."""
+
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vwnav.bench.flights.campaign import Campaign
+    from vwnav.bench.flights.score import FlightScore
+    from vwnav.bench.flights.summary import Figure
+
+_DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
+
+
+def flights(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder; one that holds some flights goes on.")
+    ],
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Flights, those there included.")] = 8,
+    route: Annotated[
+        Path | None,
+        typer.Option(help="Route about home, or first_flight.plan (of `make fly`), loop_3km.plan."),
+    ] = None,
+    wind_m_s: Annotated[float, typer.Option(min=0.0, max=15.0, help="Mean wind, gusty.")] = 8.0,
+    sites: Annotated[int, typer.Option(min=1, max=999, help="Generated sites in turn.")] = 4,
+    seed: Annotated[int, typer.Option(help="Flight k of a seed is always the same.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Fly a route again and again in simulated time: the whole program, in wind, over other sites.
+
+    Every flight is held against the rules of every flight. Each leaves a line in flights.jsonl, so
+    a run that was killed goes on where it was; the worst ones keep their recordings.
+
+    Example: vwnav bench flights --runs 100 --jobs 8 -o flights
+    """
+    # Read when the libraries load: a flight is one core's work, in this process and its children.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    from vwnav.bench.figures import pyplot
+    from vwnav.bench.flights.plots import save_plots
+    from vwnav.bench.flights.summary import summarise, worst_first
+    from vwnav.cli.flights_flying import CampaignFolder, fly_campaign
+    from vwnav.cli.screen import progress_bar, say
+
+    pyplot()  # what is missing is said before anything is flown
+    campaign = _campaign(route, wind_m_s, sites, seed)
+    folder = CampaignFolder(output, campaign)
+    with progress_bar() as progress:
+        flown = fly_campaign(campaign, runs, jobs, folder, progress)
+    figures = summarise(flown)
+    save_plots(output, flown)
+    values = {"campaign": campaign.as_json(), "flights": runs} | {
+        "figures": [asdict(each) for each in figures],
+        "wrong": {each.number: each.wrong for each in flown if each.wrong},
+        "worst": [each.number for each in worst_first(flown)[:3]],
+    }
+    (output / "summary.json").write_text(json.dumps(values, indent=1) + "\n")
+    if as_json:
+        print(json.dumps(values))
+    else:
+        _print(campaign, flown, figures)
+    for each in flown:
+        for line in each.wrong:
+            say(f"flight {each.number}: {line}")
+
+
+def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":
+    from vwnav.bench.flights.campaign import campaign_of
+    from vwnav.cli.simulation import DEFAULT_ROUTE, ROUTES
+    from vwnav.geometry.geodesy import LocalFrame
+    from vwnav.guidance.missions import load_route
+    from vwnav.sim.site import Site
+
+    home = Site(1)
+    frame = LocalFrame(home.home_lat_deg, home.home_lon_deg, 0.0)
+    path = route or DEFAULT_ROUTE
+    embedded = ROUTES / path.name
+    path = path if path.exists() or not embedded.exists() else embedded
+    route_ned_m = load_route(path).to_ned(frame, _DEFAULT_HEIGHT_M)
+    return campaign_of(route_ned_m, wind_m_s=wind_m_s, sites=sites, seed=seed)
+
+
+def _print(campaign: "Campaign", flown: "list[FlightScore]", figures: "list[Figure]") -> None:
+    from vwnav.cli.screen import print_table
+
+    rows = []
+    for each in figures:
+        interval = "" if each.low is None else f"  [{each.low:.3g}, {each.high:.3g}]"
+        rows.append((each.name, f"{each.value:.4g} {each.unit}".strip() + interval))
+    wrong = sum(bool(each.wrong) for each in flown)
+    rows.append(("flights with something wrong", f"{wrong} of {len(flown)}"))
+    print_table(
+        f"{len(flown)} flights, {campaign.way_m:.0f} m, wind {campaign.wind_m_s:g} m/s, "
+        f"{campaign.sites} sites; 95 % intervals",
+        rows,
+    )

@@ -1,0 +1,151 @@
+"""What `vwnav bench flights` does, once its options are read: a line of JSON for each flight."""
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from vwnav.assemble import choose_features
+from vwnav.bench.flights.campaign import Campaign
+from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.scenario import fly
+from vwnav.bench.flights.score import FlightScore, score
+from vwnav.bench.flights.summary import worst_first
+from vwnav.cli.screen import say
+from vwnav.cli.simulation import map_pack_of
+from vwnav.drivers.run_folder import write_json
+from vwnav.errors import VwnavError
+from vwnav.sim.renderer import default_camera
+from vwnav.sim.sites import parse_site
+
+CAMPAIGN, FLIGHTS, RECORDINGS = "campaign.json", "flights.jsonl", "worst"
+_WORST_KEPT = 3
+
+
+class CampaignFolder:
+    """A folder of flights: what they are of, a line of JSON each, the recordings of the worst.
+
+    A killed run leaves whole lines and perhaps half of one, which is cut off.
+
+    Raises:
+        VwnavError: it cannot be written to, or holds flights of another campaign.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign) -> None:
+        self.folder = folder
+        self._lines = folder / FLIGHTS
+        try:
+            (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
+            self._claim(campaign)
+            self.flights = self._read()
+        except OSError as error:
+            raise VwnavError(f"cannot use the folder {folder}: {error.strerror}") from error
+
+    def _claim(self, campaign: Campaign) -> None:
+        path, wanted = self.folder / CAMPAIGN, campaign.as_json()
+        if not path.exists():
+            write_json(path, wanted)
+            return
+        try:
+            found = json.loads(path.read_text())
+        except ValueError as error:
+            raise VwnavError(f"{path} is damaged: {error}") from error
+        if found != wanted:
+            unlike = [name for name in wanted if found.get(name) != wanted[name]]
+            raise VwnavError(
+                f"{self.folder} holds flights of another campaign ({', '.join(unlike)} differ): "
+                "give another folder with -o"
+            )
+
+    def _read(self) -> list[FlightScore]:
+        if not self._lines.exists():
+            return []
+        text = self._lines.read_text()
+        whole = text[: text.rfind("\n") + 1]
+        if whole != text:
+            self._lines.write_text(whole)
+        return [_score_of(json.loads(line)) for line in whole.splitlines()]
+
+    def recording(self, number: int) -> Path:
+        """Where the recording of a flight goes."""
+        return self.folder / RECORDINGS / f"flight-{number:04d}.mcap"
+
+    def add(self, flown: FlightScore) -> None:
+        """Append a flight; of all so far only the worst keep their recordings."""
+        with self._lines.open("a") as file:
+            file.write(json.dumps(asdict(flown)) + "\n")
+        self.flights.append(flown)
+        for each in worst_first(self.flights)[_WORST_KEPT:]:
+            self.recording(each.number).unlink(missing_ok=True)
+
+
+def fly_campaign(
+    campaign: Campaign,
+    runs: int,
+    jobs: int,
+    folder: CampaignFolder,
+    progress: Callable[[str, int, int], None],
+) -> list[FlightScore]:
+    """Fly what is missing of the first `runs` flights; all of them, in order."""
+    done = {each.number for each in folder.flights}
+    missing = [number for number in range(runs) if number not in done]
+    progress("flights", runs - len(missing), runs)
+    for site in sorted({campaign.site_of(number) for number in missing}):
+        _place(site)  # its map is drawn once, by this process
+    for flown in _fly_all(campaign, missing, jobs, folder):
+        folder.add(flown)
+        progress("flights", sum(each.number < runs for each in folder.flights), runs)
+    flights = [each for each in folder.flights if each.number < runs]
+    return sorted(flights, key=lambda each: each.number)
+
+
+def _fly_all(
+    campaign: Campaign, numbers: list[int], jobs: int, folder: CampaignFolder
+) -> Iterator[FlightScore]:
+    """As they end."""
+    if jobs == 1:
+        yield from (fly_one(campaign, number, folder.recording(number)) for number in numbers)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context) as pool:
+        flying = [pool.submit(fly_one, campaign, n, folder.recording(n)) for n in numbers]
+        try:
+            for each in as_completed(flying):
+                yield each.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def fly_one(campaign: Campaign, number: int, recording: Path) -> FlightScore:
+    """Fly and score one, in whatever process; a recording of a run that was killed goes first."""
+    cv2.setNumThreads(1)
+    recording.unlink(missing_ok=True)
+    site, begin_s = campaign.site_of(number), time.process_time()
+    flown = fly(campaign.scenario(number), _place(site), recording)
+    return score(number, site, campaign.way_ne_m, flown, time.process_time() - begin_s)
+
+
+@cache
+def _place(site: str) -> Place:
+    """One of each site in a process."""
+    primary, fallback = choose_features("learned", None, say)
+    if fallback is None:
+        raise VwnavError("learned features are not available: flights of them cannot be measured")
+    pack = map_pack_of(site, [primary, fallback])
+    return Place(parse_site(site), pack, default_camera(), primary, fallback)
+
+
+def _score_of(values: dict[str, Any]) -> FlightScore:
+    try:
+        known = {field.name: values[field.name] for field in fields(FlightScore)}
+    except KeyError as error:
+        raise VwnavError(f"{FLIGHTS} lacks {error}: flown by another version") from error
+    whole: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known.items()}
+    return FlightScore(**whole)
