@@ -11,6 +11,7 @@ import typer
 
 from vwnav.cli.bench_estimator import estimator
 from vwnav.cli.bench_flights import flights
+from vwnav.cli.bench_waypoints import waypoints
 from vwnav.cli.screen import print_table, progress_bar, say
 
 _WIDTH = 120
@@ -18,6 +19,7 @@ _WIDTH = 120
 app = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
 app.command("estimator")(estimator)
 app.command("flights")(flights)
+app.command("waypoints")(waypoints)
 
 
 @app.callback()

@@ -21,4 +21,4 @@ class Place:
     pack: Path
     camera: Camera
     primary: FeatureExtractor
-    fallback: FeatureExtractor
+    fallback: FeatureExtractor | None

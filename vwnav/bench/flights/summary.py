@@ -4,12 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vwnav.bench.flights.score import FlightScore
+from vwnav.bench.resampling import interval
 from vwnav.types import Array
 
-_RESAMPLES = 1000
 _INSIDE_95 = 5.991  # chi-square of two degrees of freedom
 
 
@@ -95,20 +94,11 @@ _EXTREMES: tuple[tuple[str, str, Statistic], ...] = (
 
 def summarise(flights: Sequence[FlightScore]) -> list[Figure]:
     """All figures of at least one flight."""
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, len(flights), (_RESAMPLES, len(flights)))
-    found = [_resampled(name, unit, of, flights, draws) for name, unit, of in _RESAMPLED]
+    found = []
+    for name, unit, of in _RESAMPLED:
+        low, high = interval(of, flights) or (None, None)
+        found.append(Figure(name, unit, of(flights), low, high))
     return found + [Figure(name, unit, of(flights)) for name, unit, of in _EXTREMES]
-
-
-def _resampled(
-    name: str, unit: str, of: Statistic, flights: Sequence[FlightScore], draws: NDArray[np.int64]
-) -> Figure:
-    if len(flights) < 2:
-        return Figure(name, unit, of(flights))
-    values = [of([flights[i] for i in draw]) for draw in draws]
-    low, high = np.nanpercentile(values, (2.5, 97.5))
-    return Figure(name, unit, of(flights), float(low), float(high))
 
 
 def worst_first(flights: Sequence[FlightScore]) -> list[FlightScore]:
