@@ -29,10 +29,12 @@ def test_never_while_tells_the_first_row_inside() -> None:
     assert breach.t_s == 4.0
 
 
-def test_steady_looks_only_at_gaps_inside_a_span() -> None:
+def test_steady_looks_only_into_its_spans_and_at_their_ends() -> None:
     rows = [Moment(0.0), Moment(3.0), Moment(4.0)]
     assert steady(rows, 2.0, [(1.0, 4.0)], "nothing") is None
     assert steady(rows, 2.0, [(0.0, 4.0)], "nothing") is not None
+    assert steady(rows, 2.0, [(3.0, 7.0)], "nothing") is not None
+    assert steady([], 2.0, [(0.0, 7.0)], "nothing") is not None
 
 
 def test_after_and_without_cut_spans() -> None:

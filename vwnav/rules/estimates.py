@@ -45,13 +45,18 @@ def _moved_m(a: Sent, b: Sent) -> float:
     return math.dist(a.position_ned_m[:2], b.position_ned_m[:2])
 
 
+def _speed_m_s(sent: Sent) -> float:
+    """By its own velocity; 0 where that was not noted."""
+    return math.hypot(*(sent.velocity_ned_m_s or ())[:2])
+
+
 def _too_fast(log: FlightLog) -> Breach | None:
     """By its own velocity, and by the way of each second between two with one counter."""
     limit = log.bounds.estimate.max_speed_m_s
     fast = always(
-        [each for each in log.estimates if each.velocity_ned_m_s is not None],
-        lambda each: math.hypot(*(each.velocity_ned_m_s or (0.0,))[:2]) < limit,
-        lambda each: f"it moves at {math.hypot(*(each.velocity_ned_m_s or (0.0,))[:2]):.0f} m/s",
+        log.estimates,
+        lambda each: _speed_m_s(each) < limit,
+        lambda each: f"it moves at {_speed_m_s(each):.0f} m/s",
     )
     rows = sent_armed(log)
     first = 0

@@ -8,6 +8,7 @@ from vwnav.rules.moments import in_phases, taken
 from vwnav.rules.rule import Rule
 from vwnav.rules.temporal import (
     Breach,
+    Span,
     after,
     always,
     never_while,
@@ -49,7 +50,7 @@ def _too_steep(log: FlightLog) -> Breach | None:
     return always(log.setpoints, lambda s: -up <= s.velocity_ned_m_s[2] <= down, _flown)
 
 
-def _disarmed(log: FlightLog) -> list[tuple[float, float]]:
+def _disarmed(log: FlightLog) -> list[Span]:
     return after(_SHOWS_S, spans_where(log.vehicle, lambda row: not row.armed))
 
 

@@ -67,11 +67,16 @@ def within(
     return None
 
 
-def steady(rows: Iterable[RowT], most_s: float, spans: Sequence[Span], what: str) -> Breach | None:
-    """Between rows of the same span there is never a longer gap."""
-    for a, b in pairwise(rows):
-        if b.t_s - a.t_s > most_s and any(lo <= a.t_s and b.t_s <= hi for lo, hi in spans):
-            return Breach(a.t_s, f"{what} for {b.t_s - a.t_s:.2f} s")
+def steady(
+    rows: Iterable[Stamped], most_s: float, spans: Sequence[Span], what: str
+) -> Breach | None:
+    """In no span there is a longer time without a row, its beginning and end included."""
+    times = [row.t_s for row in rows]
+    for lo, hi in spans:
+        within_it = times[bisect.bisect_left(times, lo) : bisect.bisect_right(times, hi)]
+        for a_s, b_s in pairwise([lo, *within_it, hi]):
+            if b_s - a_s > most_s:
+                return Breach(a_s, f"{what} for {b_s - a_s:.2f} s")
     return None
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
+from vwnav.bench.flights import faults
 from vwnav.bench.flights.faults import Fault
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.track import Track
@@ -13,6 +14,16 @@ from vwnav.bench.flights.world import Setup, World
 from vwnav.mission import FlightEnd, Phase
 from vwnav.rules.temporal import Span
 
+# Through these all that is sent must stay as steady as ever.
+_STEADY_THROUGH = (
+    faults.BarometerWrong,
+    faults.BatteryAt,
+    faults.CameraTrouble,
+    faults.CommandRefused,
+    faults.DiskFull,
+    faults.ModelRaises,
+    faults.PilotSwitches,
+)
 _DOWN_S = 1.0  # disarmed for so long: it is over
 
 
@@ -83,7 +94,7 @@ class Flown:
 
     Attributes:
         broke_s: when the first fault began, since the mission began; None: it never did.
-        broken: from when to when each fault lasted, likewise.
+        broken: from when to when each fault lasted that may disturb what is sent, likewise.
         end: what the mission said; None while it went on.
     """
 
@@ -106,6 +117,11 @@ class _Planned:
     @property
     def _lasts_s(self) -> float:
         return math.inf if self.plan.for_s is None else self.plan.for_s
+
+    @property
+    def disturbs(self) -> bool:
+        """Whether what is sent may pause for it."""
+        return not isinstance(self.plan.fault, _STEADY_THROUGH)
 
     @property
     def span(self) -> Span | None:
@@ -153,5 +169,5 @@ def fly(scenario: Scenario, place: Place, recording: Path | None = None) -> Flow
     if world.navigator.record.recorder is not None:
         world.navigator.record.recorder.close()
     broke_s = planned[0].begun_s if planned else None
-    broken = tuple(each.span for each in planned if each.span is not None)
+    broken = tuple(each.span for each in planned if each.span is not None and each.disturbs)
     return Flown(scenario, world, world.track, broke_s, broken, world.navigator.flight.end)
