@@ -2,13 +2,18 @@
 
 import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from scenario_place import default_place
 from scenario_table import ATTITUDE
 
+from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Scenario, fly
 from vwnav.bench.flights.world import World
+from vwnav.drivers.recorded_flight_log import recorded_flight_log
+from vwnav.rules.rule import check
+from vwnav.rules.table import RULES
 
 SHORT = replace(ATTITUDE[2], limit_s=12.0)
 
@@ -51,3 +56,13 @@ def test_another_seed_gives_others(monkeypatch: pytest.MonkeyPatch) -> None:
     first = bytes_and_estimates(replace(SHORT, limit_s=1.0), monkeypatch)
     other = replace(SHORT, limit_s=1.0, setup=replace(SHORT.setup, seed=2))
     assert first != bytes_and_estimates(other, monkeypatch)
+
+
+def test_what_a_flight_records_is_held_against_the_rules_too(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    path = tmp_path / "flight.mcap"
+    flown = fly(replace(SHORT, limit_s=2.0), default_place(), path)
+    log, recorded = flight_log(flown), recorded_flight_log(path)
+    assert not [verdict for verdict in check(RULES, recorded) if verdict.breach is not None]
+    assert len(recorded.setpoints) == pytest.approx(10, abs=1)
+    assert [fix.t_s for fix in recorded.fixes] == [fix.t_s for fix in log.fixes]

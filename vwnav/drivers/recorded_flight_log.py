@@ -73,9 +73,17 @@ def recorded_flight_log(path: Path, truth: Path | None = None) -> FlightLog:
 def _missing(
     found: Mapping[str, Any], by_topic: Mapping[str, list[Record]], truth: Path | None
 ) -> set[str]:
-    """Streams that this recording lacks: without an origin a fix is nowhere in NED."""
-    has_origin = "origin" in (found.get("run") or {})
-    there = {"fixes": has_origin, "sights": bool(by_topic[INPUT_TOPIC]), "truth": truth is not None}
+    """Streams that this recording lacks.
+
+    Without an origin a fix is nowhere in NED, and in one that begins in the air nobody said the
+    first phase.
+    """
+    there = {
+        "fixes": "origin" in (found.get("run") or {}),
+        "sights": bool(by_topic[INPUT_TOPIC]),
+        "phases": not by_topic[VEHICLE_TOPIC][0].content["in_air"],
+        "truth": truth is not None,
+    }
     return {name for name, is_there in there.items() if not is_there}
 
 
