@@ -137,6 +137,9 @@ def test_a_line_of_another_version_is_said(tmp_path: Path) -> None:
     (tmp_path / FLIGHTS).write_text(json.dumps(old) + "\n")
     with pytest.raises(VwnavError, match="lacks 'cross_m'"):
         CampaignFolder(tmp_path, CAMPAIGN)
+    (tmp_path / FLIGHTS).write_text("{]\n")
+    with pytest.raises(VwnavError, match="is damaged"):
+        CampaignFolder(tmp_path, CAMPAIGN)
 
 
 def test_bad_input_leaves_no_folder(tmp_path: Path) -> None:

@@ -93,6 +93,8 @@ def _print(campaign: "Campaign", flown: "list[FlightScore]", figures: "list[Figu
         rows.append((each.name, f"{each.value:.4g} {each.unit}".strip() + interval))
     wrong = sum(bool(each.wrong) for each in flown)
     rows.append(("flights with something wrong", f"{wrong} of {len(flown)}"))
+    hours = sum(each.cpu_s for each in flown) / len(flown) / 3600.0
+    rows.append(("100 and 600 flights, one core", f"{100 * hours:.1f} h and {600 * hours:.0f} h"))
     print_table(
         f"{len(flown)} flights, {campaign.way_m:.0f} m, wind {campaign.wind_m_s:g} m/s, "
         f"{campaign.sites} sites; 95 % intervals",

@@ -42,8 +42,9 @@ class CampaignFolder:
         self.folder = folder
         self._lines = folder / FLIGHTS
         try:
-            (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
             self._claim(campaign)
+            (folder / RECORDINGS).mkdir(exist_ok=True)
             self.flights = self._read()
         except OSError as error:
             raise VwnavError(f"cannot use the folder {folder}: {error.strerror}") from error
@@ -71,7 +72,7 @@ class CampaignFolder:
         whole = text[: text.rfind("\n") + 1]
         if whole != text:
             self._lines.write_text(whole)
-        return [_score_of(json.loads(line)) for line in whole.splitlines()]
+        return [_score_of(line) for line in whole.splitlines()]
 
     def recording(self, number: int) -> Path:
         """Where the recording of a flight goes."""
@@ -142,10 +143,13 @@ def _place(site: str) -> Place:
     return Place(parse_site(site), pack, default_camera(), primary, fallback)
 
 
-def _score_of(values: dict[str, Any]) -> FlightScore:
+def _score_of(line: str) -> FlightScore:
     try:
+        values = json.loads(line)
         known = {field.name: values[field.name] for field in fields(FlightScore)}
     except KeyError as error:
         raise VwnavError(f"{FLIGHTS} lacks {error}: flown by another version") from error
+    except (ValueError, TypeError) as error:
+        raise VwnavError(f"{FLIGHTS} is damaged: {error}") from error
     whole: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known.items()}
     return FlightScore(**whole)
