@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,7 +47,7 @@ def waypoints(
     # Read when the libraries load: a flight is one core's work.
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.flights.waypoints import HEIGHTS_M, THESIS_M, measure, plan
-    from vwnav.cli.screen import progress_bar, say
+    from vwnav.cli.screen import progress_bar
     from vwnav.drivers.run_folder import make_run_folder, write_json
     from vwnav.sim.sites import parse_site
 
@@ -55,21 +55,19 @@ def waypoints(
     names, heights_m = _known(features or []), height_m or HEIGHTS_M
     folder = None if output is None else make_run_folder(output, "bench")
     rows: list[WaypointsRow] = []
+    values: dict[str, Any] = {}
     with progress_bar() as progress:
-        for name in names:
-            place = _place(site, name)
-            for height in heights_m:
-                flights = [plan(k, height, seconds, wind_m_s, seed) for k in range(runs)]
-                bar = partial(progress, f"{name}, {height:g} m")
-                rows.append(measure(place, name, flights, height, bar))
-    values = _as_json(site, seconds, wind_m_s, rows, THESIS_M)
+        for name, height in ((name, height) for name in names for height in heights_m):
+            flights = [plan(k, height, seconds, wind_m_s, seed) for k in range(runs)]
+            bar = partial(progress, f"{name}, {height:g} m")
+            rows.append(measure(_place(site, name), name, flights, height, bar))
+            values = _as_json(site, seconds, wind_m_s, rows, THESIS_M)
+            if folder is not None:  # after each row: what has been measured is kept
+                write_json(folder / "waypoints.json", values)
     if as_json:
         print(json.dumps(values))
     else:
         _print(site, rows, THESIS_M)
-    if folder is not None:
-        write_json(folder / "waypoints.json", values)
-        say(f"bench: wrote waypoints.json to {folder}")
 
 
 def _known(asked: list[str]) -> "list[FeatureName]":
@@ -83,6 +81,7 @@ def _known(asked: list[str]) -> "list[FeatureName]":
     return [name for name in FEATURE_NAMES if name in asked or not asked]
 
 
+@cache
 def _place(site: str, features: "FeatureName") -> "Place":
     """With the pack that flies with these features, but nothing to stand in for them."""
     import cv2
