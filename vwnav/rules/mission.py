@@ -12,6 +12,7 @@ from vwnav.rules.temporal import (
     after,
     always,
     always_pairs,
+    inside,
     never_while,
     spans_where,
     within,
@@ -118,8 +119,8 @@ def _lost(log: FlightLog) -> Breach | None:
     """A pause of the estimates that lasts long enough, while we steer, ends in another mode."""
     times = [each.t_s for each in log.estimates]
     pauses = list(pairwise([*times, log.end_s]))
-    long = after(log.bounds.safety.lost_land_s, pauses)
-    triggers = [lo for lo, _ in long if any(a <= lo <= b for a, b in steered(log))]
+    ours = steered(log)
+    triggers = [lo for lo, _ in after(log.bounds.safety.lost_land_s, pauses) if inside(lo, ours)]
     answers = in_modes(log, NOT_OURS)
     return within(_REACTS_S, triggers, answers, log.end_s, "without estimates, another mode")
 
@@ -153,10 +154,9 @@ def _blind(log: FlightLog) -> Breach | None:
     limit_s = log.bounds.safety.blind_land_s
     times = [each.t_s for each in log.sights]
     pauses = list(pairwise([*times, log.end_s]))
+    ours = steered(log)
     triggers = [
-        lo
-        for lo, _ in after(limit_s, pauses)
-        if log.phase_at(lo) in _TRAVELS and any(a <= lo <= b for a, b in steered(log))
+        lo for lo, _ in after(limit_s, pauses) if log.phase_at(lo) in _TRAVELS and inside(lo, ours)
     ]
     answers = [*phase_begins(log, *_OUT), *in_modes(log, NOT_OURS)]
     return within(_REACTS_S, triggers, answers, log.end_s, "blind, a landing")

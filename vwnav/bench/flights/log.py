@@ -48,7 +48,7 @@ def flight_log(flown: Flown) -> FlightLog:
         phases=[Stage(row.t_s + begun_s, Phase(row.text)) for row in track.phases],
         events=[Said(row.t_s + begun_s, row.text) for row in track.events],
         fixes=_fixes(flown, steps),
-        sights=[Moment(step.t_s) for step in steps if isinstance(step.motion, OdometryMotion)],
+        sights=[Moment(step.t_s) for step in steps if _tells_something(step)],
         beliefs=[
             At(
                 step.t_s,
@@ -85,6 +85,11 @@ def _navigators(flown: Flown) -> list[Navigator]:
     """The first one, and the one that stood in for it if it did."""
     second = flown.world.successor.navigator
     return [flown.world.navigator] + ([] if second is None else [second])
+
+
+def _tells_something(step: StepResult) -> bool:
+    """A motion or a place, as the runtime counts pictures."""
+    return isinstance(step.motion, OdometryMotion) or isinstance(step.outcome, MapFix)
 
 
 def _fixes(flown: Flown, steps: Iterable[StepResult]) -> list[At]:
