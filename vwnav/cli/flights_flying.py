@@ -75,14 +75,19 @@ class CampaignFolder:
         return [_score_of(line) for line in whole.splitlines()]
 
     def recording(self, number: int) -> Path:
-        """Where the recording of a flight goes."""
+        """Of a flight that has ended."""
         return self.folder / RECORDINGS / f"flight-{number:04d}.mcap"
+
+    def partial(self, number: int) -> Path:
+        """Where a flight records until it has ended."""
+        return self.recording(number).with_suffix(".mcap.part")
 
     def add(self, flown: FlightScore) -> None:
         """Append a flight; of all so far only the worst keep their recordings."""
         with self._lines.open("a") as file:
             file.write(json.dumps(asdict(flown)) + "\n")
         self.flights.append(flown)
+        self.partial(flown.number).replace(self.recording(flown.number))
         for each in worst_first(self.flights)[_WORST_KEPT:]:
             self.recording(each.number).unlink(missing_ok=True)
 
@@ -112,11 +117,11 @@ def _fly_all(
 ) -> Iterator[FlightScore]:
     """As they end."""
     if jobs == 1:
-        yield from (fly_one(campaign, number, folder.recording(number)) for number in numbers)
+        yield from (fly_one(campaign, number, folder.partial(number)) for number in numbers)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context) as pool:
-        flying = [pool.submit(fly_one, campaign, n, folder.recording(n)) for n in numbers]
+        flying = [pool.submit(fly_one, campaign, n, folder.partial(n)) for n in numbers]
         try:
             for each in as_completed(flying):
                 yield each.result()
