@@ -146,7 +146,7 @@ RED: dict[str, Callable[[FlightLog], FlightLog]] = {
     "sigma without fixes": lambda log: with_sent(
         silent(log, "fixes", 11.0), 15.0, covariance_ne_m2=(0.1, 0.0, 0.1)
     ),
-    "sigma bounded": lambda log: with_sent(log, 12.0, covariance_ne_m2=(1600.0, 0.0, 1.0)),
+    "sigma bounded": lambda log: with_sent(log, 12.0, covariance_ne_m2=(4900.0, 0.0, 1.0)),
     "never 5 sigmas wrong": lambda log: further(log, 4.0, 12.0),
     "seldom 3 sigmas wrong": lambda log: further(log, 2.0, 12.0),
     "fix right": lambda log: replace(log, fixes=[At(12.0, (40.0, 0.0))]),

@@ -101,7 +101,7 @@ BELIEF = (
     ),
     Rule(
         "sigma bounded",
-        "After the first fix no estimate is sent that is uncertain beyond the way home.",
+        "After the first fix no estimate is sent that is uncertain beyond its limit.",
         ("vehicle", "estimates", "fixes"),
         _uncertain,
     ),

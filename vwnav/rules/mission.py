@@ -31,7 +31,8 @@ _NEXT: dict[Phase, set[Phase]] = {
     Phase.DESCEND: _OUT,
     Phase.LAND: {Phase.RELEASED, Phase.DONE},
     Phase.FAILSAFE: set(Phase) - {Phase.GET_READY},  # back to where it was: `_order`
-    Phase.RELEASED: {Phase.DONE},
+    Phase.RELEASED: {Phase.DONE, Phase.RESUME},
+    Phase.RESUME: {Phase.ROUTE, Phase.RETURN, *_OUT},
     Phase.DONE: set(),
 }
 _TRAVELS = (Phase.ROUTE, Phase.RETURN)
