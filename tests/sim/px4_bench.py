@@ -3,9 +3,11 @@
 import random
 from typing import Any
 
-from vwnav.sim.px4.config import VehicleConfig
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.px4.estimator import VisionSample
-from vwnav.sim.px4.modes import NavState, Result, Setpoint
+from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
 
 

@@ -5,10 +5,10 @@ import random
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.core import Peer, VehicleCore
+from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import ByteLink
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.px4.streams import COMPANION_RATES
 

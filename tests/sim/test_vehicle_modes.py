@@ -6,8 +6,10 @@ import math
 import pytest
 from px4_bench import Bench
 
-from vwnav.sim.px4.config import PilotPlan
-from vwnav.sim.px4.modes import NavState, Result, Setpoint
+from vwnav.sim.config import PilotPlan
+from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.multirotor.setpoint import Setpoint
+from vwnav.sim.px4.modes import NavState
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def hovering(hovering_once: Bench) -> Bench:
 
 def set_parameter(bench: Bench, name: str, value: float) -> None:
     bench.vehicle.parameters._values[name] = value
-    bench.vehicle.controller.refresh()
+    bench.vehicle.handle_parameter()
 
 
 def test_it_does_not_arm_without_a_position() -> None:

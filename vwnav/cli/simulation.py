@@ -12,8 +12,8 @@ from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.builder import BuildOptions, build_pack
+from vwnav.sim.config import VehicleConfig
 from vwnav.sim.lens import RenderConfig
-from vwnav.sim.px4.config import VehicleConfig
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site, generator_fingerprint
 from vwnav.sim.sites import (

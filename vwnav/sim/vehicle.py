@@ -18,9 +18,9 @@ from typing import Self
 from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.pace import clock_of
-from vwnav.sim.px4.config import PilotPlan, VehicleConfig
-from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import UdpLink
+from vwnav.sim.config import PilotPlan, VehicleConfig
+from vwnav.sim.core import Peer, VehicleCore
+from vwnav.sim.mavlink.link import UdpLink
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.px4.streams import COMPANION_RATES, GROUND_RATES, truth_rates
 

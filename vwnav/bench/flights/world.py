@@ -17,14 +17,15 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission import Mission, Phase
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.config import PilotPlan, VehicleConfig
+from vwnav.sim.core import Peer, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
+from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.processor import Costs, Processor
-from vwnav.sim.px4.config import PilotPlan, VehicleConfig
-from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import ByteLink
-from vwnav.sim.px4.modes import NavState, Setpoint
+from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.px4.streams import COMPANION_RATES
 from vwnav.sim.renderer import CameraRenderer

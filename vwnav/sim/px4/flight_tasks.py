@@ -1,26 +1,17 @@
 """What each navigation state asks of the controller: PX4's flight tasks, with its speeds."""
 
 import math
-from dataclasses import dataclass
 
-from vwnav.sim.px4.airframe import GRAVITY_M_S2
+from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
+from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.px4.estimator import Estimator
-from vwnav.sim.px4.modes import NavState, Setpoint
+from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.scripted_pilot import Sticks
 
 _STICK_DEADZONE = 0.05
 _REACHED_M = 0.4  # vertical: the take-off is over
 _HOME_RADIUS_M = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Sticks:
-    """The pilot's sticks: roll, pitch (forward positive), yaw -1..1, throttle 0..1."""
-
-    roll: float = 0.0
-    pitch: float = 0.0
-    yaw: float = 0.0
-    throttle: float = 0.5
 
 
 class FlightTasks:

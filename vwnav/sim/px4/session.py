@@ -7,15 +7,17 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from vwnav.sim.mavlink.command import Command, is_place
+from vwnav.sim.mavlink.enums import Result, Severity
+from vwnav.sim.mavlink.link import MavlinkLink
+from vwnav.sim.mavlink.schedule import Schedule
+from vwnav.sim.mavlink.timesync import Timesync
+from vwnav.sim.mavlink.velocity_target import setpoint_of
 from vwnav.sim.px4 import vision_input
-from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Command, Context, execute, is_place
-from vwnav.sim.px4.link import MavlinkLink
-from vwnav.sim.px4.modes import Result, Severity
-from vwnav.sim.px4.offboard import setpoint_of
+from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Context, execute
 from vwnav.sim.px4.parameters import HASH_CHECK
 from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.px4.streams import BUILDERS, Schedule
-from vwnav.sim.px4.timesync import Timesync
+from vwnav.sim.px4.streams import BUILDERS
 
 ACK_DELAY_S = 0.008
 _TIMESYNC_EVERY_S = 0.1
@@ -244,7 +246,7 @@ class Session:
         if m.param_id not in parameters:
             return
         parameters.set_wire(m.param_id, m.param_value, m.param_type)
-        self._vehicle.controller.refresh()
+        self._vehicle.handle_parameter()
         self._send_parameter(parameters.names.index(m.param_id))
 
     def _send_parameter(self, index: int) -> None:

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from vwnav.sim.px4.airframe import GRAVITY_M_S2, rotation_of, turned
-from vwnav.sim.px4.sensors import Imu
+from vwnav.sim.multirotor.airframe import GRAVITY_M_S2, rotation_of, turned
+from vwnav.sim.multirotor.sensors import Imu
 
 _LEVEL_GAIN_PER_S = 0.4  # on the ground: gravity is all there is
 _FLIGHT_GAIN_PER_S = 0.02  # in the air the accelerometer feels thrust, not gravity

@@ -5,11 +5,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.link import MavlinkLink
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
 from vwnav.sim.px4.session import Session
-from vwnav.sim.px4.streams import Schedule
+from vwnav.sim.px4.streams import schedule_of
 
 _log = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ class VehicleCore:
             Session(
                 peer.link,
                 self.vehicle,
-                Schedule(peer.rates_hz),
+                schedule_of(peer.rates_hz),
                 lambda: self.now_s,
                 peer.asks_time,
             )
