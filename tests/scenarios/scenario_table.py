@@ -14,7 +14,7 @@ from vwnav.bench.flights.world import AirStart, Setup
 from vwnav.config import Config
 from vwnav.mission import Phase
 from vwnav.pipeline import PipelineConfig
-from vwnav.sim.px4.modes import NavState
+from vwnav.types import FlightMode
 
 HOME = (0.0, 0.0)
 # Every other picture that could be matched: what is left out costs the most and tells the least.
@@ -205,7 +205,7 @@ PILOT = [
     Scenario(
         name="fly is started while a pilot flies",
         setup=setup(
-            AirStart(phase=None, place_ned_m=(15.0, -15.0, -50.0), mode=NavState.POSITION),
+            AirStart(phase=None, place_ned_m=(15.0, -15.0, -50.0), mode=FlightMode.MANUAL),
             rc_on=True,
         ),
         breaks=(),

@@ -32,7 +32,7 @@ class Bench:
             if self.vision and i % self.vision_every == 0:
                 self.see()
             if self.velocity is not None and i % 12 == 0:
-                self.vehicle.set_offboard(Setpoint(None, None, None, *self.velocity, yaw_rad=0.0))
+                self.vehicle.set_target(Setpoint(None, None, None, *self.velocity, yaw_rad=0.0))
             if self.sticks is not None and i % 10 == 0:
                 self.vehicle.manual.handle_joystick(*self.sticks, self.vehicle.t_s)
 

@@ -124,7 +124,7 @@ def flags_of(bench: Bench) -> int:
 
 def gps_hoped_for() -> Bench:
     """As in the recording: PX4's defaults, but vision on and the barometer for height."""
-    return Bench(px4_defaults=True, parameters=(("EKF2_EV_CTRL", 1), ("EKF2_HGT_REF", 0)))
+    return Bench(autopilot_defaults=True, parameters=(("EKF2_EV_CTRL", 1), ("EKF2_HGT_REF", 0)))
 
 
 def test_estimator_flags_go_through_the_recorded_values() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.bench.flights.scenario import Ending, Flown
 from vwnav.bench.flights.track import Track, Truth
 from vwnav.mission import Phase
-from vwnav.sim.px4.modes import STICK_STATES
+from vwnav.types import FlightMode
 
 _PILOT_S = 0.3  # from the pilot's mode to the last setpoint
 _NEVER_SIGMAS, _SELDOM_SIGMAS, _SELDOM_S = 5.0, 3.0, 1.0
@@ -65,7 +65,7 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
             return [f"it landed {off_m:.1f} m off, {bound_m:.0f} m are allowed"]
         case Ending.FLIES_ON if not _flies_on(flown):
             return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
-        case Ending.PILOT if last.mode not in STICK_STATES:
+        case Ending.PILOT if last.mode is not FlightMode.MANUAL:
             return [f"the pilot does not have it: {_where(last)}"]
         case Ending.STAYED if flew:
             return [f"it took off: {_where(last)}"]
@@ -99,7 +99,7 @@ def _followed(flown: Flown) -> list[str]:
 
 def _pilot_has_it(flown: Flown) -> list[str]:
     """No setpoint and no command of control once a person has chosen a mode."""
-    taken = [each.t_s for each in flown.track.truth if each.mode in STICK_STATES]
+    taken = [each.t_s for each in flown.track.truth if each.mode is FlightMode.MANUAL]
     if not taken:
         return []
     late = [
@@ -144,7 +144,7 @@ def _fastest(track: Track, flown: Flown) -> float:
     speeds = [
         math.hypot(*each.velocity_ned_m_s[:2].tolist())
         for each in track.truth
-        if each.t_s >= since_s and each.mode not in STICK_STATES
+        if each.t_s >= since_s and each.mode is not FlightMode.MANUAL
     ]
     return max(speeds, default=0.0)
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vwnav.sim.px4.modes import NavState
-from vwnav.types import Array, Estimate
+from vwnav.types import Array, Estimate, FlightMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,7 +15,7 @@ class Truth:
     t_s: float
     position_ned_m: Array
     velocity_ned_m_s: Array
-    mode: NavState
+    mode: FlightMode
     armed: bool
     on_ground: bool
 

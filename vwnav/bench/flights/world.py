@@ -17,20 +17,18 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission import Mission, Phase
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
-from vwnav.sim.config import PilotPlan, VehicleConfig
-from vwnav.sim.core import Peer, VehicleCore
+from vwnav.sim.config import Manners, PilotPlan, VehicleConfig
+from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.processor import Costs, Processor
-from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.px4 import STEP_S
-from vwnav.sim.px4.streams import COMPANION_RATES
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Estimate, FeatureExtractor, Features, Gray
+from vwnav.types import Array, Estimate, FeatureExtractor, Features, FlightMode, Gray
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
@@ -40,12 +38,22 @@ _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
 _LATENCY_S = 0.002
 _CAMERA_LATENCY_S = 0.04
 # As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
-_PARAMETERS: tuple[tuple[str, float], ...] = (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3))
+_PARAMETERS: dict[Manners, tuple[tuple[str, float], ...]] = {
+    "px4": (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3)),
+    "copter": (
+        ("BATT_FS_LOW_ACT", 2),
+        ("BATT_LOW_VOLT", 10.8),
+        ("BATT_LOW_TIMER", 3),
+        ("BATT_FS_CRT_ACT", 1),
+        ("BATT_CRT_VOLT", 10.2),
+        ("FS_GCS_ENABLE", 1),
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AirStart:
-    """A flight that begins in the air, in Offboard: NED about home.
+    """A flight that begins in the air, in Offboard or GUIDED: NED about home.
 
     Attributes:
         phase: where the mission stands; None: the program is started while somebody else flies.
@@ -55,7 +63,7 @@ class AirStart:
     phase: Phase | None
     place_ned_m: tuple[float, float, float]
     velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mode: NavState = NavState.OFFBOARD
+    mode: FlightMode = FlightMode.OFFBOARD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +71,7 @@ class Setup:
     """Everything about a flight but what breaks in it.
 
     Attributes:
+        manners: whose ways the vehicle has.
         start: None begins on the ground.
         route_ned_m: waypoints about home.
         stands_ne_m: where it stands, about the site's home.
@@ -71,6 +80,7 @@ class Setup:
         vehicle_rate: seconds of the vehicle's clock per second.
     """
 
+    manners: Manners = "px4"
     seed: int = 1
     start: AirStart | None = None
     route_ned_m: tuple[tuple[float, float, float], ...] = (
@@ -174,17 +184,18 @@ class World:
         frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
         lat_deg, lon_deg, _ = frame.to_geodetic(self._stands_ned_m)
         config = VehicleConfig(
+            manners=setup.manners,
             home_lat_deg=float(lat_deg),
             home_lon_deg=float(lon_deg),
             home_alt_amsl_m=0.0,
             seed=setup.seed,
             wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg,
-            parameters=(*_PARAMETERS, *setup.parameters),
+            parameters=(*_PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on),
         )
         link = NotedLink(self.autopilot_link.a, self.clock, self.track)
-        peer = Peer(link, COMPANION_RATES, True)
+        peer = Peer(link, Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_rate * self.clock())
 
     def _watchdog(self) -> Watchdog:
@@ -265,7 +276,7 @@ class World:
         """In Offboard, before the mission steers."""
         vn, ve, vd = start.velocity_ned_m_s
         yaw_rad = self.core.vehicle.estimator.attitude.yaw_rad
-        self.core.vehicle.set_offboard(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
+        self.core.vehicle.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
 
     def _lift(self, start: AirStart) -> None:
         """The vehicle flies steadily, a little before its place."""
@@ -345,7 +356,7 @@ class World:
                 t_s,
                 self._stands_ned_m + np.array([body.n, body.e, body.d]),
                 np.array([body.vn, body.ve, body.vd]),
-                vehicle.commander.state,
+                vehicle.flight_mode,
                 vehicle.commander.armed,
                 body.on_ground,
             )

@@ -76,6 +76,11 @@ class Airframe:
         self.rotors = [lift_m_s2 * MASS_KG / (4.0 * ROTOR_MAX_N)] * 4
         self.on_ground = False
 
+    @property
+    def euler_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch, yaw (Z-Y-X)."""
+        return euler_of(self.rotation)
+
     def hover_force(self, un: float, ue: float, ud: float) -> tuple[float, float, float]:
         """Lift in NED (m/s^2) that keeps a velocity through the air (m/s)."""
         drag = self._drag_per_s
@@ -163,6 +168,13 @@ def turned(
     nz = z + half * (w * r + x * q - y * p)
     scale = 1.0 / math.sqrt(nw * nw + nx * nx + ny * ny + nz * nz)
     return nw * scale, nx * scale, ny * scale, nz * scale
+
+
+def euler_of(rotation: tuple[float, ...]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw (Z-Y-X) of the nine numbers of R_ned_body."""
+    pitch = -math.asin(min(1.0, max(-1.0, rotation[6])))
+    yaw = math.atan2(rotation[3], rotation[0])
+    return math.atan2(rotation[7], rotation[8]), pitch, yaw
 
 
 def rotation_of(w: float, x: float, y: float, z: float) -> tuple[float, ...]:

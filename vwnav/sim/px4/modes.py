@@ -2,6 +2,8 @@
 
 from enum import Enum
 
+from vwnav.types import FlightMode
+
 
 class NavState(Enum):
     """A navigation state; the value is PX4's (main mode, sub mode) of `HEARTBEAT.custom_mode`."""
@@ -45,6 +47,15 @@ class NavState(Enum):
         return custom | manual | stabilised
 
 
+STATE_OF: dict[FlightMode, NavState] = {
+    FlightMode.OFFBOARD: NavState.OFFBOARD,
+    FlightMode.TAKEOFF: NavState.TAKEOFF,
+    FlightMode.HOLD: NavState.HOLD,
+    FlightMode.LAND: NavState.LAND,
+    FlightMode.RETURN: NavState.RETURN,
+    FlightMode.DESCEND: NavState.DESCEND,
+    FlightMode.MANUAL: NavState.POSITION,
+}
 COMMANDABLE = tuple(state for state in NavState if state is not NavState.DESCEND)
 STICK_STATES = frozenset(
     {NavState.MANUAL, NavState.ALTITUDE, NavState.POSITION, NavState.STABILIZED}

@@ -3,10 +3,10 @@
 import math
 import random
 from collections import deque
-from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
+from vwnav.sim.home import Home
 from vwnav.sim.mavlink.enums import Severity
 from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.multirotor.controller import Controller, attitude_of_force
@@ -19,10 +19,11 @@ from vwnav.sim.px4.estimator import Estimator
 from vwnav.sim.px4.failsafe import Health
 from vwnav.sim.px4.flight_tasks import FlightTasks
 from vwnav.sim.px4.gains import gains_of
-from vwnav.sim.px4.modes import NavState
+from vwnav.sim.px4.modes import STATE_OF, NavState
 from vwnav.sim.px4.parameters import NO_GPS, Parameters
 from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
 from vwnav.sim.scripted_pilot import ScriptedPilot
+from vwnav.types import FlightMode
 
 STEP_S = 0.004
 _SLOW_EVERY = 5  # 50 Hz: commander, flight tasks, barometer, compass, wind
@@ -36,17 +37,6 @@ _AGES_S = 1e4  # after which gusts are what they are, whatever they were
 # After an origin the declination is looked up and the heading settles (recorded on PX4 1.18: the
 # prearm bit is set 5 s after the origin, gone 2 s later, and steady 13 s after it).
 _HEADING_UNSETTLED_S = ((0.0, 5.0), (7.0, 13.0))
-
-
-@dataclass(slots=True)
-class Home:
-    """Where RTL goes: geodetic and local (north, east, down in m)."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_amsl_m: float
-    local_m: tuple[float, float, float]
-    t_s: float
 
 
 class SimulatedPx4:
@@ -96,12 +86,18 @@ class SimulatedPx4:
         self._state = NavState.HOLD
         self.health = self._health()
 
+    @property
+    def flight_mode(self) -> FlightMode:
+        """The state as a navigator calls it."""
+        state = self.commander.state
+        return next((each for each, same in STATE_OF.items() if same is state), FlightMode.MANUAL)
+
     def begin_in_flight(
         self,
         place_ned_m: tuple[float, float, float],
         velocity_ned_m_s: tuple[float, float, float],
         heading_rad: float,
-        state: NavState,
+        mode: FlightMode,
     ) -> None:
         """Fly steadily, now, as if it had come there on vision; NED about the start place.
 
@@ -126,12 +122,13 @@ class SimulatedPx4:
         self._position_lost_s = self.t_s - _PROBATION_S
         home = self.start_frame
         self.set_home(home.lat_deg, home.lon_deg, home.alt_amsl_m)
+        state = STATE_OF[mode]
         self.commander.begin_in_flight(state, self.t_s)
         self._state = state
         self.tasks.enter(state, estimator)
         self.controller.reset()
         yaw_rad = estimator.attitude.yaw_rad
-        self.set_offboard(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
+        self.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
         self.look()
 
     def say(self, severity: Severity, text: str) -> None:
@@ -310,13 +307,13 @@ class SimulatedPx4:
         """A parameter was set."""
         self.controller.gains = gains_of(self.parameters)
 
-    def set_offboard(self, setpoint: Setpoint) -> None:
+    def set_target(self, setpoint: Setpoint) -> None:
         """An offboard setpoint arrived."""
         self.offboard, self.offboard_s = setpoint, self.t_s
 
 
 def _parameters(config: VehicleConfig) -> Parameters:
-    preset = () if config.px4_defaults else NO_GPS
+    preset = () if config.autopilot_defaults else NO_GPS
     radio = RADIO_SETUP if config.pilot.rc_on else ()
     own = (("MAV_SYS_ID", float(config.system_id)), ("SIM_BAT_DRAIN", config.battery_drain_s))
     return Parameters((*preset, *radio, *own, *config.parameters))
