@@ -5,6 +5,7 @@ one of each kind; all of them by `make test-long`.
 """
 
 import math
+from dataclasses import replace
 
 from scenario_seen import down, mode, phase, said
 
@@ -14,6 +15,7 @@ from vwnav.bench.flights.world import AirStart, Setup
 from vwnav.config import Config
 from vwnav.mission import Phase
 from vwnav.pipeline import PipelineConfig
+from vwnav.sim.config import Manners
 from vwnav.types import FlightMode
 
 HOME = (0.0, 0.0)
@@ -275,6 +277,12 @@ WHOLE = [
         lands_at_ne_m=HOME,
     ),
 ]
+
+
+def in_manners(row: Scenario, manners: Manners) -> Scenario:
+    """The row as the other autopilot flies it."""
+    return replace(row, setup=replace(row.setup, manners=manners))
+
 
 TABLE = [*ATTITUDE, *CAMERA, *LINK, *NAVIGATOR, *PILOT, *AIRCRAFT, *WHOLE]
 QUICK = {
