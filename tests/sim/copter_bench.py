@@ -12,6 +12,7 @@ from vwnav.sim.copter.modes import Mode
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.types import FlightMode
 
 ARM, TAKEOFF, SET_MODE, SET_INTERVAL, REQUEST = 400, 22, 176, 511, 512
 NOTED = (0, 1, 32, 108, 193, 245)  # messages asked for by `ask_for`
@@ -141,6 +142,15 @@ class CopterBench:
         assert self.command(TAKEOFF, *[0.0] * 6, height_m) == 0
         self.run(8.0 + height_m / 1.5)
         assert abs(self.vehicle.body.d + height_m) < 1.5
+        return self
+
+    def aloft(self, height_m: float = 10.0) -> "CopterBench":
+        """In GUIDED in the air, at once."""
+        self.run(0.2)
+        place = (0.0, 0.0, -height_m)
+        self.vehicle.begin_in_flight(place, (0.0, 0.0, 0.0), 0.0, FlightMode.OFFBOARD)
+        self.vision = True
+        self.run(1.0)
         return self
 
     def until(self, mode: Mode, limit_s: float) -> float:

@@ -242,7 +242,7 @@ class SimulatedCopter:
             position_ok=estimator.position_ok,
             attitude_ok=estimator.is_aligned,
             vision_ok=estimator.vision_ok,
-            settled=t_s - estimator.origin_t_s > _SETTLED_S,
+            settled=estimator.origin is not None and t_s - estimator.origin_t_s > _SETTLED_S,
             gcs_silent_s=math.inf if heard_s is None else t_s - heard_s,
             radio_lost=self.radio.lost(t_s),
             battery_level=self.battery.level,
