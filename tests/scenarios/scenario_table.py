@@ -279,9 +279,24 @@ WHOLE = [
 ]
 
 
+# ArduCopter does otherwise by design: without setpoints it flies on for 3 s, and once its EKF
+# failsafe has acted (8 s) it comes down level, 45 s in the wind, whatever is known again.
+COPTER_LANDS_WITHIN_M = {
+    "link cut for 3 s": 45.0,
+    "link cut for 5 s": 45.0,
+    "link cut for 10 s": 220.0,
+    "link cut for 30 s": 220.0,
+    "navigator stopped": 220.0,
+}
+
+
 def in_manners(row: Scenario, manners: Manners) -> Scenario:
-    """The row as the other autopilot flies it."""
-    return replace(row, setup=replace(row.setup, manners=manners))
+    """The row as this autopilot flies it, with the bounds that are its own."""
+    setup = replace(row.setup, manners=manners)
+    if manners == "px4" or row.lands_within_m is None:
+        return replace(row, setup=setup)
+    own = (bound_m for part, bound_m in COPTER_LANDS_WITHIN_M.items() if part in row.name)
+    return replace(row, setup=setup, lands_within_m=next(own, row.lands_within_m))
 
 
 TABLE = [*ATTITUDE, *CAMERA, *LINK, *NAVIGATOR, *PILOT, *AIRCRAFT, *WHOLE]
