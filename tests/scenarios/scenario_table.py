@@ -300,6 +300,18 @@ def in_manners(row: Scenario, manners: Manners) -> Scenario:
 
 
 TABLE = [*ATTITUDE, *CAMERA, *LINK, *NAVIGATOR, *PILOT, *AIRCRAFT, *WHOLE]
+# Those that have been flown in ArduCopter's manners too: by `make test-long`.
+FLOWN_IN_COPTER_MANNERS = {
+    "attitude missing for 5 s",
+    "battery critical",
+    "link cut for 1 s on the route",
+    "link cut for 5 s on the route",
+    "navigator killed",
+    "navigator stopped for 20 s",
+    "nothing breaks",
+    "pictures gone for good at 50 m",
+    "pilot takes over while on the route",
+}
 QUICK = {
     "attitude missing for 1 s",
     "one attitude level and facing north",

@@ -81,6 +81,13 @@ def test_a_mode_that_needs_a_position_is_refused_without_one() -> None:
     assert bench.mode is Mode.LAND
 
 
+@pytest.mark.parametrize("height_m", [4.0, 12.0])
+def test_a_takeoff_ends_at_the_height_asked_for(height_m: float) -> None:
+    bench = CopterBench(baro_drift_m=0.0).hover(height_m)
+    bench.run(5.0)
+    assert -bench.vehicle.estimator.down.x == pytest.approx(height_m, abs=0.15)
+
+
 def test_brake_stops_and_stays() -> None:
     bench = CopterBench().aloft()
     bench.velocity = (4.0, 0.0, 0.0)

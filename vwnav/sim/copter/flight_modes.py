@@ -108,8 +108,8 @@ class FlightModes:
         if armed_s < SPOOL_UP_S:
             return Setpoint(idle=True)
         motion, left_m = self._motion, estimate.down.x - top_m
-        if left_m < _REACHED_M:
-            self.takeoff_down_m = None
+        if left_m < _REACHED_M:  # from now on it stays there
+            self.takeoff_down_m, motion.anchor_down_m = None, top_m
         if motion.anchor is None:
             motion.anchor = (estimate.north.x, estimate.east.x)
         acceleration = self._climb_m_s2
