@@ -11,7 +11,7 @@ from scenario_seen import down, mode, phase, said
 
 from vwnav.bench.flights import faults as broken
 from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.world import AirStart, Setup
+from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.config import Config
 from vwnav.mission import Phase
 from vwnav.pipeline import PipelineConfig

@@ -7,8 +7,9 @@ from enum import Enum
 
 from vwnav.bench.flights.faults import Fault
 from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Track
-from vwnav.bench.flights.world import Setup, World
+from vwnav.bench.flights.world import World
 from vwnav.mission import FlightEnd, Phase
 
 _DOWN_S = 1.0  # disarmed for so long: it is over

@@ -2,22 +2,21 @@
 
 import random
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
 from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
-from vwnav.config import Config
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission import Mission, Phase
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
-from vwnav.sim.config import Manners, PilotPlan, VehicleConfig
+from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
@@ -28,7 +27,7 @@ from vwnav.sim.processor import Costs, Processor
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Estimate, FeatureExtractor, Features, FlightMode, Gray
+from vwnav.types import Array, Estimate, FeatureExtractor, Features, Gray
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
@@ -37,66 +36,6 @@ _LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
 _LATENCY_S = 0.002
 _CAMERA_LATENCY_S = 0.04
-# As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
-_PARAMETERS: dict[Manners, tuple[tuple[str, float], ...]] = {
-    "px4": (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3)),
-    "copter": (
-        ("BATT_FS_LOW_ACT", 2),
-        ("BATT_LOW_VOLT", 10.8),
-        ("BATT_LOW_TIMER", 3),
-        ("BATT_FS_CRT_ACT", 1),
-        ("BATT_CRT_VOLT", 10.2),
-        ("FS_GCS_ENABLE", 1),
-    ),
-}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AirStart:
-    """A flight that begins in the air, in Offboard or GUIDED: NED about home.
-
-    Attributes:
-        phase: where the mission stands; None: the program is started while somebody else flies.
-        mode: what the vehicle flies then.
-    """
-
-    phase: Phase | None
-    place_ned_m: tuple[float, float, float]
-    velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mode: FlightMode = FlightMode.OFFBOARD
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
-    """Everything about a flight but what breaks in it.
-
-    Attributes:
-        manners: whose ways the vehicle has.
-        start: None begins on the ground.
-        route_ned_m: waypoints about home.
-        stands_ne_m: where it stands, about the site's home.
-        home_known: False: the program is not told where it stands.
-        rc_on: a pilot holds a radio.
-        vehicle_rate: seconds of the vehicle's clock per second.
-    """
-
-    manners: Manners = "px4"
-    seed: int = 1
-    start: AirStart | None = None
-    route_ned_m: tuple[tuple[float, float, float], ...] = (
-        (60.0, -60.0, -50.0),
-        (130.0, 0.0, -50.0),
-        (50.0, 70.0, -50.0),
-    )
-    stands_ne_m: tuple[float, float] = (0.0, 0.0)
-    home_known: bool = True
-    wind_m_s: float = 4.0
-    wind_from_deg: float = 250.0
-    rc_on: bool = False
-    vehicle_rate: float = 1.0
-    picture_hz: float = 10.0
-    parameters: tuple[tuple[str, float], ...] = ()
-    config: Config = field(default_factory=Config)
 
 
 class BreakableFeatures:
@@ -191,7 +130,7 @@ class World:
             seed=setup.seed,
             wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg,
-            parameters=(*_PARAMETERS[setup.manners], *setup.parameters),
+            parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on),
         )
         link = NotedLink(self.autopilot_link.a, self.clock, self.track)
