@@ -88,6 +88,28 @@ def test_a_takeoff_ends_at_the_height_asked_for(height_m: float) -> None:
     assert -bench.vehicle.estimator.down.x == pytest.approx(height_m, abs=0.15)
 
 
+def test_in_land_the_ekf_failsafe_changes_no_mode_and_lets_the_place_go() -> None:
+    bench = CopterBench(wind_m_s=4.0, gust_m_s=0.0).aloft(30.0)
+    bench.set_mode(Mode.LAND)
+    bench.run(2.0)
+    assert speed(bench) < 0.5
+    since_s, bench.vision = bench.t_s, False
+    bench.run(12.0)
+    assert bench.texts(since_s) == ["EKF variance"]
+    assert speed(bench) > 2.0
+
+
+def test_a_mode_is_refused_until_the_ekf_failsafe_is_cleared() -> None:
+    bench = CopterBench().aloft()
+    bench.vision = False
+    bench.run(9.0)
+    bench.vision = True
+    bench.run(0.3)
+    assert bench.set_mode(Mode.GUIDED) == 4
+    bench.run(1.5)
+    assert bench.set_mode(Mode.GUIDED) == 0
+
+
 def test_brake_stops_and_stays() -> None:
     bench = CopterBench().aloft()
     bench.velocity = (4.0, 0.0, 0.0)

@@ -7,7 +7,6 @@ from vwnav.sim.copter.modes import ARMABLE, NEEDS_POSITION, Mode
 from vwnav.sim.copter.parameters import Parameters
 from vwnav.sim.mavlink.enums import Result, Severity
 
-FORCE_MAGIC = 21196  # param2 of MAV_CMD_COMPONENT_ARM_DISARM
 _CHECK_EVERY_S, _SAY_EVERY_S = 1.0, 30.0
 
 
@@ -79,7 +78,7 @@ class Commander:
 
     def ask(self, wanted: Mode, health: Health) -> Result:
         """Somebody asks for a mode; while armed it is refused without the position it needs."""
-        lacks_position = wanted in NEEDS_POSITION and not health.position_ok
+        lacks_position = wanted in NEEDS_POSITION and not health.may_hold
         if wanted is Mode.AUTO:
             return self._refuse(wanted, "no mission")
         if self.armed and lacks_position:
@@ -89,7 +88,7 @@ class Commander:
 
     def force(self, wanted: Mode, health: Health) -> None:
         """A failsafe wants a mode: without the position that it needs, LAND."""
-        self._change(Mode.LAND if wanted in NEEDS_POSITION and not health.position_ok else wanted)
+        self._change(Mode.LAND if wanted in NEEDS_POSITION and not health.may_hold else wanted)
 
     def _change(self, wanted: Mode) -> None:
         if wanted is not self.mode:

@@ -4,11 +4,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.sim.copter.commander import FORCE_MAGIC
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
 from vwnav.sim.copter.streams import BUILDERS, SHORTEST_US
-from vwnav.sim.mavlink.command import Command, is_place, message_id
+from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
 from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.schedule import Schedule
 

@@ -197,12 +197,11 @@ class SimulatedCopter:
         self._follow_commander(_FAILSAFE_PAUSE_S)
 
     def _land_without_position(self, health: Health) -> None:
-        """The EKF failsafe, in a mode that needs a position."""
-        if not self.modes.holds_position:
-            return
-        self._fail_over(Mode.LAND, health)
+        """The EKF failsafe, in a mode that needs a position; LAND goes on without."""
+        if self.modes.holds_position and self.commander.mode is not Mode.LAND:
+            self._fail_over(Mode.LAND, health)
+            self.say(Severity.CRITICAL, "EKF Failsafe: changed to LAND Mode")
         self.modes.lose_position()
-        self.say(Severity.CRITICAL, "EKF Failsafe: changed to LAND Mode")
 
     def ask(self, wanted: Mode) -> Result:
         """Somebody asks for a mode."""
@@ -216,8 +215,8 @@ class SimulatedCopter:
             self._enter_mode(pause_s)
 
     def _enter_mode(self, pause_s: float) -> None:
-        position_ok = self.estimator.position_ok and not self.failsafes.ekf
-        self.modes.enter(self.commander.mode, self.estimator, position_ok, pause_s)
+        may_hold = self.health.may_hold
+        self.modes.enter(self.commander.mode, self.estimator, may_hold, pause_s)
 
     def take_off(self, height_m: float) -> Result:
         """MAV_CMD_NAV_TAKEOFF: in GUIDED, armed and on the ground, to a height over home."""
@@ -240,6 +239,7 @@ class SimulatedCopter:
         heard_s = self.gcs_heard_s
         return Health(
             position_ok=estimator.position_ok,
+            may_hold=estimator.position_ok and not self.failsafes.ekf,
             attitude_ok=estimator.is_aligned,
             vision_ok=estimator.vision_ok,
             settled=estimator.origin is not None and t_s - estimator.origin_t_s > _SETTLED_S,

@@ -23,12 +23,14 @@ class Health:
     """What is looked at, fifty times a second.
 
     Attributes:
+        may_hold: there is a position, and no failsafe says that there is none.
         settled: it has stood with an origin for long enough to arm.
         gcs_silent_s: since a ground station was heard; infinity when none ever was.
         radio_lost: there was a radio, and it is not heard any more.
     """
 
     position_ok: bool
+    may_hold: bool
     attitude_ok: bool
     vision_ok: bool
     settled: bool

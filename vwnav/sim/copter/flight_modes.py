@@ -56,10 +56,10 @@ class FlightModes:
         """It comes down to land, for EXTENDED_SYS_STATE."""
         return self._mode is Mode.LAND or (self._mode is Mode.RTL and self._leg is Leg.LAND)
 
-    def enter(self, mode: Mode, estimate: Estimator, position_ok: bool, pause_s: float) -> None:
+    def enter(self, mode: Mode, estimate: Estimator, may_hold: bool, pause_s: float) -> None:
         """Start a mode where the vehicle is; LAND comes down after a pause."""
         self._mode = mode
-        self.holds_position = mode in NEEDS_POSITION or (mode is Mode.LAND and position_ok)
+        self.holds_position = mode in NEEDS_POSITION or (mode is Mode.LAND and may_hold)
         self.takeoff_down_m = self._target = None
         self._pause_s = pause_s
         self._leg, self._loitered_s = Leg.CLIMB, 0.0

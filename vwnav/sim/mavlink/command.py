@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+FORCE_MAGIC = 21196  # param2 of MAV_CMD_COMPONENT_ARM_DISARM
+
 
 @dataclass(frozen=True, slots=True)
 class Command:

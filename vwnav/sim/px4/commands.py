@@ -4,10 +4,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.sim.mavlink.command import Command, is_place, message_id
+from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
 from vwnav.sim.mavlink.enums import Result
 from vwnav.sim.mavlink.schedule import Schedule
-from vwnav.sim.px4.commander import FORCE_MAGIC
 from vwnav.sim.px4.modes import NavState, state_of_custom_mode
 from vwnav.sim.px4.px4 import SimulatedPx4
 
