@@ -88,6 +88,15 @@ def test_a_takeoff_ends_at_the_height_asked_for(height_m: float) -> None:
     assert -bench.vehicle.estimator.down.x == pytest.approx(height_m, abs=0.15)
 
 
+def test_it_stays_where_it_is_when_the_estimate_jumps() -> None:
+    bench = CopterBench().aloft()
+    bench.set_mode(Mode.BRAKE)
+    bench.run(2.0)
+    bench.vision_jump_m, bench.reset_counter = 5.0, 1
+    bench.run(6.0)
+    assert abs(bench.vehicle.body.n) < 1.0
+
+
 def test_in_land_the_ekf_failsafe_changes_no_mode_and_lets_the_place_go() -> None:
     bench = CopterBench(wind_m_s=4.0, gust_m_s=0.0).aloft(30.0)
     bench.set_mode(Mode.LAND)

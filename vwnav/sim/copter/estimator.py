@@ -1,8 +1,8 @@
 """The vehicle's own estimator as EKF3 behaves on external navigation.
 
 Recorded on ArduCopter 4.7: vision is used as soon as the heading is aligned, 6 s after boot;
-without it the filter reckons on for 7 s, then it has no position any more; the first vision after
-that is taken as it is, and so is one whose reset_counter has changed.
+without it, or while it is refused, the filter reckons on for 7 s, then it has no position any more;
+the first vision after that is taken as it is, and so is one whose reset_counter has changed.
 """
 
 import math
@@ -25,16 +25,20 @@ Vector = tuple[float, float, float]
 
 
 class Estimator(InertialFilter):
-    """As EKF3."""
+    """As EKF3.
+
+    Attributes:
+        reset_ne_m: how far the position jumped last, north and east.
+    """
 
     def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: Parameters) -> None:
         super().__init__(heading_rad, alt_amsl_m)
         self._parameters = parameters
         self.ever_aided = False
+        self.reset_ne_m = (0.0, 0.0)
         self._aligned_s = ALIGNED_S
         self._on_ground = True
         self._heard_s = self._position_s = -math.inf
-        self._refused_since_s: float | None = None
         self._reset_counter: int | None = None
         self._velocity_s = -math.inf  # when one was fused last
         self._velocity_is_new = False  # the next one is taken as it is
@@ -76,7 +80,6 @@ class Estimator(InertialFilter):
         self._aligned_s = min(self._aligned_s, self.t_s)
         self.ever_aided, self._on_ground = True, False
         self._heard_s = self._position_s = self._velocity_s = self.t_s
-        self._refused_since_s = None
 
     def _maintain(self, dt_s: float, on_ground: bool) -> None:
         self._on_ground = on_ground
@@ -124,15 +127,13 @@ class Estimator(InertialFilter):
         variance = max(variance_m2, get["VISO_POS_M_NSE"] ** 2)
         jumped = self._reset_counter not in (None, reset_counter)
         self._reset_counter = reset_counter
-        if jumped or not self.position_ok or self._refused_too_long():
+        if jumped or not self.position_ok:
             self._reset_to(self.north.x + dn, self.east.x + de, variance)
         elif self._is_refused(dn, de, variance):
-            self._refused_since_s = self._refused_since_s or self.t_s
             return
         else:
             self.north.fuse_position(dn, variance)
             self.east.fuse_position(de, variance)
-        self._refused_since_s = None
         self._position_s = self.t_s
         self.ever_aided = True
 
@@ -163,11 +164,8 @@ class Estimator(InertialFilter):
         expected = self.north.p00 + self.east.p00 + 2.0 * variance_m2
         return dn * dn + de * de > gate**2 * expected
 
-    def _refused_too_long(self) -> bool:
-        since_s = self._refused_since_s
-        return since_s is not None and self.t_s - since_s > _NO_AID_S
-
     def _reset_to(self, north_m: float, east_m: float, variance_m2: float) -> None:
         """Jump, to the velocity too that comes with the position."""
+        self.reset_ne_m = (north_m - self.north.x, east_m - self.east.x)
         super()._reset_to(north_m, east_m, variance_m2)
         self._velocity_is_new = True

@@ -4,7 +4,7 @@ import math
 from enum import Enum
 
 from vwnav.sim.copter.estimator import Estimator
-from vwnav.sim.copter.modes import NEEDS_POSITION, Mode
+from vwnav.sim.copter.modes import NEEDS_POSITION, STICK_MODES, Mode
 from vwnav.sim.copter.parameters import Parameters
 from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
 from vwnav.sim.multirotor.motion import Motion
@@ -50,6 +50,7 @@ class FlightModes:
         self._pause_s = 0.0
         self._leg = Leg.CLIMB
         self._loitered_s = 0.0
+        self._resets = 0
 
     @property
     def landing(self) -> bool:
@@ -62,6 +63,7 @@ class FlightModes:
         self.holds_position = mode in NEEDS_POSITION or (mode is Mode.LAND and may_hold)
         self.takeoff_down_m = self._target = None
         self._pause_s = pause_s
+        self._resets = estimate.reset_counter
         self._leg, self._loitered_s = Leg.CLIMB, 0.0
         self._motion.begin(estimate)
 
@@ -82,6 +84,7 @@ class FlightModes:
         """The setpoint for the next `dt_s`; `armed_s` is how long it has been armed."""
         if landed and self._rests(sticks):
             return Setpoint(idle=True)
+        self._follow_resets(estimate)
         match self._mode:
             case Mode.GUIDED if self.takeoff_down_m is not None:
                 return self._takeoff(estimate, self.takeoff_down_m, armed_s, dt_s)
@@ -98,11 +101,19 @@ class FlightModes:
             case _:
                 return self._motion.stop_and_stay(estimate, _BRAKE_M_S2 * dt_s)
 
+    def _follow_resets(self, estimate: Estimator) -> None:
+        """Where the estimate jumps, the place to stay at jumps with it."""
+        if estimate.reset_counter != self._resets:
+            self._resets = estimate.reset_counter
+            if self._motion.anchor is not None:
+                (north, east), (dn, de) = self._motion.anchor, estimate.reset_ne_m
+                self._motion.anchor = (north + dn, east + de)
+
     def _rests(self, sticks: Sticks) -> bool:
         """On the ground only a take-off or the pilot starts the climb."""
-        if self._mode is Mode.GUIDED:
-            return self.takeoff_down_m is None
-        return self._mode in NEEDS_POSITION | {Mode.LAND} or _climb(sticks) <= 0.0
+        if self._mode in STICK_MODES:
+            return _climb(sticks) <= 0.0
+        return self.takeoff_down_m is None
 
     def _takeoff(self, estimate: Estimator, top_m: float, armed_s: float, dt_s: float) -> Setpoint:
         if armed_s < SPOOL_UP_S:

@@ -21,6 +21,7 @@ class Mode(IntEnum):
 
 
 NEEDS_POSITION = frozenset({Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL, Mode.BRAKE})
+STICK_MODES = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER})
 ARMABLE = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.GUIDED, Mode.LOITER})
 # How a flight that begins in the air is flown.
 MODE_OF: dict[FlightMode, Mode] = {
