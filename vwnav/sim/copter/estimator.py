@@ -17,6 +17,7 @@ EXTERNAL_NAV = 6  # EK3_SRC1_POSXY, EK3_SRC1_VELXY
 _NO_AID_S = 7.0
 _VISION_HEALTHY_S = 0.3
 _TILT_TIME_S = 10.0
+_LEAST_SIGMA = 0.01
 # EKF_STATUS_FLAGS, as recorded
 _UNINITIALISED, _STARTING = 0x400, 0x000
 _NO_POSITION_ON_GROUND, _NO_POSITION, _AIDED = 0x0A7, 0x025, 0x33F
@@ -95,7 +96,7 @@ class Estimator(InertialFilter):
     def handle_baro(self, height_m: float) -> None:
         """Fuse a barometric height over the start place."""
         down_m = self.alt_amsl_m - self.start_alt_amsl_m - height_m
-        self.down.fuse_position(down_m - self.down.x, self._parameters["EK3_ALT_M_NSE"] ** 2)
+        self.down.fuse_position(down_m - self.down.x, _variance(self._parameters["EK3_ALT_M_NSE"]))
 
     def handle_compass(self, heading_rad: float, dt_s: float) -> None:
         """Fuse a compass heading: vision's yaw is not asked for."""
@@ -124,7 +125,7 @@ class Estimator(InertialFilter):
             return
         moved_n, moved_e, _ = self._moved_since(self.t_s - 1e-3 * get["VISO_DELAY_MS"])
         dn, de = north_m + moved_n - self.north.x, east_m + moved_e - self.east.x
-        variance = max(variance_m2, get["VISO_POS_M_NSE"] ** 2)
+        variance = max(variance_m2, _variance(get["VISO_POS_M_NSE"]))
         jumped = self._reset_counter not in (None, reset_counter)
         self._reset_counter = reset_counter
         if jumped or not self.position_ok:
@@ -144,7 +145,7 @@ class Estimator(InertialFilter):
             return
         if not self.position_ok:
             return
-        variance = max(variance_m2_s2, get["VISO_VEL_M_NSE"] ** 2)
+        variance = max(variance_m2_s2, _variance(get["VISO_VEL_M_NSE"]))
         gate = 0.01 * get["EK3_VEL_I_GATE"]
         is_lost = self.t_s - self._velocity_s > _NO_AID_S
         for axis, speed in zip((self.north, self.east), velocity_ned_m_s[:2], strict=True):
@@ -169,3 +170,8 @@ class Estimator(InertialFilter):
         self.reset_ne_m = (north_m - self.north.x, east_m - self.east.x)
         super()._reset_to(north_m, east_m, variance_m2)
         self._velocity_is_new = True
+
+
+def _variance(sigma: float) -> float:
+    """Of a parameter's sigma, never nothing."""
+    return max(sigma, _LEAST_SIGMA) ** 2

@@ -15,6 +15,7 @@ SPOOL_UP_S = 3.2  # from arming to the first thrust
 _REACHED_M = 0.3
 _HOME_RADIUS_M = 1.0
 _BRAKE_M_S2 = 5.0
+_LEAST_M_S2 = 0.1
 _LOITER_BRAKE_M_S2, _LOITER_STICK_M_S2 = 2.5, 3.0
 _STICK_DEADZONE = 0.05
 _STICK_CLIMB_M_S = 2.5  # PILOT_SPEED_UP
@@ -133,7 +134,7 @@ class FlightModes:
         """Follow; after GUID_TIMEOUT without a setpoint stop and stay."""
         self._target_age_s += dt_s
         target, motion = self._target, self._motion
-        step_m_s = self._cm("WPNAV_ACCEL") * dt_s
+        step_m_s = self._accelerate_m_s2 * dt_s
         if target is None or self._target_age_s > self._parameters["GUID_TIMEOUT"]:
             return motion.stop_and_stay(estimate, step_m_s)
         motion.anchor = motion.anchor_down_m = None
@@ -187,7 +188,7 @@ class FlightModes:
         dn, de = home[0] - estimate.north.x, home[1] - estimate.east.x
         match self._leg:
             case Leg.CLIMB:
-                sp = motion.stop_and_stay(estimate, self._cm("WPNAV_ACCEL") * dt_s)
+                sp = motion.stop_and_stay(estimate, self._accelerate_m_s2 * dt_s)
                 motion.anchor_down_m = top_m
                 is_stopped = motion.anchor is not None
                 if is_stopped and estimate.down.x < home[2] - self._cm("RTL_ALT") + _REACHED_M:
@@ -195,7 +196,7 @@ class FlightModes:
                 sp.down_m, sp.vd_m_s = top_m, None
                 return sp
             case Leg.RETURN:
-                motion.steer(dn, de, self._cm("WPNAV_SPEED"), self._cm("WPNAV_ACCEL"), dt_s)
+                motion.steer(dn, de, self._cm("WPNAV_SPEED"), self._accelerate_m_s2, dt_s)
                 if math.hypot(dn, de) < _HOME_RADIUS_M:
                     self._leg, motion.anchor = Leg.LOITER, (home[0], home[1])
                 return Setpoint(
@@ -219,7 +220,7 @@ class FlightModes:
         if not self.holds_position:
             return Setpoint(an_m_s2=0.0, ae_m_s2=0.0, vd_m_s=motion.vd_m_s, yaw_rad=motion.yaw_rad)
         vd_m_s = motion.vd_m_s
-        sp = motion.stop_and_stay(estimate, self._cm("WPNAV_ACCEL") * dt_s)
+        sp = motion.stop_and_stay(estimate, self._accelerate_m_s2 * dt_s)
         motion.vd_m_s = sp.vd_m_s = vd_m_s
         sp.down_m = None
         return sp
@@ -249,7 +250,11 @@ class FlightModes:
 
     @property
     def _climb_m_s2(self) -> float:
-        return self._cm("WPNAV_ACCEL_Z")
+        return max(_LEAST_M_S2, self._cm("WPNAV_ACCEL_Z"))
+
+    @property
+    def _accelerate_m_s2(self) -> float:
+        return max(_LEAST_M_S2, self._cm("WPNAV_ACCEL"))
 
     def _slew_down(self, vd_m_s: float, dt_s: float) -> None:
         motion, step = self._motion, self._climb_m_s2 * dt_s
