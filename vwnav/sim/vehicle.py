@@ -59,7 +59,6 @@ _HELP = {
     "autopilot_defaults": "start with the autopilot's own parameters: GPS expected, vision ignored",
 }
 _PILOT_HELP = {
-    "manners": "px4 or copter: whose ways it has",
     "takes_over_at_s": "pushes the stick forward at T",
     "switch_at_s": "flips the mode switch to Position (ArduCopter: Loiter) at T",
     "rc_lost_at_s": "switches the transmitter off at T",

@@ -99,7 +99,7 @@ def _followed(flown: Flown) -> list[str]:
 
 def _pilot_has_it(flown: Flown) -> list[str]:
     """No setpoint and no command of control once a person has chosen a mode."""
-    taken = [each.t_s for each in flown.track.truth if each.mode is FlightMode.MANUAL]
+    taken = [each.t_s for each in flown.track.truth if _pilot_flies(each)]
     if not taken:
         return []
     late = [
@@ -115,6 +115,11 @@ def _pilot_has_it(flown: Flown) -> list[str]:
         f"{len(late)} orders after the pilot had it, the first {first.t_s - taken[0]:.2f} s later: "
         f"{first.kind} {first.number or ''} of component {first.component}"
     ]
+
+
+def _pilot_flies(truth: Truth) -> bool:
+    """In a mode of the sticks; disarmed it means nothing, ArduCopter boots in one."""
+    return truth.armed and truth.mode is FlightMode.MANUAL
 
 
 def _sent_wrong(flown: Flown, sigmas: np.ndarray) -> list[str]:
@@ -144,7 +149,7 @@ def _fastest(track: Track, flown: Flown) -> float:
     speeds = [
         math.hypot(*each.velocity_ned_m_s[:2].tolist())
         for each in track.truth
-        if each.t_s >= since_s and each.mode is not FlightMode.MANUAL
+        if each.t_s >= since_s and not _pilot_flies(each)
     ]
     return max(speeds, default=0.0)
 
