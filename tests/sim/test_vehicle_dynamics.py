@@ -17,6 +17,7 @@ from vwnav.sim.multirotor.controller import quat_of_euler
 from vwnav.sim.multirotor.sensors import Sensors, pressure_hpa
 from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.px4.modes import NavState
+from vwnav.types import FlightMode
 
 ANGLE = st.floats(-3.1, 3.1)
 CALM = (0.0, 0.0, 0.0)
@@ -139,7 +140,7 @@ def test_begun_in_the_air_it_flies_on_steadily(wind_m_s: float) -> None:
     bench = Bench(wind_m_s=wind_m_s)
     bench.run(2.0)
     vehicle, body = bench.vehicle, bench.vehicle.body
-    vehicle.begin_in_flight((100.0, -50.0, -50.0), (4.0, -4.0, 0.0), 1.0, NavState.OFFBOARD)
+    vehicle.begin_in_flight((100.0, -50.0, -50.0), (4.0, -4.0, 0.0), 1.0, FlightMode.OFFBOARD)
     bench.vision, bench.velocity = True, (4.0, -4.0, 0.0)
     for second in range(1, 11):
         bench.run(1.0)
