@@ -92,7 +92,7 @@ def test_it_dies_with_its_parent(tmp_path: Path) -> None:
 def test_help_names_its_options() -> None:
     done = run_command("--help")
     assert done.returncode == 0
-    for option in ("--wind-m-s", "--speed", "--px4-defaults", "--pilot-switch-at-s", "--param"):
+    for option in ("--wind-m-s", "--speed", "--autopilot-defaults", "--pilot-switch-at-s", "--param"):
         assert option in done.stdout
 
 
