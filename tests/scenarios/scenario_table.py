@@ -305,6 +305,7 @@ FLOWN_IN_COPTER_MANNERS = {
     "attitude missing for 5 s",
     "battery critical",
     "link cut for 1 s on the route",
+    "link cut for 10 s on the route",
     "link cut for 5 s on the route",
     "navigator killed",
     "navigator stopped for 20 s",
