@@ -1,5 +1,9 @@
-"""Fly rows of the table by hand: `python tests/scenarios/fly_rows.py [part of a name ...]`."""
+"""Fly rows of the table by hand.
 
+python tests/scenarios/fly_rows.py [--manners copter] [part of a name ...]
+"""
+
+import argparse
 import sys
 import time
 from pathlib import Path
@@ -7,18 +11,23 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 from scenario_place import default_place
-from scenario_table import TABLE
+from scenario_table import TABLE, in_manners
 
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import fly
 
 
-def main(parts: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Fly every row that has one of the parts in its name; the number of bad ones."""
-    place, bad = default_place(), 0
-    for scenario in TABLE:
-        if parts and not any(part in scenario.name for part in parts):
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--manners", choices=("px4", "copter"), default="px4")
+    parser.add_argument("parts", nargs="*", metavar="part of a name")
+    options = parser.parse_args(arguments)
+    place, parts, bad = default_place(), options.parts, 0
+    for row in TABLE:
+        if parts and not any(part in row.name for part in parts):
             continue
+        scenario = in_manners(row, options.manners)
         began_s = time.process_time()
         flown = fly(scenario, place)
         verdict = judge(flown)

@@ -9,7 +9,7 @@ Times = Callable[[Track, float], list[float]]
 
 
 def mode(within_s: float, *names: str) -> Follows:
-    """The vehicle flies one of these modes."""
+    """The vehicle flies one of these modes, as a navigator calls them: BRAKE is HOLD."""
 
     def when(track: Track, begun_s: float) -> list[float]:
         return [each.t_s - begun_s for each in track.truth if each.mode.name in names]

@@ -5,16 +5,18 @@ one of each kind; all of them by `make test-long`.
 """
 
 import math
+from dataclasses import replace
 
 from scenario_seen import down, mode, phase, said
 
 from vwnav.bench.flights import faults as broken
 from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.world import AirStart, Setup
+from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.config import Config
 from vwnav.mission import Phase
 from vwnav.pipeline import PipelineConfig
-from vwnav.sim.px4.modes import NavState
+from vwnav.sim.config import Manners
+from vwnav.types import FlightMode
 
 HOME = (0.0, 0.0)
 # Every other picture that could be matched: what is left out costs the most and tells the least.
@@ -211,7 +213,7 @@ PILOT = [
     Scenario(
         name="fly is started while a pilot flies",
         setup=setup(
-            AirStart(phase=None, place_ned_m=(15.0, -15.0, -50.0), mode=NavState.POSITION),
+            AirStart(phase=None, place_ned_m=(15.0, -15.0, -50.0), mode=FlightMode.MANUAL),
             rc_on=True,
         ),
         breaks=(),
@@ -282,7 +284,41 @@ WHOLE = [
     ),
 ]
 
+
+# ArduCopter does otherwise by design: without setpoints it flies on for 3 s, and once its EKF
+# failsafe has acted (8 s) it comes down level, 45 s in the wind, whatever is known again.
+COPTER_LANDS_WITHIN_M = {
+    "link cut for 3 s": 45.0,
+    "link cut for 5 s": 45.0,
+    "link cut for 10 s": 220.0,
+    "link cut for 30 s": 220.0,
+    "navigator stopped": 220.0,
+}
+
+
+def in_manners(row: Scenario, manners: Manners) -> Scenario:
+    """The row as this autopilot flies it, with the bounds that are its own."""
+    setup = replace(row.setup, manners=manners)
+    if manners == "px4" or row.lands_within_m is None:
+        return replace(row, setup=setup)
+    own = (bound_m for part, bound_m in COPTER_LANDS_WITHIN_M.items() if part in row.name)
+    return replace(row, setup=setup, lands_within_m=next(own, row.lands_within_m))
+
+
 TABLE = [*ATTITUDE, *CAMERA, *LINK, *NAVIGATOR, *PILOT, *AIRCRAFT, *WHOLE]
+# Those that have been flown in ArduCopter's manners too: by `make test-long`.
+FLOWN_IN_COPTER_MANNERS = {
+    "attitude missing for 5 s",
+    "battery critical",
+    "link cut for 1 s on the route",
+    "link cut for 10 s on the route",
+    "link cut for 5 s on the route",
+    "navigator killed",
+    "navigator stopped for 20 s",
+    "nothing breaks",
+    "pictures gone for good at 50 m",
+    "pilot takes over while on the route",
+}
 QUICK = {
     "attitude missing for 1 s",
     "one attitude level and facing north",

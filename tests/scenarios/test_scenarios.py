@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from scenario_place import default_place
-from scenario_table import CAMERA, QUICK, TABLE
+from scenario_table import CAMERA, FLOWN_IN_COPTER_MANNERS, QUICK, TABLE, in_manners
 
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import Scenario, fly
@@ -22,10 +22,18 @@ def test_whatever_breaks_the_aircraft_is_not_lost(scenario: Scenario) -> None:
     assert not verdict.wrong, "; ".join(verdict.wrong)
 
 
-def test_the_quick_rows_are_in_the_table() -> None:
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(FLOWN_IN_COPTER_MANNERS))
+def test_neither_is_it_in_arducopters_manners(name: str) -> None:
+    row = next(row for row in TABLE if row.name == name)
+    verdict = judge(fly(in_manners(row, "copter"), default_place()))
+    assert not verdict.wrong, "; ".join(verdict.wrong)
+
+
+def test_the_named_rows_are_in_the_table() -> None:
     names = [row.name for row in TABLE]
     assert len(set(names)) == len(names)
-    assert set(names) >= QUICK
+    assert set(names) >= QUICK | FLOWN_IN_COPTER_MANNERS
 
 
 @pytest.mark.long

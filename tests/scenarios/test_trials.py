@@ -9,8 +9,9 @@ import pytest
 from scenario_place import default_place
 from scenario_table import TABLE
 
-from vwnav.bench.flights.judge import STICK_STATES, judge
+from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import Flown, Scenario, fly
+from vwnav.types import FlightMode
 
 pytestmark = pytest.mark.long
 
@@ -36,8 +37,9 @@ def test_no_setpoint_0_3_s_after_a_pilot_takes_over(group):
         scenario = replace(row(f"pilot takes over while {where}"), limit_s=9.0)
         flown = flown_with(scenario, trial, rng.uniform(0.0, 8.0), rng.uniform(2.0, 5.0))
         assert not judge(flown).wrong, (trial, judge(flown).wrong)
-        taken_s = next(each.t_s for each in flown.track.truth if each.mode in STICK_STATES)
-        last_s = max(each.t_s for each in flown.track.orders if each.kind == "setpoint")
+        truth = flown.track.truth
+        taken_s = next(e.t_s for e in truth if e.armed and e.mode is FlightMode.MANUAL)
+        last_s = max(each.t_s for each in flown.track.heard.setpoints)
         assert last_s - taken_s <= 0.3, f"trial {trial}: {last_s - taken_s:.2f} s"
 
 

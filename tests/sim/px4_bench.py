@@ -3,9 +3,11 @@
 import random
 from typing import Any
 
-from vwnav.sim.px4.config import VehicleConfig
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.px4.estimator import VisionSample
-from vwnav.sim.px4.modes import NavState, Result, Setpoint
+from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
 
 
@@ -30,7 +32,7 @@ class Bench:
             if self.vision and i % self.vision_every == 0:
                 self.see()
             if self.velocity is not None and i % 12 == 0:
-                self.vehicle.set_offboard(Setpoint(None, None, None, *self.velocity, yaw_rad=0.0))
+                self.vehicle.set_target(Setpoint(None, None, None, *self.velocity, yaw_rad=0.0))
             if self.sticks is not None and i % 10 == 0:
                 self.vehicle.manual.handle_joystick(*self.sticks, self.vehicle.t_s)
 

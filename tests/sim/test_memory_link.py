@@ -5,12 +5,11 @@ import random
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.core import Peer, Role, VehicleCore
+from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import ByteLink
 from vwnav.sim.px4.px4 import STEP_S
-from vwnav.sim.px4.streams import COMPANION_RATES
 
 
 def link_of(latency_s: float = 0.0) -> tuple[SimulatedClock, MemoryLink]:
@@ -86,7 +85,7 @@ def test_lost_packets_are_those_of_the_seed():
 
 def bytes_of_a_vehicle(seconds: float, rate: float = 1.0) -> list[tuple[float, bytes]]:
     clock, link = link_of()
-    peer = Peer(ByteLink(link.a, 1), COMPANION_RATES, True)
+    peer = Peer(ByteLink(link.a, 1), Role.COMPANION)
     core = VehicleCore(VehicleConfig(seed=4), [peer], lambda: rate * clock())
     companion = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
     heard = []
@@ -120,7 +119,7 @@ def test_a_vehicle_whose_clock_is_slow_falls_behind_by_that():
 
 def test_a_reboot_starts_the_vehicles_clock_anew():
     clock, link = link_of()
-    core = VehicleCore(VehicleConfig(), [Peer(ByteLink(link.a, 1), COMPANION_RATES, True)], clock)
+    core = VehicleCore(VehicleConfig(), [Peer(ByteLink(link.a, 1), Role.COMPANION)], clock)
     companion = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
     clock.now_s = 2.0
     core.step_to_now(1000)

@@ -11,12 +11,13 @@ from px4_bench import Bench
 from scipy.spatial.transform import Rotation
 
 from vwnav.errors import ConfigError
-from vwnav.sim.px4.airframe import Airframe, rotation_of, turned
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.controller import quat_of_euler
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.multirotor.airframe import Airframe, rotation_of, turned
+from vwnav.sim.multirotor.controller import quat_of_euler
+from vwnav.sim.multirotor.sensors import Sensors, pressure_hpa
+from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.px4.modes import NavState
-from vwnav.sim.px4.sensors import Sensors, pressure_hpa
-from vwnav.sim.px4.wind import Wind
+from vwnav.types import FlightMode
 
 ANGLE = st.floats(-3.1, 3.1)
 CALM = (0.0, 0.0, 0.0)
@@ -38,7 +39,7 @@ def test_small_turns_agree_with_scipy(yaw: float, p: float, q: float, r: float) 
 
 
 def test_half_throttle_hovers() -> None:
-    body = Airframe(0.0)
+    body = Airframe(0.0, 0.17)
     body.d = -10.0
     body.rotors = [0.5] * 4
     for _ in range(500):
@@ -47,7 +48,7 @@ def test_half_throttle_hovers() -> None:
 
 
 def test_it_falls_to_the_ground_and_stays_there() -> None:
-    body = Airframe(1.0)
+    body = Airframe(1.0, 0.17)
     body.d = -2.0
     for _ in range(500):
         body.step((0.0, 0.0, 0.0, 0.0), (5.0, 3.0, 0.0), 0.004)
@@ -63,7 +64,7 @@ def test_it_falls_to_the_ground_and_stays_there() -> None:
 def test_rotors_turn_it_the_way_px4s_quad_x_does(
     rotors: tuple[float, float, float, float], axis: str
 ) -> None:
-    body = Airframe(0.0)
+    body = Airframe(0.0, 0.17)
     body.d = -10.0
     for _ in range(20):
         body.step(rotors, CALM, 0.004)
@@ -111,7 +112,7 @@ def test_the_barometer_drifts_by_what_was_asked_in_ten_minutes() -> None:
     ends = []
     for seed in range(60):
         sensors = Sensors(random.Random(seed), 0.0, 2.0, 0.0)
-        body = Airframe(0.0)
+        body = Airframe(0.0, 0.17)
         ends.append([sensors.baro_height_m(body, 1.0) for _ in range(600)][-1])
     assert statistics.pstdev(ends) == pytest.approx(2.0, rel=0.25)
 
@@ -139,7 +140,7 @@ def test_begun_in_the_air_it_flies_on_steadily(wind_m_s: float) -> None:
     bench = Bench(wind_m_s=wind_m_s)
     bench.run(2.0)
     vehicle, body = bench.vehicle, bench.vehicle.body
-    vehicle.begin_in_flight((100.0, -50.0, -50.0), (4.0, -4.0, 0.0), 1.0, NavState.OFFBOARD)
+    vehicle.begin_in_flight((100.0, -50.0, -50.0), (4.0, -4.0, 0.0), 1.0, FlightMode.OFFBOARD)
     bench.vision, bench.velocity = True, (4.0, -4.0, 0.0)
     for second in range(1, 11):
         bench.run(1.0)

@@ -6,8 +6,10 @@ import math
 import pytest
 from px4_bench import Bench
 
-from vwnav.sim.px4.config import PilotPlan
-from vwnav.sim.px4.modes import NavState, Result, Setpoint
+from vwnav.sim.config import PilotPlan
+from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.multirotor.setpoint import Setpoint
+from vwnav.sim.px4.modes import NavState
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def hovering(hovering_once: Bench) -> Bench:
 
 def set_parameter(bench: Bench, name: str, value: float) -> None:
     bench.vehicle.parameters._values[name] = value
-    bench.vehicle.controller.refresh()
+    bench.vehicle.handle_parameter()
 
 
 def test_it_does_not_arm_without_a_position() -> None:
@@ -33,7 +35,7 @@ def test_it_does_not_arm_without_a_position() -> None:
 
 
 def test_px4s_own_defaults_ignore_vision() -> None:
-    bench = Bench(px4_defaults=True)
+    bench = Bench(autopilot_defaults=True)
     bench.get_ready()
     assert not bench.vehicle.estimator.fusing
     assert bench.arm() is Result.TEMPORARILY_REJECTED
@@ -264,7 +266,7 @@ def test_a_zero_setpoint_does_not_lift_it_off_the_ground() -> None:
     bench.offboard()
     bench.run(3.0)
     assert bench.vehicle.body.d == 0.0
-    bench.vehicle.set_offboard(Setpoint(vn_m_s=0.0, ve_m_s=0.0, vd_m_s=-1.0))
+    bench.vehicle.set_target(Setpoint(vn_m_s=0.0, ve_m_s=0.0, vd_m_s=-1.0))
     bench.velocity = (0.0, 0.0, -1.0)
     bench.run(4.0)
     assert bench.vehicle.body.d < -1.0

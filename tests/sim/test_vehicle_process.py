@@ -92,7 +92,8 @@ def test_it_dies_with_its_parent(tmp_path: Path) -> None:
 def test_help_names_its_options() -> None:
     done = run_command("--help")
     assert done.returncode == 0
-    for option in ("--wind-m-s", "--speed", "--px4-defaults", "--pilot-switch-at-s", "--param"):
+    options = ("--manners", "--wind-m-s", "--autopilot-defaults", "--pilot-switch-at-s", "--param")
+    for option in options:
         assert option in done.stdout
 
 

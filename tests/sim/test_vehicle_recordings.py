@@ -1,28 +1,19 @@
 """Conformance of the simulated vehicle with recordings of the real PX4 1.18."""
 
-import gzip
-import os
-import struct
 from collections import Counter
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 import pytest
 from px4_bench import Bench
 from pymavlink.dialects.v20 import development as mavlink
 from test_vehicle_session import Talk
+from tlogs import RECORDS, needs, packets, recorded
 
 from vwnav.sim.px4 import messages
 from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.streams import COMPANION_RATES
 
-DATA = Path(os.environ.get("VWNAV_DATA", Path(__file__).parents[3] / "shared" / "data"))
-RECORDS = DATA / "mavlink"
 NOMINAL, VISION = "px4-1.18_nominal", "px4-1.18_vpe_nogps_from_boot"
-pytestmark = pytest.mark.skipif(
-    not (RECORDS / f"{NOMINAL}.tlog.gz").exists(), reason="needs the recordings of VWNAV_DATA"
-)
+pytestmark = needs(NOMINAL)
 # What the simulated vehicle leaves out: nothing in it feeds a navigator.
 LEFT_OUT = {
     "OPEN_DRONE_ID_LOCATION",
@@ -39,27 +30,6 @@ LEFT_OUT = {
     "UNKNOWN_514",  # ESTIMATOR_SENSOR_FUSION_STATUS
 }
 ON_REQUEST = {"DISTANCE_SENSOR", "GPS_RAW_INT", "HIL_STATE_QUATERNION"}
-
-
-@cache
-def packets(name: str) -> tuple[tuple[float, int, bytes], ...]:
-    """(seconds, message number, packet) of everything the autopilot sent."""
-    data = gzip.decompress((RECORDS / f"{name}.tlog.gz").read_bytes())
-    found, at = [], 0
-    while at + 20 < len(data):
-        stamp_s = struct.unpack(">Q", data[at : at + 8])[0] * 1e-6
-        packet = data[at + 8 : at + 20 + data[at + 9]]
-        at += 8 + len(packet)
-        if packet[6] == 1:
-            found.append((stamp_s, int.from_bytes(packet[7:10], "little"), packet))
-    return tuple((stamp_s - found[0][0], number, packet) for stamp_s, number, packet in found)
-
-
-def recorded(name: str, number: int) -> list[tuple[float, Any]]:
-    """(seconds, message) of one kind."""
-    parser = mavlink.MAVLink(None)
-    ours = [(t_s, packet) for t_s, kind, packet in packets(name) if kind == number]
-    return [(t_s, parser.parse_buffer(packet)[0]) for t_s, packet in ours]
 
 
 def kind_of(number: int) -> str:
@@ -124,7 +94,7 @@ def flags_of(bench: Bench) -> int:
 
 def gps_hoped_for() -> Bench:
     """As in the recording: PX4's defaults, but vision on and the barometer for height."""
-    return Bench(px4_defaults=True, parameters=(("EKF2_EV_CTRL", 1), ("EKF2_HGT_REF", 0)))
+    return Bench(autopilot_defaults=True, parameters=(("EKF2_EV_CTRL", 1), ("EKF2_HGT_REF", 0)))
 
 
 def test_estimator_flags_go_through_the_recorded_values() -> None:

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.errors import ConfigError
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.link import parse_url
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.mavlink.link import parse_url
+from vwnav.sim.mavlink.timesync import Timesync
 from vwnav.sim.px4.px4 import SimulatedPx4
 from vwnav.sim.px4.session import Session
-from vwnav.sim.px4.streams import BUILDERS, COMPANION_RATES, Schedule
-from vwnav.sim.px4.timesync import Timesync
+from vwnav.sim.px4.streams import BUILDERS, COMPANION_RATES, schedule_of
 
 FLOAT = st.floats(width=32) | st.sampled_from([0.0, 1.0, math.nan, math.inf, 3.4e38, -3.4e38])
 COMMANDS = [16, 17, 20, 21, 22, 176, 178, 179, 192, 246, 300, 400, 410, 510, 511, 512, 520, 611]
@@ -44,7 +44,7 @@ class Talk:
     def __init__(self, **config: Any) -> None:
         self.vehicle = SimulatedPx4(VehicleConfig(**config))
         self.link = FakeLink()
-        schedule = Schedule(COMPANION_RATES)
+        schedule = schedule_of(COMPANION_RATES)
         clock = self.now_s
         self.session = Session(self.link, self.vehicle, schedule, clock, True)
         self._client = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)

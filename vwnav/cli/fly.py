@@ -3,8 +3,11 @@
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import get_args
 
 import typer
+
+from vwnav.sim.config import Manners
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +28,7 @@ class FlyOptions:
     truth: str | None
     home: str | None
     home_sigma_m: float
+    manners: Manners
     wind_m_s: float
     seed: int
     model: Path | None
@@ -75,6 +79,7 @@ def fly(
     ),
     home: str | None = typer.Option(None, help="LAT,LON of the take-off; the route's home if not."),
     home_sigma_m: float = typer.Option(5.0, min=0.5, help="How well home is known."),
+    manners: str = typer.Option("px4", help="With --sim: the vehicle's, px4 or copter."),
     wind_m_s: float = typer.Option(5.0, min=0.0, max=15.0, help="With --sim: mean wind, gusty."),
     seed: int = typer.Option(1, help="With --sim: of wind and sensor noise."),
     model: Path | None = typer.Option(
@@ -89,6 +94,7 @@ def fly(
 
     Examples:
     vwnav fly --sim
+    vwnav fly --sim --manners copter
     vwnav fly --map field.mbtiles --route field.plan --camera cam.toml --video /dev/video0
     --connection serial:///dev/ttyAMA0:921600
     """
@@ -99,6 +105,8 @@ def fly(
         raise typer.BadParameter(f"without --sim a flight needs {', '.join(missing)}")
     if realtime and not sim:
         raise typer.BadParameter("--realtime goes with --sim: elsewhere time waits for nobody")
+    if manners not in get_args(Manners):
+        raise typer.BadParameter(f"--manners is {' or '.join(get_args(Manners))}, not {manners!r}")
     if route_frame not in ("local", "global"):
         raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
     if standby:  # started by the watchdog

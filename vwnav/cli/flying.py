@@ -126,7 +126,7 @@ def fly_route(options: FlyOptions) -> None:
         if options.sim:
             site = parse_site(options.video or DEFAULT_SITE)
             link, truth_url = start_embedded_vehicle(
-                site, options.wind_m_s, options.seed, clock, stack
+                site, options.manners, options.wind_m_s, options.seed, clock, stack
             )
         assert link is not None
         # An embedded simulation ends with its navigator: there is nothing left to succeed in.

@@ -12,8 +12,8 @@ from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.builder import BuildOptions, build_pack
+from vwnav.sim.config import Manners, VehicleConfig
 from vwnav.sim.lens import RenderConfig
-from vwnav.sim.px4.config import VehicleConfig
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site, generator_fingerprint
 from vwnav.sim.sites import (
@@ -57,7 +57,7 @@ def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:
 
 
 def start_embedded_vehicle(
-    site: Site, wind_m_s: float, seed: int, clock: Clock, stack: ExitStack
+    site: Site, manners: Manners, wind_m_s: float, seed: int, clock: Clock, stack: ExitStack
 ) -> tuple[str, str]:
     """Start the simulated vehicle at the site's home.
 
@@ -66,6 +66,7 @@ def start_embedded_vehicle(
     """
     link, truth = free_ports(2)
     config = VehicleConfig(
+        manners=manners,
         home_lat_deg=site.home_lat_deg,
         home_lon_deg=site.home_lon_deg,
         companion_url=f"udpout:127.0.0.1:{link}",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.rotations import rotation_from_quat
-from vwnav.sim.px4.airframe import Airframe
+from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array, Frame
 

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.clock import Clock, WallClock
 from vwnav.errors import ConfigError, LinkError
-from vwnav.sim.px4.link import datagram_parser
+from vwnav.sim.mavlink.link import datagram_parser
 
 _log = logging.getLogger(__name__)
 _HISTORY_S = 5.0

@@ -1,4 +1,4 @@
-"""The simulated vehicle as a process that speaks MAVLink 2 over UDP as PX4 does.
+"""The simulated vehicle as a process that speaks MAVLink 2 over UDP as PX4 or ArduCopter does.
 
 `python -m vwnav.sim.vehicle --help`, or `start_vehicle(config)` from a program.
 """
@@ -18,11 +18,10 @@ from typing import Self
 from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.pace import clock_of
-from vwnav.sim.px4.config import PilotPlan, VehicleConfig
-from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import UdpLink
+from vwnav.sim.config import PilotPlan, VehicleConfig
+from vwnav.sim.core import Peer, Role, VehicleCore
+from vwnav.sim.mavlink.link import UdpLink
 from vwnav.sim.px4.px4 import STEP_S
-from vwnav.sim.px4.streams import COMPANION_RATES, GROUND_RATES, truth_rates
 
 __all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start_vehicle"]
 
@@ -36,6 +35,7 @@ _STOP_TIMEOUT_S = 5.0
 
 
 _HELP = {
+    "manners": "px4 or copter: whose ways it has",
     "home_lat_deg": "where it stands",
     "home_lon_deg": "where it stands",
     "home_alt_amsl_m": "height of the ground above mean sea level",
@@ -56,11 +56,11 @@ _HELP = {
     "battery_start": "charge at start, 0..1",
     "battery_drain_s": "seconds in flight from full to empty",
     "clock_file": "file of a simulated time that waits for it (vwnav.pace), '' for the wall clock",
-    "px4_defaults": "start with PX4's own parameters: GPS expected, vision ignored",
+    "autopilot_defaults": "start with the autopilot's own parameters: GPS expected, vision ignored",
 }
 _PILOT_HELP = {
     "takes_over_at_s": "pushes the stick forward at T",
-    "switch_at_s": "flips the mode switch to Position at T",
+    "switch_at_s": "flips the mode switch to Position (ArduCopter: Loiter) at T",
     "rc_lost_at_s": "switches the transmitter off at T",
     "rc_back_at_s": "switches it on again at T",
 }
@@ -74,14 +74,14 @@ class VehicleServer:
         self._clock: Clock = clock_of(config.clock_file)
         self._links: list[UdpLink] = []
         peers = []
-        for url, rates, asks_time in (
-            (config.companion_url, COMPANION_RATES, True),
-            (config.ground_url, GROUND_RATES, False),
-            (config.truth_url, truth_rates(config.truth_rate_hz), False),
+        for url, role in (
+            (config.companion_url, Role.COMPANION),
+            (config.ground_url, Role.GROUND),
+            (config.truth_url, Role.TRUTH),
         ):
             if url:
                 self._links.append(UdpLink(url, config.system_id))
-                peers.append(Peer(self._links[-1], rates, asks_time))
+                peers.append(Peer(self._links[-1], role))
         self._core = VehicleCore(config, peers, lambda: self._clock() * config.speed)
 
     def run(self, keep_on: Callable[[], bool]) -> None:
@@ -200,7 +200,7 @@ def _parser() -> argparse.ArgumentParser:
     """One option per field of VehicleConfig and PilotPlan."""
     parser = argparse.ArgumentParser(
         prog="python -m vwnav.sim.vehicle",
-        description="A simulated quadrotor that speaks MAVLink 2 over UDP as PX4 does.",
+        description="A simulated quadrotor that speaks MAVLink 2 over UDP as PX4 or ArduCopter.",
         epilog="Example: python -m vwnav.sim.vehicle --wind-m-s 5 --param COM_OBL_RC_ACT=5",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
@@ -211,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
         if field.type is bool:
             parser.add_argument(option, action="store_true", help=text)
         else:
-            kind = field.type if field.type in (int, str) else float
+            kind = type(field.default) if isinstance(field.default, (int, str)) else float
             metavar = "URL" if field.name.endswith("_url") else "X"
             parser.add_argument(
                 option, type=kind, default=field.default, help=text, metavar=metavar

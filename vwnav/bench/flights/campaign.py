@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav import __version__
 from vwnav.bench.flights.scenario import Scenario
-from vwnav.bench.flights.world import Setup
+from vwnav.bench.flights.setup import Setup
 from vwnav.errors import RouteError
 from vwnav.sim.site import FIRST_TRAINING_SEED
 from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M, SITE_PREFIX

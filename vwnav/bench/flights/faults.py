@@ -320,7 +320,7 @@ class BatteryAt:
 
 @dataclass(frozen=True)
 class PilotSwitches:
-    """The pilot flips the mode switch to Position and flies."""
+    """The pilot flips the mode switch to Position, Loiter on ArduCopter, and flies."""
 
     def begin(self, world: World) -> None:
         """Flipped."""

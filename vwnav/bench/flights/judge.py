@@ -13,7 +13,7 @@ from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog
 from vwnav.rules.rule import check
 from vwnav.rules.table import RULES
-from vwnav.sim.px4.modes import STICK_STATES
+from vwnav.types import FlightMode
 
 _GOES_ON = {
     Phase.TAKEOFF: (Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE),
@@ -63,7 +63,7 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
             return [f"it landed {off_m:.1f} m off, {bound_m:.0f} m are allowed"]
         case Ending.FLIES_ON if not _flies_on(flown):
             return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
-        case Ending.PILOT if last.mode not in STICK_STATES:
+        case Ending.PILOT if last.mode is not FlightMode.MANUAL:
             return [f"the pilot does not have it: {_where(last)}"]
         case Ending.STAYED if flew:
             return [f"it took off: {_where(last)}"]
@@ -104,13 +104,18 @@ def _broken_rules(flown: Flown, log: FlightLog) -> list[str]:
     ]
 
 
+def _pilot_flies(truth: Truth) -> bool:
+    """In a mode of the sticks; disarmed it means nothing, ArduCopter boots in one."""
+    return truth.armed and truth.mode is FlightMode.MANUAL
+
+
 def _fastest(track: Track, flown: Flown) -> float:
     """Over the ground, from the fault on and while nobody else steers."""
     since_s = (flown.broke_s or 0.0) + flown.world.begun_s
     speeds = [
         math.hypot(*each.velocity_ned_m_s[:2].tolist())
         for each in track.truth
-        if each.t_s >= since_s and each.mode not in STICK_STATES
+        if each.t_s >= since_s and not _pilot_flies(each)
     ]
     return max(speeds, default=0.0)
 

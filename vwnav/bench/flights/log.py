@@ -18,7 +18,6 @@ from vwnav.rules.flight_log import (
     Vector,
     Vehicle,
 )
-from vwnav.safety.flight_modes import AutopilotKind, flight_mode
 from vwnav.types import Array, MapFix, OdometryMotion
 
 
@@ -32,7 +31,7 @@ def flight_log(flown: Flown) -> FlightLog:
         vehicle=[
             Vehicle(
                 row.t_s,
-                flight_mode(AutopilotKind.PX4, row.mode.custom_mode),
+                row.mode,
                 row.armed,
                 not row.on_ground,
                 row.battery_ratio,

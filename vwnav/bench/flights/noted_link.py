@@ -5,7 +5,7 @@ from typing import Any
 from vwnav.bench.flights.track import Track
 from vwnav.rules.flight_log import Answer, Beat, Command, ParameterSet, Sent, Setpoint
 from vwnav.sim.clock import SimulatedClock
-from vwnav.sim.px4.link import ByteLink
+from vwnav.sim.mavlink.link import ByteLink
 
 
 class NotedLink(ByteLink):

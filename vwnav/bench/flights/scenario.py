@@ -9,8 +9,9 @@ from pathlib import Path
 from vwnav.bench.flights import faults
 from vwnav.bench.flights.faults import Fault
 from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Track
-from vwnav.bench.flights.world import Setup, World
+from vwnav.bench.flights.world import World
 from vwnav.mission import FlightEnd, Phase
 from vwnav.rules.temporal import Span
 

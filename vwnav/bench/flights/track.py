@@ -4,8 +4,7 @@ import bisect
 from dataclasses import dataclass, field, replace
 
 from vwnav.rules.flight_log import Answer, At, Beat, Command, ParameterSet, Sent, Setpoint
-from vwnav.sim.px4.modes import NavState
-from vwnav.types import Array
+from vwnav.types import Array, FlightMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -15,7 +14,7 @@ class Truth:
     t_s: float
     position_ned_m: Array
     velocity_ned_m_s: Array
-    mode: NavState
+    mode: FlightMode
     armed: bool
     on_ground: bool
     battery_ratio: float = 1.0

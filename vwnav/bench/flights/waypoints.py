@@ -13,7 +13,7 @@ import numpy as np
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import Ending, Flown, Scenario, fly
-from vwnav.bench.flights.world import AirStart, Setup
+from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.resampling import interval
 from vwnav.mission import Phase
 from vwnav.types import FeatureName, MapFix, Rejected, RejectReason

@@ -2,31 +2,29 @@
 
 import random
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
 from vwnav.bench.flights.noted_link import NotedLink
 from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Heard, Track, Truth
-from vwnav.config import Config
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission import Mission, Phase
 from vwnav.rules.flight_log import At
 from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
+from vwnav.sim.config import PilotPlan, VehicleConfig
+from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.processor import Costs, Processor
-from vwnav.sim.px4.config import PilotPlan, VehicleConfig
-from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.modes import NavState, Setpoint
 from vwnav.sim.px4.px4 import STEP_S
-from vwnav.sim.px4.streams import COMPANION_RATES
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Array, Estimate, FeatureExtractor, Features, Gray
@@ -38,54 +36,6 @@ _LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
 _LATENCY_S = 0.002
 _CAMERA_LATENCY_S = 0.04
-# As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
-_PARAMETERS: tuple[tuple[str, float], ...] = (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AirStart:
-    """A flight that begins in the air, in Offboard: NED about home.
-
-    Attributes:
-        phase: where the mission stands; None: the program is started while somebody else flies.
-        mode: what the vehicle flies then.
-    """
-
-    phase: Phase | None
-    place_ned_m: tuple[float, float, float]
-    velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mode: NavState = NavState.OFFBOARD
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
-    """Everything about a flight but what breaks in it.
-
-    Attributes:
-        start: None begins on the ground.
-        route_ned_m: waypoints about home.
-        stands_ne_m: where it stands, about the site's home.
-        home_known: False: the program is not told where it stands.
-        rc_on: a pilot holds a radio.
-        vehicle_rate: seconds of the vehicle's clock per second.
-    """
-
-    seed: int = 1
-    start: AirStart | None = None
-    route_ned_m: tuple[tuple[float, float, float], ...] = (
-        (60.0, -60.0, -50.0),
-        (130.0, 0.0, -50.0),
-        (50.0, 70.0, -50.0),
-    )
-    stands_ne_m: tuple[float, float] = (0.0, 0.0)
-    home_known: bool = True
-    wind_m_s: float = 4.0
-    wind_from_deg: float = 250.0
-    rc_on: bool = False
-    vehicle_rate: float = 1.0
-    picture_hz: float = 10.0
-    parameters: tuple[tuple[str, float], ...] = ()
-    config: Config = field(default_factory=Config)
 
 
 class BreakableFeatures:
@@ -139,17 +89,18 @@ class World:
         frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
         lat_deg, lon_deg, _ = frame.to_geodetic(self._stands_ned_m)
         config = VehicleConfig(
+            manners=setup.manners,
             home_lat_deg=float(lat_deg),
             home_lon_deg=float(lon_deg),
             home_alt_amsl_m=0.0,
             seed=setup.seed,
             wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg,
-            parameters=(*_PARAMETERS, *setup.parameters),
+            parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on),
         )
         link = NotedLink(self.autopilot_link.a, self.clock, self.track)
-        peer = Peer(link, COMPANION_RATES, True)
+        peer = Peer(link, Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_rate * self.clock())
 
     def _watchdog(self) -> Watchdog:
@@ -230,7 +181,7 @@ class World:
         """In Offboard, before the mission steers."""
         vn, ve, vd = start.velocity_ned_m_s
         yaw_rad = self.core.vehicle.estimator.attitude.yaw_rad
-        self.core.vehicle.set_offboard(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
+        self.core.vehicle.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
 
     def _lift(self, start: AirStart) -> None:
         """The vehicle flies steadily, a little before its place."""
@@ -310,7 +261,7 @@ class World:
                 t_s,
                 self._stands_ned_m + np.array([body.n, body.e, body.d]),
                 np.array([body.vn, body.ve, body.vd]),
-                vehicle.commander.state,
+                vehicle.flight_mode,
                 vehicle.commander.armed,
                 body.on_ground,
                 vehicle.battery.remaining,

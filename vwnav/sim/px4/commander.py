@@ -2,18 +2,11 @@
 
 from collections.abc import Callable
 
+from vwnav.sim.mavlink.enums import Landed, Result, Severity
 from vwnav.sim.px4.failsafe import Failsafe, Health
-from vwnav.sim.px4.modes import (
-    POSITION_STATES,
-    STICK_STATES,
-    Landed,
-    NavState,
-    Result,
-    Severity,
-)
+from vwnav.sim.px4.modes import POSITION_STATES, STICK_STATES, NavState
 from vwnav.sim.px4.parameters import Parameters
 
-FORCE_MAGIC = 21196  # param2 of MAV_CMD_COMPONENT_ARM_DISARM
 _NOT_ARMABLE = frozenset({NavState.RETURN, NavState.LAND, NavState.DESCEND})
 _GONE = ("no position", "heading estimate invalid", "horizontal position unstable")
 _REPEAT_S = 2.0

@@ -4,27 +4,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.sim.px4.commander import FORCE_MAGIC
-from vwnav.sim.px4.modes import NavState, Result, state_of_custom_mode
+from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
+from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.schedule import Schedule
+from vwnav.sim.px4.modes import NavState, state_of_custom_mode
 from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.px4.streams import Schedule
 
 MESSAGE_INTERVAL = 244
 _CUSTOM_MODE_ENABLED = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """One command; x and y are degrees when they are a place, NaN is not given."""
-
-    number: int
-    p1: float
-    p2: float
-    p3: float
-    p4: float
-    x: float
-    y: float
-    z: float
 
 
 @dataclass(slots=True)
@@ -91,18 +78,8 @@ def _set_mode(command: Command, context: Context) -> Result:
     return context.vehicle.commander.ask(wanted, context.vehicle.health)
 
 
-def is_place(lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bool:
-    """Whether these can be a place on earth; False for NaN."""
-    return abs(lat_deg) < 90.0 and abs(lon_deg) <= 180.0 and abs(alt_amsl_m) < 1e5
-
-
-def _message_id(value: float) -> int | None:
-    """A message number as MESSAGE_INTERVAL can carry it."""
-    return int(value) if 0.0 <= value < 65536.0 else None
-
-
 def _set_interval(command: Command, context: Context) -> Result:
-    number = _message_id(command.p1)
+    number = message_id(command.p1)
     known = number is not None and context.schedule.set_interval(
         number, command.p2, context.vehicle.t_s
     )
@@ -110,7 +87,7 @@ def _set_interval(command: Command, context: Context) -> Result:
 
 
 def _request(command: Command, context: Context) -> Result:
-    number = _message_id(command.p1)
+    number = message_id(command.p1)
     if number is None:
         return Result.DENIED
     context.send_now.append(number)
@@ -123,7 +100,7 @@ def _request_version(_: Command, context: Context) -> Result:
 
 
 def _get_interval(command: Command, context: Context) -> Result:
-    if _message_id(command.p1) is None:
+    if message_id(command.p1) is None:
         return Result.DENIED
     context.send_now.append(MESSAGE_INTERVAL)
     return Result.ACCEPTED

@@ -6,27 +6,20 @@ steady disagreement resets after 2.5 s, and an origin set while vision is fused 
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.sim.px4.airframe import GRAVITY_M_S2
-from vwnav.sim.px4.attitude_filter import AttitudeFilter
-from vwnav.sim.px4.axis_filter import AxisFilter
+from vwnav.sim.multirotor.inertial_filter import InertialFilter
 from vwnav.sim.px4.parameters import Parameters
-from vwnav.sim.px4.sensors import Imu
 
 EV_HORIZONTAL, EV_HEIGHT, EV_VELOCITY, EV_YAW = 1, 2, 4, 8
 HEIGHT_FROM_VISION = 3
 _MAX_GAP_S = 0.2  # EKF2's EV_MAX_INTERVAL
 _RESTART_S = 0.2  # of steady vision after the position was lost: recorded 0.25 to 0.3 s
 _RESET_AFTER_S = 2.5  # of refused vision: a silent 5 m jump was followed in 3 s
-_HISTORY_STEP_S = 0.02
-_HISTORY = 40
 _TILT_TIME_S = 10.0
 _SPHERE_RADIUS_M = 6371000.0
-_ALIGNED_M, _ALIGNED_M_S = 0.3, 0.2  # what a filter on vision knows of its place and velocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +41,13 @@ class VisionSample:
     turned_frame: bool  # LOCAL_FRD: its north is the vehicle's nose at start, not north
 
 
-class Estimator:
-    """Position, velocity and attitude of the vehicle as it believes them, NED about its origin."""
+class Estimator(InertialFilter):
+    """As EKF2."""
 
     def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: Parameters) -> None:
+        super().__init__(heading_rad, alt_amsl_m)
         self._parameters = parameters
-        self.attitude = AttitudeFilter(heading_rad)
-        self.north, self.east, self.down = AxisFilter(14.0), AxisFilter(14.0), AxisFilter(2.6)
-        self.alt_amsl_m = alt_amsl_m  # of the local frame's zero
-        self.start_alt_amsl_m = alt_amsl_m
-        self.origin: LocalFrame | None = None
-        self.origin_t_s = -math.inf
         self._wrecked_m = (0.0, 0.0)
-        self.fusing = False
-        self.reset_counter = 0
-        self.t_s = 0.0
         self.test_ratio = 0.0
         self._last_fused_s = -math.inf
         self._last_sample_s = -math.inf
@@ -71,8 +56,6 @@ class Estimator:
         self._refused_since_s: float | None = None
         self._vision_reset_counter: int | None = None
         self._baro_bias_m = 0.0
-        self._history: deque[tuple[float, float, float, float]] = deque(maxlen=_HISTORY)
-        self._grow_s = 0.0
 
     @property
     def local_position_ok(self) -> bool:
@@ -99,11 +82,6 @@ class Estimator:
         """The origin came while vision was fused: the position is thousands of km off."""
         return self._wrecked_m != (0.0, 0.0)
 
-    @property
-    def sigma_horizontal_m(self) -> float:
-        """One sigma of the horizontal position (eph)."""
-        return math.hypot(self.north.sigma_m, self.east.sigma_m)
-
     def align(
         self,
         place_ned_m: tuple[float, float, float],
@@ -112,54 +90,24 @@ class Estimator:
         gyro_bias_rad_s: Sequence[float],
     ) -> None:
         """Know where it is, as after a flight on vision that came until now."""
-        axes = (AxisFilter(_ALIGNED_M), AxisFilter(_ALIGNED_M), AxisFilter(_ALIGNED_M))
-        for axis, place_m, speed_m_s in zip(axes, place_ned_m, velocity_ned_m_s, strict=True):
-            axis.x, axis.v, axis.p11 = place_m, speed_m_s, _ALIGNED_M_S**2
-        self.north, self.east, self.down = axes
-        self.attitude.align(quat_wxyz, gyro_bias_rad_s)
-        self.fusing = True
+        super().align(place_ned_m, velocity_ned_m_s, quat_wxyz, gyro_bias_rad_s)
         self._last_fused_s = self._last_sample_s = self.t_s
         self._refused_since_s = None
-        self._history.clear()
-
-    def propagate(self, imu: Imu, t_s: float, dt_s: float, on_ground: bool) -> None:
-        """Advance by one inertial sample that ends at `t_s`."""
-        self.t_s = t_s
-        self.attitude.step(imu, on_ground, self.fusing, dt_s)
-        fn, fe, fd = self.attitude.specific_force_ned(imu)
-        self.north.predict(fn, dt_s)
-        self.east.predict(fe, dt_s)
-        self.down.predict(fd + GRAVITY_M_S2, dt_s)
-        self._grow_s += dt_s
-        if self._grow_s >= _HISTORY_STEP_S:
-            self._maintain(self._grow_s, on_ground)
-            self._grow_s = 0.0
 
     def _maintain(self, dt_s: float, on_ground: bool) -> None:
-        north, east, down = self.north, self.east, self.down
-        for axis in (north, east, down):
-            axis.grow(dt_s)
-        self._history.append((self.t_s, north.x, east.x, down.x))
+        north, east = self.north, self.east
         if self.fusing and self.t_s - self._last_sample_s > _MAX_GAP_S:
             self.fusing = False
         if on_ground:
-            for axis in (north, east, down):
-                axis.fuse_velocity(-axis.v, 0.1**2)  # zero velocity update
+            self._stand()
             if not self.local_position_ok:
                 north.fuse_position(-north.x, 0.5**2)  # EKF2's fake position
                 east.fuse_position(-east.x, 0.5**2)
         elif self.local_position_ok:
-            self._level(dt_s)
+            self._level(dt_s, _TILT_TIME_S)
         else:
             north.fuse_velocity(-north.v, 3.0**2)
             east.fuse_velocity(-east.v, 3.0**2)
-
-    def _level(self, dt_s: float) -> None:
-        """Move the steady error of horizontal acceleration into the tilt it comes from."""
-        share = dt_s / _TILT_TIME_S
-        self.attitude.tilt(share * self.east.b / GRAVITY_M_S2, -share * self.north.b / GRAVITY_M_S2)
-        self.north.b -= share * self.north.b
-        self.east.b -= share * self.east.b
 
     def handle_baro(self, height_m: float) -> None:
         """Fuse a barometric height over the start place."""
@@ -276,25 +224,8 @@ class Estimator:
         return since_s is not None and self.t_s - since_s > _RESET_AFTER_S
 
     def _reset_to(self, north_m: float, east_m: float, variance_m2: float) -> None:
-        self.north.reset_position(north_m, variance_m2)
-        self.east.reset_position(east_m, variance_m2)
+        super()._reset_to(north_m, east_m, variance_m2)
         self._refused_since_s = None
-        self.reset_counter += 1
-        self._history.clear()
-
-    def _moved_since(self, t_s: float) -> tuple[float, float, float]:
-        """How far the state went from `t_s` until now."""
-        for past_s, north, east, down in reversed(self._history):
-            if past_s <= t_s:
-                return self.north.x - north, self.east.x - east, self.down.x - down
-        return 0.0, 0.0, 0.0
-
-    def geodetic(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude (deg) and altitude (m AMSL), None without an origin."""
-        if self.origin is None:
-            return None
-        lat, lon, alt = self.origin.to_geodetic([self.north.x, self.east.x, self.down.x])
-        return float(lat), float(lon), float(alt)
 
 
 def _from_zero_island(lat_deg: float, lon_deg: float) -> tuple[float, float]:

@@ -1,26 +1,18 @@
 """What each navigation state asks of the controller: PX4's flight tasks, with its speeds."""
 
 import math
-from dataclasses import dataclass
 
-from vwnav.sim.px4.airframe import GRAVITY_M_S2
+from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
+from vwnav.sim.multirotor.motion import Motion
+from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.px4.estimator import Estimator
-from vwnav.sim.px4.modes import NavState, Setpoint
+from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.scripted_pilot import Sticks
 
 _STICK_DEADZONE = 0.05
 _REACHED_M = 0.4  # vertical: the take-off is over
 _HOME_RADIUS_M = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Sticks:
-    """The pilot's sticks: roll, pitch (forward positive), yaw -1..1, throttle 0..1."""
-
-    roll: float = 0.0
-    pitch: float = 0.0
-    yaw: float = 0.0
-    throttle: float = 0.5
 
 
 class FlightTasks:
@@ -39,10 +31,7 @@ class FlightTasks:
         self.finished = False
         self.landing = False
         self._state = NavState.HOLD
-        self._anchor: tuple[float, float] | None = None
-        self._anchor_down_m: float | None = None
-        self._yaw_rad: float | None = None
-        self._vn = self._ve = self._vd = 0.0
+        self._motion = Motion()
         self._since_s = 0.0
         self._climbed = False
 
@@ -51,9 +40,7 @@ class FlightTasks:
         self._state = state
         self.finished = self._climbed = False
         self.landing = state in (NavState.LAND, NavState.DESCEND)
-        self._anchor = self._anchor_down_m = None
-        self._yaw_rad = estimate.attitude.yaw_rad
-        self._vn, self._ve, self._vd = estimate.north.v, estimate.east.v, estimate.down.v
+        self._motion.begin(estimate)
         self._since_s = 0.0
 
     def step(
@@ -79,7 +66,9 @@ class FlightTasks:
                 return self._land(estimate, dt_s)
             case NavState.DESCEND:
                 speed = self._parameters["MPC_LAND_SPEED"]
-                return Setpoint(vd_m_s=speed, an_m_s2=0.0, ae_m_s2=0.0, yaw_rad=self._yaw_rad)
+                return Setpoint(
+                    vd_m_s=speed, an_m_s2=0.0, ae_m_s2=0.0, yaw_rad=self._motion.yaw_rad
+                )
             case NavState.POSITION:
                 return self._position(estimate, sticks, landed, dt_s)
             case NavState.ALTITUDE | NavState.STABILIZED | NavState.MANUAL:
@@ -99,8 +88,8 @@ class FlightTasks:
         target = self.takeoff_down_m
         if ready_s < 0.0 or target is None:
             return Setpoint(idle=True)
-        if landed or self._anchor is None:
-            self._anchor = (estimate.north.x, estimate.east.x)
+        if landed or self._motion.anchor is None:
+            self._motion.anchor = (estimate.north.x, estimate.east.x)
         ramp = min(1.0, ready_s / max(0.1, self._parameters["MPC_TKO_RAMP_T"]))
         # PX4's TakeoffHandling: from the speed error at which the thrust is zero
         start = -GRAVITY_M_S2 / max(0.1, self._parameters["MPC_Z_VEL_P_ACC"])
@@ -110,7 +99,10 @@ class FlightTasks:
         if left_m < 2.0:
             climb = min(climb, max(0.3, left_m))
         return Setpoint(
-            north_m=self._anchor[0], east_m=self._anchor[1], vd_m_s=-climb, yaw_rad=self._yaw_rad
+            north_m=self._motion.anchor[0],
+            east_m=self._motion.anchor[1],
+            vd_m_s=-climb,
+            yaw_rad=self._motion.yaw_rad,
         )
 
     def _hold(self, estimate: Estimator, landed: bool, dt_s: float) -> Setpoint:
@@ -120,30 +112,7 @@ class FlightTasks:
 
     def _brake_and_stay(self, estimate: Estimator, dt_s: float) -> Setpoint:
         """Slow down with MPC_ACC_HOR, then keep the place."""
-        step = self._parameters["MPC_ACC_HOR"] * dt_s
-        if self._anchor is None:
-            speed = math.hypot(self._vn, self._ve)
-            if speed > step:
-                share = 1.0 - step / speed
-                self._vn, self._ve = share * self._vn, share * self._ve
-            else:
-                self._vn = self._ve = 0.0
-                if math.hypot(estimate.north.v, estimate.east.v) < 0.5:
-                    self._anchor = (estimate.north.x, estimate.east.x)
-        if self._anchor_down_m is None:
-            self._vd -= math.copysign(min(abs(self._vd), step), self._vd)
-            if self._vd == 0.0:
-                self._anchor_down_m = estimate.down.x
-        sp = Setpoint(yaw_rad=self._yaw_rad)
-        if self._anchor is None:
-            sp.vn_m_s, sp.ve_m_s = self._vn, self._ve
-        else:
-            sp.north_m, sp.east_m = self._anchor
-        if self._anchor_down_m is None:
-            sp.vd_m_s = self._vd
-        else:
-            sp.down_m = self._anchor_down_m
-        return sp
+        return self._motion.stop_and_stay(estimate, self._parameters["MPC_ACC_HOR"] * dt_s)
 
     def _return(self, estimate: Estimator, landed: bool, dt_s: float) -> Setpoint:
         """Climb over the cone about home, fly there, land (RTL_TYPE 0)."""
@@ -156,17 +125,27 @@ class FlightTasks:
         if self.landing:
             return self._land(estimate, dt_s)
         if distance < _HOME_RADIUS_M and self._climbed:
-            self.landing, self._anchor = True, (self.home[0], self.home[1])
-            self._anchor_down_m = None
+            self.landing, self._motion.anchor = True, (self.home[0], self.home[1])
+            self._motion.anchor_down_m = None
         if not self._climbed:
             sp = self._brake_and_stay(estimate, dt_s)
             sp.down_m, sp.vd_m_s = None, -self._parameters["MPC_Z_V_AUTO_UP"]
-            self._anchor_down_m = min(estimate.down.x, top_m)
+            self._motion.anchor_down_m = min(estimate.down.x, top_m)
             return sp
-        self._steer(dn, de, distance, dt_s)
-        down_m = self._anchor_down_m if self._anchor_down_m is not None else estimate.down.x
-        self._anchor_down_m = down_m
-        return Setpoint(vn_m_s=self._vn, ve_m_s=self._ve, down_m=down_m, yaw_rad=self._yaw_rad)
+        get = self._parameters
+        self._motion.steer(dn, de, get["MPC_XY_CRUISE"], get["MPC_ACC_HOR"], dt_s)
+        down_m = (
+            self._motion.anchor_down_m
+            if self._motion.anchor_down_m is not None
+            else estimate.down.x
+        )
+        self._motion.anchor_down_m = down_m
+        return Setpoint(
+            vn_m_s=self._motion.vn_m_s,
+            ve_m_s=self._motion.ve_m_s,
+            down_m=down_m,
+            yaw_rad=self._motion.yaw_rad,
+        )
 
     def return_height_m(self, distance_m: float) -> float:
         """Height over home to return at: RTL_RETURN_ALT, less inside the cone about home."""
@@ -174,18 +153,6 @@ class FlightTasks:
         cone_rad = math.radians(self._parameters["RTL_CONE_ANG"])
         cone = 0.0 < cone_rad < 0.5 * math.pi
         return min(full, distance_m / math.tan(cone_rad)) if cone else full
-
-    def _steer(self, dn: float, de: float, distance: float, dt_s: float) -> None:
-        """Slew the velocity towards a point, slowing down in time to stop there."""
-        acceleration = self._parameters["MPC_ACC_HOR"]
-        cruise = self._parameters["MPC_XY_CRUISE"]
-        speed = min(cruise, math.sqrt(max(0.0, acceleration) * distance), distance)
-        wn, we = speed * dn / max(distance, 1e-6), speed * de / max(distance, 1e-6)
-        change = math.hypot(wn - self._vn, we - self._ve)
-        share = min(1.0, max(0.0, acceleration) * dt_s / max(change, 1e-6))
-        self._vn += share * (wn - self._vn)
-        self._ve += share * (we - self._ve)
-        self._yaw_rad = math.atan2(de, dn) if distance > 5.0 else self._yaw_rad
 
     def _land(self, estimate: Estimator, dt_s: float) -> Setpoint:
         """Hold the place and come down, slower below MPC_LAND_ALT1."""
@@ -210,10 +177,10 @@ class FlightTasks:
             speed = self._parameters["MPC_VEL_MANUAL"]
             yaw = estimate.attitude.yaw_rad
             cos, sin = math.cos(yaw), math.sin(yaw)
-            self._vn = speed * (cos * forward - sin * right)
-            self._ve = speed * (sin * forward + cos * right)
-            sp.north_m = sp.east_m = self._anchor = None
-            sp.vn_m_s, sp.ve_m_s = self._vn, self._ve
+            self._motion.vn_m_s = speed * (cos * forward - sin * right)
+            self._motion.ve_m_s = speed * (sin * forward + cos * right)
+            sp.north_m = sp.east_m = self._motion.anchor = None
+            sp.vn_m_s, sp.ve_m_s = self._motion.vn_m_s, self._motion.ve_m_s
         self._vertical_and_yaw(sp, sticks, climb)
         return sp
 
@@ -221,12 +188,12 @@ class FlightTasks:
         get = self._parameters
         if climb:
             limit = get["MPC_Z_VEL_MAX_UP"] if climb > 0.0 else get["MPC_Z_VEL_MAX_DN"]
-            self._vd = -climb * limit / 2.0
-            sp.down_m = self._anchor_down_m = None
-            sp.vd_m_s = self._vd
+            self._motion.vd_m_s = -climb * limit / 2.0
+            sp.down_m = self._motion.anchor_down_m = None
+            sp.vd_m_s = self._motion.vd_m_s
         turn = _dead(sticks.yaw)
         if turn:
-            sp.yaw_rad = self._yaw_rad = None
+            sp.yaw_rad = self._motion.yaw_rad = None
             sp.yaw_rate_rad_s = turn * math.radians(get["MPC_MAN_Y_MAX"])
 
     def _tilt(self, estimate: Estimator, sticks: Sticks, landed: bool) -> Setpoint:
@@ -239,7 +206,7 @@ class FlightTasks:
         sp = Setpoint(
             an_m_s2=cos * forward - sin * right,
             ae_m_s2=sin * forward + cos * right,
-            yaw_rad=self._yaw_rad,
+            yaw_rad=self._motion.yaw_rad,
         )
         climb = 2.0 * _dead(2.0 * (sticks.throttle - 0.5))
         if self._state is not NavState.ALTITUDE:
@@ -247,12 +214,12 @@ class FlightTasks:
         elif landed and climb <= 0.0:
             return Setpoint(idle=True)
         elif not climb:
-            if self._anchor_down_m is None:
-                self._anchor_down_m = estimate.down.x
-            sp.down_m = self._anchor_down_m
+            if self._motion.anchor_down_m is None:
+                self._motion.anchor_down_m = estimate.down.x
+            sp.down_m = self._motion.anchor_down_m
         self._vertical_and_yaw(sp, sticks, climb)
         if sp.yaw_rad is None and not sp.yaw_rate_rad_s:
-            self._yaw_rad = yaw
+            self._motion.yaw_rad = yaw
         return sp
 
 

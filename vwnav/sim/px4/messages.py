@@ -9,8 +9,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from vwnav.sim.multirotor.sensors import FIELD_GAUSS, pressure_hpa
 from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.px4.sensors import FIELD_GAUSS, pressure_hpa
 
 Builder = Callable[[SimulatedPx4], Any]
 

@@ -1,7 +1,8 @@
 """PX4's navigation states, their MAVLink numbers, and what each one needs."""
 
-from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import Enum
+
+from vwnav.types import FlightMode
 
 
 class NavState(Enum):
@@ -46,6 +47,15 @@ class NavState(Enum):
         return custom | manual | stabilised
 
 
+STATE_OF: dict[FlightMode, NavState] = {
+    FlightMode.OFFBOARD: NavState.OFFBOARD,
+    FlightMode.TAKEOFF: NavState.TAKEOFF,
+    FlightMode.HOLD: NavState.HOLD,
+    FlightMode.LAND: NavState.LAND,
+    FlightMode.RETURN: NavState.RETURN,
+    FlightMode.DESCEND: NavState.DESCEND,
+    FlightMode.MANUAL: NavState.POSITION,
+}
 COMMANDABLE = tuple(state for state in NavState if state is not NavState.DESCEND)
 STICK_STATES = frozenset(
     {NavState.MANUAL, NavState.ALTITUDE, NavState.POSITION, NavState.STABILIZED}
@@ -66,53 +76,3 @@ def state_of_custom_mode(main: int, sub: int) -> NavState | None:
     """The state a DO_SET_MODE asks for, None when this vehicle does not have it."""
     wanted = (main, sub if main == 4 else 0)
     return next((state for state in COMMANDABLE if state.value == wanted), None)
-
-
-class Landed(IntEnum):
-    """MAV_LANDED_STATE."""
-
-    ON_GROUND = 1
-    IN_AIR = 2
-    TAKEOFF = 3
-    LANDING = 4
-
-
-class Severity(IntEnum):
-    """MAV_SEVERITY, of a text."""
-
-    EMERGENCY = 0
-    CRITICAL = 2
-    WARNING = 4
-    INFO = 6
-
-
-class Result(IntEnum):
-    """MAV_RESULT, of a command."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-
-
-@dataclass(slots=True)
-class Setpoint:
-    """What a flight task asks of the position controller; None leaves that axis to the next loop.
-
-    Position wins over velocity (which is then feed-forward); without either the axis flies the
-    acceleration. `thrust` (0..1) bypasses the vertical loops. `idle` stops the rotors' push.
-    """
-
-    north_m: float | None = None
-    east_m: float | None = None
-    down_m: float | None = None
-    vn_m_s: float | None = None
-    ve_m_s: float | None = None
-    vd_m_s: float | None = None
-    an_m_s2: float | None = None
-    ae_m_s2: float | None = None
-    yaw_rad: float | None = None
-    yaw_rate_rad_s: float | None = None
-    thrust: float | None = None
-    idle: bool = False

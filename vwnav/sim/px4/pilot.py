@@ -1,17 +1,15 @@
-"""The pilot: sticks by MANUAL_CONTROL or by radio, the mode switch, and a scripted pilot."""
+"""The pilot: sticks by MANUAL_CONTROL or by radio, and the mode switch."""
 
 from collections.abc import Sequence
 
-from vwnav.sim.px4.config import PilotPlan
-from vwnav.sim.px4.flight_tasks import Sticks
 from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.scripted_pilot import Sticks
 
 RC_CHANNELS = 8
 _MOVING_SAMPLES = 3  # a step within one frame does not take over, a 0.4 s ramp does
-_RAMP_S, _PUSH_S, _PUSH = 0.4, 3.0, 0.4
 _JOYSTICK_MODES, _RADIO_MODES = (1, 2, 3), (0, 2, 3)  # COM_RC_IN_MODE
-_SWITCH_POSITION_US, _SWITCH_FREE_US = 1000, 2000  # the sixth slot has no mode
+SWITCH_US = (2000, 1000)  # the sixth slot has no mode, the first is Position
 # COM_FLTMODE1..6
 _FLIGHT_MODES = {
     0: NavState.MANUAL,
@@ -128,33 +126,3 @@ class ManualInput:
         self._moving = self._moving + 1 if moved / dt_s > threshold else 0
         if self._moving >= _MOVING_SAMPLES:
             self.took_over = True
-
-
-class ScriptedPilot:
-    """Plays a PilotPlan into a ManualInput at 50 Hz; `plan` may be changed meanwhile."""
-
-    def __init__(self, plan: PilotPlan, manual: ManualInput) -> None:
-        self.plan = plan
-        self._manual = manual
-
-    def step(self, t_s: float) -> None:
-        """Send the channels of `t_s`, nothing while the radio is off."""
-        plan = self.plan
-        if not plan.rc_on or self._off(t_s):
-            return
-        push = _push(t_s, plan.takes_over_at_s)
-        switched = plan.switch_at_s is not None and t_s >= plan.switch_at_s
-        switch_us = _SWITCH_POSITION_US if switched else _SWITCH_FREE_US
-        pitch_us = 1500 + round(500 * push)
-        self._manual.handle_radio((1500, pitch_us, 1500, 1500, switch_us, 1000, 1500, 1500), t_s)
-
-    def _off(self, t_s: float) -> bool:
-        lost, back = self.plan.rc_lost_at_s, self.plan.rc_back_at_s
-        return lost is not None and t_s >= lost and (back is None or t_s < back)
-
-
-def _push(t_s: float, start_s: float | None) -> float:
-    """The pitch stick of a pilot who pushes it forward for a while."""
-    if start_s is None or not start_s <= t_s < start_s + _PUSH_S:
-        return 0.0
-    return _PUSH * min(1.0, (t_s - start_s) / _RAMP_S)

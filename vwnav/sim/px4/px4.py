@@ -3,43 +3,40 @@
 import math
 import random
 from collections import deque
-from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.sim.px4.airframe import Airframe, hover_force
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.home import Home
+from vwnav.sim.mavlink.enums import Severity
+from vwnav.sim.multirotor.airframe import Airframe
+from vwnav.sim.multirotor.controller import Controller, attitude_of_force
+from vwnav.sim.multirotor.sensors import Imu, Sensors
+from vwnav.sim.multirotor.setpoint import Setpoint
+from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.px4.battery import Battery
 from vwnav.sim.px4.commander import Commander
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.controller import Controller, attitude_of_force
 from vwnav.sim.px4.estimator import Estimator
 from vwnav.sim.px4.failsafe import Health
 from vwnav.sim.px4.flight_tasks import FlightTasks
-from vwnav.sim.px4.modes import NavState, Setpoint, Severity
+from vwnav.sim.px4.gains import gains_of
+from vwnav.sim.px4.modes import STATE_OF, NavState
 from vwnav.sim.px4.parameters import NO_GPS, Parameters
-from vwnav.sim.px4.pilot import RADIO_SETUP, ManualInput, ScriptedPilot
-from vwnav.sim.px4.sensors import Imu, Sensors
-from vwnav.sim.px4.wind import Wind
+from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
+from vwnav.sim.scripted_pilot import ScriptedPilot
+from vwnav.types import FlightMode
 
 STEP_S = 0.004
 _SLOW_EVERY = 5  # 50 Hz: commander, flight tasks, barometer, compass, wind
 _LANDED_AFTER_S = 1.0
 _PROBATION_S = 1.0  # of a position that came back: Offboard returns 1 to 2 s after the vision
 _TEXTS = 32
+# Recorded on PX4's own simulated quadrotor: levelled at 41 m/s it slows down by 0.18 of its speed
+# per second, and 45 degrees of tilt carry it to 63 m/s. 6 m/s of wind are held with 5.9 degrees.
+_DRAG_PER_S = 0.17
 _AGES_S = 1e4  # after which gusts are what they are, whatever they were
 # After an origin the declination is looked up and the heading settles (recorded on PX4 1.18: the
 # prearm bit is set 5 s after the origin, gone 2 s later, and steady 13 s after it).
 _HEADING_UNSETTLED_S = ((0.0, 5.0), (7.0, 13.0))
-
-
-@dataclass(slots=True)
-class Home:
-    """Where RTL goes: geodetic and local (north, east, down in m)."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_amsl_m: float
-    local_m: tuple[float, float, float]
-    t_s: float
 
 
 class SimulatedPx4:
@@ -63,18 +60,18 @@ class SimulatedPx4:
         self.start_frame = LocalFrame(
             config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
         )
-        self.body = Airframe(heading_rad)
+        self.body = Airframe(heading_rad, _DRAG_PER_S)
         self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
         self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
         self.estimator = Estimator(heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters)
-        self.controller = Controller(self.parameters, heading_rad + bias_rad)
+        self.controller = Controller(gains_of(self.parameters), heading_rad + bias_rad)
         self.battery = Battery(config.battery_start, self.parameters)
         self.tasks = FlightTasks(self.parameters)
         self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
         self._texts_said = 0
         self.commander = Commander(self.parameters, self.say)
         self.manual = ManualInput(self.parameters)
-        self.pilot = ScriptedPilot(config.pilot, self.manual)
+        self.pilot = ScriptedPilot(config.pilot, self.manual, SWITCH_US)
         self.home: Home | None = None
         self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
         self.baro_height_m = 0.0
@@ -89,12 +86,18 @@ class SimulatedPx4:
         self._state = NavState.HOLD
         self.health = self._health()
 
+    @property
+    def flight_mode(self) -> FlightMode:
+        """The state as a navigator calls it."""
+        state = self.commander.state
+        return next((each for each, same in STATE_OF.items() if same is state), FlightMode.MANUAL)
+
     def begin_in_flight(
         self,
         place_ned_m: tuple[float, float, float],
         velocity_ned_m_s: tuple[float, float, float],
         heading_rad: float,
-        state: NavState,
+        mode: FlightMode,
     ) -> None:
         """Fly steadily, now, as if it had come there on vision; NED about the start place.
 
@@ -108,7 +111,7 @@ class SimulatedPx4:
         estimator.origin_t_s = min(estimator.origin_t_s, self.t_s - _HEADING_UNSETTLED_S[-1][1])
         wind.step(-place_ned_m[2], math.hypot(*velocity_ned_m_s), _AGES_S)
         vn, ve, vd = velocity_ned_m_s
-        lift = hover_force(vn - wind.n_m_s, ve - wind.e_m_s, vd - wind.d_m_s)
+        lift = body.hover_force(vn - wind.n_m_s, ve - wind.e_m_s, vd - wind.d_m_s)
         quat_wxyz = attitude_of_force(*lift, heading_rad)
         body.fly_at(place_ned_m, velocity_ned_m_s, quat_wxyz, math.hypot(*lift))
         believed = attitude_of_force(
@@ -119,12 +122,13 @@ class SimulatedPx4:
         self._position_lost_s = self.t_s - _PROBATION_S
         home = self.start_frame
         self.set_home(home.lat_deg, home.lon_deg, home.alt_amsl_m)
+        state = STATE_OF[mode]
         self.commander.begin_in_flight(state, self.t_s)
         self._state = state
         self.tasks.enter(state, estimator)
         self.controller.reset()
         yaw_rad = estimator.attitude.yaw_rad
-        self.set_offboard(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
+        self.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
         self.look()
 
     def say(self, severity: Severity, text: str) -> None:
@@ -299,13 +303,17 @@ class SimulatedPx4:
         self.tasks.takeoff_down_m = estimator.down.x - height_m
         self.say(Severity.INFO, f"Using default takeoff altitude: {height_m:.1f} m\t")
 
-    def set_offboard(self, setpoint: Setpoint) -> None:
+    def handle_parameter(self) -> None:
+        """A parameter was set."""
+        self.controller.gains = gains_of(self.parameters)
+
+    def set_target(self, setpoint: Setpoint) -> None:
         """An offboard setpoint arrived."""
         self.offboard, self.offboard_s = setpoint, self.t_s
 
 
 def _parameters(config: VehicleConfig) -> Parameters:
-    preset = () if config.px4_defaults else NO_GPS
+    preset = () if config.autopilot_defaults else NO_GPS
     radio = RADIO_SETUP if config.pilot.rc_on else ()
     own = (("MAV_SYS_ID", float(config.system_id)), ("SIM_BAT_DRAIN", config.battery_drain_s))
     return Parameters((*preset, *radio, *own, *config.parameters))

@@ -1,25 +1,27 @@
 """What the simulated PX4 hears and says on one link."""
 
-import heapq
 import math
 from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from vwnav.sim.mavlink.answers import Answers
+from vwnav.sim.mavlink.command import Command, is_place
+from vwnav.sim.mavlink.enums import Result, Severity
+from vwnav.sim.mavlink.link import MavlinkLink
+from vwnav.sim.mavlink.schedule import Schedule
+from vwnav.sim.mavlink.texts import text_messages
+from vwnav.sim.mavlink.timesync import Timesync
+from vwnav.sim.mavlink.velocity_target import setpoint_of
 from vwnav.sim.px4 import vision_input
-from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Command, Context, execute, is_place
-from vwnav.sim.px4.link import MavlinkLink
-from vwnav.sim.px4.modes import Result, Severity
-from vwnav.sim.px4.offboard import setpoint_of
+from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Context, execute
 from vwnav.sim.px4.parameters import HASH_CHECK
 from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.px4.streams import BUILDERS, Schedule
-from vwnav.sim.px4.timesync import Timesync
+from vwnav.sim.px4.streams import BUILDERS
 
 ACK_DELAY_S = 0.008
 _TIMESYNC_EVERY_S = 0.1
-_TEXT_CHARS = 50
 _PARAMETERS_AT_ONCE = 4
 _DEGE7_COMMANDS = frozenset({179, 611})  # x and y of COMMAND_INT are degrees * 1e7 here
 _GCS_SILENT_S = 5.0
@@ -61,8 +63,7 @@ class Session:
         self._clock = clock
         self._timesync = Timesync()
         self._timesync_due_s = 0.0 if asks_time else math.inf
-        self._answers: list[tuple[float, int, Any]] = []
-        self._answer_count = 0
+        self._answers = Answers()
         self._parameter_queue: list[int] = []
         self._text_seen = 0
         self._chunk_id = 0
@@ -111,8 +112,8 @@ class Session:
         t_s = v.t_s
         for message_id in self._schedule.due(t_s):
             self._send(BUILDERS[message_id](v))
-        while self._answers and self._answers[0][0] <= t_s:
-            self._send(heapq.heappop(self._answers)[2])
+        for answer in self._answers.due(t_s):
+            self._send(answer)
         if t_s >= self._timesync_due_s:
             self._timesync_due_s = t_s + _TIMESYNC_EVERY_S
             self._send(mavlink.MAVLink_timesync_message(0, round(self._clock() * 1e9)))
@@ -136,20 +137,13 @@ class Session:
                 self._say_text(severity, text)
 
     def _say_text(self, severity: Severity, text: str) -> None:
-        """Long texts go in chunks of 50 characters under one id."""
-        chunks = [text[i : i + _TEXT_CHARS] for i in range(0, len(text), _TEXT_CHARS)]
         self._chunk_id = (self._chunk_id + 1) % 65536
-        number = self._chunk_id if len(chunks) > 1 else 0
-        for sequence, chunk in enumerate(chunks):
-            self._send(
-                mavlink.MAVLink_statustext_message(severity, chunk.encode(), number, sequence)
-            )
+        for message in text_messages(severity, text, self._chunk_id):
+            self._send(message)
 
     def _answer(self, message: Any) -> None:
         """Send after the time PX4 takes to acknowledge."""
-        self._answer_count += 1
-        due_s = self._vehicle.t_s + ACK_DELAY_S * self._vehicle.config.speed
-        heapq.heappush(self._answers, (due_s, self._answer_count, message))
+        self._answers.put(message, self._vehicle.t_s + ACK_DELAY_S * self._vehicle.config.speed)
 
     def _command_long(self, m: Any) -> None:
         place = (m.param5, m.param6, m.param7)
@@ -192,7 +186,7 @@ class Session:
     def _setpoint(self, m: Any) -> None:
         setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)
         if setpoint is not None:
-            self._vehicle.set_offboard(setpoint)
+            self._vehicle.set_target(setpoint)
 
     def _vision_position(self, m: Any) -> None:
         v = self._vehicle
@@ -244,7 +238,7 @@ class Session:
         if m.param_id not in parameters:
             return
         parameters.set_wire(m.param_id, m.param_value, m.param_type)
-        self._vehicle.controller.refresh()
+        self._vehicle.handle_parameter()
         self._send_parameter(parameters.names.index(m.param_id))
 
     def _send_parameter(self, index: int) -> None:

@@ -1,7 +1,8 @@
-"""Which messages go out on a link, and how often: PX4's defaults and SET_MESSAGE_INTERVAL."""
+"""Which messages PX4 sends on a link, and how often by default."""
 
 import math
 
+from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.px4 import messages as make
 from vwnav.sim.px4.messages import Builder
 from vwnav.sim.px4.px4 import STEP_S
@@ -97,47 +98,9 @@ def truth_rates(rate_hz: float) -> dict[int, float]:
     return {0: 1.0, 115: rate_hz}
 
 
-class Schedule:
-    """Due times of one link's messages, in simulated seconds."""
-
-    def __init__(self, rates_hz: dict[int, float]) -> None:
-        self._defaults = rates_hz
-        self._interval_s = {message_id: 1.0 / rate for message_id, rate in rates_hz.items()}
-        self._due_s = dict.fromkeys(rates_hz, 0.0)
-        self._next_s = 0.0
-
-    def interval_us(self, message_id: int) -> int:
-        """For MESSAGE_INTERVAL: microseconds, -1 when it is not sent."""
-        interval_s = self._interval_s.get(message_id)
-        return -1 if interval_s is None else round(interval_s * 1e6)
-
-    def set_interval(self, message_id: int, interval_us: float, t_s: float) -> bool:
-        """SET_MESSAGE_INTERVAL: 0 is the default rate, -1 off; False for what is not known."""
-        if message_id not in BUILDERS or math.isnan(interval_us):
-            return False
-        if interval_us == 0 and message_id in self._defaults:
-            self._interval_s[message_id] = 1.0 / self._defaults[message_id]
-        elif interval_us <= 0:
-            self._interval_s.pop(message_id, None)
-            self._due_s.pop(message_id, None)
-            return True
-        else:
-            self._interval_s[message_id] = _reachable(interval_us * 1e-6)
-        self._due_s[message_id] = t_s
-        self._next_s = t_s
-        return True
-
-    def due(self, t_s: float) -> list[int]:
-        """The messages to send now."""
-        if t_s < self._next_s:
-            return []
-        due = [message_id for message_id, due_s in self._due_s.items() if due_s <= t_s + 1e-6]
-        for message_id in due:
-            interval_s = self._interval_s[message_id]
-            late = self._due_s[message_id] + interval_s
-            self._due_s[message_id] = late if late > t_s else t_s + interval_s
-        self._next_s = min(self._due_s.values(), default=math.inf)
-        return due
+def schedule_of(rates_hz: dict[int, float]) -> Schedule:
+    """A link's schedule; PX4 divides fast rates from its own."""
+    return Schedule(rates_hz, BUILDERS, _reachable)
 
 
 def _reachable(interval_s: float) -> float:

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from vwnav.sim.px4.airframe import GRAVITY_M_S2, rotation_of, turned
-from vwnav.sim.px4.sensors import Imu
+from vwnav.sim.multirotor.airframe import GRAVITY_M_S2, euler_of, rotation_of, turned
+from vwnav.sim.multirotor.sensors import Imu
 
 _LEVEL_GAIN_PER_S = 0.4  # on the ground: gravity is all there is
 _FLIGHT_GAIN_PER_S = 0.02  # in the air the accelerometer feels thrust, not gravity
@@ -97,6 +97,4 @@ class AttitudeFilter:
     @property
     def euler_rad(self) -> tuple[float, float, float]:
         """Roll, pitch, yaw (Z-Y-X)."""
-        rotation = self.rotation
-        pitch = -math.asin(min(1.0, max(-1.0, rotation[6])))
-        return math.atan2(rotation[7], rotation[8]), pitch, self.yaw_rad
+        return euler_of(self.rotation)

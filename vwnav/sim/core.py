@@ -1,31 +1,40 @@
-"""The simulated PX4 with whoever talks to it, stepped by a clock that is handed in."""
+"""The simulated vehicle with whoever talks to it, stepped by a clock that is handed in."""
 
 import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 
-from vwnav.sim.px4.config import VehicleConfig
-from vwnav.sim.px4.link import MavlinkLink
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.copter import streams as copter_streams
+from vwnav.sim.copter.copter import SimulatedCopter
+from vwnav.sim.copter.session import Session as CopterSession
+from vwnav.sim.mavlink.link import MavlinkLink
+from vwnav.sim.px4 import streams as px4_streams
 from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
-from vwnav.sim.px4.session import Session
-from vwnav.sim.px4.streams import Schedule
+from vwnav.sim.px4.session import Session as Px4Session
 
 _log = logging.getLogger(__name__)
+
+Vehicle = SimulatedPx4 | SimulatedCopter
+Session = Px4Session | CopterSession
+
+
+class Role(Enum):
+    """Of whoever is at the other end of a link: it decides what is sent unasked."""
+
+    COMPANION = "companion"
+    GROUND = "ground station"
+    TRUTH = "reader of the truth"
 
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Whoever is at the other end of a link.
-
-    Attributes:
-        rates_hz: of the messages it gets by default, by their numbers.
-        asks_time: whether TIMESYNC requests go to it (PX4 sends them to companions).
-    """
+    """Whoever is at the other end of a link."""
 
     link: MavlinkLink
-    rates_hz: dict[int, float]
-    asks_time: bool
+    role: Role
 
 
 class VehicleCore:
@@ -45,7 +54,7 @@ class VehicleCore:
         self._peers = tuple(peers)
         self._clock = clock
         self._epoch_s = clock()
-        self.vehicle = SimulatedPx4(config)
+        self.vehicle = _boot(config, None)
         self._sessions = self._open_sessions()
 
     @property
@@ -86,22 +95,37 @@ class VehicleCore:
             self._reboot()
 
     def _open_sessions(self) -> list[Session]:
-        return [
-            Session(
-                peer.link,
-                self.vehicle,
-                Schedule(peer.rates_hz),
-                lambda: self.now_s,
-                peer.asks_time,
-            )
-            for peer in self._peers
-        ]
+        return [_open(peer, self.vehicle, lambda: self.now_s) for peer in self._peers]
 
     def _reboot(self) -> None:
         """Start again with the parameters as they are."""
         _log.info("rebooting")
-        self.vehicle = SimulatedPx4(self._config, self.vehicle.parameters)
+        self.vehicle = _boot(self._config, self.vehicle)
         self._sessions = self._open_sessions()
         for peer in self._peers:
             peer.link.gcs_heard_s = -math.inf
         self._epoch_s = self._clock()
+
+
+def _boot(config: VehicleConfig, before: Vehicle | None) -> Vehicle:
+    """A vehicle of the configured manners, with the parameters of the one before."""
+    if config.manners == "copter":
+        kept = before.parameters if isinstance(before, SimulatedCopter) else None
+        return SimulatedCopter(config, kept)
+    return SimulatedPx4(config, before.parameters if isinstance(before, SimulatedPx4) else None)
+
+
+def _open(peer: Peer, vehicle: Vehicle, clock: Callable[[], float]) -> Session:
+    """The conversation that a vehicle has with a peer."""
+    truth_hz = vehicle.config.truth_rate_hz
+    if isinstance(vehicle, SimulatedCopter):
+        is_truth = peer.role is Role.TRUTH
+        rates_hz = copter_streams.truth_rates(truth_hz) if is_truth else copter_streams.UNASKED_HZ
+        return CopterSession(peer.link, vehicle, copter_streams.schedule_of(rates_hz), clock)
+    rates_hz = {
+        Role.COMPANION: px4_streams.COMPANION_RATES,
+        Role.GROUND: px4_streams.GROUND_RATES,
+        Role.TRUTH: px4_streams.truth_rates(truth_hz),
+    }[peer.role]
+    asks_time = peer.role is Role.COMPANION
+    return Px4Session(peer.link, vehicle, px4_streams.schedule_of(rates_hz), clock, asks_time)

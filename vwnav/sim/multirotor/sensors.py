@@ -4,7 +4,7 @@ import math
 import random
 from dataclasses import dataclass
 
-from vwnav.sim.px4.airframe import Airframe
+from vwnav.sim.multirotor.airframe import Airframe
 
 _GYRO_NOISE_RAD_S = 0.004
 _GYRO_BIAS_RAD_S = 0.003

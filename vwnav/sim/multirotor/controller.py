@@ -1,12 +1,12 @@
-"""PX4's cascaded multicopter control: position, velocity, attitude, body rates, mixer."""
+"""Cascaded multicopter control: position, velocity, attitude, body rates, mixer; as PX4 has it."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from vwnav.sim.px4.airframe import GRAVITY_M_S2
-from vwnav.sim.px4.estimator import Estimator
-from vwnav.sim.px4.modes import Setpoint
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
+from vwnav.sim.multirotor.inertial_filter import InertialFilter
+from vwnav.sim.multirotor.setpoint import Setpoint
 
 _RATE_I_PER_S = 0.2
 _YAW_RATE_P = 0.2
@@ -16,39 +16,54 @@ _INTEGRAL_LIMIT = 0.3
 _MARGIN_M_S2 = 0.3 * GRAVITY_M_S2  # horizontal thrust kept before vertical (MPC_THR_XY_MARG)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
+    """Gains and limits of the loops.
+
+    Attributes:
+        xy_p, z_p: of position (1/s).
+        vxy_p, vxy_i, vz_p, vz_i: of velocity, to acceleration (1/s, 1/s^2).
+        v_max_m_s, up_max_m_s, down_max_m_s: limits of the velocity asked for.
+        hover, thrust_min, thrust_max: shares of full thrust.
+        tilt_max_rad: in the air.
+        roll_p, pitch_p, yaw_p: of attitude (1/s); `rate_p` of body rates.
+    """
+
+    xy_p: float
+    z_p: float
+    vxy_p: float
+    vxy_i: float
+    vz_p: float
+    vz_i: float
+    v_max_m_s: float
+    up_max_m_s: float
+    down_max_m_s: float
+    hover: float
+    thrust_min: float
+    thrust_max: float
+    tilt_max_rad: float
+    roll_p: float
+    pitch_p: float
+    yaw_p: float
+    rate_p: float
+
+
 class Controller:
     """Turns a Setpoint and the estimate into four rotor commands.
 
-    `thrust` (0..1), `attitude_wxyz` and the Setpoint are what telemetry shows of it.
+    Attributes:
+        gains: may be changed at any time.
+        setpoint: what to follow; with `thrust` (0..1) and `attitude_wxyz` what telemetry shows.
     """
 
-    def __init__(self, parameters: Parameters, heading_rad: float) -> None:
-        self._parameters = parameters
+    def __init__(self, gains: Gains, heading_rad: float) -> None:
+        self.gains = gains
         self.setpoint = Setpoint(idle=True)
         self.thrust = 0.0
         self.velocity_sp = (0.0, 0.0, 0.0)
         self.attitude_wxyz = (math.cos(heading_rad / 2), 0.0, 0.0, math.sin(heading_rad / 2))
         self.rates_sp = (0.0, 0.0, 0.0)
-        self.refresh()
         self.reset()
-
-    def refresh(self) -> None:
-        """Read the parameters again, after one was set."""
-        get = self._parameters
-        self._xy_p, self._z_p = get["MPC_XY_P"], get["MPC_Z_P"]
-        self._vxy_p, self._vxy_i = get["MPC_XY_VEL_P_ACC"], get["MPC_XY_VEL_I_ACC"]
-        self._vz_p, self._vz_i = get["MPC_Z_VEL_P_ACC"], get["MPC_Z_VEL_I_ACC"]
-        self._v_max = get["MPC_XY_VEL_MAX"]
-        self._up_max, self._down_max = get["MPC_Z_VEL_MAX_UP"], get["MPC_Z_VEL_MAX_DN"]
-        self._hover, self._thr_min = max(0.1, get["MPC_THR_HOVER"]), get["MPC_THR_MIN"]
-        self._thr_max = get["MPC_THR_MAX"]
-        self._tilt_max_rad = math.radians(get["MPC_TILTMAX_AIR"])
-        self._roll_p, self._pitch_p, self._yaw_p = (
-            get["MC_ROLL_P"],
-            get["MC_PITCH_P"],
-            get["MC_YAW_P"],
-        )
-        self._rate_p = get["MC_ROLLRATE_P"]
 
     def reset(self) -> None:
         """Forget the integrals, for a stand on the ground."""
@@ -56,7 +71,7 @@ class Controller:
         self._ip = self._iq = self._ir = 0.0
         self._yaw_hold_rad: float | None = None
 
-    def step_position(self, estimate: Estimator, dt_s: float, landed: bool) -> None:
+    def step_position(self, estimate: InertialFilter, dt_s: float, landed: bool) -> None:
         """Outer loops: from the setpoint to thrust and attitude (at 125 Hz)."""
         sp = self.setpoint
         if sp.idle:
@@ -69,7 +84,7 @@ class Controller:
             self.reset()
         an, ae = self._horizontal(sp, estimate, dt_s)
         lift_m_s2 = self._lift(sp, estimate, dt_s)
-        limit = math.tan(self._tilt_max_rad) * lift_m_s2
+        limit = math.tan(self.gains.tilt_max_rad) * lift_m_s2
         if landed:
             limit = min(limit, math.tan(math.radians(12.0)) * lift_m_s2)  # MPC_TILTMAX_LND
         norm = math.hypot(an, ae)
@@ -77,55 +92,57 @@ class Controller:
             an, ae = an * limit / norm, ae * limit / norm
         self._point(an, ae, lift_m_s2, self._yaw_of(sp, estimate))
 
-    def _horizontal(self, sp: Setpoint, estimate: Estimator, dt_s: float) -> tuple[float, float]:
+    def _horizontal(
+        self, sp: Setpoint, estimate: InertialFilter, dt_s: float
+    ) -> tuple[float, float]:
         """Accelerations north and east (m/s^2), PX4's PositionControl without its corner cases."""
         north, east = estimate.north, estimate.east
         vn, ve = sp.vn_m_s, sp.ve_m_s
         if sp.north_m is not None and sp.east_m is not None:
-            vn = self._xy_p * (sp.north_m - north.x) + (vn or 0.0)
-            ve = self._xy_p * (sp.east_m - east.x) + (ve or 0.0)
+            vn = self.gains.xy_p * (sp.north_m - north.x) + (vn or 0.0)
+            ve = self.gains.xy_p * (sp.east_m - east.x) + (ve or 0.0)
         if vn is None or ve is None:
             self._in = self._ie = 0.0
             return sp.an_m_s2 or 0.0, sp.ae_m_s2 or 0.0
         speed = math.hypot(vn, ve)
-        if speed > self._v_max:
-            vn, ve = vn * self._v_max / speed, ve * self._v_max / speed
+        if speed > self.gains.v_max_m_s:
+            vn, ve = vn * self.gains.v_max_m_s / speed, ve * self.gains.v_max_m_s / speed
         self.velocity_sp = (vn, ve, self.velocity_sp[2])
         dn, de = vn - north.v, ve - east.v
-        an = self._vxy_p * dn + self._in + (sp.an_m_s2 or 0.0)
-        ae = self._vxy_p * de + self._ie + (sp.ae_m_s2 or 0.0)
+        an = self.gains.vxy_p * dn + self._in + (sp.an_m_s2 or 0.0)
+        ae = self.gains.vxy_p * de + self._ie + (sp.ae_m_s2 or 0.0)
         if math.hypot(an, ae) < 5.0:  # anti-windup while the tilt is near its limit
-            self._in += self._vxy_i * dn * dt_s
-            self._ie += self._vxy_i * de * dt_s
+            self._in += self.gains.vxy_i * dn * dt_s
+            self._ie += self.gains.vxy_i * de * dt_s
         return an, ae
 
-    def _lift(self, sp: Setpoint, estimate: Estimator, dt_s: float) -> float:
+    def _lift(self, sp: Setpoint, estimate: InertialFilter, dt_s: float) -> float:
         """Upward specific force to produce (m/s^2), between the thrust limits."""
-        scale = GRAVITY_M_S2 / self._hover
+        scale = GRAVITY_M_S2 / self.gains.hover
         if sp.thrust is not None:
             return max(0.0, sp.thrust) * scale
         down = estimate.down
         vd = sp.vd_m_s
         if sp.down_m is not None:
-            vd = self._z_p * (sp.down_m - down.x) + (vd or 0.0)
-        vd = min(max(vd or 0.0, -self._up_max), self._down_max)
+            vd = self.gains.z_p * (sp.down_m - down.x) + (vd or 0.0)
+        vd = min(max(vd or 0.0, -self.gains.up_max_m_s), self.gains.down_max_m_s)
         self.velocity_sp = (self.velocity_sp[0], self.velocity_sp[1], vd)
         error = vd - down.v
-        lift = GRAVITY_M_S2 - self._vz_p * error - self._id
-        low, high = self._thr_min * scale, self._thr_max * scale
+        lift = GRAVITY_M_S2 - self.gains.vz_p * error - self._id
+        low, high = self.gains.thrust_min * scale, self.gains.thrust_max * scale
         if (low < lift or error < 0.0) and (lift < high or error > 0.0):
-            self._id += self._vz_i * error * dt_s
+            self._id += self.gains.vz_i * error * dt_s
             self._id = min(max(self._id, -GRAVITY_M_S2), GRAVITY_M_S2)
         return min(max(lift, low), high)
 
-    def _yaw_of(self, sp: Setpoint, estimate: Estimator) -> float:
+    def _yaw_of(self, sp: Setpoint, estimate: InertialFilter) -> float:
         yaw_rad = estimate.attitude.yaw_rad
         if sp.yaw_rad is not None:
             self._yaw_hold_rad = None
             return sp.yaw_rad
         if sp.yaw_rate_rad_s:
             self._yaw_hold_rad = None
-            return yaw_rad + sp.yaw_rate_rad_s / self._yaw_p
+            return yaw_rad + sp.yaw_rate_rad_s / self.gains.yaw_p
         if self._yaw_hold_rad is None:
             self._yaw_hold_rad = yaw_rad
         return self._yaw_hold_rad
@@ -134,17 +151,19 @@ class Controller:
         """Attitude whose body z pushes along the wanted force, and the thrust along it."""
         force = math.sqrt(an * an + ae * ae + lift * lift)
         self.attitude_wxyz = attitude_of_force(an, ae, -lift, yaw_rad)
-        self.thrust = min(self._thr_max, self._hover * force / GRAVITY_M_S2)
+        self.thrust = min(self.gains.thrust_max, self.gains.hover * force / GRAVITY_M_S2)
 
-    def step_attitude(self, estimate: Estimator, dt_s: float) -> tuple[float, float, float, float]:
+    def step_attitude(
+        self, estimate: InertialFilter, dt_s: float
+    ) -> tuple[float, float, float, float]:
         """Inner loops: from attitude to rotor commands 0..1 (at 250 Hz)."""
         attitude = estimate.attitude
         if self.thrust <= 0.0:
             return 0.02, 0.02, 0.02, 0.02
         ep, eq, er = _attitude_error(attitude.quat_wxyz, self.attitude_wxyz)
-        p_sp = _limit(self._roll_p * ep, _RATE_LIMIT_RAD_S)
-        q_sp = _limit(self._pitch_p * eq, _RATE_LIMIT_RAD_S)
-        r_sp = _limit(self._yaw_p * er, _YAW_RATE_LIMIT_RAD_S)
+        p_sp = _limit(self.gains.roll_p * ep, _RATE_LIMIT_RAD_S)
+        q_sp = _limit(self.gains.pitch_p * eq, _RATE_LIMIT_RAD_S)
+        r_sp = _limit(self.gains.yaw_p * er, _YAW_RATE_LIMIT_RAD_S)
         self.rates_sp = (p_sp, q_sp, r_sp)
         p, q, r = attitude.rates
         ep, eq, er = p_sp - p, q_sp - q, r_sp - r
@@ -154,8 +173,8 @@ class Controller:
         self._ir = _limit(self._ir + 0.5 * gain * er, _INTEGRAL_LIMIT)
         return _mix(
             self.thrust,
-            self._rate_p * ep + self._ip,
-            self._rate_p * eq + self._iq,
+            self.gains.rate_p * ep + self._ip,
+            self.gains.rate_p * eq + self._iq,
             _limit(_YAW_RATE_P * er + self._ir, 0.15),
         )
 

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from vwnav.sim.px4.modes import Setpoint
+from vwnav.sim.multirotor.setpoint import Setpoint
 
 _LOCAL_NED, _BODY_NED = 1, 8  # MAV_FRAME; PX4 takes velocity and acceleration in BODY_NED
 _IGNORE_YAW, _IGNORE_YAW_RATE, _FORCE = 1024, 2048, 512

@@ -2,8 +2,11 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from vwnav.errors import ConfigError
+
+Manners = Literal["px4", "copter"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -13,7 +16,7 @@ class PilotPlan:
     Attributes:
         rc_on: a radio is bound and its transmitter is on.
         takes_over_at_s: pushes the pitch stick forward in 0.4 s, lets go 3 s later.
-        switch_at_s: flips the mode switch to `switch_to` (`RC_MAP_FLTMODE` channel 5).
+        switch_at_s: flips the mode switch (channel 5) to Position, Loiter on ArduCopter.
         rc_lost_at_s, rc_back_at_s: the transmitter goes off and on.
     """
 
@@ -29,11 +32,12 @@ class VehicleConfig:
     """The simulated vehicle. Times are simulated seconds since its start.
 
     Attributes:
+        manners: of PX4 1.18 or of ArduCopter 4.7.
         home_lat_deg, home_lon_deg, home_alt_amsl_m: where it stands; the ground is level there.
         heading_deg: true heading on the ground, 0 = north, clockwise.
         companion_url, ground_url, truth_url: MAVLink links, "udpout:HOST:PORT" speaks first to
             that port, "udpin:HOST:PORT" answers whoever speaks; "" leaves the link out.
-        truth_rate_hz: default rate of HIL_STATE_QUATERNION on the truth link.
+        truth_rate_hz: default rate of HIL_STATE_QUATERNION or SIM_STATE on the truth link.
         speed: simulated seconds per real second.
         clock_file: of a simulated time that others share (`vwnav.pace`); "" for the wall's.
         wind_m_s, wind_from_deg: mean wind at 10 m and above, and where it comes from.
@@ -43,11 +47,13 @@ class VehicleConfig:
         imu_noise: scale of the noise and biases of the inertial sensors; 0 is perfect.
         battery_start: charge at start, 0..1.
         battery_drain_s: time in flight from full to empty.
-        px4_defaults: start with PX4's own defaults: GPS expected (there is none), vision off.
+        autopilot_defaults: start with the autopilot's own parameters: GPS expected (there is
+            none), vision off.
         parameters: (name, value) pairs laid over the defaults.
         pilot: what the pilot does.
     """
 
+    manners: Manners = "px4"
     home_lat_deg: float = 41.1
     home_lon_deg: float = 29.0
     home_alt_amsl_m: float = 40.0
@@ -68,13 +74,14 @@ class VehicleConfig:
     imu_noise: float = 1.0
     battery_start: float = 1.0
     battery_drain_s: float = 1500.0
-    px4_defaults: bool = False
+    autopilot_defaults: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     pilot: PilotPlan = field(default_factory=PilotPlan)
 
     def __post_init__(self) -> None:
         """Raise ConfigError on a value that cannot fly."""
         checks = {
+            "manners": self.manners in get_args(Manners),
             "home_lat_deg": abs(self.home_lat_deg) < 89.0,
             "home_lon_deg": abs(self.home_lon_deg) <= 180.0,
             "home_alt_amsl_m": abs(self.home_alt_amsl_m) < 9000.0,

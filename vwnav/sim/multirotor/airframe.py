@@ -13,17 +13,19 @@ LEVER_M = 0.16
 ROTOR_MAX_N = MASS_KG * GRAVITY_M_S2 / 2.0  # thrust to weight 2: hovers at half throttle
 ROTOR_LAG_S = 0.025
 YAW_MOMENT_M = 0.05  # drag moment of a rotor per newton of thrust
-# Rotor drag grows with the speed alone, as PX4's own simulated quadrotor has it (recorded: levelled
-# at 41 m/s it slows down by 0.18 of its speed per second, and 45 degrees of tilt carry it to 63
-# m/s). 6 m/s of wind are held with 5.9 degrees of tilt.
-DRAG_PER_S = 0.17
 ANGULAR_DRAG_PER_S = 0.4
 
 
 class Airframe:
-    """Position and velocity in NED about the start place, quaternion of R_ned_body, body rates."""
+    """Position and velocity in NED about the start place, quaternion of R_ned_body, body rates.
+
+    Args:
+        drag_per_s: of the rotors, by which the speed through the air falls: it grows with the
+            speed alone.
+    """
 
     __slots__ = (
+        "_drag_per_s",
         "axb",
         "ayb",
         "azb",
@@ -45,7 +47,8 @@ class Airframe:
         "vn",
     )
 
-    def __init__(self, heading_rad: float) -> None:
+    def __init__(self, heading_rad: float, drag_per_s: float) -> None:
+        self._drag_per_s = drag_per_s
         self.n = self.e = self.d = 0.0
         self.vn = self.ve = self.vd = 0.0
         self.qw, self.qx, self.qy = math.cos(heading_rad / 2.0), 0.0, 0.0
@@ -73,13 +76,23 @@ class Airframe:
         self.rotors = [lift_m_s2 * MASS_KG / (4.0 * ROTOR_MAX_N)] * 4
         self.on_ground = False
 
+    @property
+    def euler_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch, yaw (Z-Y-X)."""
+        return euler_of(self.rotation)
+
+    def hover_force(self, un: float, ue: float, ud: float) -> tuple[float, float, float]:
+        """Lift in NED (m/s^2) that keeps a velocity through the air (m/s)."""
+        drag = self._drag_per_s
+        return drag * un, drag * ue, drag * ud - GRAVITY_M_S2
+
     def step(
         self,
         commands: tuple[float, float, float, float],
         wind: tuple[float, float, float],
         dt_s: float,
     ) -> None:
-        """Advance by `dt_s` with rotor commands 0..1 (PX4 quad x order) in a wind NED (m/s)."""
+        """Advance by `dt_s` with rotor commands 0..1 (quad x order) in a wind NED (m/s)."""
         rotors, gain = self.rotors, dt_s / ROTOR_LAG_S
         for i in range(4):
             rotors[i] += gain * (commands[i] - rotors[i])
@@ -114,9 +127,10 @@ class Airframe:
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = self.rotation
         lift = ROTOR_MAX_N * sum(self.rotors) / MASS_KG
         un, ue, ud = self.vn - wind[0], self.ve - wind[1], self.vd - wind[2]
-        fn = -lift * r02 - DRAG_PER_S * un
-        fe = -lift * r12 - DRAG_PER_S * ue
-        fd = -lift * r22 - DRAG_PER_S * ud
+        drag = self._drag_per_s
+        fn = -lift * r02 - drag * un
+        fe = -lift * r12 - drag * ue
+        fd = -lift * r22 - drag * ud
         self.on_ground = self.d >= 0.0 and fd + GRAVITY_M_S2 >= 0.0
         if self.on_ground:
             self._touch(dt_s)
@@ -142,11 +156,6 @@ class Airframe:
         self.d = 0.0
 
 
-def hover_force(un: float, ue: float, ud: float) -> tuple[float, float, float]:
-    """Lift in NED (m/s^2) that keeps a velocity through the air (m/s)."""
-    return DRAG_PER_S * un, DRAG_PER_S * ue, DRAG_PER_S * ud - GRAVITY_M_S2
-
-
 def turned(
     quat_wxyz: tuple[float, float, float, float], p: float, q: float, r: float, dt_s: float
 ) -> tuple[float, float, float, float]:
@@ -159,6 +168,13 @@ def turned(
     nz = z + half * (w * r + x * q - y * p)
     scale = 1.0 / math.sqrt(nw * nw + nx * nx + ny * ny + nz * nz)
     return nw * scale, nx * scale, ny * scale, nz * scale
+
+
+def euler_of(rotation: tuple[float, ...]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw (Z-Y-X) of the nine numbers of R_ned_body."""
+    pitch = -math.asin(min(1.0, max(-1.0, rotation[6])))
+    yaw = math.atan2(rotation[3], rotation[0])
+    return math.atan2(rotation[7], rotation[8]), pitch, yaw
 
 
 def rotation_of(w: float, x: float, y: float, z: float) -> tuple[float, ...]:

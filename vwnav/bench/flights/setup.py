@@ -1,0 +1,69 @@
+"""What a flight in lockstep begins with."""
+
+from dataclasses import dataclass, field
+
+from vwnav.config import Config
+from vwnav.mission import Phase
+from vwnav.sim.config import Manners
+from vwnav.types import FlightMode
+
+# As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
+PARAMETERS: dict[Manners, tuple[tuple[str, float], ...]] = {
+    "px4": (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3)),
+    "copter": (
+        ("BATT_FS_LOW_ACT", 2),
+        ("BATT_LOW_VOLT", 10.8),
+        ("BATT_LOW_TIMER", 3),
+        ("BATT_FS_CRT_ACT", 1),
+        ("BATT_CRT_VOLT", 10.2),
+        ("FS_GCS_ENABLE", 1),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AirStart:
+    """A flight that begins in the air, in Offboard or GUIDED: NED about home.
+
+    Attributes:
+        phase: where the mission stands; None: the program is started while somebody else flies.
+        mode: what the vehicle flies then.
+    """
+
+    phase: Phase | None
+    place_ned_m: tuple[float, float, float]
+    velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mode: FlightMode = FlightMode.OFFBOARD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """Everything about a flight but what breaks in it.
+
+    Attributes:
+        manners: whose ways the vehicle has.
+        start: None begins on the ground.
+        route_ned_m: waypoints about home.
+        stands_ne_m: where it stands, about the site's home.
+        home_known: False: the program is not told where it stands.
+        rc_on: a pilot holds a radio.
+        vehicle_rate: seconds of the vehicle's clock per second.
+    """
+
+    manners: Manners = "px4"
+    seed: int = 1
+    start: AirStart | None = None
+    route_ned_m: tuple[tuple[float, float, float], ...] = (
+        (60.0, -60.0, -50.0),
+        (130.0, 0.0, -50.0),
+        (50.0, 70.0, -50.0),
+    )
+    stands_ne_m: tuple[float, float] = (0.0, 0.0)
+    home_known: bool = True
+    wind_m_s: float = 4.0
+    wind_from_deg: float = 250.0
+    rc_on: bool = False
+    vehicle_rate: float = 1.0
+    picture_hz: float = 10.0
+    parameters: tuple[tuple[str, float], ...] = ()
+    config: Config = field(default_factory=Config)

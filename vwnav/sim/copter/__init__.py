@@ -1,0 +1,1 @@
+"""The simulated vehicle in ArduCopter's manners, as recorded from ArduCopter 4.7."""

@@ -1,0 +1,325 @@
+"""The simulated ArduCopter as a whole: one `step` is 4 ms of airframe, sensors and control."""
+
+import math
+import random
+from collections import deque
+
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.copter.battery import Battery
+from vwnav.sim.copter.commander import Commander
+from vwnav.sim.copter.estimator import Estimator
+from vwnav.sim.copter.failsafes import Failsafes, Health
+from vwnav.sim.copter.flight_modes import SPOOL_UP_S, FlightModes
+from vwnav.sim.copter.modes import MODE_OF, Mode
+from vwnav.sim.copter.parameters import NO_GPS, Parameters
+from vwnav.sim.copter.radio import SETUP, SWITCH_US, Radio
+from vwnav.sim.home import Home
+from vwnav.sim.mavlink.enums import Landed, Result, Severity
+from vwnav.sim.multirotor.airframe import Airframe
+from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
+from vwnav.sim.multirotor.sensors import Imu, Sensors
+from vwnav.sim.multirotor.setpoint import Setpoint
+from vwnav.sim.multirotor.wind import Wind
+from vwnav.sim.scripted_pilot import ScriptedPilot
+from vwnav.types import FlightMode
+
+STEP_S = 0.004
+_SLOW_EVERY = 5  # 50 Hz: modes, failsafes, barometer, compass, wind
+_TEXTS = 64
+_AGES_S = 1e4  # after which gusts are what they are, whatever they were
+_DRAG_PER_S = 0.384  # recorded: 7 degrees of tilt carry it at 3 m/s
+_LANDED_AFTER_S, _DISARMED_AFTER_S = 1.6, 0.4  # of touch-down, of landing
+_SETTLED_S = 12.0  # after the origin until it may be armed
+_FAILSAFE_PAUSE_S = 4.0  # LAND_WITH_DELAY_MS
+_BOOT_TEXTS = (
+    (0.5, "Calibrating barometer"),
+    (2.1, "Barometer 1 calibration complete"),
+    (2.7, "ArduPilot Ready"),
+    (4.7, "EKF3 IMU0 initialised"),
+    (4.7, "AHRS: EKF3 active"),
+    (6.0, "EKF3 IMU0 tilt alignment complete"),
+    (6.1, "EKF3 IMU0 MAG0 initial yaw alignment complete"),
+)
+_GAINS = Gains(
+    xy_p=1.0, z_p=1.0, vxy_p=2.0, vxy_i=1.0, vz_p=5.0, vz_i=2.0,
+    v_max_m_s=20.0, up_max_m_s=5.0, down_max_m_s=5.0,
+    hover=0.5, thrust_min=0.1, thrust_max=1.0, tilt_max_rad=math.radians(30.0),
+    roll_p=6.5, pitch_p=6.5, yaw_p=2.8, rate_p=0.15,
+)  # fmt: skip
+
+
+class SimulatedCopter:
+    """State of the vehicle; `step` advances it, MAVLink reads and commands it.
+
+    Args:
+        config: where it stands and what goes wrong.
+        parameters: kept over a reboot, fresh ones when None.
+
+    Attributes:
+        refuses: numbers of commands that it does not take, whatever the reason.
+        gcs_heard_s: when a ground station was, None before.
+    """
+
+    def __init__(self, config: VehicleConfig, parameters: Parameters | None = None) -> None:
+        self.config = config
+        self.parameters = parameters or _parameters(config)
+        rng = random.Random(config.seed)
+        heading_rad = math.radians(config.heading_deg)
+        bias_rad = math.radians(config.heading_bias_deg)
+        self.t_s = 0.0
+        self.start_frame = LocalFrame(
+            config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
+        )
+        self.body = Airframe(heading_rad, _DRAG_PER_S)
+        self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
+        self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
+        self.estimator = Estimator(heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters)
+        self.controller = Controller(_GAINS, heading_rad + bias_rad)
+        self.battery = Battery(config.battery_start, config.battery_drain_s, self.parameters)
+        self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
+        self._texts_said = 0
+        self.commander = Commander(self.parameters, self.say)
+        self.failsafes = Failsafes(self.parameters, self.battery, self.say)
+        self.modes = FlightModes(self.parameters)
+        self.radio = Radio(self.parameters)
+        self.pilot = ScriptedPilot(config.pilot, self.radio, SWITCH_US)
+        self.home: Home | None = None
+        self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+        self.baro_height_m = 0.0
+        self.landed = True
+        self.gcs_heard_s: float | None = None
+        self.refuses: set[int] = set()
+        self._contact_s = _LANDED_AFTER_S
+        self._landed_s = 0.0
+        self._changes = 0
+        self._boot_texts = list(_BOOT_TEXTS)
+        self._count = 0
+
+    @property
+    def flight_mode(self) -> FlightMode:
+        """The mode as a navigator calls it."""
+        return next(
+            (each for each, mode in MODE_OF.items() if mode is self.commander.mode),
+            FlightMode.MANUAL,
+        )
+
+    def begin_in_flight(
+        self,
+        place_ned_m: tuple[float, float, float],
+        velocity_ned_m_s: tuple[float, float, float],
+        heading_rad: float,
+        mode: FlightMode,
+    ) -> None:
+        """Fly steadily, now, as if it had come there on vision; NED about the start place.
+
+        The origin is the start place when none was set.
+        """
+        body, estimator, wind, start = self.body, self.estimator, self.wind, self.start_frame
+        estimator.set_origin(start.lat_deg, start.lon_deg, start.alt_amsl_m)
+        estimator.origin_t_s = min(estimator.origin_t_s, self.t_s - _SETTLED_S)
+        wind.step(-place_ned_m[2], math.hypot(*velocity_ned_m_s), _AGES_S)
+        vn, ve, vd = velocity_ned_m_s
+        lift = body.hover_force(vn - wind.n_m_s, ve - wind.e_m_s, vd - wind.d_m_s)
+        quat_wxyz = attitude_of_force(*lift, heading_rad)
+        body.fly_at(place_ned_m, velocity_ned_m_s, quat_wxyz, math.hypot(*lift))
+        believed = attitude_of_force(
+            *lift, heading_rad + math.radians(self.config.heading_bias_deg)
+        )
+        estimator.align(place_ned_m, velocity_ned_m_s, believed, self.sensors.gyro_bias_rad_s)
+        self.landed, self._contact_s = False, 0.0
+        self._boot_texts.clear()
+        self._place_home_at((0.0, 0.0, 0.0))
+        self.commander.begin_in_flight(MODE_OF[mode], self.t_s)
+        self._enter_mode(0.0)
+        self.controller.reset()
+        yaw_rad = estimator.attitude.yaw_rad
+        self.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Queue a STATUSTEXT."""
+        self._texts_said += 1
+        self.texts.append((self._texts_said, severity, text))
+
+    def step(self) -> None:
+        """Advance by STEP_S."""
+        self.t_s = self._count * STEP_S
+        self._count += 1
+        if self._count % _SLOW_EVERY == 0:
+            self._slow(STEP_S * _SLOW_EVERY)
+        if self._count % 2 == 0:
+            self.controller.step_position(self.estimator, 2.0 * STEP_S, self.landed)
+        commands = self.controller.step_attitude(self.estimator, STEP_S)
+        if not self.commander.armed:
+            commands = (0.0, 0.0, 0.0, 0.0)
+        wind = self.wind
+        self.body.step(commands, (wind.n_m_s, wind.e_m_s, wind.d_m_s), STEP_S)
+        self.imu = self.sensors.imu(self.body)
+        self.estimator.propagate(self.imu, self.t_s, STEP_S, self.landed)
+
+    def _slow(self, dt_s: float) -> None:
+        body, estimator, wind = self.body, self.estimator, self.wind
+        wind.step(-body.d, math.hypot(body.vn - wind.n_m_s, body.ve - wind.e_m_s), dt_s)
+        self.baro_height_m = self.sensors.baro_height_m(body, dt_s)
+        estimator.handle_baro(self.baro_height_m)
+        estimator.handle_compass(self.sensors.compass_rad(body), dt_s)
+        self._say_boot_texts()
+        self._detect_landing(dt_s)
+        self._hear_pilot()
+        self._decide(dt_s)
+
+    def _hear_pilot(self) -> None:
+        self.pilot.step(self.t_s)
+        self.radio.hold_override(self.t_s)
+        wanted = self.radio.switched(self.t_s)
+        if wanted is not None:
+            self.ask(wanted)
+
+    def _decide(self, dt_s: float) -> None:
+        commander, health = self.commander, self.health
+        for wanted in self.failsafes.step(health, commander.armed, dt_s):
+            self._fail_over(wanted, health)
+        if self.failsafes.has_lost_position(health, commander.armed, self.t_s):
+            self._land_without_position(health)
+        commander.check(health, self.t_s)
+        if not commander.armed:
+            self._place_home()
+            self.controller.setpoint = Setpoint(idle=True)
+            return
+        self.controller.setpoint = self.modes.step(
+            self.estimator, self.radio.sticks, self.t_s - commander.armed_s, self.landed, dt_s
+        )
+        self._disarm_when_down()
+
+    def _fail_over(self, wanted: Mode, health: Health) -> None:
+        """A failsafe chooses the mode; one that lands waits before it comes down."""
+        self.commander.force(wanted, health)
+        self._follow_commander(_FAILSAFE_PAUSE_S)
+
+    def _land_without_position(self, health: Health) -> None:
+        """The EKF failsafe, in a mode that needs a position; LAND goes on without."""
+        if self.modes.holds_position and self.commander.mode is not Mode.LAND:
+            self._fail_over(Mode.LAND, health)
+            self.say(Severity.CRITICAL, "EKF Failsafe: changed to LAND Mode")
+        self.modes.lose_position()
+
+    def ask(self, wanted: Mode) -> Result:
+        """Somebody asks for a mode."""
+        result = self.commander.ask(wanted, self.health)
+        self._follow_commander()
+        return result
+
+    def _follow_commander(self, pause_s: float = 0.0) -> None:
+        if self.commander.changes != self._changes:
+            self._changes = self.commander.changes
+            self._enter_mode(pause_s)
+
+    def _enter_mode(self, pause_s: float) -> None:
+        may_hold = self.health.may_hold
+        self.modes.enter(self.commander.mode, self.estimator, may_hold, pause_s)
+
+    def take_off(self, height_m: float) -> Result:
+        """MAV_CMD_NAV_TAKEOFF: in GUIDED, armed and on the ground, to a height over home."""
+        commander = self.commander
+        is_guided = commander.mode is Mode.GUIDED
+        if not (commander.armed and self.landed and is_guided) or height_m <= 0.0:
+            return Result.FAILED
+        ground_m = self.home.local_m[2] if self.home is not None else self.estimator.down.x
+        self.modes.takeoff_down_m = ground_m - height_m
+        return Result.ACCEPTED
+
+    def set_target(self, setpoint: Setpoint) -> None:
+        """A setpoint arrived."""
+        self.modes.handle_target(setpoint)
+
+    @property
+    def health(self) -> Health:
+        """What decides about arming and failsafes."""
+        estimator, t_s = self.estimator, self.t_s
+        heard_s = self.gcs_heard_s
+        return Health(
+            position_ok=estimator.position_ok,
+            may_hold=estimator.position_ok and not self.failsafes.ekf,
+            attitude_ok=estimator.is_aligned,
+            vision_ok=estimator.vision_ok,
+            settled=estimator.origin is not None and t_s - estimator.origin_t_s > _SETTLED_S,
+            gcs_silent_s=math.inf if heard_s is None else t_s - heard_s,
+            radio_lost=self.radio.lost(t_s),
+            battery_level=self.battery.level,
+            landed=self.landed,
+        )
+
+    @property
+    def landed_state(self) -> Landed:
+        """MAV_LANDED_STATE for EXTENDED_SYS_STATE."""
+        if self.landed:
+            return Landed.ON_GROUND
+        if self.modes.takeoff_down_m is not None:
+            return Landed.TAKEOFF
+        return Landed.LANDING if self.modes.landing else Landed.IN_AIR
+
+    def _detect_landing(self, dt_s: float) -> None:
+        """Landed after a while on the ground without a push to leave."""
+        controller = self.controller
+        leaving = not controller.setpoint.idle and controller.velocity_sp[2] < -0.1
+        if not self.body.on_ground:
+            self._contact_s = 0.0
+        elif not leaving:
+            self._contact_s += dt_s
+        landed = self.body.on_ground and self._contact_s >= _LANDED_AFTER_S
+        if landed and not self.landed:
+            self._landed_s = self.t_s
+        self.landed = landed
+
+    def _disarm_when_down(self) -> None:
+        """After a landing at once, otherwise when nobody has taken off for DISARM_DELAY."""
+        if not self.landed:
+            return
+        commander = self.commander
+        idle_s = self.t_s - max(commander.armed_s, self._landed_s)
+        delay_s = self.parameters["DISARM_DELAY"] + SPOOL_UP_S
+        if self.modes.landing:
+            delay_s = _DISARMED_AFTER_S
+        if self.modes.takeoff_down_m is None and idle_s > delay_s:
+            commander.stop()
+
+    def _place_home(self) -> None:
+        """While disarmed, home is where it stands, once a second and as soon as it is known."""
+        known = self.home is not None and self.t_s - self.home.t_s < 1.0
+        if not known and self.landed:
+            self.set_home_here()
+
+    def set_home_here(self) -> bool:
+        """Home becomes the present position; False without a global one."""
+        estimator = self.estimator
+        if estimator.origin is None or not estimator.position_ok:
+            return False
+        self._place_home_at((estimator.north.x, estimator.east.x, estimator.down.x))
+        return True
+
+    def set_home(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bool:
+        """Home becomes a geodetic place; False without an origin."""
+        origin = self.estimator.origin
+        if origin is None:
+            return False
+        north, east, down = (float(v) for v in origin.to_ned(lat_deg, lon_deg, alt_amsl_m))
+        self._place_home_at((north, east, down))
+        return True
+
+    def _place_home_at(self, local_m: tuple[float, float, float]) -> None:
+        origin = self.estimator.origin
+        assert origin is not None
+        lat, lon, alt = (float(value) for value in origin.to_geodetic(list(local_m)))
+        self.home = Home(lat, lon, alt, local_m, self.t_s)
+        self.modes.home = local_m
+
+    def _say_boot_texts(self) -> None:
+        while self._boot_texts and self._boot_texts[0][0] <= self.t_s:
+            self.say(Severity.INFO, self._boot_texts.pop(0)[1])
+
+
+def _parameters(config: VehicleConfig) -> Parameters:
+    preset = () if config.autopilot_defaults else NO_GPS
+    radio = SETUP if config.pilot.rc_on else ()
+    own = (("SYSID_THISMAV", float(config.system_id)),)
+    return Parameters((*preset, *radio, *own, *config.parameters))

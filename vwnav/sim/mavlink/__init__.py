@@ -1,0 +1,1 @@
+"""What every simulated autopilot needs to speak MAVLink, whatever it says."""

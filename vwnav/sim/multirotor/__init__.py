@@ -1,0 +1,1 @@
+"""A multirotor and what every autopilot flies it by: airframe, air, sensors, filters, loops."""

@@ -1,0 +1,114 @@
+"""What every autopilot's estimator does alike: dead reckoning by IMU, barometer and compass."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
+from vwnav.sim.multirotor.attitude_filter import AttitudeFilter
+from vwnav.sim.multirotor.axis_filter import AxisFilter
+from vwnav.sim.multirotor.sensors import Imu
+
+_SLOW_STEP_S = 0.02  # of covariances and of the history
+_HISTORY = 40
+_ALIGNED_M, _ALIGNED_M_S = 0.3, 0.2  # what a filter on vision knows of its place and velocity
+_SIGMA_M = (14.0, 14.0, 2.6)  # north, east, down at boot
+
+
+class InertialFilter:
+    """Position, velocity and attitude as the vehicle believes them, NED about its origin.
+
+    An autopilot's own estimator adds `_maintain` and what aids it.
+
+    Attributes:
+        north, east, down: position (m), velocity (m/s) and error of the acceleration.
+        alt_amsl_m: of the local frame's zero; `start_alt_amsl_m` of the start place.
+        fusing: a position is fused now.
+        reset_counter: of jumps of the position.
+    """
+
+    def __init__(self, heading_rad: float, alt_amsl_m: float) -> None:
+        self.attitude = AttitudeFilter(heading_rad)
+        self.north, self.east, self.down = (AxisFilter(sigma_m) for sigma_m in _SIGMA_M)
+        self.alt_amsl_m = self.start_alt_amsl_m = alt_amsl_m
+        self.origin: LocalFrame | None = None
+        self.origin_t_s = -math.inf
+        self.fusing = False
+        self.reset_counter = 0
+        self.t_s = 0.0
+        self._history: deque[tuple[float, float, float, float]] = deque(maxlen=_HISTORY)
+        self._slow_s = 0.0
+
+    @property
+    def sigma_horizontal_m(self) -> float:
+        """One sigma of the horizontal position (eph)."""
+        return math.hypot(self.north.sigma_m, self.east.sigma_m)
+
+    def align(
+        self,
+        place_ned_m: tuple[float, float, float],
+        velocity_ned_m_s: tuple[float, float, float],
+        quat_wxyz: tuple[float, float, float, float],
+        gyro_bias_rad_s: Sequence[float],
+    ) -> None:
+        """Know where it is, as after a flight on vision that came until now."""
+        axes = (AxisFilter(_ALIGNED_M), AxisFilter(_ALIGNED_M), AxisFilter(_ALIGNED_M))
+        for axis, place_m, speed_m_s in zip(axes, place_ned_m, velocity_ned_m_s, strict=True):
+            axis.x, axis.v, axis.p11 = place_m, speed_m_s, _ALIGNED_M_S**2
+        self.north, self.east, self.down = axes
+        self.attitude.align(quat_wxyz, gyro_bias_rad_s)
+        self.fusing = True
+        self._history.clear()
+
+    def propagate(self, imu: Imu, t_s: float, dt_s: float, on_ground: bool) -> None:
+        """Advance by one inertial sample that ends at `t_s`."""
+        self.t_s = t_s
+        self.attitude.step(imu, on_ground, self.fusing, dt_s)
+        fn, fe, fd = self.attitude.specific_force_ned(imu)
+        self.north.predict(fn, dt_s)
+        self.east.predict(fe, dt_s)
+        self.down.predict(fd + GRAVITY_M_S2, dt_s)
+        self._slow_s += dt_s
+        if self._slow_s >= _SLOW_STEP_S:
+            for axis in (self.north, self.east, self.down):
+                axis.grow(self._slow_s)
+            self._history.append((t_s, self.north.x, self.east.x, self.down.x))
+            self._maintain(self._slow_s, on_ground)
+            self._slow_s = 0.0
+
+    def _maintain(self, dt_s: float, on_ground: bool) -> None:
+        """What is known without a measurement, every 20 ms."""
+
+    def _stand(self) -> None:
+        """On the ground it does not move: zero velocity update."""
+        for axis in (self.north, self.east, self.down):
+            axis.fuse_velocity(-axis.v, 0.1**2)
+
+    def _level(self, dt_s: float, time_s: float) -> None:
+        """Move the steady error of horizontal acceleration into the tilt it comes from."""
+        share = dt_s / time_s
+        self.attitude.tilt(share * self.east.b / GRAVITY_M_S2, -share * self.north.b / GRAVITY_M_S2)
+        self.north.b -= share * self.north.b
+        self.east.b -= share * self.east.b
+
+    def _moved_since(self, t_s: float) -> tuple[float, float, float]:
+        """How far the state went from `t_s` until now."""
+        for past_s, north, east, down in reversed(self._history):
+            if past_s <= t_s:
+                return self.north.x - north, self.east.x - east, self.down.x - down
+        return 0.0, 0.0, 0.0
+
+    def _reset_to(self, north_m: float, east_m: float, variance_m2: float) -> None:
+        """Jump."""
+        self.north.reset_position(north_m, variance_m2)
+        self.east.reset_position(east_m, variance_m2)
+        self.reset_counter += 1
+        self._history.clear()
+
+    def geodetic(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (deg) and altitude (m AMSL), None without an origin."""
+        if self.origin is None:
+            return None
+        lat, lon, alt = self.origin.to_geodetic([self.north.x, self.east.x, self.down.x])
+        return float(lat), float(lon), float(alt)
