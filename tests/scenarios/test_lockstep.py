@@ -4,13 +4,13 @@ import hashlib
 from dataclasses import replace
 
 import pytest
-from scenario_place import default_place
-from scenario_table import ATTITUDE
 
 from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.table.telemetry import MISSING
 from vwnav.bench.flights.world import World
+from vwnav.cli.lockstep_place import lockstep_place
 
-SHORT = replace(ATTITUDE[2], limit_s=12.0)
+SHORT = replace(MISSING[2], limit_s=12.0)
 
 
 def bytes_and_estimates(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
@@ -31,7 +31,7 @@ def bytes_and_estimates(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> 
         return put
 
     monkeypatch.setattr(World, "begin", listen)
-    flown = fly(scenario, default_place())
+    flown = fly(scenario, lockstep_place())
     monkeypatch.setattr(World, "begin", begin)
     for step in flown.world.navigator.record.steps:
         if step.estimate is not None:

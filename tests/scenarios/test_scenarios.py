@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import pytest
-from scenario_place import default_place
-from scenario_table import CAMERA, QUICK, TABLE
 
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.table import QUICK, TABLE
+from vwnav.cli.lockstep_place import lockstep_place
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ from vwnav.bench.flights.scenario import Scenario, fly
     ],
 )
 def test_whatever_breaks_the_aircraft_is_not_lost(scenario: Scenario) -> None:
-    verdict = judge(fly(scenario, default_place()))
+    verdict = judge(fly(scenario, lockstep_place()))
     assert not verdict.wrong, "; ".join(verdict.wrong)
 
 
@@ -30,11 +30,11 @@ def test_the_quick_rows_are_in_the_table() -> None:
 
 @pytest.mark.long
 def test_with_the_lens_covered_it_comes_down_near_in_18_of_20_seeds() -> None:
-    covered = next(row for row in CAMERA if "black" in row.name)
+    covered = next(row for row in TABLE if "pictures black" in row.name)
     far = []
     for seed in range(1, 21):
         row = replace(covered, setup=replace(covered.setup, seed=seed))
-        verdict = judge(fly(row, default_place()))
+        verdict = judge(fly(row, lockstep_place()))
         if verdict.wrong:
             far.append((seed, verdict.wrong))
     assert len(far) <= 2, far

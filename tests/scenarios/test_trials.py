@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenario_place import default_place
-from scenario_table import TABLE
 
 from vwnav.bench.flights.judge import STICK_STATES, judge
 from vwnav.bench.flights.scenario import Flown, Scenario, fly
+from vwnav.bench.flights.table import TABLE
+from vwnav.cli.lockstep_place import lockstep_place
 
 pytestmark = pytest.mark.long
 
@@ -25,7 +25,7 @@ def row(part: str) -> Scenario:
 def flown_with(scenario: Scenario, seed: int, wind_m_s: float, at_s: float) -> Flown:
     setup = replace(scenario.setup, seed=seed, wind_m_s=wind_m_s)
     breaks = (replace(scenario.breaks[0], at_s=at_s), *scenario.breaks[1:])
-    return fly(replace(scenario, setup=setup, breaks=breaks), default_place())
+    return fly(replace(scenario, setup=setup, breaks=breaks), lockstep_place())
 
 
 @pytest.mark.parametrize("group", range(GROUPS))

@@ -8,7 +8,7 @@ import numpy as np
 
 from vwnav.bench.estimator_run import Run, heading
 from vwnav.bench.estimator_scores import chi_square_bounds, position_nees
-from vwnav.errors import VwnavError
+from vwnav.bench.pyplot import pyplot
 from vwnav.types import Array, OdometryMotion
 
 _SETTLING_S = 15.0  # errors before that do not set the scale
@@ -20,7 +20,7 @@ _YAW_COLUMNS = (
 
 def save_nees_plot(runs: list[Run], path: Path) -> None:
     """Mean normalised error squared over time with its 95 % bounds, and the errors' sizes."""
-    plt = _pyplot()
+    plt = pyplot()
     rows = runs[0].rows
     nees = np.mean([position_nees(run.rows) for run in runs], axis=0)
     low, high = chi_square_bounds(2, len(runs))
@@ -39,7 +39,7 @@ def save_nees_plot(runs: list[Run], path: Path) -> None:
 
 def save_error_plot(run: Run, path: Path) -> None:
     """Errors of one flight over time with the filter's sigma about them."""
-    plt = _pyplot()
+    plt = pyplot()
     rows = run.rows
     panels = (
         ("north, m", rows.error_ne_m[:, 0], np.sqrt(rows.P[:, 0, 0])),
@@ -69,7 +69,7 @@ def save_yaw_table(run: Run, with_lambda: Run, path: Path) -> None:
 
 def save_yaw_plot(run: Run, with_lambda: Run, path: Path) -> None:
     """Figure 6.20 of the thesis: commanded, measured and estimated heading, and their errors."""
-    plt = _pyplot()
+    plt = pyplot()
     t_s, commanded, true, measured, _, estimated, lambda_ = _yaw_columns(run, with_lambda).T
     figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(9, 6))
     top.plot(t_s, commanded, "k--", lw=0.8, label="commanded")
@@ -124,18 +124,7 @@ def _turned_by_pictures(run: Run) -> Array:
     return np.interp(run.rows.t_s, times, np.unwrap(yaws))
 
 
-def _pyplot() -> Any:
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise VwnavError("plots need matplotlib: pip install 'vwnav[eval]'") from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
-
-
 def _save(figure: Any, path: Path) -> None:
     figure.tight_layout()
     figure.savefig(path, dpi=120)
-    _pyplot().close(figure)
+    pyplot().close(figure)

@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.bench.flights.scenario import Ending, Flown
 from vwnav.bench.flights.track import Track, Truth
 from vwnav.mission import Phase
-from vwnav.sim.px4.modes import STICK_STATES
+from vwnav.sim.px4.modes import STICK_STATES, NavState
 
 _PILOT_S = 0.3  # from the pilot's mode to the last setpoint
 _NEVER_SIGMAS, _SELDOM_SIGMAS, _SELDOM_S = 5.0, 3.0, 1.0
@@ -37,7 +37,7 @@ class Verdict:
 def judge(flown: Flown) -> Verdict:
     """Look at a flight by all rules."""
     track = flown.track
-    sigmas = track.sigmas()
+    sigmas = track.sigmas(flown.scenario.map_off_m)
     fastest_m_s = _fastest(track, flown)
     off_m = _landed_off_m(flown)
     wrong = [
@@ -67,6 +67,8 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
             return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
         case Ending.PILOT if last.mode not in STICK_STATES:
             return [f"the pilot does not have it: {_where(last)}"]
+        case Ending.OTHERS if not _others_have_it(flown):
+            return [f"nobody else has it: {_where(last)}, {_said(flown)}"]
         case Ending.STAYED if flew:
             return [f"it took off: {_where(last)}"]
     return []
@@ -79,6 +81,15 @@ def _flies_on(flown: Flown) -> bool:
     start = flown.scenario.setup.start
     begun = Phase.TAKEOFF if start is None or start.phase is None else start.phase
     return flown.world.navigator.flight.phase in _GOES_ON[begun]
+
+
+def _others_have_it(flown: Flown) -> bool:
+    """It is not ours any more, and no setpoint was sent since the mission saw that."""
+    released = [each for each in flown.track.phases if each.text == Phase.RELEASED.value]
+    if not released or flown.track.truth[-1].mode is NavState.OFFBOARD:
+        return False
+    since_s = released[0].t_s + flown.world.begun_s + _PILOT_S
+    return not any(o.kind == "setpoint" and o.t_s > since_s for o in flown.track.orders)
 
 
 def _followed(flown: Flown) -> list[str]:

@@ -10,6 +10,7 @@ from vwnav.bench.flights.place import Place
 from vwnav.config import Config
 from vwnav.drivers.autopilot import LinkedAutopilot
 from vwnav.drivers.pymavlink_port import PymavlinkPort
+from vwnav.drivers.recorder import Recorder
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
@@ -37,11 +38,15 @@ class Record:
 
     Args:
         note: takes every line said.
+
+    Attributes:
+        recorder: is given all that a flight records; None in most flights.
     """
 
     def __init__(self, note: Callable[[str], None]) -> None:
         self._note = note
         self.disk_full = False
+        self.recorder: Recorder | None = None
         self.steps: list[StepResult] = []
 
     def event(self, text: str) -> None:
@@ -52,11 +57,16 @@ class Record:
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
         """A picture went through the pipeline."""
         self._write()
+        if self.recorder is not None:
+            self.recorder.frame(frame)
+            self.recorder.outcome(step.outcome)
         self.steps.append(step)
 
     def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
         """The mission ticked."""
         self._write()
+        if self.recorder is not None:
+            self.recorder.vehicle(vehicle)
 
     def _write(self) -> None:
         if self.disk_full:
@@ -108,11 +118,11 @@ class Navigator:
         self.port = PymavlinkPort(link, clock)
         self.autopilot = LinkedAutopilot(self.port, clock)
         self.keep_alive = KeepAlive(channel, clock)
-        self._executor = LateExecutor(clock, processor, self._cost_of_matching)
+        self.executor = LateExecutor(clock, processor, self._cost_of_matching)
         self.pack = MapPack.open(place.pack)
         assembled = assemble_with(
             equipped.primary, place.fallback, self.pack, place.camera, equipped.local_frame,
-            config, self._executor, self.record.event,
+            config, self.executor, self.record.event,
         )  # fmt: skip
         self.pipeline, self.ekf = assembled.pipeline, assembled.ekf
         self._watch = CameraWatch(place.camera.width_px, place.camera.height_px)
@@ -134,6 +144,7 @@ class Navigator:
         self._frame_done_s: float | None = None
         self._camera_again_s = 0.0
         self._asleep_until_s = -np.inf
+        self._link_failed = False
         self.broken: Exception | None = None
         self.ended = False
 
@@ -192,7 +203,7 @@ class Navigator:
             return
         self.port.poll()
         if self._workers["link"].due(t_s):
-            self.runtime.step_link(t_s)
+            self._talk(t_s)
         if self.broken is None and self._workers["mission"].due(t_s):
             try:
                 self.runtime.step_control(t_s)
@@ -201,12 +212,21 @@ class Navigator:
                 self.record.event(f"the mission broke: {error!r}")
         self._see(t_s)
 
+    def _talk(self, t_s: float) -> None:
+        """The link's loop goes on whatever its step raises, as in `FlightRuntime`."""
+        try:
+            self.runtime.step_link(t_s)
+        except Exception as error:
+            if not self._link_failed:
+                self.record.event(f"a step of the link failed, it goes on: {error!r}")
+            self._link_failed = True
+
     def stop_until(self, t_s: float) -> None:
         """Stopped as by SIGSTOP: nothing of it runs, what arrives waits."""
         self._asleep_until_s = t_s
         for worker in self._workers.values():
             worker.sleep_until(t_s)
-        self._executor.sleep_until(t_s)
+        self.executor.sleep_until(t_s)
         if self._frame_done_s is not None:
             self._frame_done_s = max(self._frame_done_s, t_s)
 

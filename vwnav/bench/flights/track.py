@@ -82,11 +82,15 @@ class Track:
                 found.append(Event(each.t_s, each.mode.name))
         return found
 
-    def sigmas(self) -> Array:
-        """(n, 2) of every estimate sent: arrival, and how many of its sigmas it is wrong."""
+    def sigmas(self, map_off_m: float = 0.0) -> Array:
+        """(n, 2) of every estimate sent: arrival, and how many of its sigmas it is wrong.
+
+        An error of the map itself, `map_off_m`, is none of the estimate's.
+        """
         rows = []
         for sent in self.sent:
             error = (sent.position_ned_m - self.truth_at(sent.stamp_s).position_ned_m)[:2]
+            error = error * max(0.0, 1.0 - map_off_m / max(float(np.hypot(*error)), 1e-9))
             square = float(error @ np.linalg.solve(sent.covariance_ne_m2, error))
             rows.append((sent.t_s, np.sqrt(max(square, 0.0))))
         return np.array(rows, np.float64).reshape(-1, 2)

@@ -1,16 +1,20 @@
 """Vehicle, link, watchdog, navigator and camera in one thread, stepped together by one clock."""
 
 import random
+import shutil
+import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
-from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.noted_link import NotedLink
+from vwnav.bench.flights.place import BreakableFeatures, Place
 from vwnav.bench.flights.successor import LockstepSuccessor
-from vwnav.bench.flights.track import Event, Order, Sent, Track, Truth
+from vwnav.bench.flights.track import Event, Track, Truth
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
@@ -23,20 +27,20 @@ from vwnav.sim.memory_link import MemoryLink
 from vwnav.sim.processor import Costs, Processor
 from vwnav.sim.px4.config import PilotPlan, VehicleConfig
 from vwnav.sim.px4.core import Peer, VehicleCore
-from vwnav.sim.px4.link import ByteLink
 from vwnav.sim.px4.modes import NavState, Setpoint
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.px4.streams import COMPANION_RATES
 from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.site import Site
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Estimate, FeatureExtractor, Features, Gray
+from vwnav.types import Array, Estimate
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
 _SETTLED_S = 0.5  # of telemetry before its filter begins
 _LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
-_LATENCY_S = 0.002
+LINK_LATENCY_S = 0.002
 _CAMERA_LATENCY_S = 0.04
 # As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
 _PARAMETERS: tuple[tuple[str, float], ...] = (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3))
@@ -67,7 +71,9 @@ class Setup:
         stands_ne_m: where it stands, about the site's home.
         home_known: False: the program is not told where it stands.
         rc_on: a pilot holds a radio.
+        gust_m_s: one sigma of the turbulence; None is a tenth of the wind.
         vehicle_rate: seconds of the vehicle's clock per second.
+        copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
     seed: int = 1
@@ -81,61 +87,13 @@ class Setup:
     home_known: bool = True
     wind_m_s: float = 4.0
     wind_from_deg: float = 250.0
+    gust_m_s: float | None = None
     rc_on: bool = False
     vehicle_rate: float = 1.0
     picture_hz: float = 10.0
+    copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)
-
-
-class BreakableFeatures:
-    """An extractor that can be made to raise, as a model does that runs out of memory."""
-
-    def __init__(self, features: FeatureExtractor) -> None:
-        self._features = features
-        self.name = features.name
-        self.feature_set_id = features.feature_set_id
-        self.broken = False
-
-    def extract(self, gray: Gray, max_keypoints: int) -> Features:
-        """As the extractor does, while it works."""
-        if self.broken:
-            raise RuntimeError("bad allocation in the inference session")
-        return self._features.extract(gray, max_keypoints)
-
-
-class NotedLink(ByteLink):
-    """The vehicle's end of its companion link; what arrives is noted.
-
-    Args:
-        track: gets it.
-    """
-
-    def __init__(self, end: Any, clock: SimulatedClock, track: Track) -> None:
-        super().__init__(end, 1)
-        self._clock = clock
-        self._track = track
-
-    def receive(self, t_s: float) -> list[Any]:
-        """Every valid message that has arrived."""
-        messages = super().receive(t_s)
-        for message in messages:
-            self._note(message, self._clock())
-        return messages
-
-    def _note(self, m: Any, t_s: float) -> None:
-        kind, component = m.get_type(), m.get_srcComponent()
-        if kind == "VISION_POSITION_ESTIMATE":
-            c = m.covariance
-            covariance = np.array([[c[0], c[1]], [c[1], c[6]]])
-            place = np.array([m.x, m.y, m.z])
-            sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
-            self._track.sent.append(sent)
-        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
-            self._track.orders.append(Order(t_s, "setpoint", component, 0, (m.vx, m.vy, m.vz)))
-        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
-            parameters = (m.param1, m.param2, m.param3)
-            self._track.orders.append(Order(t_s, "command", component, m.command, parameters))
 
 
 class World:
@@ -144,16 +102,24 @@ class World:
     Attributes:
         clock: its time; the navigator's and the watchdog's monotonic clock.
         begun_s: when the mission began, on that clock.
+        place: with the map that is flown on.
+        wall_clock: the computer's date, as it was before a fault set it.
         track: what is noted for the judge, about the run's origin.
     """
 
     def __init__(self, setup: Setup, place: Place) -> None:
         self.setup = setup
+        self._folder: TemporaryDirectory[str] | None = None
+        if setup.copies_map:
+            self._folder = TemporaryDirectory(prefix="vwnav-flight-")
+            place = replace(place, pack=Path(shutil.copy(place.pack, self._folder.name)))
+        self.place = place
+        self.wall_clock = time.time
         self.clock = SimulatedClock()
         self.track = Track()
         rng = random.Random(setup.seed)
         self._stands_ned_m = np.array([*setup.stands_ne_m, 0.0])
-        self.autopilot_link = MemoryLink(self.clock, rng, _LATENCY_S)
+        self.autopilot_link = MemoryLink(self.clock, rng, LINK_LATENCY_S)
         self._navigator_link = MemoryLink(self.clock, rng)
         self._observer_link = MemoryLink(self.clock, rng)
         self._beats = MemoryLink(self.clock, rng)
@@ -179,6 +145,7 @@ class World:
             seed=setup.seed,
             wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg,
+            gust_m_s=setup.gust_m_s,
             parameters=(*_PARAMETERS, *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on),
         )
@@ -193,9 +160,7 @@ class World:
         return Watchdog(links, WatchdogConfig(), self.successor)
 
     def _camera(self, place: Place) -> LockstepCamera:
-        rng = np.random.default_rng(self.setup.seed)
-        config = RenderConfig(color=False, background=False)
-        renderer = CameraRenderer(place.site, place.camera, config, rng, default_cache_dir())
+        renderer = draw(place.site, self.setup, place)
         period_s = 1.0 / self.setup.picture_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
@@ -212,6 +177,17 @@ class World:
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
             self.processor, self.costs, self.note, first_counter,
         )  # fmt: skip
+
+    @property
+    def own_map(self) -> Path:
+        """A map's file that may be damaged.
+
+        Raises:
+            ValueError: the flight shares its map with others.
+        """
+        if self._folder is None:
+            raise ValueError("set copies_map: this flight shares its map with others")
+        return self.place.pack
 
     @property
     def t_s(self) -> float:
@@ -352,3 +328,10 @@ class World:
         phase = self.navigator.flight.phase.value
         if not track.phases or track.phases[-1].text != phase:
             track.phases.append(Event(self.t_s, phase))
+
+
+def draw(site: Site, setup: Setup, place: Place, kept: bool = True) -> CameraRenderer:
+    """What the camera sees of a site; `kept` keeps its tiles on disk, for other runs."""
+    rng = np.random.default_rng(setup.seed)
+    config = RenderConfig(color=False, background=False)
+    return CameraRenderer(site, place.camera, config, rng, default_cache_dir() if kept else None)

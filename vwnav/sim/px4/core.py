@@ -83,7 +83,7 @@ class VehicleCore:
         heard_s = max((peer.link.gcs_heard_s for peer in self._peers), default=-math.inf)
         self.vehicle.gcs_heard_s = heard_s if heard_s >= 0.0 else None
         if any(session.reboot_wanted for session in self._sessions):
-            self._reboot()
+            self.reboot()
 
     def _open_sessions(self) -> list[Session]:
         return [
@@ -97,7 +97,7 @@ class VehicleCore:
             for peer in self._peers
         ]
 
-    def _reboot(self) -> None:
+    def reboot(self) -> None:
         """Start again with the parameters as they are."""
         _log.info("rebooting")
         self.vehicle = SimulatedPx4(self._config, self.vehicle.parameters)

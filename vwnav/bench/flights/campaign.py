@@ -1,0 +1,110 @@
+"""Rows of the table flown one after the other, or several at a time, and what became of each."""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+from vwnav.bench.flights.judge import Verdict, judge
+from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.scenario import Flown, Scenario, fly
+from vwnav.bench.flights.table import TABLE, family_of
+
+MakePlace = Callable[[], Place]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowResult:
+    """What became of a row; plain values, so that it travels between processes.
+
+    Attributes:
+        wrong: what was; nothing when it passed.
+        broke_s: when it broke, since the mission began; None: it never did.
+        landed_off_m: from where it was meant to come down; None: it did not, or nothing says where.
+        worst_sigmas: of an estimate that was sent.
+        flown_s, cost_s: simulated seconds; seconds of a processor.
+        timeline: what happened when, a line each.
+        picture: of its track, None where none was drawn.
+    """
+
+    name: str
+    family: str
+    expected: str
+    where: str
+    when: str
+    wrong: tuple[str, ...]
+    broke_s: float | None
+    landed_off_m: float | None
+    fastest_m_s: float
+    worst_sigmas: float
+    flown_s: float
+    cost_s: float
+    timeline: tuple[str, ...]
+    picture: str | None
+
+    @property
+    def passed(self) -> bool:
+        """Nothing was wrong."""
+        return not self.wrong
+
+
+def fly_rows(
+    rows: Sequence[Scenario], make_place: MakePlace, folder: Path, jobs: int
+) -> Iterator[RowResult]:
+    """Fly rows of the table, `jobs` at a time; results come as they are done.
+
+    Args:
+        rows: of `TABLE`, which every process has.
+        make_place: a function of a module, as it is called in every process.
+        folder: of the pictures of those that fail.
+        jobs: processes; 1 flies in this one.
+    """
+    names = [row.name for row in rows]
+    if jobs == 1:
+        for name in names:
+            yield fly_row(name, make_place, folder)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        waiting = [pool.submit(fly_row, name, make_place, folder) for name in names]
+        try:
+            for each in as_completed(waiting):
+                yield each.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def fly_row(name: str, make_place: MakePlace, folder: Path) -> RowResult:
+    """Fly one row of the table, and draw its track if it fails."""
+    row = next(each for each in TABLE if each.name == name)
+    place = make_place()
+    began_s = time.process_time()
+    flown = fly(row, place)
+    verdict = judge(flown)
+    picture = draw_failure(flown, verdict, folder) if verdict.wrong else None
+    return RowResult(
+        name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,
+        wrong=verdict.wrong, broke_s=flown.broke_s, landed_off_m=verdict.landed_off_m,
+        fastest_m_s=verdict.fastest_m_s, worst_sigmas=verdict.worst_sigmas, flown_s=flown.world.t_s,
+        cost_s=time.process_time() - began_s, timeline=tuple(timeline(flown)), picture=picture,
+    )  # fmt: skip
+
+
+def draw_failure(flown: Flown, verdict: Verdict, folder: Path) -> str:
+    """Name of the picture of its track in the folder."""
+    from vwnav.bench.flights.picture import save_track
+
+    name = "".join(c if c.isalnum() else "_" for c in flown.scenario.name) + ".png"
+    save_track(flown, verdict, folder / name)
+    return name
+
+
+def timeline(flown: Flown) -> list[str]:
+    """What was said, which modes were flown and where the mission stood, by time."""
+    track, begun_s = flown.track, flown.world.begun_s
+    lines = [(each.t_s, each.text) for each in track.events]
+    lines += [(each.t_s - begun_s, f"mode {each.text}") for each in track.modes()]
+    lines += [(each.t_s, f"phase: {each.text}") for each in track.phases]
+    return [f"{t_s:.2f} s {line}" for t_s, line in sorted(lines)]

@@ -1,0 +1,126 @@
+"""`vwnav flighttest`: flights with something broken in them, each with a verdict."""
+
+import json
+import os
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from vwnav.cli.screen import print_rows, say
+from vwnav.errors import ConfigError, VwnavError
+
+if TYPE_CHECKING:
+    from vwnav.bench.flights.campaign import RowResult
+    from vwnav.bench.flights.scenario import Scenario
+
+_NAMES_SHOWN = 3
+
+app = typer.Typer(no_args_is_help=True, help="Fly tests, and say whether they passed.")
+
+
+@app.callback()
+def _flighttest() -> None:
+    # Read when the libraries load: every flight has one core.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+
+@app.command()
+def faults(
+    listed: bool = typer.Option(False, "--list", help="Say what there is, and fly nothing."),
+    only: list[str] = typer.Option([], help="Only rows with this in their name; may be repeated."),
+    jobs: int = typer.Option(1, min=1, help="How many are flown at a time."),
+    as_json: bool = typer.Option(False, "--json", help="One JSON object a line on stdout."),
+    output: Path | None = typer.Option(
+        None, "-o", "--output", help="Folder of the result: faults.json, a picture of each failure."
+    ),
+) -> None:
+    """Fly the whole program in simulated time with one thing broken, fault by fault.
+
+    Each has an expected outcome; what comes out otherwise fails, and its track is drawn.
+
+    Examples:
+    vwnav flighttest faults --list
+    vwnav flighttest faults --jobs 2 -o faults
+    vwnav flighttest faults --only "link cut" --only black
+    """
+    from vwnav.bench.flights.table import rows_named
+
+    rows = rows_named(only)
+    if not rows:
+        raise ConfigError(f"no fault is named {' or '.join(only)}: see --list")
+    if listed:
+        _show_list(rows, as_json)
+        return
+    from vwnav.drivers.run_folder import make_run_folder
+
+    results = _fly(rows, jobs, as_json, make_run_folder(output, "faults"))
+    failed = [each.name for each in results if not each.passed]
+    if failed:
+        named = ", ".join(failed[:_NAMES_SHOWN]) + (" ..." if len(failed) > _NAMES_SHOWN else "")
+        raise VwnavError(f"{len(failed)} of {len(results)} faults failed: {named}")
+
+
+def _show_list(rows: "Iterable[Scenario]", as_json: bool) -> None:
+    from vwnav.bench.flights.table import family_of
+
+    cells = [(family_of(row), row.name, row.where, row.when, row.expected) for row in rows]
+    header = ("family", "name", "where", "when", "expected")
+    if as_json:
+        for each in cells:
+            print(json.dumps(dict(zip(header, each, strict=True))))
+    else:
+        print_rows("faults", header, cells)
+
+
+def _fly(rows: "list[Scenario]", jobs: int, as_json: bool, folder: Path) -> "list[RowResult]":
+    """Results in the table's order; each is told as soon as it is there."""
+    from vwnav.bench.flights.campaign import fly_rows
+    from vwnav.cli.lockstep_place import lockstep_place
+
+    lockstep_place()  # its map is drawn once, here
+    results: list[RowResult] = []
+    for result in fly_rows(rows, lockstep_place, folder, jobs):
+        results.append(result)
+        if as_json:
+            print(json.dumps(asdict(result)), flush=True)
+        else:
+            _tell(result, len(results), len(rows))
+    order = [row.name for row in rows]
+    results.sort(key=lambda each: order.index(each.name))
+    lines = [json.dumps(asdict(each)) for each in results]
+    (folder / "faults.json").write_text("\n".join(lines) + "\n")
+    if not as_json:
+        _show_verdicts(results)
+    say(f"flighttest: wrote faults.json and a picture of each failure to {folder}")
+    return results
+
+
+def _tell(result: "RowResult", done: int, count: int) -> None:
+    say(f"{done}/{count} {'pass' if result.passed else 'FAIL'} {result.name}")
+    if not result.passed:
+        for line in (*result.wrong, *(f"  {each}" for each in result.timeline)):
+            say(f"    {line}")
+
+
+def _show_verdicts(results: "list[RowResult]") -> None:
+    cells = [
+        (
+            "[green]pass[/]" if each.passed else "[red]FAIL[/]",
+            each.family,
+            each.name,
+            each.expected if each.passed else "; ".join(each.wrong),
+            "" if each.landed_off_m is None else f"{each.landed_off_m:.1f}",
+            f"{each.worst_sigmas:.1f}",
+            f"{each.flown_s:.0f}",
+        )
+        for each in results
+    ]
+    header = ("", "family", "fault", "outcome", "down, m off", "worst sigmas", "flown, s")
+    passed = sum(each.passed for each in results)
+    print_rows(f"{passed} of {len(results)} faults passed", header, cells)
+    cost_s = sum(each.cost_s for each in results)
+    print(f"{cost_s / 60.0:.0f} minutes of a processor", file=sys.stderr)
