@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +33,15 @@ def faults(
     listed: bool = typer.Option(False, "--list", help="Say what there is, and fly nothing."),
     only: list[str] = typer.Option([], help="Only rows with this in their name; may be repeated."),
     jobs: int = typer.Option(1, min=1, help="How many are flown at a time."),
+    connection: str | None = typer.Option(
+        None, help="An autopilot in simulation, flown in real time; else all in lockstep."
+    ),
+    pilot: str | None = typer.Option(
+        None, help="With --connection: a second link, on which this command plays the pilot."
+    ),
+    truth: str | None = typer.Option(
+        None, help="With --connection: where the simulator tells its ground truth."
+    ),
     as_json: bool = typer.Option(False, "--json", help="One JSON object a line on stdout."),
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Folder of the result: faults.json, a picture of each failure."
@@ -46,10 +55,16 @@ def faults(
     vwnav flighttest faults --list
     vwnav flighttest faults --jobs 2 -o faults
     vwnav flighttest faults --only "link cut" --only black
+    vwnav flighttest faults --connection udpin://0.0.0.0:14540 --truth udpout:127.0.0.1:14560
     """
     from vwnav.bench.flights.table import rows_named
 
     rows = rows_named(only)
+    if connection is not None:
+        from vwnav.bench.flights.live.campaign import live_rows
+
+        possible = {row.name for row in live_rows(pilot is not None)}
+        rows = [row for row in rows if row.name in possible]
     if not rows:
         raise ConfigError(f"no fault is named {' or '.join(only)}: see --list")
     if listed:
@@ -57,7 +72,13 @@ def faults(
         return
     from vwnav.drivers.run_folder import make_run_folder
 
-    results = _fly(rows, jobs, as_json, make_run_folder(output, "faults"))
+    folder = make_run_folder(output, "faults")
+    if connection is None:
+        results = _collect(rows, _in_lockstep(rows, jobs, folder), as_json, folder)
+    else:
+        if truth is None:
+            raise ConfigError("--connection needs --truth: the camera is drawn from it")
+        results = _collect(rows, _live(rows, (connection, truth, pilot), folder), as_json, folder)
     failed = [each.name for each in results if not each.passed]
     if failed:
         named = ", ".join(failed[:_NAMES_SHOWN]) + (" ..." if len(failed) > _NAMES_SHOWN else "")
@@ -76,14 +97,33 @@ def _show_list(rows: "Iterable[Scenario]", as_json: bool) -> None:
         print_rows("faults", header, cells)
 
 
-def _fly(rows: "list[Scenario]", jobs: int, as_json: bool, folder: Path) -> "list[RowResult]":
-    """Results in the table's order; each is told as soon as it is there."""
+def _in_lockstep(rows: "list[Scenario]", jobs: int, folder: Path) -> "Iterator[RowResult]":
     from vwnav.bench.flights.campaign import fly_rows
     from vwnav.cli.lockstep_place import lockstep_place
 
     lockstep_place()  # its map is drawn once, here
+    return fly_rows(rows, lockstep_place, folder, jobs)
+
+
+def _live(
+    rows: "list[Scenario]", urls: tuple[str, str, str | None], folder: Path
+) -> "Iterator[RowResult]":
+    from vwnav.bench.flights.live.campaign import fly_live_rows
+    from vwnav.bench.flights.live.session import Links, Simulator
+
+    simulator = Simulator(Links(*urls))
+    try:
+        yield from fly_live_rows(rows, simulator, folder)
+    finally:
+        simulator.close()
+
+
+def _collect(
+    rows: "list[Scenario]", flown: "Iterable[RowResult]", as_json: bool, folder: Path
+) -> "list[RowResult]":
+    """Results in the table's order; each is told as soon as it is there."""
     results: list[RowResult] = []
-    for result in fly_rows(rows, lockstep_place, folder, jobs):
+    for result in flown:
         results.append(result)
         if as_json:
             print(json.dumps(asdict(result)), flush=True)

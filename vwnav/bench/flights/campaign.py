@@ -7,10 +7,11 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from vwnav.bench.flights.judge import Verdict, judge
+from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import Flown, Scenario, fly
+from vwnav.bench.flights.scenario import Scenario, fly
 from vwnav.bench.flights.table import TABLE, family_of
+from vwnav.bench.flights.track import Track
 
 MakePlace = Callable[[], Place]
 
@@ -83,27 +84,32 @@ def fly_row(name: str, make_place: MakePlace, folder: Path) -> RowResult:
     began_s = time.process_time()
     flown = fly(row, place)
     verdict = judge(flown)
-    picture = draw_failure(flown, verdict, folder) if verdict.wrong else None
+    track, begun_s, picture = flown.track, flown.world.begun_s, None
+    if verdict.wrong:
+        picture = draw_failure(name, track, begun_s, flown.broke_s, verdict.wrong, folder)
+    happened = timeline_of(track, begun_s)
     return RowResult(
         name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,
         wrong=verdict.wrong, broke_s=flown.broke_s, landed_off_m=verdict.landed_off_m,
         fastest_m_s=verdict.fastest_m_s, worst_sigmas=verdict.worst_sigmas, flown_s=flown.world.t_s,
-        cost_s=time.process_time() - began_s, timeline=tuple(timeline(flown)), picture=picture,
+        cost_s=time.process_time() - began_s, timeline=tuple(happened), picture=picture,
     )  # fmt: skip
 
 
-def draw_failure(flown: Flown, verdict: Verdict, folder: Path) -> str:
+def draw_failure(
+    name: str, track: Track, begun_s: float, broke_s: float | None, wrong: Sequence[str],
+    folder: Path,
+) -> str:  # fmt: skip
     """Name of the picture of its track in the folder."""
     from vwnav.bench.flights.picture import save_track
 
-    name = "".join(c if c.isalnum() else "_" for c in flown.scenario.name) + ".png"
-    save_track(flown, verdict, folder / name)
-    return name
+    file = "".join(c if c.isalnum() else "_" for c in name) + ".png"
+    save_track(track, begun_s, broke_s, f"{name}: {'; '.join(wrong)}", folder / file)
+    return file
 
 
-def timeline(flown: Flown) -> list[str]:
+def timeline_of(track: Track, begun_s: float) -> list[str]:
     """What was said, which modes were flown and where the mission stood, by time."""
-    track, begun_s = flown.track, flown.world.begun_s
     lines = [(each.t_s, each.text) for each in track.events]
     lines += [(each.t_s - begun_s, f"mode {each.text}") for each in track.modes()]
     lines += [(each.t_s, f"phase: {each.text}") for each in track.phases]
