@@ -16,8 +16,11 @@ from vwnav.errors import ConfigError, VwnavError
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import RowResult
     from vwnav.bench.flights.scenario import Scenario
+    from vwnav.bench.flights.thesis.report import TestReport
 
 _NAMES_SHOWN = 3
+_ONE_OBJECT = "One JSON object on stdout."
+_FOLDER = "Folder of the result: three plots and a table (CSV)."
 
 app = typer.Typer(no_args_is_help=True, help="Fly tests, and say whether they passed.")
 
@@ -85,6 +88,76 @@ def faults(
         raise VwnavError(f"{len(failed)} of {len(results)} faults failed: {named}")
 
 
+@app.command()
+def hover(
+    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+) -> None:
+    """Arm, climb, hold for 30 s, land: the thesis' hover test, figures 6.3 to 6.5.
+
+    Example: vwnav flighttest hover -o hover
+    """
+    _run_test("hover", as_json, output)
+
+
+@app.command()
+def waypoints(
+    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+) -> None:
+    """Fly a route and come home: the thesis' waypoint test, figures 6.6 to 6.8.
+
+    Example: vwnav flighttest waypoints -o waypoints
+    """
+    _run_test("waypoints", as_json, output)
+
+
+@app.command()
+def failsafe(
+    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+) -> None:
+    """Fly a route; a pilot takes over and hands back, then his radio fails: figures 6.9 to 6.11.
+
+    Example: vwnav flighttest failsafe -o failsafe
+    """
+    _run_test("failsafe", as_json, output)
+
+
+def _run_test(name: str, as_json: bool, output: Path | None) -> None:
+    from vwnav.bench.flights.thesis.report import fly_test
+    from vwnav.bench.flights.thesis.tests import TESTS
+    from vwnav.cli.lockstep_place import lockstep_place
+    from vwnav.drivers.run_folder import make_run_folder
+
+    folder = make_run_folder(output, name)
+    report = fly_test(TESTS[name], lockstep_place(), folder)
+    if as_json:
+        print(json.dumps(asdict(report)))
+    else:
+        _show_test(report)
+    say(f"flighttest: wrote {', '.join(report.files)} to {folder}")
+    failed = [step.name for step in report.steps if not step.passed]
+    if failed:
+        raise VwnavError(f"the {name} test failed: {'; '.join(failed)}")
+
+
+def _show_test(report: "TestReport") -> None:
+    steps = [(_verdict(step.passed), step.name, step.detail) for step in report.steps]
+    print_rows(f"{report.name}, in simulated time", ("", "step", "seen"), steps)
+    sizes = []
+    for each in report.statistics:
+        values = [f"{value:.2f} {each.unit}" for value in (each.rms, each.p95, each.largest)]
+        thesis = "" if each.thesis is None else f"{each.thesis:g} {each.unit}"
+        sizes.append((each.name, *values, thesis))
+    print_rows("", ("error", "RMS", "95 %", "largest", "the thesis, with GPS"), sizes)
+
+
+def _verdict(passed: bool) -> str:
+    """As a cell of a table."""
+    return "[green]pass[/]" if passed else "[red]FAIL[/]"
+
+
 def _show_list(rows: "Iterable[Scenario]", as_json: bool) -> None:
     from vwnav.bench.flights.table import family_of
 
@@ -149,7 +222,7 @@ def _tell(result: "RowResult", done: int, count: int) -> None:
 def _show_verdicts(results: "list[RowResult]") -> None:
     cells = [
         (
-            "[green]pass[/]" if each.passed else "[red]FAIL[/]",
+            _verdict(each.passed),
             each.family,
             each.name,
             each.expected if each.passed else "; ".join(each.wrong),

@@ -164,8 +164,8 @@ class _Planned:
         return _BEGAN if self.plan.phase is None else self.plan.phase.value
 
 
-def fly(scenario: Scenario, place: Place) -> Flown:
-    """Fly it to its end."""
+def fly(scenario: Scenario, place: Place, see: Callable[[World], None] = lambda _: None) -> Flown:
+    """Fly it to its end; `see` is called after every step."""
     world = World(scenario.setup, place)
     world.begin()
     planned = [_Planned(each) for each in scenario.breaks]
@@ -180,6 +180,7 @@ def fly(scenario: Scenario, place: Place) -> Flown:
             begun.setdefault(_ARMED, world.t_s)
         for each in planned:
             each.step(world, begun)
+        see(world)
         has_flown = has_flown or armed
         if armed or not has_flown:
             down_s = None

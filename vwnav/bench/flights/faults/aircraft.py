@@ -93,6 +93,36 @@ class PilotSwitches:
 
 
 @dataclass(frozen=True)
+class PilotPushes:
+    """The pilot pushes the pitch stick forward for three seconds, and flies."""
+
+    def begin(self, world: World) -> None:
+        """A ramp of 0.4 s."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, takes_over_at_s=vehicle.t_s)
+        world.note("pilot pushes the stick")
+
+    def end(self, world: World) -> None:
+        """The stick is let go by itself."""
+
+
+@dataclass(frozen=True)
+class RadioOff:
+    """The pilot's transmitter goes off."""
+
+    def begin(self, world: World) -> None:
+        """Off."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_lost_at_s=vehicle.t_s)
+        world.note("the radio goes off")
+
+    def end(self, world: World) -> None:
+        """On again."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_back_at_s=vehicle.t_s)
+
+
+@dataclass(frozen=True)
 class PilotHandsBack:
     """The pilot asks for Offboard by the mode switch, as PX4's users give an aircraft back."""
 

@@ -59,16 +59,13 @@ def fly_live_row(row: Scenario, simulator: Simulator, folder: Path) -> RowResult
     began_s = time.process_time()
     with live_flight(simulator, folder, ROUTE_TEXT, _inside(plan.fault)) as flight:
         wrong = _reach_route(flight)
-        broke_s, broke_at = flight.t_s, flight.place_ned_m()
-        if not wrong:
+        broke_s, broke_at = None if wrong else flight.t_s, flight.place_ned_m()
+        if broke_s is not None:
             flight.note(f"breaks: {plan.fault}")
             _begin(plan.fault, flight)
             _follow(row, flight, plan.for_s)
             wrong = _judge(row, flight, broke_s, broke_at)
-        if row.ending is not Ending.LANDED and not flight.has_ended():
-            flight.process.send_signal(signal.SIGTERM)  # it lands first
-            flight.watch(flight.has_ended, _DOWN_S)
-    simulator.bring_down(_DOWN_S)
+        _clear_away(flight)
     track, begun_s, picture = flight.track, flight.begun_s, None
     if wrong:
         picture = draw_failure(row.name, track, begun_s, broke_s, wrong, folder)
@@ -193,8 +190,20 @@ def _flies_on(flight: LiveFlight) -> bool:
     return any(map(flight.is_in, gone_on))
 
 
-def _fastest(flight: LiveFlight, broke_s: float) -> float:
-    """Over the ground since it broke."""
-    since_s = flight.begun_s + broke_s
+def _clear_away(flight: LiveFlight) -> None:
+    """Bring down whatever still flies: the pilot does it, or the program that is told to end."""
+    simulator = flight.simulator
+    if simulator.armed and not flight.has_ended():
+        if flight.is_in(Phase.RELEASED) and simulator.pilot is not None:
+            simulator.pilot.ask(FlightMode.LAND)
+        else:
+            flight.process.send_signal(signal.SIGTERM)  # it lands first
+        flight.watch(flight.is_down, _DOWN_S)
+    simulator.bring_down(_DOWN_S)
+
+
+def _fastest(flight: LiveFlight, broke_s: float | None) -> float:
+    """Over the ground since it broke, or began."""
+    since_s = flight.begun_s + (broke_s or 0.0)
     speeds = (np.hypot(*e.velocity_ned_m_s[:2]) for e in flight.track.truth if e.t_s >= since_s)
     return max(map(float, speeds), default=0.0)

@@ -1,0 +1,52 @@
+"""A flight test flown, judged and drawn."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.scenario import fly
+from vwnav.bench.flights.thesis.plots import save_plots
+from vwnav.bench.flights.thesis.samples import Sampler, write_csv
+from vwnav.bench.flights.thesis.tests import FlightTest
+from vwnav.bench.flights.thesis.verdict import Statistic, Step, statistics, steps
+
+
+@dataclass(frozen=True, slots=True)
+class TestReport:
+    """What became of a test.
+
+    Attributes:
+        statistics: none where it never got so far.
+        files: that were written to its folder.
+        timeline: what the program said, a line each.
+    """
+
+    name: str
+    steps: tuple[Step, ...]
+    statistics: tuple[Statistic, ...]
+    files: tuple[str, ...]
+    timeline: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Every step did."""
+        return all(step.passed for step in self.steps)
+
+
+def fly_test(test: FlightTest, place: Place, folder: Path) -> TestReport:
+    """Fly it in lockstep, write its plots and its table.
+
+    Raises:
+        VwnavError: matplotlib is missing.
+    """
+    sampler = Sampler()
+    flown = fly(test.scenario, place, sampler)
+    samples = sampler.samples
+    table = f"{test.name}.csv"
+    write_csv(samples, folder / table)
+    files = [table, *save_plots(test, samples, folder)]
+    said = [f"{each.t_s:.1f} s {each.text}" for each in flown.track.events]
+    numbers = statistics(test, samples)
+    return TestReport(
+        test.name, tuple(steps(test, samples)), tuple(numbers), tuple(files), tuple(said)
+    )
