@@ -3,8 +3,8 @@
 import math
 
 from vwnav.bench.flights.faults import aircraft, telemetry
-from vwnav.bench.flights.scenario import Break, Scenario
-from vwnav.bench.flights.seen import mode
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import mode, phase
 from vwnav.bench.flights.table.common import BREAKS_AT_S, flies_on, setup
 
 ATTITUDES = (telemetry.ATTITUDE, telemetry.ATTITUDE_QUATERNION)
@@ -49,7 +49,15 @@ WRONG = [
 INERTIAL = [
     flies_on("IMU missing for 10 s", telemetry.Missing(IMU), 10.0),
     flies_on("IMU doubled for 10 s", telemetry.Doubled(IMU), 10.0),
-    flies_on("IMU mounted on its side", telemetry.imu_on_its_side(), after_s=15.0),
+    flies_on("IMU turns on its side in flight", telemetry.imu_on_its_side(), after_s=15.0),
+    Scenario(
+        name="IMU mounted on its side",
+        setup=setup(None),
+        breaks=(Break(fault=telemetry.imu_on_its_side(), at_s=0.0),),
+        limit_s=80.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(75.0, "on route"),),
+    ),
 ]
 BAROMETER = [
     flies_on("barometer 6 m off for 0.7 s", aircraft.BarometerWrong(6.0), 0.7),
