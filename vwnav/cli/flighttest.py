@@ -15,10 +15,14 @@ from vwnav.errors import ConfigError, VwnavError
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import RowResult
+    from vwnav.bench.flights.live.session import Links
     from vwnav.bench.flights.scenario import Scenario
     from vwnav.bench.flights.thesis.report import TestReport
 
 _NAMES_SHOWN = 3
+_CONNECTION = "An autopilot in simulation, flown in real time; else all in simulated time."
+_PILOT = "With --connection: a second link, on which this command plays the pilot."
+_TRUTH = "With --connection: where the simulator tells its ground truth."
 _ONE_OBJECT = "One JSON object on stdout."
 _FOLDER = "Folder of the result: three plots and a table (CSV)."
 
@@ -36,15 +40,9 @@ def faults(
     listed: bool = typer.Option(False, "--list", help="Say what there is, and fly nothing."),
     only: list[str] = typer.Option([], help="Only rows with this in their name; may be repeated."),
     jobs: int = typer.Option(1, min=1, help="How many are flown at a time."),
-    connection: str | None = typer.Option(
-        None, help="An autopilot in simulation, flown in real time; else all in lockstep."
-    ),
-    pilot: str | None = typer.Option(
-        None, help="With --connection: a second link, on which this command plays the pilot."
-    ),
-    truth: str | None = typer.Option(
-        None, help="With --connection: where the simulator tells its ground truth."
-    ),
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
     as_json: bool = typer.Option(False, "--json", help="One JSON object a line on stdout."),
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Folder of the result: faults.json, a picture of each failure."
@@ -63,6 +61,7 @@ def faults(
     from vwnav.bench.flights.table import rows_named
 
     rows = rows_named(only)
+    links = None if listed else _links(connection, truth, pilot)
     if connection is not None:
         from vwnav.bench.flights.live.campaign import live_rows
 
@@ -76,12 +75,8 @@ def faults(
     from vwnav.drivers.run_folder import make_run_folder
 
     folder = make_run_folder(output, "faults")
-    if connection is None:
-        results = _collect(rows, _in_lockstep(rows, jobs, folder), as_json, folder)
-    else:
-        if truth is None:
-            raise ConfigError("--connection needs --truth: the camera is drawn from it")
-        results = _collect(rows, _live(rows, (connection, truth, pilot), folder), as_json, folder)
+    flown = _in_lockstep(rows, jobs, folder) if links is None else _live(rows, links, folder)
+    results = _collect(rows, flown, as_json, folder)
     failed = [each.name for each in results if not each.passed]
     if failed:
         named = ", ".join(failed[:_NAMES_SHOWN]) + (" ..." if len(failed) > _NAMES_SHOWN else "")
@@ -90,6 +85,9 @@ def faults(
 
 @app.command()
 def hover(
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
     as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
     output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
 ) -> None:
@@ -97,11 +95,14 @@ def hover(
 
     Example: vwnav flighttest hover -o hover
     """
-    _run_test("hover", as_json, output)
+    _run_test("hover", _links(connection, truth, pilot), as_json, output)
 
 
 @app.command()
 def waypoints(
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
     as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
     output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
 ) -> None:
@@ -109,11 +110,14 @@ def waypoints(
 
     Example: vwnav flighttest waypoints -o waypoints
     """
-    _run_test("waypoints", as_json, output)
+    _run_test("waypoints", _links(connection, truth, pilot), as_json, output)
 
 
 @app.command()
 def failsafe(
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
     as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
     output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
 ) -> None:
@@ -121,17 +125,39 @@ def failsafe(
 
     Example: vwnav flighttest failsafe -o failsafe
     """
-    _run_test("failsafe", as_json, output)
+    _run_test("failsafe", _links(connection, truth, pilot), as_json, output)
 
 
-def _run_test(name: str, as_json: bool, output: Path | None) -> None:
+def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Links | None":
+    """None without a connection.
+
+    Raises:
+        ConfigError: there is one, and nothing that a camera can be drawn from.
+    """
+    from vwnav.bench.flights.live.session import Links
+
+    if connection is None:
+        return None
+    if truth is None:
+        raise ConfigError("--connection needs --truth: the camera is drawn from it")
+    return Links(connection, truth, pilot)
+
+
+def _run_test(name: str, links: "Links | None", as_json: bool, output: Path | None) -> None:
     from vwnav.bench.flights.thesis.report import fly_test
     from vwnav.bench.flights.thesis.tests import TESTS
     from vwnav.cli.lockstep_place import lockstep_place
     from vwnav.drivers.run_folder import make_run_folder
 
     folder = make_run_folder(output, name)
-    report = fly_test(TESTS[name], lockstep_place(), folder)
+    if links is None:
+        report = fly_test(TESTS[name], lockstep_place(), folder)
+    else:
+        from vwnav.bench.flights.live.session import simulator_at
+        from vwnav.bench.flights.thesis.live import fly_live_test
+
+        with simulator_at(links) as simulator:
+            report = fly_live_test(TESTS[name], simulator, folder, say)
     if as_json:
         print(json.dumps(asdict(report)))
     else:
@@ -144,7 +170,7 @@ def _run_test(name: str, as_json: bool, output: Path | None) -> None:
 
 def _show_test(report: "TestReport") -> None:
     steps = [(_verdict(step.passed), step.name, step.detail) for step in report.steps]
-    print_rows(f"{report.name}, in simulated time", ("", "step", "seen"), steps)
+    print_rows(report.name, ("", "step", "seen"), steps)
     sizes = []
     for each in report.statistics:
         values = [f"{value:.2f} {each.unit}" for value in (each.rms, each.p95, each.largest)]
@@ -178,17 +204,12 @@ def _in_lockstep(rows: "list[Scenario]", jobs: int, folder: Path) -> "Iterator[R
     return fly_rows(rows, lockstep_place, folder, jobs)
 
 
-def _live(
-    rows: "list[Scenario]", urls: tuple[str, str, str | None], folder: Path
-) -> "Iterator[RowResult]":
+def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[RowResult]":
     from vwnav.bench.flights.live.campaign import fly_live_rows
-    from vwnav.bench.flights.live.session import Links, Simulator
+    from vwnav.bench.flights.live.session import simulator_at
 
-    simulator = Simulator(Links(*urls))
-    try:
+    with simulator_at(links) as simulator:
         yield from fly_live_rows(rows, simulator, folder)
-    finally:
-        simulator.close()
 
 
 def _collect(

@@ -9,11 +9,13 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.safety.links import LinkAddress, UdpLink, open_link, parse_link
-from vwnav.safety.mavlink_framing import Framer
+from vwnav.safety.mavlink_framing import Framer, Packet
 from vwnav.sim.memory_link import MemoryLink
 
 _IDLE_S = 0.001
-_HEARTBEAT = 0
+# HEARTBEAT, SCALED_PRESSURE, ATTITUDE, LOCAL_POSITION_NED, GPS_GLOBAL_ORIGIN, and of the program
+# SET_POSITION_TARGET_LOCAL_NED, VISION_POSITION_ESTIMATE.
+HEARD = frozenset({0, 29, 30, 32, 49, 84, 102})
 _READS_IN_A_ROW = 64
 
 
@@ -22,7 +24,8 @@ class Relay:
 
     Args:
         url: of the autopilot, as MAVSDK writes it, or without "//".
-        hear: is called with every heartbeat of the autopilot, from the relay's thread.
+        hear: is called with what is heard of `HEARD`, from the relay's thread: the autopilot's
+            messages, and those of the program.
 
     Attributes:
         autopilot_link: `a` is the autopilot's end, `b` the program's.
@@ -64,10 +67,10 @@ class Relay:
                 if not from_autopilot and not from_program:
                     break
                 for packet in down.split(from_autopilot):
-                    if packet.message_id == _HEARTBEAT:
-                        self._listen(packet.data)
+                    self._listen(packet)
                     link.a.write(packet.data)
                 for packet in up.split(from_program):
+                    self._listen(packet)
                     link.b.write(packet.data)
             while data := link.b.read():
                 self._near.write(data)
@@ -75,8 +78,11 @@ class Relay:
                 self._far.write(data)
             time.sleep(_IDLE_S)
 
-    def _listen(self, packet: bytes) -> None:
-        for message in self._parser.parse_buffer(packet) or []:
+    def _listen(self, packet: Packet) -> None:
+        if packet.message_id not in HEARD:
+            return
+        for message in self._parser.parse_buffer(packet.data) or []:
             is_autopilot = message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
-            if message.get_type() == "HEARTBEAT" and is_autopilot:
+            is_other_heartbeat = message.get_type() == "HEARTBEAT" and not is_autopilot
+            if message.get_type() != "BAD_DATA" and not is_other_heartbeat:
                 self._hear(message)

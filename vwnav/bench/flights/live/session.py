@@ -57,12 +57,17 @@ class Links:
 class Simulator:
     """An autopilot in simulation: its link through a relay of ours, its truth, its pilot.
 
+    Attributes:
+        mode, armed: as its heartbeat says.
+        heard: the newest message of each kind that passed over the link, see `relay.HEARD`.
+
     Raises:
         VwnavError: it cannot be reached, or tells no truth.
     """
 
     def __init__(self, links: Links) -> None:
         self.mode, self.armed = NavState.HOLD, False
+        self.heard: dict[str, Any] = {}
         with contextlib.ExitStack() as stack:
             self.relay = Relay(links.connection, self._hear)
             stack.callback(self.relay.close)
@@ -119,11 +124,28 @@ class Simulator:
                 raise VwnavError(f"the vehicle is still armed after {timeout_s:.0f} s: land it")
             time.sleep(_LOOK_S)
 
-    def _hear(self, heartbeat: Any) -> None:
-        self.armed = bool(heartbeat.base_mode & _ARMED)
+    def _hear(self, message: Any) -> None:
+        self.heard[message.get_type()] = message
+        if message.get_type() != "HEARTBEAT":
+            return
+        self.armed = bool(message.base_mode & _ARMED)
         with contextlib.suppress(ValueError):
-            mode = flight_mode(AutopilotKind(heartbeat.autopilot), heartbeat.custom_mode)
+            mode = flight_mode(AutopilotKind(message.autopilot), message.custom_mode)
             self.mode = _NAMES.get(mode, NavState.HOLD)
+
+
+@contextlib.contextmanager
+def simulator_at(links: Links) -> Iterator[Simulator]:
+    """Reach it; at the end everything is given back.
+
+    Raises:
+        VwnavError: it cannot be reached, or tells no truth.
+    """
+    simulator = Simulator(links)
+    try:
+        yield simulator
+    finally:
+        simulator.close()
 
 
 class LiveFlight:
@@ -133,6 +155,8 @@ class LiveFlight:
         track: truth, modes, phases and what the program said, as for flights in lockstep; its
             times are of `time.monotonic`, its places about where the aircraft stood.
         begun_s: when it was started, on that clock.
+        home: with its origin where the aircraft stood.
+        see: is called whenever something may have happened.
     """
 
     def __init__(
@@ -143,7 +167,8 @@ class LiveFlight:
         self.folder = folder
         self.track = Track()
         self.begun_s = time.monotonic()
-        self._home = simulator.frame_here()
+        self.home = simulator.frame_here()
+        self.see: Callable[[], None] = lambda: None
         self._log = (folder / "log").open(errors="replace")
         self._rest = ""
         self.trigger = folder / "break"
@@ -164,6 +189,7 @@ class LiveFlight:
             if time.monotonic() > until_s:
                 return False
             self._look()
+            self.see()
             time.sleep(_LOOK_S)
         return True
 
@@ -181,14 +207,14 @@ class LiveFlight:
 
     def place_ned_m(self) -> Array:
         """Where it truly is."""
-        return self.simulator.look(self._home).position_ned_m
+        return self.simulator.look(self.home).position_ned_m
 
     def close(self) -> None:
         """Read no more."""
         self._log.close()
 
     def _look(self) -> None:
-        self.track.truth.append(self.simulator.look(self._home))
+        self.track.truth.append(self.simulator.look(self.home))
         self._rest += self._log.read()
         *lines, self._rest = self._rest.split("\n")
         for line in lines:
@@ -203,7 +229,7 @@ class LiveFlight:
 
 @contextlib.contextmanager
 def live_flight(
-    simulator: Simulator, folder: Path, route: str, breaks: str = ""
+    simulator: Simulator, folder: Path, route: str, breaks: str = "", settings: str = ""
 ) -> Iterator[LiveFlight]:
     """Start `vwnav fly` from where the aircraft stands; at the end it is gone.
 
@@ -212,15 +238,17 @@ def live_flight(
         folder: of everything that is written.
         route: ID,X,Y,Z lines about home.
         breaks: what breaks inside of it once the flight's `trigger` is there, see `inside`.
+        settings: TOML.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "route.txt").write_text(route)
+    (folder / "settings.toml").write_text(settings)
     lat_deg, lon_deg = simulator.here()
     command = [
         sys.executable, "-m", "vwnav", "fly", "--video", simulator.site, "--map", simulator.site,
         "--route", str(folder / "route.txt"), "--home", f"{lat_deg},{lon_deg}",
         "--connection", simulator.relay.url, "--truth", simulator.truth_relay.url,
-        "-o", str(folder / "run"),
+        "--config", str(folder / "settings.toml"), "-o", str(folder / "run"),
     ]  # fmt: skip
     paths = [str(patch_folder(folder / "patch", breaks, folder / "break")), *sys.path]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(each for each in paths if each)}

@@ -18,7 +18,7 @@ HEIGHT_M = 30.0
 _HOVER = Config(flight=FlightConfig(fixes_to_start=160, first_fix_timeout_s=120.0))
 _ROUTE_NED_M = ((40.0, 0.0, -HEIGHT_M), (40.0, -40.0, -HEIGHT_M), (0.0, -40.0, -HEIGHT_M))
 _LONG_NED_M = ((120.0, 0.0, -HEIGHT_M), (120.0, -60.0, -HEIGHT_M), (0.0, -60.0, -HEIGHT_M))
-_TAKES_S, _GIVES_BACK_S, _RADIO_OFF_S = 5.0, 13.0, 20.0  # on the route
+TAKES_S, GIVES_BACK_S, RADIO_OFF_S = 5.0, 13.0, 20.0  # on the route
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,9 +62,9 @@ FAILSAFE = FlightTest(
         name="failsafe",
         setup=Setup(route_ned_m=_LONG_NED_M, rc_on=True),
         breaks=(
-            Break(fault=PilotPushes(), phase=Phase.ROUTE, at_s=_TAKES_S),
-            Break(fault=PilotHandsBack(), phase=Phase.ROUTE, at_s=_GIVES_BACK_S),
-            Break(fault=RadioOff(), phase=Phase.ROUTE, at_s=_RADIO_OFF_S),
+            Break(fault=PilotPushes(), phase=Phase.ROUTE, at_s=TAKES_S),
+            Break(fault=PilotHandsBack(), phase=Phase.ROUTE, at_s=GIVES_BACK_S),
+            Break(fault=RadioOff(), phase=Phase.ROUTE, at_s=RADIO_OFF_S),
         ),
         limit_s=240.0,
     ),
