@@ -248,7 +248,7 @@ def _show_verdicts(results: "list[RowResult]") -> None:
             each.name,
             each.expected if each.passed else "; ".join(each.wrong),
             "" if each.landed_off_m is None else f"{each.landed_off_m:.1f}",
-            f"{each.worst_sigmas:.1f}",
+            "" if each.worst_sigmas is None else f"{each.worst_sigmas:.1f}",
             f"{each.flown_s:.0f}",
         )
         for each in results

@@ -24,7 +24,7 @@ class RowResult:
         wrong: what was; nothing when it passed.
         broke_s: when it broke, since the mission began; None: it never did.
         landed_off_m: from where it was meant to come down; None: it did not, or nothing says where.
-        worst_sigmas: of an estimate that was sent.
+        worst_sigmas: of an estimate that was sent; None in real time, where nobody counts.
         flown_s, cost_s: simulated seconds; seconds of a processor.
         timeline: what happened when, a line each.
         picture: of its track, None where none was drawn.
@@ -39,7 +39,7 @@ class RowResult:
     broke_s: float | None
     landed_off_m: float | None
     fastest_m_s: float
-    worst_sigmas: float
+    worst_sigmas: float | None
     flown_s: float
     cost_s: float
     timeline: tuple[str, ...]

@@ -1,6 +1,5 @@
 """Rows of the table that can be broken from our side, flown one after the other in real time."""
 
-import math
 import os
 import signal
 import threading
@@ -74,7 +73,7 @@ def fly_live_row(row: Scenario, simulator: Simulator, folder: Path) -> RowResult
     return RowResult(
         name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,
         wrong=tuple(wrong), broke_s=broke_s, landed_off_m=off_m,
-        fastest_m_s=_fastest(flight, broke_s), worst_sigmas=math.nan, flown_s=flight.t_s,
+        fastest_m_s=_fastest(flight, broke_s), worst_sigmas=None, flown_s=flight.t_s,
         cost_s=time.process_time() - began_s,
         timeline=tuple(timeline_of(track, begun_s)), picture=picture,
     )  # fmt: skip

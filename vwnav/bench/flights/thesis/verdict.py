@@ -54,7 +54,7 @@ def steps(test: FlightTest, samples: Sequence[Sample]) -> list[Step]:
 
 
 def statistics(test: FlightTest, samples: Sequence[Sample]) -> list[Statistic]:
-    """Errors while it was ours: in Offboard, for the hover while it held."""
+    """Errors while it was ours: in Offboard, for the hover while it held; those that are known."""
     ours = held(samples) if test.name == "hover" else [s for s in samples if s.mode == "OFFBOARD"]
     if not ours:
         return []
@@ -63,13 +63,14 @@ def statistics(test: FlightTest, samples: Sequence[Sample]) -> list[Statistic]:
     yaw, commanded, believed = columns(
         ours, "true_yaw_deg", "commanded_yaw_deg", "estimated_yaw_deg"
     ).T
-    off_home_m = [np.hypot(*true.T)] if test.name == "hover" else []
-    return [
-        _statistic("estimate off the truth", "m", np.hypot(*(estimated - true).T), POSITION_M),
-        *(_statistic("held off the place", "m", each, POSITION_M) for each in off_home_m),
-        _statistic("heading off the commanded", "deg", _turn_deg(yaw - commanded), YAW_DEG),
-        _statistic("estimated heading off the truth", "deg", _turn_deg(believed - yaw), None),
+    errors = [
+        ("estimate off the truth", "m", np.hypot(*(estimated - true).T), POSITION_M),
+        ("heading off the commanded", "deg", _turn_deg(yaw - commanded), YAW_DEG),
+        ("estimated heading off the truth", "deg", _turn_deg(believed - yaw), None),
     ]
+    if test.name == "hover":
+        errors.insert(1, ("held off the place", "m", np.hypot(*true.T), POSITION_M))
+    return [_statistic(*each) for each in errors if np.any(np.isfinite(each[2]))]
 
 
 def held(samples: Sequence[Sample]) -> list[Sample]:
@@ -111,8 +112,6 @@ def _waypoints(test: FlightTest, samples: Sequence[Sample]) -> Step:
 
 def _statistic(name: str, unit: str, errors: Array, thesis: float | None) -> Statistic:
     known = np.abs(errors[np.isfinite(errors)])
-    if not len(known):
-        return Statistic(name, unit, np.nan, np.nan, np.nan, thesis)
     rms, p95 = float(np.sqrt(np.mean(known**2))), float(np.percentile(known, 95))
     return Statistic(name, unit, rms, p95, float(known.max()), thesis)
 
