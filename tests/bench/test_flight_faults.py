@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
+from vwnav.bench.flights import campaign
 from vwnav.bench.flights.campaign import draw_failure, timeline_of
 from vwnav.bench.flights.faults import camera, telemetry
 from vwnav.bench.flights.live.campaign import live_rows
@@ -132,3 +133,13 @@ def test_an_error_of_the_map_is_no_error_of_the_estimate():
     track = a_track()
     assert track.sigmas()[0, 1] == pytest.approx(np.hypot(0.3, 0.3))
     assert track.sigmas(map_off_m=0.5)[0, 1] == 0.0
+
+
+def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):
+    def burst(*_: object) -> None:
+        raise RuntimeError("no such thing")
+
+    monkeypatch.setattr(campaign, "fly", burst)
+    result = campaign.fly_row("battery low", lambda: None, tmp_path)  # type: ignore[arg-type]
+    assert not result.passed
+    assert "no such thing" in result.wrong[0]

@@ -61,7 +61,6 @@ def faults(
     from vwnav.bench.flights.table import rows_named
 
     rows = rows_named(only)
-    links = None if listed else _links(connection, truth, pilot)
     if connection is not None:
         from vwnav.bench.flights.live.campaign import live_rows
 
@@ -74,6 +73,7 @@ def faults(
         return
     from vwnav.drivers.run_folder import make_run_folder
 
+    links = _links(connection, truth, pilot)
     folder = make_run_folder(output, "faults")
     flown = _in_lockstep(rows, jobs, folder) if links is None else _live(rows, links, folder)
     results = _collect(rows, flown, as_json, folder)

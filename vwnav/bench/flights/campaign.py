@@ -1,5 +1,6 @@
 """Rows of the table flown one after the other, or several at a time, and what became of each."""
 
+import logging
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +13,8 @@ from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import Scenario, fly
 from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.bench.flights.track import Track
+
+_log = logging.getLogger(__name__)
 
 MakePlace = Callable[[], Place]
 
@@ -78,15 +81,31 @@ def fly_rows(
 
 
 def fly_row(name: str, make_place: MakePlace, folder: Path) -> RowResult:
-    """Fly one row of the table, and draw its track if it fails."""
+    """Fly one row of the table, and draw its track if it fails.
+
+    A flight that raises has failed, and is no reason to lose all the others.
+    """
     row = next(each for each in TABLE if each.name == name)
     place = make_place()
+    try:
+        return _flown(row, place, folder)
+    except Exception as error:
+        _log.exception("%s broke off", name)
+        return RowResult(
+            name=row.name, family=family_of(row), expected=row.expected, where=row.where,
+            when=row.when, wrong=(f"the flight broke off: {error!r}",), broke_s=None,
+            landed_off_m=None, fastest_m_s=0.0, worst_sigmas=None, flown_s=0.0, cost_s=0.0,
+            timeline=(), picture=None,
+        )  # fmt: skip
+
+
+def _flown(row: Scenario, place: Place, folder: Path) -> RowResult:
     began_s = time.process_time()
     flown = fly(row, place)
     verdict = judge(flown)
     track, begun_s, picture = flown.track, flown.world.begun_s, None
     if verdict.wrong:
-        picture = draw_failure(name, track, begun_s, flown.broke_s, verdict.wrong, folder)
+        picture = draw_failure(row.name, track, begun_s, flown.broke_s, verdict.wrong, folder)
     happened = timeline_of(track, begun_s)
     return RowResult(
         name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,

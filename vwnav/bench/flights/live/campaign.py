@@ -19,7 +19,7 @@ from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.mission import Phase
 from vwnav.types import FlightMode
 
-ROUTE_TEXT = "1,45,0,32\n2,45,-40,32\n"
+ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"
 _SPOILS_LINK = (
     link.LinkCut, link.RoundTrip, link.SlowLine, link.Garbage, link.Replayed,
     telemetry.Missing, telemetry.Doubled, telemetry.Altered, telemetry.TelemetryLate,
