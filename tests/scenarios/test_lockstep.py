@@ -5,17 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scenario_place import default_place
-from scenario_table import ATTITUDE
 
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.table.telemetry import MISSING
 from vwnav.bench.flights.world import World
+from vwnav.cli.lockstep_place import lockstep_place
 from vwnav.drivers.recorded_flight_log import recorded_flight_log
 from vwnav.rules.rule import check
 from vwnav.rules.table import RULES
 
-SHORT = replace(ATTITUDE[2], limit_s=12.0)
+SHORT = replace(MISSING[2], limit_s=12.0)
 
 
 def bytes_and_estimates(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
@@ -36,7 +36,7 @@ def bytes_and_estimates(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> 
         return put
 
     monkeypatch.setattr(World, "begin", listen)
-    flown = fly(scenario, default_place())
+    flown = fly(scenario, lockstep_place())
     monkeypatch.setattr(World, "begin", begin)
     for step in flown.world.navigator.record.steps:
         if step.estimate is not None:
@@ -61,7 +61,7 @@ def test_another_seed_gives_others(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_a_flight_records_is_held_against_the_rules_too(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     path = tmp_path / "flight.mcap"
-    flown = fly(replace(SHORT, limit_s=2.0), default_place(), path)
+    flown = fly(replace(SHORT, limit_s=2.0), lockstep_place(), path)
     log, recorded = flight_log(flown), recorded_flight_log(path)
     assert not [verdict for verdict in check(RULES, recorded) if verdict.breach is not None]
     assert len(recorded.setpoints) == pytest.approx(10, abs=1)

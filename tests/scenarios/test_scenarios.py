@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import pytest
-from scenario_place import default_place
-from scenario_table import CAMERA, FLOWN_IN_COPTER_MANNERS, QUICK, TABLE, in_manners
 
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.table import QUICK, TABLE
+from vwnav.bench.flights.table.manners import FLOWN_IN_COPTER_MANNERS, in_manners
+from vwnav.cli.lockstep_place import lockstep_place
 
 
 @pytest.mark.parametrize(
@@ -18,7 +19,7 @@ from vwnav.bench.flights.scenario import Scenario, fly
     ],
 )
 def test_whatever_breaks_the_aircraft_is_not_lost(scenario: Scenario) -> None:
-    verdict = judge(fly(scenario, default_place()))
+    verdict = judge(fly(scenario, lockstep_place()))
     assert not verdict.wrong, "; ".join(verdict.wrong)
 
 
@@ -26,7 +27,7 @@ def test_whatever_breaks_the_aircraft_is_not_lost(scenario: Scenario) -> None:
 @pytest.mark.parametrize("name", sorted(FLOWN_IN_COPTER_MANNERS))
 def test_neither_is_it_in_arducopters_manners(name: str) -> None:
     row = next(row for row in TABLE if row.name == name)
-    verdict = judge(fly(in_manners(row, "copter"), default_place()))
+    verdict = judge(fly(in_manners(row, "copter"), lockstep_place()))
     assert not verdict.wrong, "; ".join(verdict.wrong)
 
 
@@ -38,11 +39,11 @@ def test_the_named_rows_are_in_the_table() -> None:
 
 @pytest.mark.long
 def test_with_the_lens_covered_it_comes_down_near_in_18_of_20_seeds() -> None:
-    covered = next(row for row in CAMERA if "black" in row.name)
+    covered = next(row for row in TABLE if "pictures black" in row.name)
     far = []
     for seed in range(1, 21):
         row = replace(covered, setup=replace(covered.setup, seed=seed))
-        verdict = judge(fly(row, default_place()))
+        verdict = judge(fly(row, lockstep_place()))
         if verdict.wrong:
             far.append((seed, verdict.wrong))
     assert len(far) <= 2, far

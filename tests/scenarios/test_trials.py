@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenario_place import default_place
-from scenario_table import TABLE
 
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import Flown, Scenario, fly
+from vwnav.bench.flights.table import TABLE
+from vwnav.cli.lockstep_place import lockstep_place
 from vwnav.types import FlightMode
 
 pytestmark = pytest.mark.long
@@ -26,7 +26,7 @@ def row(part: str) -> Scenario:
 def flown_with(scenario: Scenario, seed: int, wind_m_s: float, at_s: float) -> Flown:
     setup = replace(scenario.setup, seed=seed, wind_m_s=wind_m_s)
     breaks = (replace(scenario.breaks[0], at_s=at_s), *scenario.breaks[1:])
-    return fly(replace(scenario, setup=setup, breaks=breaks), default_place())
+    return fly(replace(scenario, setup=setup, breaks=breaks), lockstep_place())
 
 
 @pytest.mark.parametrize("group", range(GROUPS))
@@ -77,7 +77,7 @@ def broke_at_s(flown: Flown) -> float:
 def estimate_back_s(flown: Flown) -> float:
     """From the fault until estimates come again for good."""
     since_s = broke_at_s(flown)
-    times = [since_s] + [each.t_s for each in flown.track.sent if each.t_s > since_s]
+    times = [since_s] + [each.t_s for each in flown.track.heard.estimates if each.t_s > since_s]
     gaps = [b - a for a, b in itertools.pairwise(times)]
     return sum(gap for gap in gaps if gap > 0.5)
 

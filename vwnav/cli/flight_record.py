@@ -13,7 +13,7 @@ from vwnav.cli.screen import LiveLine, print_table, say
 from vwnav.clock import Clock
 from vwnav.config import Config
 from vwnav.drivers.flight_recorder import FlightRecorder, was_tried
-from vwnav.drivers.recorder import plain
+from vwnav.drivers.recorder import Recorder, plain
 from vwnav.drivers.run_folder import TrajectoryWriter, write_json
 from vwnav.drivers.tape import About
 from vwnav.drivers.track_picture import TrackPicture
@@ -49,7 +49,7 @@ class FlightRecord:
         self._started_s = clock()
         self._trajectory: TrajectoryWriter | None = None
         settings = config.model_dump(mode="json")
-        self._recorder = FlightRecorder(folder / "flight.mcap", about, settings)
+        self._recorder = FlightRecorder(Recorder(folder / "flight.mcap", settings), about)
         self.tape = self._recorder.tape
         self._picture = TrackPicture(pack, about.local_frame)
         self._score = Score(about.local_frame) if truth is not None else None

@@ -20,6 +20,8 @@ from rich.text import Text
 
 from vwnav.safety.check import Check
 
+_FILE_WIDTH = 160
+
 talk = Console(stderr=True, highlight=False)
 
 
@@ -66,6 +68,16 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     for name, value in rows:
         table.add_row(name, value)
     Console(file=sys.stdout, highlight=False).print(table)
+
+
+def print_rows(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """A table with a header, on stdout; cells may carry rich's markup."""
+    table = Table(*header, title=title, title_justify="left")
+    for row in rows:
+        table.add_row(*row)
+    # A file has no width of its own.
+    width = None if sys.stdout.isatty() else _FILE_WIDTH
+    Console(file=sys.stdout, highlight=False, width=width).print(table)
 
 
 _COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}

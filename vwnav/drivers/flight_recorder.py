@@ -1,9 +1,5 @@
 """Which parts of a flight go into its recording, and how often."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
-
 from vwnav.drivers.recorder import Recorder
 from vwnav.drivers.tape import About, Tape
 from vwnav.pipeline import StepResult
@@ -27,8 +23,8 @@ class FlightRecorder:
         tape: what the filter is told, from before its start: `Ekf.record(tape.input)`.
     """
 
-    def __init__(self, path: Path, about: About, config: Mapping[str, Any]) -> None:
-        self._recorder = Recorder(path, config)
+    def __init__(self, recorder: Recorder, about: About) -> None:
+        self._recorder = recorder
         self.tape = Tape(self._recorder, about)
         self._next_tick_s = 0.0
 

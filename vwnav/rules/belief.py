@@ -17,13 +17,18 @@ _WRONG_FIX_M = 20.0
 
 
 def estimate_sigmas(log: FlightLog) -> list[tuple[float, float]]:
-    """(arrival, how many of its sigmas it is wrong) of each estimate whose truth is known."""
+    """(arrival, how many of its sigmas it is wrong) of each estimate whose truth is known.
+
+    An error of the map itself is none of the estimate's.
+    """
     rows = []
     for sent in log.estimates:
         truth = log.true_place_ne_m(sent.stamp_s)
         if truth is None:
             continue
         north, east = sent.position_ned_m[0] - truth[0], sent.position_ned_m[1] - truth[1]
+        own_share = max(0.0, 1.0 - log.map_off_m / max(math.hypot(north, east), 1e-9))
+        north, east = own_share * north, own_share * east
         a, b, c = sent.covariance_ne_m2
         determinant = a * c - b * b
         if determinant > 0.0:

@@ -167,6 +167,7 @@ class FlightLog:
         beliefs: horizontal velocities of the filter, sent or not.
         homes: where home is held to be, from when on.
         sampled: estimates and setpoints are a few of all: gaps between them tell nothing.
+        map_off_m: how far the map itself is off.
         broken: when something was broken on purpose: what must be steady need not be then.
     """
 
@@ -187,6 +188,7 @@ class FlightLog:
     truth: Sequence[Truth] = ()
     unknown: frozenset[str] = frozenset()
     sampled: bool = False
+    map_off_m: float = 0.0
     broken: Sequence[Span] = ()
 
     @cached_property

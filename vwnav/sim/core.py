@@ -92,12 +92,12 @@ class VehicleCore:
         heard_s = max((peer.link.gcs_heard_s for peer in self._peers), default=-math.inf)
         self.vehicle.gcs_heard_s = heard_s if heard_s >= 0.0 else None
         if any(session.reboot_wanted for session in self._sessions):
-            self._reboot()
+            self.reboot()
 
     def _open_sessions(self) -> list[Session]:
         return [_open(peer, self.vehicle, lambda: self.now_s) for peer in self._peers]
 
-    def _reboot(self) -> None:
+    def reboot(self) -> None:
         """Start again with the parameters as they are."""
         _log.info("rebooting")
         self.vehicle = _boot(self._config, self.vehicle)

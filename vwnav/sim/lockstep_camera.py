@@ -33,6 +33,8 @@ class LockstepCamera:
     """The newest picture wins, as with `SimulatedCamera`; those never looked at are not drawn.
 
     Attributes:
+        renderer, home_ned_m: what is seen, and (3,) where in it the vehicle's start place lies.
+        period_s: between exposures.
         latency_s: from the exposure to the picture.
         trouble: None while it works.
         drawn: how many pictures were.
@@ -41,10 +43,9 @@ class LockstepCamera:
     def __init__(
         self, renderer: CameraRenderer, home_ned_m: Array, period_s: float, latency_s: float
     ) -> None:
-        """`home_ned_m`: (3,) start place of the vehicle in the site's frame."""
-        self._renderer = renderer
-        self._home_ned_m = home_ned_m
-        self._period_s = period_s
+        self.renderer = renderer
+        self.home_ned_m = home_ned_m
+        self.period_s = period_s
         self.latency_s = latency_s
         self.trouble: Trouble | None = None
         self.drawn = 0
@@ -56,11 +57,11 @@ class LockstepCamera:
         """Expose when it is time to."""
         if t_s < self._next_s:
             return
-        self._next_s = max(self._next_s + self._period_s, t_s)
+        self._next_s = max(self._next_s + self.period_s, t_s)
         pose = Pose(
             t_s,
             self._index,
-            self._home_ned_m + np.array([body.n, body.e, body.d]),
+            self.home_ned_m + np.array([body.n, body.e, body.d]),
             np.array([body.qw, body.qx, body.qy, body.qz]),
             np.array([body.vn, body.ve, body.vd]),
             np.array([body.p, body.q, body.r]),
@@ -88,7 +89,7 @@ class LockstepCamera:
 
     def _draw(self, pose: Pose) -> NDArray[np.uint8]:
         self.drawn += 1
-        return self._renderer.render(
+        return self.renderer.render(
             pose.position_ned_m,
             rotation_from_quat(pose.quat_wxyz),
             pose.t_s,

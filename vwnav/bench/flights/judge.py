@@ -12,6 +12,7 @@ from vwnav.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog
 from vwnav.rules.rule import check
+from vwnav.rules.setpoints import PILOT_S
 from vwnav.rules.table import RULES
 from vwnav.types import FlightMode
 
@@ -65,6 +66,8 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
             return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
         case Ending.PILOT if last.mode is not FlightMode.MANUAL:
             return [f"the pilot does not have it: {_where(last)}"]
+        case Ending.OTHERS if not _others_have_it(flown):
+            return [f"nobody else has it: {_where(last)}, {_said(flown)}"]
         case Ending.STAYED if flew:
             return [f"it took off: {_where(last)}"]
     return []
@@ -77,6 +80,15 @@ def _flies_on(flown: Flown) -> bool:
     start = flown.scenario.setup.start
     begun = Phase.TAKEOFF if start is None or start.phase is None else start.phase
     return flown.world.navigator.flight.phase in _GOES_ON[begun]
+
+
+def _others_have_it(flown: Flown) -> bool:
+    """It is not ours any more, and no setpoint was sent since the mission saw that."""
+    released = [each for each in flown.track.phases if each.text == Phase.RELEASED.value]
+    if not released or flown.track.truth[-1].mode is FlightMode.OFFBOARD:
+        return False
+    since_s = released[0].t_s + flown.world.begun_s + PILOT_S
+    return not any(each.t_s > since_s for each in flown.track.heard.setpoints)
 
 
 def _followed(flown: Flown) -> list[str]:

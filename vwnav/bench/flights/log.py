@@ -60,6 +60,7 @@ def flight_log(flown: Flown) -> FlightLog:
             if step.estimate is not None
         ],
         homes=track.homes,
+        map_off_m=flown.scenario.map_off_m,
         truth=[
             Truth(row.t_s, _vector(row.position_ned_m), _vector(row.velocity_ned_m_s))
             for row in track.truth

@@ -12,6 +12,7 @@ from vwnav.config import Config
 from vwnav.drivers.autopilot import LinkedAutopilot
 from vwnav.drivers.flight_recorder import FlightRecorder
 from vwnav.drivers.pymavlink_port import PymavlinkPort
+from vwnav.drivers.recorder import Recorder
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
@@ -131,11 +132,11 @@ class Navigator:
         self.port = PymavlinkPort(link, clock)
         self.autopilot = LinkedAutopilot(self.port, clock)
         self.keep_alive = KeepAlive(channel, clock)
-        self._executor = LateExecutor(clock, processor, self._cost_of_matching)
+        self.executor = LateExecutor(clock, processor, self._cost_of_matching)
         self.pack = MapPack.open(place.pack)
         assembled = assemble_with(
             equipped.primary, place.fallback, self.pack, place.camera, equipped.local_frame,
-            config, self._executor, self.record.event,
+            config, self.executor, self.record.event,
         )  # fmt: skip
         self.pipeline, self.ekf = assembled.pipeline, assembled.ekf
         self._about = about_run(assembled, equipped.primary.name, "nadir")
@@ -158,16 +159,21 @@ class Navigator:
         self._frame_done_s: float | None = None
         self._camera_again_s = 0.0
         self._asleep_until_s = -np.inf
+        self._link_failed = False
         self.broken: Exception | None = None
         self.ended = False
 
-    def keep(self, path: Path) -> None:
-        """Record this flight as `vwnav fly` does, pictures left out; before it starts.
+    def keep_at(self, path: Path) -> None:
+        """Record this flight in a file, from its start.
 
         Raises:
             VwnavError: the file cannot be made.
         """
-        recorder = FlightRecorder(path, self._about, self._config.model_dump(mode="json"))
+        self.keep(Recorder(path, self._config.model_dump(mode="json")))
+
+    def keep(self, writer: Recorder) -> None:
+        """Record this flight as `vwnav fly` does, pictures left out."""
+        recorder = FlightRecorder(writer, self._about)
         self.ekf.record(recorder.tape.input)
         self.record.setpoint = lambda: self.flight.setpoint
         self.record.recorder = recorder
@@ -227,7 +233,7 @@ class Navigator:
             return
         self.port.poll()
         if self._workers["link"].due(t_s):
-            self.runtime.step_link(t_s)
+            self._talk(t_s)
         if self.broken is None and self._workers["mission"].due(t_s):
             try:
                 self.runtime.step_control(t_s)
@@ -236,12 +242,21 @@ class Navigator:
                 self.record.event(f"the mission broke: {error!r}")
         self._see(t_s)
 
+    def _talk(self, t_s: float) -> None:
+        """The link's loop goes on whatever its step raises, as in `FlightRuntime`."""
+        try:
+            self.runtime.step_link(t_s)
+        except Exception as error:
+            if not self._link_failed:
+                self.record.event(f"a step of the link failed, it goes on: {error!r}")
+            self._link_failed = True
+
     def stop_until(self, t_s: float) -> None:
         """Stopped as by SIGSTOP: nothing of it runs, what arrives waits."""
         self._asleep_until_s = t_s
         for worker in self._workers.values():
             worker.sleep_until(t_s)
-        self._executor.sleep_until(t_s)
+        self.executor.sleep_until(t_s)
         if self._frame_done_s is not None:
             self._frame_done_s = max(self._frame_done_s, t_s)
 

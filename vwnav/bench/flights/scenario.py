@@ -6,8 +6,15 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from vwnav.bench.flights import faults
-from vwnav.bench.flights.faults import Fault
+from vwnav.bench.flights.faults.aircraft import (
+    BarometerWrong,
+    BatteryAt,
+    CommandRefused,
+    PilotSwitches,
+)
+from vwnav.bench.flights.faults.camera import CameraTrouble
+from vwnav.bench.flights.faults.computer import DiskFull, ModelRaises
+from vwnav.bench.flights.faults.fault import Fault
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Track
@@ -17,24 +24,26 @@ from vwnav.rules.temporal import Span
 
 # Through these all that is sent must stay as steady as ever.
 _STEADY_THROUGH = (
-    faults.BarometerWrong,
-    faults.BatteryAt,
-    faults.CameraTrouble,
-    faults.CommandRefused,
-    faults.DiskFull,
-    faults.ModelRaises,
-    faults.PilotSwitches,
+    BarometerWrong,
+    BatteryAt,
+    CameraTrouble,
+    CommandRefused,
+    DiskFull,
+    ModelRaises,
+    PilotSwitches,
 )
 _DOWN_S = 1.0  # disarmed for so long: it is over
+_BEGAN, _ARMED = "began", "armed"  # what a fault may wait for, beside the mission's phases
 
 
 class Ending(Enum):
     """How a flight ends in good order."""
 
-    LANDED = "landed: motors off, on the ground"
-    FLIES_ON = "the mission goes on"
+    LANDED = "lands"
+    FLIES_ON = "flies on"
     PILOT = "in the pilot's hands"
-    STAYED = "never took off"
+    STAYED = "never takes off"
+    OTHERS = "somebody else flies it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,13 +51,15 @@ class Break:
     """One thing that breaks.
 
     Attributes:
-        at_s: since the mission began; with `phase` since that phase was first entered.
+        at_s: since the mission began; with `phase` since that phase was first entered, with
+            `armed` since the motors started.
         for_s: how long it lasts; None: for good.
     """
 
     fault: Fault
     at_s: float = 6.0
     phase: Phase | None = None
+    armed: bool = False
     for_s: float | None = None
 
 
@@ -76,6 +87,7 @@ class Scenario:
         lands_within_m: of where it is meant to come down; None is not looked at.
         lands_at_ne_m: that place, about the run's origin; None is where it was when it broke.
         faster_m_s: allowed beyond the route's speed and the wind.
+        map_off_m: how far the map itself is off, which no estimate can tell.
     """
 
     name: str
@@ -87,6 +99,36 @@ class Scenario:
     lands_within_m: float | None = None
     lands_at_ne_m: tuple[float, float] | None = None
     faster_m_s: float = 1.5
+    map_off_m: float = 0.0
+
+    @property
+    def expected(self) -> str:
+        """What must become of it, in words."""
+        words = [f"{each.what} within {each.within_s:g} s" for each in self.follows]
+        where = "" if self.lands_within_m is None else f" within {self.lands_within_m:g} m"
+        return ", ".join([*words, f"{self.ending.value}{where}"])
+
+    @property
+    def where(self) -> str:
+        """Where in a flight it breaks, or begins."""
+        first = self.breaks[0] if self.breaks else None
+        if first is not None and first.armed:
+            return "arming"
+        if first is not None and first.phase is not None:
+            return first.phase.value
+        start = self.setup.start
+        if start is None:
+            return "on the ground"
+        return "in the air" if start.phase is None else start.phase.value
+
+    @property
+    def when(self) -> str:
+        """When it breaks there, and for how long."""
+        if not self.breaks:
+            return "whole flight"
+        first = self.breaks[0]
+        lasts = "for good" if first.for_s is None else f"for {first.for_s:g} s"
+        return f"at {first.at_s:g} s {lasts}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,37 +171,63 @@ class _Planned:
         """While it lasts, since the mission began; None: it never began."""
         return None if self.begun_s is None else (self.begun_s, self.begun_s + self._lasts_s)
 
-    def step(self, world: World, phases: dict[str, float]) -> None:
-        """Begin or end it when it is time to."""
+    def step(self, world: World, begun: dict[str, float]) -> None:
+        """Begin or end it when it is time to; `begun` says since when what it waits for is so."""
         t_s = world.t_s
         if self.begun_s is None:
-            since_s = 0.0 if self.plan.phase is None else phases.get(self.plan.phase.value)
+            since_s = begun.get(self._awaited)
             if since_s is not None and t_s >= since_s + self.plan.at_s:
                 self.begun_s = t_s
                 world.note(f"breaks: {self.plan.fault}")
                 self.plan.fault.begin(world)
         elif not self.ended and t_s >= self.begun_s + self._lasts_s:
-            self.ended = True
             world.note("mended")
+            self.finish(world)
+
+    def finish(self, world: World) -> None:
+        """Put back what was changed, if it was."""
+        if self.begun_s is not None and not self.ended:
+            self.ended = True
             self.plan.fault.end(world)
 
+    @property
+    def _awaited(self) -> str:
+        if self.plan.armed:
+            return _ARMED
+        return _BEGAN if self.plan.phase is None else self.plan.phase.value
 
-def fly(scenario: Scenario, place: Place, recording: Path | None = None) -> Flown:
-    """Fly it to its end; `recording` is where to keep what it records."""
+
+def fly(
+    scenario: Scenario,
+    place: Place,
+    recording: Path | None = None,
+    see: Callable[[World], None] = lambda _: None,
+) -> Flown:
+    """Fly it to its end.
+
+    Args:
+        scenario: the row.
+        place: where.
+        recording: where to keep what it records.
+        see: called after every step.
+    """
     world = World(scenario.setup, place)
     if recording is not None:
-        world.navigator.keep(recording)
+        world.navigator.keep_at(recording)
     world.begin()
     planned = [_Planned(each) for each in scenario.breaks]
-    phases: dict[str, float] = {}
+    begun = {_BEGAN: 0.0}
     down_s: float | None = None
     has_flown = False
     while world.t_s < scenario.limit_s:
         world.step()
-        phases.setdefault(world.navigator.flight.phase.value, world.t_s)
-        for each in planned:
-            each.step(world, phases)
         armed = world.core.vehicle.commander.armed
+        begun.setdefault(world.navigator.flight.phase.value, world.t_s)
+        if armed:
+            begun.setdefault(_ARMED, world.t_s)
+        for each in planned:
+            each.step(world, begun)
+        see(world)
         has_flown = has_flown or armed
         if armed or not has_flown:
             down_s = None
@@ -167,6 +235,8 @@ def fly(scenario: Scenario, place: Place, recording: Path | None = None) -> Flow
             down_s = world.t_s
         elif world.t_s - down_s > _DOWN_S and world.navigator.over:
             break
+    for each in planned:
+        each.finish(world)
     if world.navigator.record.recorder is not None:
         world.navigator.record.recorder.close()
     broke_s = planned[0].begun_s if planned else None

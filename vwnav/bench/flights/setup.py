@@ -47,7 +47,9 @@ class Setup:
         stands_ne_m: where it stands, about the site's home.
         home_known: False: the program is not told where it stands.
         rc_on: a pilot holds a radio.
+        gust_m_s: one sigma of the turbulence; None is a tenth of the wind.
         vehicle_rate: seconds of the vehicle's clock per second.
+        copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
     manners: Manners = "px4"
@@ -62,8 +64,10 @@ class Setup:
     home_known: bool = True
     wind_m_s: float = 4.0
     wind_from_deg: float = 250.0
+    gust_m_s: float | None = None
     rc_on: bool = False
     vehicle_rate: float = 1.0
     picture_hz: float = 10.0
+    copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)

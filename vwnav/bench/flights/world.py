@@ -1,13 +1,18 @@
 """Vehicle, link, watchdog, navigator and camera in one thread, stepped together by one clock."""
 
 import random
+import shutil
+import time
 from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, Navigator
 from vwnav.bench.flights.noted_link import NotedLink
-from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.place import BreakableFeatures, Place
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Heard, Track, Truth
@@ -26,32 +31,17 @@ from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.processor import Costs, Processor
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.site import Site
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Estimate, FeatureExtractor, Features, Gray
+from vwnav.types import Array, Estimate
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
 _SETTLED_S = 0.5  # of telemetry before its filter begins
 _LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
-_LATENCY_S = 0.002
+LINK_LATENCY_S = 0.002
 _CAMERA_LATENCY_S = 0.04
-
-
-class BreakableFeatures:
-    """An extractor that can be made to raise, as a model does that runs out of memory."""
-
-    def __init__(self, features: FeatureExtractor) -> None:
-        self._features = features
-        self.name = features.name
-        self.feature_set_id = features.feature_set_id
-        self.broken = False
-
-    def extract(self, gray: Gray, max_keypoints: int) -> Features:
-        """As the extractor does, while it works."""
-        if self.broken:
-            raise RuntimeError("bad allocation in the inference session")
-        return self._features.extract(gray, max_keypoints)
 
 
 class World:
@@ -60,16 +50,24 @@ class World:
     Attributes:
         clock: its time; the navigator's and the watchdog's monotonic clock.
         begun_s: when the mission began, on that clock.
+        place: with the map that is flown on.
+        wall_clock: the computer's date, as it was before a fault set it.
         track: what is noted for the judge, about the run's origin.
     """
 
     def __init__(self, setup: Setup, place: Place) -> None:
         self.setup = setup
+        self._folder: TemporaryDirectory[str] | None = None
+        if setup.copies_map:
+            self._folder = TemporaryDirectory(prefix="vwnav-flight-")
+            place = replace(place, pack=Path(shutil.copy(place.pack, self._folder.name)))
+        self.place = place
+        self.wall_clock = time.time
         self.clock = SimulatedClock()
         self.track = Track()
         rng = random.Random(setup.seed)
         self._stands_ned_m = np.array([*setup.stands_ne_m, 0.0])
-        self.autopilot_link = MemoryLink(self.clock, rng, _LATENCY_S)
+        self.autopilot_link = MemoryLink(self.clock, rng, LINK_LATENCY_S)
         self._navigator_link = MemoryLink(self.clock, rng)
         self._observer_link = MemoryLink(self.clock, rng)
         self._beats = MemoryLink(self.clock, rng)
@@ -96,6 +94,7 @@ class World:
             seed=setup.seed,
             wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg,
+            gust_m_s=setup.gust_m_s,
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on),
         )
@@ -110,9 +109,7 @@ class World:
         return Watchdog(links, WatchdogConfig(), self.successor)
 
     def _camera(self, place: Place) -> LockstepCamera:
-        rng = np.random.default_rng(self.setup.seed)
-        config = RenderConfig(color=False, background=False)
-        renderer = CameraRenderer(place.site, place.camera, config, rng, default_cache_dir())
+        renderer = draw(place.site, self.setup, place)
         period_s = 1.0 / self.setup.picture_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
@@ -129,6 +126,17 @@ class World:
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
             self.processor, self.costs, self.note, first_counter,
         )  # fmt: skip
+
+    @property
+    def own_map(self) -> Path:
+        """A map's file that may be damaged.
+
+        Raises:
+            ValueError: the flight shares its map with others.
+        """
+        if self._folder is None:
+            raise ValueError("set copies_map: this flight shares its map with others")
+        return self.place.pack
 
     @property
     def t_s(self) -> float:
@@ -273,3 +281,10 @@ class World:
         phase = self.navigator.flight.phase.value
         if not track.phases or track.phases[-1].text != phase:
             track.phases.append(Event(self.t_s, phase))
+
+
+def draw(site: Site, setup: Setup, place: Place, kept: bool = True) -> CameraRenderer:
+    """What the camera sees of a site; `kept` keeps its tiles on disk, for other runs."""
+    rng = np.random.default_rng(setup.seed)
+    config = RenderConfig(color=False, background=False)
+    return CameraRenderer(site, place.camera, config, rng, default_cache_dir() if kept else None)

@@ -67,6 +67,10 @@ class AttitudeFilter:
         error = math.remainder(heading_rad - self.yaw_rad, math.tau)
         self._turn_world(0.0, 0.0, min(1.0, gain * dt_s) * error)
 
+    def turn_heading(self, turn_rad: float) -> None:
+        """Turn about down at once, as a realignment does."""
+        self._turn_world(0.0, 0.0, turn_rad)
+
     def tilt(self, x_rad: float, y_rad: float) -> None:
         """Turn by small angles about north and east."""
         self._turn_world(x_rad, y_rad, 0.0)

@@ -38,7 +38,9 @@ class Sensors:
 
     Attributes:
         gyro_bias_rad_s: of the three axes.
-        baro_error_m: what a fault adds to the barometer's height.
+        baro_error_m, baro_drift_m_s: what a fault adds to the barometer's height, and how fast
+            that grows.
+        heading_bias_rad: constant error of the compass.
     """
 
     def __init__(
@@ -47,11 +49,12 @@ class Sensors:
         self._gauss = rng.gauss
         self._noise = noise
         self._walk_m = baro_drift_m / math.sqrt(_TEN_MINUTES_S)
-        self._heading_bias_rad = heading_bias_rad
+        self.heading_bias_rad = heading_bias_rad
         self.gyro_bias_rad_s = [rng.gauss(0.0, _GYRO_BIAS_RAD_S * noise) for _ in range(3)]
         self._accel_bias = [rng.gauss(0.0, _ACCEL_BIAS_M_S2 * noise) for _ in range(3)]
         self._baro_drift_m = 0.0
         self.baro_error_m = 0.0
+        self.baro_drift_m_s = 0.0
 
     def imu(self, body: Airframe) -> Imu:
         """Gyroscope and accelerometer now."""
@@ -70,6 +73,7 @@ class Sensors:
     def baro_height_m(self, body: Airframe, dt_s: float) -> float:
         """Height over the start place as the barometer shows it; `dt_s` since the last call."""
         self._baro_drift_m += self._gauss(0.0, self._walk_m * math.sqrt(dt_s))
+        self.baro_error_m += self.baro_drift_m_s * dt_s
         error_m = self._baro_drift_m + self.baro_error_m
         return -body.d + error_m + self._gauss(0.0, _BARO_NOISE_M * self._noise)
 
@@ -77,7 +81,7 @@ class Sensors:
         """True heading as the compass shows it."""
         r00, r10 = body.rotation[0], body.rotation[3]
         noise = self._gauss(0.0, _COMPASS_NOISE_RAD * self._noise)
-        return math.atan2(r10, r00) + self._heading_bias_rad + noise
+        return math.atan2(r10, r00) + self.heading_bias_rad + noise
 
     def range_m(self, body: Airframe) -> float | None:
         """Distance to the level ground along body down; None beyond 60 degrees of tilt."""

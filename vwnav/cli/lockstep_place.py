@@ -1,4 +1,4 @@
-"""The place that all scenarios share: the embedded site with its map, learned features, camera."""
+"""The place of flights in lockstep: the embedded site with its map, learned features, camera."""
 
 import fcntl
 import tempfile
@@ -16,7 +16,7 @@ from vwnav.vision.features import load_features
 
 
 @cache
-def default_place() -> Place:
+def lockstep_place() -> Place:
     """One for each process."""
     cv2.setNumThreads(1)
     learned, sift = load_features("learned"), load_features("sift")
@@ -25,7 +25,7 @@ def default_place() -> Place:
 
 
 def _pack_once(extractors: list[FeatureExtractor]) -> Path:
-    """Drawn by one of the test processes; the others wait for it."""
+    """Drawn by one of the processes; the others wait for it."""
     lock = Path(tempfile.gettempdir()) / "vwnav_scenarios_map.lock"
     with lock.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)

@@ -1,0 +1,144 @@
+"""Faults do to bytes and pictures what they say, and the table holds what it must."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import development as mavlink
+
+from vwnav.bench.flights import campaign
+from vwnav.bench.flights.faults import camera, telemetry
+from vwnav.bench.flights.live.campaign import live_rows
+from vwnav.bench.flights.rows import draw_failure, timeline_of
+from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, rows_named
+from vwnav.bench.flights.track import Event, Sent, Track, Truth
+from vwnav.types import FlightMode, Frame
+
+PACKER = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "flying.md"
+
+
+def altered(fault: telemetry.Altered, message: mavlink.MAVLink_message) -> mavlink.MAVLink_message:
+    tap = telemetry.altering(fault.numbers, fault.change)
+    ((delay_s, packet),) = tap(message.pack(PACKER))
+    assert delay_s == 0.0
+    return mavlink.MAVLink(None).decode(bytearray(packet))
+
+
+def attitude(yaw_rad: float) -> mavlink.MAVLink_message:
+    return mavlink.MAVLink_attitude_message(1000, 0.1, 0.2, yaw_rad, 0.0, 0.0, 0.0)
+
+
+def frame(index: int = 0) -> Frame:
+    image = np.random.default_rng(index).integers(0, 256, (480, 640), np.uint8)
+    return Frame(0.1 * index, image, index)
+
+
+def test_headings_are_turned_and_stay_headings():
+    message = altered(telemetry.turned(math.radians(30.0)), attitude(math.pi - 0.1))
+    assert message.yaw == pytest.approx(-math.pi - 0.1 + math.radians(30.0), abs=1e-6)
+    assert message.roll == pytest.approx(0.1)
+
+
+def test_other_messages_pass_as_they_are():
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(PACKER)
+    tap = telemetry.altering((telemetry.ATTITUDE,), telemetry.level().change)
+    assert list(tap(heartbeat)) == [(0.0, heartbeat)]
+
+
+def test_an_imu_on_its_side_feels_gravity_to_the_right():
+    imu = mavlink.MAVLink_highres_imu_message(
+        1, 0.0, 0.0, -9.8, 0.1, 0.2, 0.3, 0, 0, 0, 1000.0, 0, 0, 20.0, 63
+    )
+    message = altered(telemetry.imu_on_its_side(), imu)
+    assert (message.yacc, message.zacc) == pytest.approx((-9.8, 0.0))
+    assert (message.ygyro, message.zgyro) == pytest.approx((0.3, -0.2))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [camera.sun_glare, camera.half_covered, camera.out_of_focus, camera.upside_down,
+     camera.repeating_ground, camera.overexposed],
+)  # fmt: skip
+def test_poor_pictures_keep_size_and_time(make):
+    seen = make()(frame(3))
+    assert seen.image.shape == (480, 640)
+    assert seen.image.dtype == np.uint8
+    assert seen.t_s == frame(3).t_s
+    assert not np.array_equal(seen.image, frame(3).image)
+
+
+def test_a_loop_shows_ten_pictures_again_in_their_order():
+    loop = camera.looping()
+    seen = [loop(frame(i)) for i in range(25)]
+    for i in (10, 19, 24):
+        assert np.array_equal(seen[i].image, frame(i % 10).image)
+        assert seen[i].t_s == frame(i).t_s
+
+
+def test_bursts_are_eight_of_twenty():
+    drop = camera.bursts_dropped()
+    assert sum(drop(frame(i)) is None for i in range(40)) == 16
+
+
+def test_the_table_has_families_and_no_name_twice():
+    names = [row.name for row in TABLE]
+    assert len(set(names)) == len(names) >= 40
+    assert set(names) >= QUICK
+    assert all(family_of(row) in FAMILIES for row in TABLE)
+    assert [row.name for row in rows_named(["BATTERY low"])] == ["battery low"]
+    assert rows_named([]) == TABLE
+
+
+def test_rows_of_a_pilot_are_flown_live_only_where_he_has_a_link():
+    alone, together = ({row.name for row in live_rows(p)} for p in (False, True))
+    assert "pilot takes over while on the route" in together - alone
+    assert {"navigator killed", "link cut for 1 s on the route"} <= alone
+    assert "processor starved for 1 s" not in together  # nothing of ours can do that
+
+
+def test_the_documentation_lists_every_row():
+    text = DOCS.read_text()
+    missing = [row.name for row in TABLE if f"| {row.name} |" not in text]
+    assert not missing, "make the table of docs/flying.md anew: vwnav flighttest faults --list"
+
+
+def a_track() -> Track:
+    track = Track()
+    for i in range(20):
+        t_s = 100.0 + i
+        mode = FlightMode.OFFBOARD if i < 10 else FlightMode.LAND
+        place = np.array([float(i), 0.0, -10.0 + 0.5 * i])
+        track.truth.append(Truth(t_s, place, np.zeros(3), mode, i < 19, i == 19))
+        track.sent.append(Sent(t_s, t_s, place + 0.3, np.eye(2), 0))
+    track.phases.append(Event(0.0, "on route"))
+    track.events.append(Event(9.0, "breaks: something"))
+    return track
+
+
+def test_a_failure_is_drawn_and_told_by_time(tmp_path):
+    pytest.importorskip("matplotlib")
+    name = draw_failure("link cut for 1 s", a_track(), 100.0, 9.0, ["it is not down"], tmp_path)
+    assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    told = timeline_of(a_track(), 100.0)
+    assert told == [
+        "0.00 s mode OFFBOARD", "0.00 s phase: on route", "9.00 s breaks: something",
+        "10.00 s mode LAND",
+    ]  # fmt: skip
+
+
+def test_an_error_of_the_map_is_no_error_of_the_estimate():
+    track = a_track()
+    assert track.sigmas()[0, 1] == pytest.approx(np.hypot(0.3, 0.3))
+    assert track.sigmas(map_off_m=0.5)[0, 1] == 0.0
+
+
+def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):
+    def burst(*_: object) -> None:
+        raise RuntimeError("no such thing")
+
+    monkeypatch.setattr(campaign, "fly", burst)
+    result = campaign.fly_row("battery low", lambda: None, tmp_path)  # type: ignore[arg-type]
+    assert not result.passed
+    assert "no such thing" in result.wrong[0]

@@ -1,0 +1,61 @@
+"""The verdicts of the thesis' tests, from made-up samples."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vwnav.bench.flights.thesis.plots import save_plots
+from vwnav.bench.flights.thesis.samples import Sample, write_csv
+from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER
+from vwnav.bench.flights.thesis.verdict import statistics, steps
+
+ON_THE_GROUND = Sample(
+    t_s=0.0, mode="HOLD", phase="getting ready", true_north_m=0.0, true_east_m=0.0, true_up_m=0.0,
+    true_yaw_deg=179.0, estimated_north_m=math.nan, estimated_east_m=math.nan,
+    estimated_up_m=math.nan, estimated_yaw_deg=math.nan, fused_north_m=0.0, fused_east_m=0.0,
+    fused_up_m=0.0, fused_yaw_deg=179.0, barometer_up_m=0.0, commanded_yaw_deg=math.nan,
+)  # fmt: skip
+
+
+def hover(hold_s: float = 40.0) -> list[Sample]:
+    held = replace(
+        ON_THE_GROUND, mode="OFFBOARD", phase="waiting for a fix", true_up_m=HEIGHT_M,
+        true_north_m=0.1, estimated_north_m=0.2, estimated_east_m=0.0, estimated_up_m=HEIGHT_M,
+        estimated_yaw_deg=-179.0, commanded_yaw_deg=-179.0,
+    )  # fmt: skip
+    plan = [(ON_THE_GROUND, 5.0), (replace(held, mode="TAKEOFF", phase="taking off"), 5.0)]
+    plan += [(held, hold_s), (replace(held, mode="LAND", phase="landing"), 10.0)]
+    plan += [(replace(ON_THE_GROUND, mode="LAND", phase="done"), 1.0)]
+    samples = [sample for sample, seconds in plan for _ in range(round(10 * seconds))]
+    return [replace(sample, t_s=0.1 * i) for i, sample in enumerate(samples)]
+
+
+def test_a_hover_passes_when_it_was_held_and_came_home():
+    assert all(step.passed for step in steps(HOVER, hover()))
+    assert not all(step.passed for step in steps(HOVER, hover(hold_s=20.0)))
+
+
+def test_errors_are_of_the_hold_and_headings_pass_through_south():
+    found = {each.name: each for each in statistics(HOVER, hover())}
+    assert found["estimate off the truth"].rms == pytest.approx(0.1)
+    assert found["held off the place"].thesis == 0.2
+    assert found["heading off the commanded"].largest == pytest.approx(2.0)
+
+
+def test_modes_must_come_in_the_order_asked_for():
+    assert "position is missing" in steps(FAILSAFE, hover())[0].detail
+
+
+def test_files_are_a_table_and_three_pictures(tmp_path):
+    pytest.importorskip("matplotlib")
+    names = save_plots(HOVER, hover(), tmp_path)
+    assert names == ["hover_altitude.png", "hover_position.png", "hover_yaw.png"]
+    assert all((tmp_path / name).stat().st_size > 1000 for name in names)
+    write_csv(hover(), tmp_path / "hover.csv")
+    lines = (tmp_path / "hover.csv").read_text().splitlines()
+    assert lines[0].startswith("t_s,mode,phase,true_north_m")
+    assert lines[1].count(",,") > 0
+    assert len(lines) == 1 + len(hover())
+    assert np.isfinite(float(lines[1].split(",")[0]))

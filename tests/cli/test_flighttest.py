@@ -1,0 +1,42 @@
+"""The command line of `vwnav flighttest`; nothing is flown here."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from vwnav.bench.flights.table import TABLE
+from vwnav.cli.main import app
+from vwnav.errors import ConfigError
+
+RUN = CliRunner()
+
+
+def test_the_list_is_one_object_a_line():
+    result = RUN.invoke(app, ["flighttest", "faults", "--list", "--json"])
+    assert result.exit_code == 0
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [row["name"] for row in rows] == [row.name for row in TABLE]
+    assert set(rows[0]) == {"family", "name", "where", "when", "expected"}
+
+
+def test_only_names_some_of_them():
+    result = RUN.invoke(
+        app, ["flighttest", "faults", "--list", "--json", "--only", "battery c", "--only", "BLACK"]
+    )
+    names = [json.loads(line)["name"] for line in result.stdout.splitlines()]
+    assert names == ["pictures black for good at 50 m", "battery critical"]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--only", "no such fault"], "no fault is named no such fault: see --list"),
+        (["--connection", "udpin://0.0.0.0:24000", "--only", "killed"], "--truth"),
+        (["--connection", "udpin://0.0.0.0:24000", "--only", "starved"], "no fault is named"),
+    ],
+)
+def test_what_cannot_be_flown_is_said(words, says, tmp_path):
+    result = RUN.invoke(app, ["flighttest", "faults", "-o", str(tmp_path / "out"), *words])
+    assert isinstance(result.exception, ConfigError)
+    assert says in str(result.exception)

@@ -1,0 +1,1 @@
+"""What can break in a flight, by where it breaks."""

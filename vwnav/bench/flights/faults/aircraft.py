@@ -1,0 +1,158 @@
+"""Faults of the aircraft, and what its pilot does."""
+
+from dataclasses import dataclass, replace
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from vwnav.bench.flights.world import World
+
+
+@dataclass(frozen=True)
+class BatteryAt:
+    """The charge falls to so much at once."""
+
+    ratio: float
+
+    def begin(self, world: World) -> None:
+        """A cell fails."""
+        world.core.vehicle.battery.remaining = self.ratio
+
+    def end(self, world: World) -> None:
+        """It does not recover."""
+
+
+@dataclass(frozen=True)
+class BarometerWrong:
+    """The pressure at the port is off, for the autopilot as for us."""
+
+    metres: float
+
+    def begin(self, world: World) -> None:
+        """A gust."""
+        world.core.vehicle.sensors.baro_error_m = self.metres
+
+    def end(self, world: World) -> None:
+        """Calm."""
+        world.core.vehicle.sensors.baro_error_m = 0.0
+
+
+@dataclass(frozen=True)
+class BarometerDrifts:
+    """The air pressure changes: the barometric height runs away at a steady rate."""
+
+    metres_per_s: float
+
+    def begin(self, world: World) -> None:
+        """A front comes."""
+        world.core.vehicle.sensors.baro_drift_m_s = self.metres_per_s
+
+    def end(self, world: World) -> None:
+        """What it was is kept."""
+        world.core.vehicle.sensors.baro_drift_m_s = 0.0
+
+
+@dataclass(frozen=True)
+class HeadingReset:
+    """The autopilot realigns its heading by so much at once, as PX4 does after take-off."""
+
+    turn_rad: float
+
+    def begin(self, world: World) -> None:
+        """Its attitude is another one, and it believes its compass so from now on."""
+        vehicle = world.core.vehicle
+        vehicle.estimator.attitude.turn_heading(self.turn_rad)
+        vehicle.sensors.heading_bias_rad += self.turn_rad
+
+    def end(self, world: World) -> None:
+        """It stays."""
+
+
+@dataclass(frozen=True)
+class Reboots:
+    """The autopilot starts anew; only ever on the ground."""
+
+    def begin(self, world: World) -> None:
+        """Power off and on."""
+        world.core.reboot()
+
+    def end(self, world: World) -> None:
+        """It has."""
+
+
+@dataclass(frozen=True)
+class PilotSwitches:
+    """The pilot flips the mode switch to Position and flies."""
+
+    def begin(self, world: World) -> None:
+        """Flipped."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=vehicle.t_s)
+        world.note("pilot switches")
+
+    def end(self, world: World) -> None:
+        """It stays."""
+
+
+@dataclass(frozen=True)
+class PilotPushes:
+    """The pilot pushes the pitch stick forward for three seconds, and flies."""
+
+    def begin(self, world: World) -> None:
+        """A ramp of 0.4 s."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, takes_over_at_s=vehicle.t_s)
+        world.note("pilot pushes the stick")
+
+    def end(self, world: World) -> None:
+        """The stick is let go by itself."""
+
+
+@dataclass(frozen=True)
+class RadioOff:
+    """The pilot's transmitter goes off."""
+
+    def begin(self, world: World) -> None:
+        """Off."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_lost_at_s=vehicle.t_s)
+        world.note("the radio goes off")
+
+    def end(self, world: World) -> None:
+        """On again."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_back_at_s=vehicle.t_s)
+
+
+@dataclass(frozen=True)
+class PilotHandsBack:
+    """The pilot's ground station asks the navigator to go on."""
+
+    def begin(self, world: World) -> None:
+        """One command, to the navigator itself."""
+        vehicle = world.core.vehicle
+        vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=None)
+        station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        system, component = world.navigator.port.own_id
+        command = mavlink.MAVLink_command_long_message(
+            system, component, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0, 1.0, 0, 0, 0, 0, 0, 0
+        )
+        world.autopilot_link.a.write(bytes(command.pack(station)))
+        world.note("pilot hands back")
+
+    def end(self, world: World) -> None:
+        """It stays."""
+
+
+@dataclass(frozen=True)
+class CommandRefused:
+    """The autopilot refuses a command (its MAV_CMD number)."""
+
+    number: int
+
+    def begin(self, world: World) -> None:
+        """Refused from now on."""
+        world.core.vehicle.refuses.add(self.number)
+
+    def end(self, world: World) -> None:
+        """Taken again."""
+        world.core.vehicle.refuses.discard(self.number)

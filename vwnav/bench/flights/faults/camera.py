@@ -1,0 +1,179 @@
+"""Faults of the camera: what becomes of its pictures, and when they come."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.bench.flights.world import World
+from vwnav.errors import SourceError
+from vwnav.types import Frame
+
+Image = NDArray[np.uint8]
+Trouble = Callable[[Frame], Frame | None]
+_DARK, _DARK_NOISE = 3.0, 1.5
+_SUN_PX, _VEIL = 0.35, 90.0  # radius of the glare as a share of the height; grey levels about it
+_BLUR_PX = 4.0
+_BURST, _AFTER = 8, 12  # pictures lost, pictures that come
+_LOOP = 10  # pictures of a buffer that is shown again and again
+_PATCH_PX = 40
+
+
+@dataclass(frozen=True)
+class CameraTrouble:
+    """Pictures are not what they should be: see the functions below."""
+
+    make: Callable[[], Trouble]
+
+    def begin(self, world: World) -> None:
+        """Trouble."""
+        world.camera.trouble = self.make()
+
+    def end(self, world: World) -> None:
+        """None."""
+        world.camera.trouble = None
+
+    def __str__(self) -> str:
+        return f"camera: {self.make.__name__.replace('_', ' ')}"
+
+
+@dataclass(frozen=True)
+class PicturesLate:
+    """Pictures arrive later; `stamped` says whether they still tell when they were exposed."""
+
+    seconds: float
+    stamped: bool = True
+
+    def begin(self, world: World) -> None:
+        """Late."""
+        world.camera.latency_s += self.seconds
+        if not self.stamped:
+            world.camera.trouble = lambda frame: replace(frame, t_s=frame.t_s + self.seconds)
+
+    def end(self, world: World) -> None:
+        """As before."""
+        world.camera.latency_s -= self.seconds
+        world.camera.trouble = None
+
+
+def no_pictures() -> Trouble:
+    """Nothing comes."""
+    return lambda frame: None
+
+
+def raising() -> Trouble:
+    """The driver raises."""
+
+    def fail(frame: Frame) -> Frame | None:
+        raise SourceError("cannot read from /dev/video0: No such device")
+
+    return fail
+
+
+def black() -> Trouble:
+    """Lens covered: the sensor's noise is all there is."""
+    rng = np.random.default_rng(5)
+
+    def cover(frame: Frame) -> Frame | None:
+        dark = rng.normal(_DARK, _DARK_NOISE, frame.image.shape)
+        return replace(frame, image=np.clip(np.round(dark), 0, 255).astype(np.uint8))
+
+    return cover
+
+
+def overexposed() -> Trouble:
+    """White: exposure that has lost its control."""
+    return _each(lambda image: np.full_like(image, 255))
+
+
+def frozen() -> Trouble:
+    """The same picture again and again, with new times."""
+    kept: list[Frame] = []
+
+    def freeze(frame: Frame) -> Frame | None:
+        kept.append(frame)
+        return replace(frame, image=kept[0].image)
+
+    return freeze
+
+
+def looping() -> Trouble:
+    """The pictures of a second again and again, with new times: a buffer that is stuck."""
+    kept: deque[Image] = deque()
+
+    def loop(frame: Frame) -> Frame | None:
+        if len(kept) < _LOOP:
+            kept.append(frame.image)
+            return frame
+        kept.rotate(-1)
+        return replace(frame, image=kept[-1])
+
+    return loop
+
+
+def repeating_ground() -> Trouble:
+    """Ground that looks the same every few metres: a patch of it, laid side by side."""
+
+    def lay(image: Image) -> Image:
+        h, w = image.shape[:2]
+        v, u = h // 2, w // 2
+        patch = image[v : v + _PATCH_PX, u : u + _PATCH_PX]
+        return np.tile(patch, (h // _PATCH_PX, w // _PATCH_PX))
+
+    return _each(lay)
+
+
+def sun_glare() -> Trouble:
+    """The sun's reflection: a white disc, and a veil that fades away from it."""
+
+    def dazzle(image: Image) -> Image:
+        h, w = image.shape[:2]
+        v, u = np.indices((h, w), np.float32)
+        away = np.hypot(v - 0.3 * h, u - 0.65 * w) / (_SUN_PX * h)
+        light = np.where(away < 1.0, 255.0, _VEIL / np.maximum(away, 1.0))
+        return np.clip(image + light, 0, 255).astype(np.uint8)
+
+    return _each(dazzle)
+
+
+def half_covered() -> Trouble:
+    """A strap over the left half of the lens."""
+
+    def cover(image: Image) -> Image:
+        covered = image.copy()
+        covered[:, : image.shape[1] // 2] = round(_DARK)
+        return covered
+
+    return _each(cover)
+
+
+def out_of_focus() -> Trouble:
+    """Blurred by four pixels."""
+    return _each(lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8))
+
+
+def upside_down() -> Trouble:
+    """The camera is mounted the other way round."""
+    return _each(lambda image: np.ascontiguousarray(image[::-1, ::-1]))
+
+
+def another_size() -> Trouble:
+    """Half of the calibrated size."""
+    return _each(lambda image: np.ascontiguousarray(image[::2, ::2]))
+
+
+def bursts_dropped() -> Trouble:
+    """Eight pictures in a row are lost, twelve come."""
+
+    def drop(frame: Frame) -> Frame | None:
+        return None if frame.index % (_BURST + _AFTER) < _BURST else frame
+
+    return drop
+
+
+def _each(change: Callable[[Image], Image]) -> Trouble:
+    """A trouble that makes another picture of every one."""
+    return lambda frame: replace(frame, image=change(frame.image))

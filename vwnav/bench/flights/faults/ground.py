@@ -1,0 +1,64 @@
+"""Faults of the map, as the camera sees them: the ground below is not what the map shows."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vwnav.bench.flights.world import World, draw
+from vwnav.sim.scenery.looks import Season
+from vwnav.sim.site import Site
+from vwnav.sim.sites import UNRELATED_HOME_NE_M, parse_site
+
+_LOW_SUN_RAD = 0.3
+
+
+@dataclass(frozen=True)
+class MapShifted:
+    """The map lies so far from where it belongs: north and east."""
+
+    ne_m: tuple[float, float]
+
+    def begin(self, world: World) -> None:
+        """What is seen lies as far off the other way."""
+        world.camera.home_ned_m = world.camera.home_ned_m - np.array([*self.ne_m, 0.0])
+
+    def end(self, world: World) -> None:
+        """Where it belongs."""
+        world.camera.home_ned_m = world.camera.home_ned_m + np.array([*self.ne_m, 0.0])
+
+
+@dataclass(frozen=True)
+class MapOfElsewhere:
+    """The ground below is another landscape than the map's."""
+
+    def begin(self, world: World) -> None:
+        """Among the fields of another site."""
+        world.camera.renderer = draw(parse_site("sim:unrelated"), world.setup, world.place)
+        away = np.array([*UNRELATED_HOME_NE_M, 0.0])
+        world.camera.home_ned_m = world.camera.home_ned_m - away
+
+    def end(self, world: World) -> None:
+        """There is no way back."""
+
+
+@dataclass(frozen=True)
+class OtherSeason:
+    """The ground below is seen in another season, with other crops and a low morning sun."""
+
+    season: Season
+
+    def begin(self, world: World) -> None:
+        """Drawn anew: kept in memory, as the files of drawn tiles are of the site as it is."""
+        site = Site(world.place.site.seed)
+        look = site.looks["flight"]
+        site.looks["flight"] = replace(
+            look,
+            seed=look.seed + 1,
+            season=self.season,
+            sun_azimuth_rad=look.sun_azimuth_rad - 0.5 * np.pi,
+            sun_elevation_rad=_LOW_SUN_RAD,
+        )
+        world.camera.renderer = draw(site, world.setup, world.place, kept=False)
+
+    def end(self, world: World) -> None:
+        """The season stays."""

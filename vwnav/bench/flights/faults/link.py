@@ -1,0 +1,130 @@
+"""Faults of the link between autopilot and watchdog."""
+
+import random
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import development as mavlink
+
+from vwnav.bench.flights.world import LINK_LATENCY_S, World
+from vwnav.sim.memory_link import LineState, Tap
+from vwnav.sim.px4.modes import NavState
+
+_GARBAGE_BYTES = 60
+_GARBAGE_EVERY = 10  # packets: so often comes rubbish, and so often one is cut off
+_SET_MODE, _CUSTOM_MODE = 176, 1.0  # MAV_CMD_DO_SET_MODE, its flag
+_STATION = (255, 190)  # system and component of QGroundControl
+
+
+@dataclass(frozen=True)
+class LinkCut:
+    """Nothing passes between autopilot and watchdog, either way."""
+
+    def begin(self, world: World) -> None:
+        """Cut."""
+        world.autopilot_link.cut(True)
+
+    def end(self, world: World) -> None:
+        """Joined."""
+        world.autopilot_link.cut(False)
+
+
+@dataclass(frozen=True)
+class RoundTrip:
+    """Messages take longer, both ways together."""
+
+    seconds: float
+
+    def begin(self, world: World) -> None:
+        """Longer."""
+        for line in _lines(world):
+            line.latency_s = 0.5 * self.seconds
+
+    def end(self, world: World) -> None:
+        """As before."""
+        for line in _lines(world):
+            line.latency_s = LINK_LATENCY_S
+
+
+@dataclass(frozen=True)
+class SlowLine:
+    """A serial line of so many bits per second; what does not fit waits in its queue."""
+
+    baud: float
+
+    def begin(self, world: World) -> None:
+        """Slow."""
+        for line in _lines(world):
+            line.baud = self.baud
+
+    def end(self, world: World) -> None:
+        """As before."""
+        for line in _lines(world):
+            line.baud = None
+
+
+@dataclass(frozen=True)
+class Garbage:
+    """Between the packets come bytes that are none, and some packets are cut off."""
+
+    seed: int = 11
+
+    def begin(self, world: World) -> None:
+        """Noise on both lines."""
+        for number, line in enumerate(_lines(world)):
+            line.tap = self._tap(random.Random(self.seed + number))
+
+    def end(self, world: World) -> None:
+        """Clean."""
+        for line in _lines(world):
+            line.tap = None
+
+    def _tap(self, rng: random.Random) -> Tap:
+        def soil(packet: bytes) -> Iterable[tuple[float, bytes]]:
+            match rng.randrange(_GARBAGE_EVERY):
+                case 0:
+                    return ((0.0, rng.randbytes(rng.randrange(1, _GARBAGE_BYTES))), (0.0, packet))
+                case 1:
+                    return ((0.0, packet[: rng.randrange(1, len(packet))]),)
+            return ((0.0, packet),)
+
+        return soil
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Every packet of the autopilot comes a second time, later."""
+
+    later_s: float
+
+    def begin(self, world: World) -> None:
+        """Twice."""
+        world.autopilot_link.a_to_b.tap = lambda packet: ((0.0, packet), (self.later_s, packet))
+
+    def end(self, world: World) -> None:
+        """Once."""
+        world.autopilot_link.a_to_b.tap = None
+
+
+@dataclass(frozen=True)
+class StationCommands:
+    """A second ground station asks the autopilot for another mode."""
+
+    mode: NavState
+
+    def begin(self, world: World) -> None:
+        """One command."""
+        packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
+        command = mavlink.MAVLink_command_long_message(
+            1, 1, _SET_MODE, 0, _CUSTOM_MODE, self.mode.main, self.mode.sub, 0, 0, 0, 0
+        )
+        world.note(f"a second station asks for {self.mode.name}")
+        world.autopilot_link.b.write(bytes(command.pack(packer)))
+
+    def end(self, world: World) -> None:
+        """It said it once."""
+
+
+def _lines(world: World) -> tuple[LineState, LineState]:
+    """Down from the autopilot, up to it."""
+    return world.autopilot_link.a_to_b, world.autopilot_link.b_to_a

@@ -1,0 +1,1 @@
+"""Flights of `vwnav fly` in real time, against any autopilot in simulation."""

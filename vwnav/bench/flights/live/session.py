@@ -1,0 +1,271 @@
+"""`vwnav fly` in real time against a simulated autopilot: started, watched, cleared away."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vwnav.bench.flights.live.inside import patch_folder
+from vwnav.bench.flights.live.pilot import MavlinkPilot
+from vwnav.bench.flights.live.relay import Relay
+from vwnav.bench.flights.track import Event, Track, Truth
+from vwnav.errors import VwnavError
+from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
+from vwnav.mission import Phase
+from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.sim.site import Site
+from vwnav.sim.sites import DEFAULT_SEED
+from vwnav.sim.truth import TruthReader
+from vwnav.types import Array, FlightMode
+
+_LOOK_S = 0.05
+_TRUTH_S = 30.0
+_GROUND_M = 0.7
+_AT_HOME_M = 200.0  # of the default site: that one is used
+_LINE = re.compile(r"^\s*[\d.]+ s  (?P<text>\S.*)$")
+_PHASES = {phase.value for phase in Phase}
+_ARMED = 128
+_NAMES = {
+    FlightMode.OFFBOARD: FlightMode.OFFBOARD,
+    FlightMode.TAKEOFF: FlightMode.TAKEOFF,
+    FlightMode.LAND: FlightMode.LAND,
+    FlightMode.RETURN: FlightMode.RETURN,
+    FlightMode.DESCEND: FlightMode.DESCEND,
+    FlightMode.MANUAL: FlightMode.MANUAL,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """URLs of the autopilot's link, of its truth, and of its pilot's link, None without one."""
+
+    connection: str
+    truth: str
+    pilot: str | None
+
+
+class Simulator:
+    """An autopilot in simulation: its link through a relay of ours, its truth, its pilot.
+
+    Attributes:
+        mode, armed: as its heartbeat says.
+        heard: the newest message of each kind that passed over the link, see `relay.HEARD`.
+
+    Raises:
+        VwnavError: it cannot be reached, or tells no truth.
+    """
+
+    def __init__(self, links: Links) -> None:
+        self.mode, self.armed = FlightMode.HOLD, False
+        self.heard: dict[str, Any] = {}
+        with contextlib.ExitStack() as stack:
+            self.relay = Relay(links.connection, self._hear)
+            stack.callback(self.relay.close)
+            self.truth_relay = Relay(links.truth)
+            stack.callback(self.truth_relay.close)
+            self.truth = TruthReader(self.truth_relay.url)
+            stack.callback(self.truth.close)
+            self.pilot = None
+            if links.pilot is not None:
+                self.pilot = MavlinkPilot(links.pilot)
+                stack.callback(self.pilot.close)
+            first = self.truth.wait(_TRUTH_S)
+            if first is None:
+                raise VwnavError(f"no truth from {links.truth} within {_TRUTH_S:.0f} s")
+            self._ground_m = first.alt_amsl_m
+            self.site = _site_near(first.lat_deg, first.lon_deg)
+            self._stack = stack.pop_all()
+
+    def close(self) -> None:
+        """Give everything back."""
+        self._stack.close()
+
+    def here(self) -> tuple[float, float]:
+        """Latitude and longitude, in degrees."""
+        state = self.truth.latest()
+        assert state is not None
+        return state.lat_deg, state.lon_deg
+
+    def look(self, home: LocalFrame) -> Truth:
+        """What it does now, NED about a place on the ground."""
+        state = self.truth.latest()
+        assert state is not None
+        place = home.to_ned(state.lat_deg, state.lon_deg, state.alt_amsl_m)
+        return Truth(
+            time.monotonic(), place, np.array(state.velocity_ned_m_s), self.mode, self.armed,
+            -float(place[2]) < _GROUND_M,
+        )  # fmt: skip
+
+    def frame_here(self) -> LocalFrame:
+        """With its origin on the ground below it."""
+        return LocalFrame(*self.here(), self._ground_m)
+
+    def bring_down(self, timeout_s: float) -> None:
+        """Wait until it is disarmed; a pilot lands it.
+
+        Raises:
+            VwnavError: it still flies.
+        """
+        if self.armed and self.pilot is not None:
+            self.pilot.ask(FlightMode.LAND)
+        until_s = time.monotonic() + timeout_s
+        while self.armed:
+            if time.monotonic() > until_s:
+                raise VwnavError(f"the vehicle is still armed after {timeout_s:.0f} s: land it")
+            time.sleep(_LOOK_S)
+
+    def _hear(self, message: Any) -> None:
+        self.heard[message.get_type()] = message
+        if message.get_type() != "HEARTBEAT":
+            return
+        self.armed = bool(message.base_mode & _ARMED)
+        with contextlib.suppress(ValueError):
+            mode = flight_mode(AutopilotKind(message.autopilot), message.custom_mode)
+            self.mode = _NAMES.get(mode, FlightMode.HOLD)
+
+
+@contextlib.contextmanager
+def simulator_at(links: Links) -> Iterator[Simulator]:
+    """Reach it; at the end everything is given back.
+
+    Raises:
+        VwnavError: it cannot be reached, or tells no truth.
+    """
+    simulator = Simulator(links)
+    try:
+        yield simulator
+    finally:
+        simulator.close()
+
+
+class LiveFlight:
+    """One flight of `vwnav fly`, under way.
+
+    Attributes:
+        track: truth, modes, phases and what the program said, as for flights in lockstep; its
+            times are of `time.monotonic`, its places about where the aircraft stood.
+        begun_s: when it was started, on that clock.
+        home: with its origin where the aircraft stood.
+        see: is called whenever something may have happened.
+    """
+
+    def __init__(
+        self, simulator: Simulator, process: "subprocess.Popen[bytes]", folder: Path
+    ) -> None:
+        self.simulator = simulator
+        self.process = process
+        self.folder = folder
+        self.track = Track()
+        self.begun_s = time.monotonic()
+        self.home = simulator.frame_here()
+        self.see: Callable[[], None] = lambda: None
+        self._log = (folder / "log").open(errors="replace")
+        self._rest = ""
+        self.trigger = folder / "break"
+
+    @property
+    def t_s(self) -> float:
+        """Since it was started."""
+        return time.monotonic() - self.begun_s
+
+    def note(self, text: str) -> None:
+        """A line of ours among the program's."""
+        self.track.events.append(Event(self.t_s, text))
+
+    def watch(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        """Note what happens until `done`; False after `timeout_s`."""
+        until_s = time.monotonic() + timeout_s
+        while not done():
+            if time.monotonic() > until_s:
+                return False
+            self._look()
+            self.see()
+            time.sleep(_LOOK_S)
+        return True
+
+    def is_in(self, phase: Phase) -> bool:
+        """Where the mission stands, as far as it has said so."""
+        return bool(self.track.phases) and self.track.phases[-1].text == phase.value
+
+    def is_down(self) -> bool:
+        """It has flown, and its motors stand."""
+        return not self.simulator.armed and any(each.armed for each in self.track.truth)
+
+    def has_ended(self) -> bool:
+        """The program has."""
+        return self.process.poll() is not None
+
+    def place_ned_m(self) -> Array:
+        """Where it truly is."""
+        return self.simulator.look(self.home).position_ned_m
+
+    def close(self) -> None:
+        """Read no more."""
+        self._log.close()
+
+    def _look(self) -> None:
+        self.track.truth.append(self.simulator.look(self.home))
+        self._rest += self._log.read()
+        *lines, self._rest = self._rest.split("\n")
+        for line in lines:
+            found = _LINE.match(line)
+            if found is None:
+                continue
+            text = found["text"].strip()
+            if text in _PHASES:
+                self.track.phases.append(Event(self.t_s, text))
+            self.track.events.append(Event(self.t_s, text))
+
+
+@contextlib.contextmanager
+def live_flight(
+    simulator: Simulator, folder: Path, route: str, breaks: str = "", settings: str = ""
+) -> Iterator[LiveFlight]:
+    """Start `vwnav fly` from where the aircraft stands; at the end it is gone.
+
+    Args:
+        simulator: that flies.
+        folder: of everything that is written.
+        route: ID,X,Y,Z lines about home.
+        breaks: what breaks inside of it once the flight's `trigger` is there, see `inside`.
+        settings: TOML.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "route.txt").write_text(route)
+    (folder / "settings.toml").write_text(settings)
+    lat_deg, lon_deg = simulator.here()
+    command = [
+        sys.executable, "-m", "vwnav", "fly", "--video", simulator.site, "--map", simulator.site,
+        "--route", str(folder / "route.txt"), "--home", f"{lat_deg},{lon_deg}",
+        "--connection", simulator.relay.url, "--truth", simulator.truth_relay.url,
+        "--config", str(folder / "settings.toml"), "-o", str(folder / "run"),
+    ]  # fmt: skip
+    paths = [str(patch_folder(folder / "patch", breaks, folder / "break")), *sys.path]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(each for each in paths if each)}
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=log, env=env)
+    flight = LiveFlight(simulator, process, folder)
+    try:
+        yield flight
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+        process.wait()
+        flight.close()
+
+
+def _site_near(lat_deg: float, lon_deg: float) -> str:
+    """The generated site that has its home there."""
+    default = Site(DEFAULT_SEED)
+    away_m = horizontal_distance_m(lat_deg, lon_deg, default.home_lat_deg, default.home_lon_deg)
+    return "sim:default" if away_m < _AT_HOME_M else f"sim:default@{lat_deg:.5f},{lon_deg:.5f}"

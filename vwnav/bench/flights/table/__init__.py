@@ -1,0 +1,61 @@
+"""The table: what breaks, when, what must follow within how many seconds, and the bounds.
+
+Most rows begin in the air, where their fault is. Those named in `QUICK` are flown by `make test`,
+one of each kind; all of them by `make test-long` and `vwnav flighttest faults`.
+"""
+
+from collections.abc import Iterable
+
+from vwnav.bench.flights.scenario import Scenario
+from vwnav.bench.flights.table.autopilot import AUTOPILOT
+from vwnav.bench.flights.table.battery import BATTERY
+from vwnav.bench.flights.table.disk_and_clock import DISK_AND_CLOCK
+from vwnav.bench.flights.table.ground import MAP, MODEL
+from vwnav.bench.flights.table.link import LINK
+from vwnav.bench.flights.table.navigator import NAVIGATOR
+from vwnav.bench.flights.table.pictures import PICTURES
+from vwnav.bench.flights.table.pilot import PILOT
+from vwnav.bench.flights.table.processor import PROCESSOR
+from vwnav.bench.flights.table.telemetry import TELEMETRY
+from vwnav.bench.flights.table.whole import WHOLE
+from vwnav.bench.flights.table.wind import WIND
+
+FAMILIES: dict[str, list[Scenario]] = {
+    "pictures": PICTURES,
+    "telemetry": TELEMETRY,
+    "map": MAP,
+    "model": MODEL,
+    "link": LINK,
+    "battery": BATTERY,
+    "pilot": PILOT,
+    "autopilot": AUTOPILOT,
+    "wind": WIND,
+    "processor": PROCESSOR,
+    "navigator": NAVIGATOR,
+    "disk and clock": DISK_AND_CLOCK,
+    "whole flights": WHOLE,
+}
+TABLE = [row for rows in FAMILIES.values() for row in rows]
+QUICK = {
+    "attitude missing for 1 s",
+    "one attitude level and facing north",
+    "pictures black for good at 50 m",
+    "link cut for 5 s on the route",
+    "navigator stopped for 20 s",
+    "processor starved for 1 s",
+    "model raises in flight",
+    "pilot takes over while on the route",
+    "take-off refused",
+}
+
+
+def family_of(row: Scenario) -> str:
+    """The name of a row's family."""
+    names = {family: [each.name for each in rows] for family, rows in FAMILIES.items()}
+    return next(family for family in names if row.name in names[family])
+
+
+def rows_named(parts: Iterable[str]) -> list[Scenario]:
+    """Rows with one of the parts in their name, all of them where there are no parts."""
+    wanted = [part.casefold() for part in parts]
+    return [row for row in TABLE if not wanted or any(p in row.name.casefold() for p in wanted)]

@@ -1,0 +1,49 @@
+"""The map is not of this place, not of this year, or not whole; the model does not work."""
+
+from vwnav.bench.flights.faults import computer, ground
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import down, phase, said
+from vwnav.bench.flights.table.common import flies_on, setup
+
+MAP = [
+    Scenario(
+        name="map of another place",
+        setup=setup(None),
+        breaks=(Break(fault=ground.MapOfElsewhere(), at_s=0.0),),
+        limit_s=140.0,
+        follows=(phase(90.0, "waiting for a fix"), phase(110.0, "landing"), down(140.0)),
+        lands_within_m=15.0,
+        lands_at_ne_m=(0.0, 0.0),
+    ),
+    Scenario(
+        name="map shifted by 10 m",
+        setup=setup(None),
+        breaks=(Break(fault=ground.MapShifted((8.0, -6.0)), at_s=0.0),),
+        limit_s=240.0,
+        follows=(said(100.0, "home"),),
+        lands_within_m=3.0,
+        lands_at_ne_m=(0.0, 0.0),
+        map_off_m=10.0,
+    ),
+    flies_on("map of another season", ground.OtherSeason("winter"), after_s=25.0),
+    flies_on("map's tiles damaged on disk", computer.MapTilesDamaged(), copies_map=True),
+    flies_on("map deleted in flight", computer.MapDeleted(), copies_map=True),
+]
+MODEL = [
+    Scenario(
+        name="model raises from the start",
+        setup=setup(None),
+        breaks=(Break(fault=computer.ModelRaises(), at_s=0.0),),
+        limit_s=80.0,
+        ending=Ending.FLIES_ON,
+        follows=(said(60.0, "SIFT stands in"), phase(75.0, "on route")),
+    ),
+    Scenario(
+        name="model raises in flight",
+        setup=setup(),
+        breaks=(Break(fault=computer.ModelRaises(), at_s=6.0),),
+        limit_s=30.0,
+        ending=Ending.FLIES_ON,
+        follows=(said(10.0, "SIFT stands in"),),
+    ),
+]

@@ -1,0 +1,89 @@
+"""The link to the autopilot: cut, slow, dirty, and used by others."""
+
+from vwnav.bench.flights.faults import link
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import phase
+from vwnav.bench.flights.setup import AirStart
+from vwnav.bench.flights.table.common import (
+    BREAKS_AT_S,
+    CLIMB,
+    DESCEND,
+    RETURN,
+    ROUTE,
+    flies_on,
+    setup,
+)
+from vwnav.mission import Phase
+from vwnav.sim.px4.modes import NavState
+
+CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
+
+
+def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = None) -> Scenario:
+    """A cut of 1 s and less is flown on after; a longer one ends in a landing.
+
+    Near by, where the map shows enough after the cut to say anew where it is. Else it comes down as
+    the wind has it, and only its speed is bounded: after 30 s it is too low for the map, and so it
+    is from the first second on where it was coming down already.
+    """
+    short = seconds <= 1.0
+    blind = seconds > 10.0 or (start is DESCEND and phase is None)
+    at_s = {Phase.ROUTE: BREAKS_AT_S, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
+    return Scenario(
+        name=f"link cut for {seconds:g} s {where}",
+        setup=setup(start),
+        breaks=(
+            Break(
+                fault=link.LinkCut(),
+                at_s=at_s[start.phase or Phase.ROUTE] if phase is None else 1.5,
+                phase=phase,
+                for_s=seconds,
+            ),
+        ),
+        limit_s=24.0 + seconds if short else 90.0,
+        ending=Ending.FLIES_ON if short else Ending.LANDED,
+        lands_within_m=None if short or blind else 30.0,
+    )
+
+
+CUTS = [
+    *(link_cut("on the route", ROUTE, seconds) for seconds in CUTS_S),
+    *(link_cut("while climbing", CLIMB, seconds) for seconds in CUTS_S),
+    *(link_cut("while returning", RETURN, seconds) for seconds in CUTS_S),
+    *(link_cut("while descending", DESCEND, seconds) for seconds in CUTS_S),
+    *(link_cut("while landing", DESCEND, seconds, Phase.LAND) for seconds in CUTS_S),
+]
+SLOW = [
+    Scenario(
+        name="round trip of 0.25 s at take-off",
+        setup=setup(None),
+        breaks=(Break(fault=link.RoundTrip(0.25), at_s=0.0),),
+        limit_s=60.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(45.0, "climbing"), phase(60.0, "on route")),
+    ),
+    flies_on("round trip of 0.3 s on the route", link.RoundTrip(0.3)),
+    Scenario(
+        name="line of 57600 baud at take-off",
+        setup=setup(None),
+        breaks=(Break(fault=link.SlowLine(57600), at_s=0.0),),
+        limit_s=110.0,
+        ending=Ending.STAYED,
+    ),
+]
+DIRTY = [
+    flies_on("garbage between the packets for 10 s", link.Garbage(), 10.0),
+    flies_on("packets replayed after 0.5 s for 10 s", link.Replayed(0.5), 10.0),
+]
+OTHERS = [
+    Scenario(
+        name=f"a second station asks for {mode.name.title()}",
+        setup=setup(),
+        breaks=(Break(fault=link.StationCommands(mode), at_s=BREAKS_AT_S),),
+        limit_s=22.0,
+        ending=Ending.OTHERS,
+        follows=(phase(1.0, "pilot flies"),),
+    )
+    for mode in (NavState.HOLD, NavState.RETURN)
+]
+LINK = [*CUTS, *SLOW, *DIRTY, *OTHERS]

@@ -1,0 +1,37 @@
+"""What is otherwise by design where the autopilot is an ArduCopter."""
+
+from dataclasses import replace
+
+from vwnav.bench.flights.scenario import Scenario
+from vwnav.sim.config import Manners
+
+# Without setpoints it flies on for 3 s, and once its EKF failsafe has acted (8 s) it comes down
+# level, 45 s in the wind, whatever is known again.
+COPTER_LANDS_WITHIN_M = {
+    "link cut for 3 s": 45.0,
+    "link cut for 5 s": 45.0,
+    "link cut for 10 s": 220.0,
+    "navigator stopped": 220.0,
+}
+# Those that are flown in its manners too by `make test-long`.
+FLOWN_IN_COPTER_MANNERS = {
+    "attitude missing for 5 s",
+    "battery critical",
+    "link cut for 1 s on the route",
+    "link cut for 10 s on the route",
+    "link cut for 5 s on the route",
+    "navigator killed",
+    "navigator stopped for 20 s",
+    "nothing breaks",
+    "pictures gone for good at 50 m",
+    "pilot takes over while on the route",
+}
+
+
+def in_manners(row: Scenario, manners: Manners) -> Scenario:
+    """The row as this autopilot flies it, with the bounds that are its own."""
+    setup = replace(row.setup, manners=manners)
+    if manners == "px4" or row.lands_within_m is None:
+        return replace(row, setup=setup)
+    own = (bound_m for part, bound_m in COPTER_LANDS_WITHIN_M.items() if part in row.name)
+    return replace(row, setup=setup, lands_within_m=next(own, row.lands_within_m))

@@ -1,0 +1,74 @@
+"""The navigator's process ends, sleeps or raises; the watchdog's ends."""
+
+from vwnav.bench.flights.faults import computer
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import down, mode, phase, said
+from vwnav.bench.flights.table.common import BREAKS_AT_S, flies_on, setup
+
+TAKEN_OVER = (mode(2.5, "HOLD"), mode(5.0, "LAND", "DESCEND"), down(60.0))
+
+ENDS = [
+    Scenario(
+        name=name,
+        setup=setup(),
+        breaks=(Break(fault=fault, at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=TAKEN_OVER,
+        lands_within_m=within_m,
+    )
+    for name, fault, within_m in (
+        # Nobody tells it where it is: blind for 30 s, no further than wind and gusts carry it.
+        ("navigator stopped for 20 s", computer.NavigatorStopped(20.0), 150.0),
+        ("navigator killed", computer.NavigatorKilled(), 70.0),
+        ("navigator ends in the air", computer.NavigatorLeaves(), 70.0),
+    )
+]
+RAISES = [
+    # No telemetry is taken in and no estimate goes out: the aircraft is blind, and comes down.
+    Scenario(
+        name="every step of the link raises for good",
+        setup=setup(),
+        breaks=(Break(fault=computer.StepRaises("link"), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=(mode(8.0, "LAND", "DESCEND"), down(60.0)),
+        lands_within_m=150.0,
+    ),
+    Scenario(
+        name="a step of the mission raises",
+        setup=setup(),
+        breaks=(Break(fault=computer.StepRaises("mission"), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=TAKEN_OVER,
+        lands_within_m=20.0,
+    ),
+    Scenario(
+        name="every picture raises for good",
+        setup=setup(),
+        breaks=(Break(fault=computer.StepRaises("picture"), at_s=BREAKS_AT_S),),
+        limit_s=75.0,
+        follows=(phase(8.0, "landing"), down(60.0)),
+        lands_within_m=50.0,
+    ),
+    # It knows its motion, not its place: stays, tries to find home, and lands.
+    Scenario(
+        name="every match raises for good",
+        setup=setup(),
+        breaks=(Break(fault=computer.MatchingRaises(), at_s=BREAKS_AT_S),),
+        limit_s=120.0,
+        follows=(phase(40.0, "landing", "returning"), down(110.0)),
+        lands_within_m=60.0,
+    ),
+    flies_on("every step of the link raises for 0.5 s", computer.StepRaises("link"), 0.5),
+    flies_on("every picture raises for 2 s", computer.StepRaises("picture"), 2.0),
+]
+WATCHDOG = [
+    Scenario(
+        name="watchdog killed",
+        setup=setup(),
+        breaks=(Break(fault=computer.WatchdogKilled(), at_s=BREAKS_AT_S),),
+        limit_s=30.0,
+        ending=Ending.FLIES_ON,
+        follows=(said(1.0, "watchdog"),),
+    ),
+]
+NAVIGATOR = [*ENDS, *RAISES, *WATCHDOG]

@@ -1,0 +1,59 @@
+"""Pictures that tell nothing, tell it badly, late or seldom."""
+
+from vwnav.bench.flights.faults import camera as broken
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import down, phase, said
+from vwnav.bench.flights.table.common import BREAKS_AT_S, flies_on, setup
+
+USELESS = [
+    Scenario(
+        name=f"pictures {name} for good at 50 m",
+        setup=setup(wind_m_s=5.0),
+        breaks=(Break(fault=broken.CameraTrouble(make), at_s=BREAKS_AT_S),),
+        limit_s=75.0,
+        follows=(phase(8.0, "landing"), down(60.0)),
+        lands_within_m=50.0,
+    )
+    for name, make in (
+        ("gone", broken.no_pictures),
+        ("black", broken.black),
+        ("frozen", broken.frozen),
+        ("failing", broken.raising),
+        ("over-exposed", broken.overexposed),
+        ("of another size", broken.another_size),
+        ("of one second in a loop", broken.looping),
+        ("of a ground that repeats", broken.repeating_ground),
+    )
+]
+POOR = [
+    flies_on(f"pictures {name} for 15 s", broken.CameraTrouble(make), 15.0)
+    for name, make in (
+        ("with the sun's glare", broken.sun_glare),
+        ("half covered", broken.half_covered),
+        ("out of focus", broken.out_of_focus),
+        ("dropped in bursts", broken.bursts_dropped),
+    )
+]
+LATE = [
+    flies_on("pictures 0.5 s late", broken.PicturesLate(0.5), 15.0),
+    flies_on("pictures 0.5 s late, stamped on arrival", broken.PicturesLate(0.5, False), 15.0),
+    Scenario(
+        name="5 pictures a second",
+        setup=setup(picture_hz=5.0),
+        breaks=(),
+        limit_s=40.0,
+        ending=Ending.FLIES_ON,
+    ),
+    flies_on("pictures gone for 3 s", broken.CameraTrouble(broken.no_pictures), 3.0, 13.0),
+]
+MOUNTED = [
+    Scenario(
+        name="camera mounted upside down",
+        setup=setup(None),
+        breaks=(Break(fault=broken.CameraTrouble(broken.upside_down), at_s=0.0),),
+        limit_s=140.0,
+        follows=(said(100.0, "fix"), down(140.0)),
+        lands_within_m=20.0,
+    ),
+]
+PICTURES = [*USELESS, *POOR, *LATE, *MOUNTED]

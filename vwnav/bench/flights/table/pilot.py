@@ -1,0 +1,70 @@
+"""The pilot takes the aircraft, in every phase, and gives it back."""
+
+from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import phase
+from vwnav.bench.flights.setup import AirStart
+from vwnav.bench.flights.table.common import CLIMB, DESCEND, RETURN, ROUTE, setup
+from vwnav.mission import Phase
+from vwnav.types import FlightMode
+
+TAKES = [
+    Scenario(
+        name=f"pilot takes over while {where}",
+        setup=setup(start, rc_on=True),
+        breaks=(Break(fault=PilotSwitches(), at_s=at_s, phase=begun),),
+        limit_s=limit_s,
+        ending=Ending.PILOT,
+        follows=(phase(3.0, "pilot flies"),),
+    )
+    for where, start, begun, at_s, limit_s in (
+        ("climbing", CLIMB, None, 4.0, 12.0),
+        ("on the route", ROUTE, None, 9.0, 15.0),
+        ("returning", RETURN, None, 5.0, 12.0),
+        ("descending", DESCEND, None, 3.0, 12.0),
+        ("landing", DESCEND, Phase.LAND, 1.5, 30.0),
+        ("taking off", None, Phase.TAKEOFF, 6.0, 40.0),
+        ("Offboard is being asked for", None, Phase.CLIMB, 0.0, 35.0),
+    )
+]
+ON_THE_GROUND = [
+    Scenario(
+        name="pilot takes over before arming",
+        setup=setup(None, rc_on=True),
+        breaks=(Break(fault=PilotSwitches(), at_s=3.0),),
+        limit_s=60.0,
+        ending=Ending.STAYED,
+    ),
+    Scenario(
+        name="pilot takes over while arming",
+        setup=setup(None, rc_on=True),
+        breaks=(Break(fault=PilotSwitches(), at_s=0.0, armed=True),),
+        limit_s=40.0,
+        ending=Ending.PILOT,
+        follows=(phase(3.0, "pilot flies"),),
+    ),
+    Scenario(
+        name="fly is started while a pilot flies",
+        setup=setup(
+            AirStart(phase=None, place_ned_m=(15.0, -15.0, -50.0), mode=FlightMode.MANUAL),
+            rc_on=True,
+        ),
+        breaks=(),
+        limit_s=20.0,
+        ending=Ending.PILOT,
+    ),
+]
+GIVES_BACK = [
+    Scenario(
+        name="pilot takes over and hands back",
+        setup=setup(rc_on=True),
+        breaks=(
+            Break(fault=PilotSwitches(), at_s=9.0),
+            Break(fault=PilotHandsBack(), at_s=15.0),
+        ),
+        limit_s=30.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(3.0, "pilot flies"),),
+    ),
+]
+PILOT = [*TAKES, *ON_THE_GROUND, *GIVES_BACK]

@@ -1,0 +1,67 @@
+"""The autopilot's attitude, inertial sensors and barometer: late, missing, wrong."""
+
+import math
+
+from vwnav.bench.flights.faults import aircraft, telemetry
+from vwnav.bench.flights.scenario import Break, Ending, Scenario
+from vwnav.bench.flights.seen import mode, phase
+from vwnav.bench.flights.table.common import BREAKS_AT_S, flies_on, setup
+
+ATTITUDES = (telemetry.ATTITUDE, telemetry.ATTITUDE_QUATERNION)
+IMU = (telemetry.HIGHRES_IMU,)
+RESET_RAD, OFF_RAD = math.radians(20.0), math.radians(30.0)
+
+MISSING = [
+    *(
+        flies_on(f"attitude missing for {seconds:g} s", telemetry.Missing(), seconds)
+        for seconds in (0.05, 0.2, 1.0)
+    ),
+    Scenario(
+        name="attitude missing for 5 s",
+        setup=setup(),
+        breaks=(Break(fault=telemetry.Missing(), at_s=BREAKS_AT_S, for_s=5.0),),
+        limit_s=80.0,
+        follows=(mode(5.0, "LAND"),),
+        lands_within_m=30.0,
+    ),
+]
+LATE = [
+    flies_on("telemetry 0.1 s late", telemetry.TelemetryLate(0.1), 10.0),
+    flies_on("telemetry 0.3 s late", telemetry.TelemetryLate(0.3), 10.0),
+    flies_on("attitude 0.1 s late", telemetry.TelemetryLate(0.1, ATTITUDES), 10.0),
+    flies_on("attitude 0.3 s late", telemetry.TelemetryLate(0.3, ATTITUDES), 10.0),
+    Scenario(
+        name="attitude 1 s late",
+        setup=setup(),
+        breaks=(Break(fault=telemetry.TelemetryLate(1.0, ATTITUDES), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        lands_within_m=30.0,
+    ),
+]
+WRONG = [
+    flies_on("one attitude level and facing north", telemetry.level(), 0.02),
+    flies_on("attitudes level and facing north for 1 s", telemetry.level(), 1.0),
+    flies_on("one attitude not a number", telemetry.not_a_number(), 0.02),
+    flies_on("one heading 30 degrees off", telemetry.turned(OFF_RAD), 0.02),
+    flies_on("headings 30 degrees off for 10 s", telemetry.turned(OFF_RAD), 10.0),
+    flies_on("heading reset by 20 degrees", aircraft.HeadingReset(RESET_RAD), after_s=15.0),
+]
+INERTIAL = [
+    flies_on("IMU missing for 10 s", telemetry.Missing(IMU), 10.0),
+    flies_on("IMU doubled for 10 s", telemetry.Doubled(IMU), 10.0),
+    flies_on("IMU turns on its side in flight", telemetry.imu_on_its_side(), after_s=15.0),
+    Scenario(
+        name="IMU mounted on its side",
+        setup=setup(None),
+        breaks=(Break(fault=telemetry.imu_on_its_side(), at_s=0.0),),
+        limit_s=80.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(75.0, "on route"),),
+    ),
+]
+BAROMETER = [
+    flies_on("barometer 6 m off for 0.7 s", aircraft.BarometerWrong(6.0), 0.7),
+    flies_on("barometer 3 m off for good", aircraft.BarometerWrong(3.0), after_s=15.0),
+    flies_on("barometer drifts by 0.3 m/s for 20 s", aircraft.BarometerDrifts(0.3), 20.0),
+]
+TELEMETRY = [*MISSING, *LATE, *WRONG, *INERTIAL, *BAROMETER]

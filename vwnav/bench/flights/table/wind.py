@@ -1,0 +1,22 @@
+"""Wind and gusts that push it about."""
+
+from vwnav.bench.flights.scenario import Ending, Scenario
+from vwnav.bench.flights.table.common import HOME, setup
+
+WIND = [
+    Scenario(
+        name="wind of 12 m/s with gusts of 3 m/s on the route",
+        setup=setup(wind_m_s=12.0, gust_m_s=3.0),
+        breaks=(),
+        limit_s=45.0,
+        ending=Ending.FLIES_ON,
+    ),
+    Scenario(
+        name="wind of 12 m/s with gusts, the whole flight",
+        setup=setup(None, wind_m_s=12.0, gust_m_s=1.5),
+        breaks=(),
+        limit_s=260.0,
+        lands_within_m=5.0,
+        lands_at_ne_m=HOME,
+    ),
+]

@@ -1,0 +1,61 @@
+"""A flight test flown, judged and drawn."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.scenario import fly
+from vwnav.bench.flights.thesis.plots import save_plots
+from vwnav.bench.flights.thesis.samples import Sample, Sampler, write_csv
+from vwnav.bench.flights.thesis.tests import FlightTest
+from vwnav.bench.flights.thesis.verdict import Statistic, Step, statistics, steps
+
+
+@dataclass(frozen=True, slots=True)
+class TestReport:
+    """What became of a test.
+
+    Attributes:
+        statistics: none where it never got so far.
+        files: that were written to its folder.
+        timeline: what the program said, a line each.
+    """
+
+    name: str
+    steps: tuple[Step, ...]
+    statistics: tuple[Statistic, ...]
+    files: tuple[str, ...]
+    timeline: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Every step did."""
+        return all(step.passed for step in self.steps)
+
+
+def fly_test(test: FlightTest, place: Place, folder: Path) -> TestReport:
+    """Fly it in lockstep, write its plots and its table.
+
+    Raises:
+        VwnavError: matplotlib is missing.
+    """
+    sampler = Sampler()
+    flown = fly(test.scenario, place, see=sampler)
+    said = [f"{each.t_s:.1f} s {each.text}" for each in flown.track.events]
+    return report_on(test, sampler.samples, said, folder)
+
+
+def report_on(
+    test: FlightTest, samples: Sequence[Sample], said: Sequence[str], folder: Path
+) -> TestReport:
+    """Judge what was noted, write the plots and the table.
+
+    Raises:
+        VwnavError: matplotlib is missing.
+    """
+    table = f"{test.name}.csv"
+    write_csv(samples, folder / table)
+    files = (table, *save_plots(test, samples, folder))
+    judged, numbers = tuple(steps(test, samples)), tuple(statistics(test, samples))
+    return TestReport(test.name, judged, numbers, files, tuple(said))

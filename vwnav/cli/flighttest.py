@@ -1,0 +1,277 @@
+"""`vwnav flighttest`: flights with something broken in them, each with a verdict."""
+
+import json
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, cast, get_args
+
+import typer
+
+from vwnav.cli.screen import print_rows, say
+from vwnav.errors import ConfigError, VwnavError
+
+if TYPE_CHECKING:
+    from vwnav.bench.flights.live.session import Links
+    from vwnav.bench.flights.rows import RowResult
+    from vwnav.bench.flights.scenario import Scenario
+    from vwnav.bench.flights.thesis.report import TestReport
+    from vwnav.sim.config import Manners
+
+_NAMES_SHOWN = 3
+_CONNECTION = "An autopilot in simulation, flown in real time; else all in simulated time."
+_PILOT = "With --connection: a second link, on which this command plays the pilot."
+_TRUTH = "With --connection: where the simulator tells its ground truth."
+_ONE_OBJECT = "One JSON object on stdout."
+_FOLDER = "Folder of the result: three plots and a table (CSV)."
+
+app = typer.Typer(no_args_is_help=True, help="Fly tests, and say whether they passed.")
+
+
+@app.callback()
+def _flighttest() -> None:
+    # Read when the libraries load: every flight has one core.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+
+@app.command()
+def faults(
+    listed: bool = typer.Option(False, "--list", help="Say what there is, and fly nothing."),
+    only: list[str] = typer.Option([], help="Only rows with this in their name; may be repeated."),
+    jobs: int = typer.Option(1, min=1, help="How many are flown at a time."),
+    manners: str = typer.Option("px4", help="The simulated vehicle's, px4 or copter."),
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
+    as_json: bool = typer.Option(False, "--json", help="One JSON object a line on stdout."),
+    output: Path | None = typer.Option(
+        None, "-o", "--output", help="Folder of the result: faults.json, a picture of each failure."
+    ),
+) -> None:
+    """Fly the whole program in simulated time with one thing broken, fault by fault.
+
+    Each has an expected outcome; what comes out otherwise fails, and its track is drawn.
+
+    Examples:
+    vwnav flighttest faults --list
+    vwnav flighttest faults --jobs 2 -o faults
+    vwnav flighttest faults --only "link cut" --only black
+    vwnav flighttest faults --manners copter --only "navigator killed"
+    vwnav flighttest faults --connection udpin://0.0.0.0:14540 --truth udpout:127.0.0.1:14560
+    """
+    from vwnav.bench.flights.table import rows_named
+
+    rows = rows_named(only)
+    if connection is not None:
+        from vwnav.bench.flights.live.campaign import live_rows
+
+        possible = {row.name for row in live_rows(pilot is not None)}
+        rows = [row for row in rows if row.name in possible]
+    if not rows:
+        raise ConfigError(f"no fault is named {' or '.join(only)}: see --list")
+    if listed:
+        _show_list(rows, as_json)
+        return
+    from vwnav.drivers.run_folder import make_run_folder
+
+    links = _links(connection, truth, pilot)
+    folder = make_run_folder(output, "faults")
+    if links is None:
+        flown = _in_lockstep(rows, jobs, folder, _manners(manners))
+    else:
+        flown = _live(rows, links, folder)
+    results = _collect(rows, flown, as_json, folder)
+    failed = [each.name for each in results if not each.passed]
+    if failed:
+        named = ", ".join(failed[:_NAMES_SHOWN]) + (" ..." if len(failed) > _NAMES_SHOWN else "")
+        raise VwnavError(f"{len(failed)} of {len(results)} faults failed: {named}")
+
+
+@app.command()
+def hover(
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
+    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+) -> None:
+    """Arm, climb, hold for 30 s, land: the thesis' hover test, figures 6.3 to 6.5.
+
+    Example: vwnav flighttest hover -o hover
+    """
+    _run_test("hover", _links(connection, truth, pilot), as_json, output)
+
+
+@app.command()
+def waypoints(
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
+    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+) -> None:
+    """Fly a route and come home: the thesis' waypoint test, figures 6.6 to 6.8.
+
+    Example: vwnav flighttest waypoints -o waypoints
+    """
+    _run_test("waypoints", _links(connection, truth, pilot), as_json, output)
+
+
+@app.command()
+def failsafe(
+    connection: str | None = typer.Option(None, help=_CONNECTION),
+    pilot: str | None = typer.Option(None, help=_PILOT),
+    truth: str | None = typer.Option(None, help=_TRUTH),
+    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+) -> None:
+    """Fly a route; a pilot takes over and hands back, then his radio fails: figures 6.9 to 6.11.
+
+    Example: vwnav flighttest failsafe -o failsafe
+    """
+    _run_test("failsafe", _links(connection, truth, pilot), as_json, output)
+
+
+def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Links | None":
+    """None without a connection.
+
+    Raises:
+        ConfigError: there is one, and nothing that a camera can be drawn from.
+    """
+    from vwnav.bench.flights.live.session import Links
+
+    if connection is None:
+        return None
+    if truth is None:
+        raise ConfigError("--connection needs --truth: the camera is drawn from it")
+    return Links(connection, truth, pilot)
+
+
+def _run_test(name: str, links: "Links | None", as_json: bool, output: Path | None) -> None:
+    from vwnav.bench.flights.thesis.report import fly_test
+    from vwnav.bench.flights.thesis.tests import TESTS
+    from vwnav.cli.lockstep_place import lockstep_place
+    from vwnav.drivers.run_folder import make_run_folder
+
+    folder = make_run_folder(output, name)
+    if links is None:
+        report = fly_test(TESTS[name], lockstep_place(), folder)
+    else:
+        from vwnav.bench.flights.live.session import simulator_at
+        from vwnav.bench.flights.thesis.live import fly_live_test
+
+        with simulator_at(links) as simulator:
+            report = fly_live_test(TESTS[name], simulator, folder, say)
+    if as_json:
+        print(json.dumps(asdict(report)))
+    else:
+        _show_test(report)
+    say(f"flighttest: wrote {', '.join(report.files)} to {folder}")
+    failed = [step.name for step in report.steps if not step.passed]
+    if failed:
+        raise VwnavError(f"the {name} test failed: {'; '.join(failed)}")
+
+
+def _show_test(report: "TestReport") -> None:
+    steps = [(_verdict(step.passed), step.name, step.detail) for step in report.steps]
+    print_rows(report.name, ("", "step", "seen"), steps)
+    sizes = []
+    for each in report.statistics:
+        values = [f"{value:.2f} {each.unit}" for value in (each.rms, each.p95, each.largest)]
+        thesis = "" if each.thesis is None else f"{each.thesis:g} {each.unit}"
+        sizes.append((each.name, *values, thesis))
+    print_rows("", ("error", "RMS", "95 %", "largest", "the thesis, with GPS"), sizes)
+
+
+def _verdict(passed: bool) -> str:
+    """As a cell of a table."""
+    return "[green]pass[/]" if passed else "[red]FAIL[/]"
+
+
+def _show_list(rows: "Iterable[Scenario]", as_json: bool) -> None:
+    from vwnav.bench.flights.table import family_of
+
+    cells = [(family_of(row), row.name, row.where, row.when, row.expected) for row in rows]
+    header = ("family", "name", "where", "when", "expected")
+    if as_json:
+        for each in cells:
+            print(json.dumps(dict(zip(header, each, strict=True))))
+    else:
+        print_rows("faults", header, cells)
+
+
+def _in_lockstep(
+    rows: "list[Scenario]", jobs: int, folder: Path, manners: "Manners"
+) -> "Iterator[RowResult]":
+    from vwnav.bench.flights.rows import fly_rows
+    from vwnav.cli.lockstep_place import lockstep_place
+
+    lockstep_place()  # its map is drawn once, here
+    return fly_rows(rows, lockstep_place, folder, jobs, manners)
+
+
+def _manners(text: str) -> "Manners":
+    from vwnav.sim.config import Manners
+
+    for each in get_args(Manners):
+        if each == text:
+            return cast("Manners", each)
+    raise ConfigError(f"--manners is {' or '.join(get_args(Manners))}, not {text!r}")
+
+
+def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[RowResult]":
+    from vwnav.bench.flights.live.campaign import fly_live_rows
+    from vwnav.bench.flights.live.session import simulator_at
+
+    with simulator_at(links) as simulator:
+        yield from fly_live_rows(rows, simulator, folder)
+
+
+def _collect(
+    rows: "list[Scenario]", flown: "Iterable[RowResult]", as_json: bool, folder: Path
+) -> "list[RowResult]":
+    """Results in the table's order; each is told as soon as it is there."""
+    results: list[RowResult] = []
+    for result in flown:
+        results.append(result)
+        if as_json:
+            print(json.dumps(asdict(result)), flush=True)
+        else:
+            _tell(result, len(results), len(rows))
+    order = [row.name for row in rows]
+    results.sort(key=lambda each: order.index(each.name))
+    lines = [json.dumps(asdict(each)) for each in results]
+    (folder / "faults.json").write_text("\n".join(lines) + "\n")
+    if not as_json:
+        _show_verdicts(results)
+    say(f"flighttest: wrote faults.json and a picture of each failure to {folder}")
+    return results
+
+
+def _tell(result: "RowResult", done: int, count: int) -> None:
+    say(f"{done}/{count} {'pass' if result.passed else 'FAIL'} {result.name}")
+    if not result.passed:
+        for line in (*result.wrong, *(f"  {each}" for each in result.timeline)):
+            say(f"    {line}")
+
+
+def _show_verdicts(results: "list[RowResult]") -> None:
+    cells = [
+        (
+            _verdict(each.passed),
+            each.family,
+            each.name,
+            each.expected if each.passed else "; ".join(each.wrong),
+            "" if each.landed_off_m is None else f"{each.landed_off_m:.1f}",
+            "" if each.worst_sigmas is None else f"{each.worst_sigmas:.1f}",
+            f"{each.flown_s:.0f}",
+        )
+        for each in results
+    ]
+    header = ("", "family", "fault", "outcome", "down, m off", "worst sigmas", "flown, s")
+    passed = sum(each.passed for each in results)
+    print_rows(f"{passed} of {len(results)} faults passed", header, cells)
+    cost_s = sum(each.cost_s for each in results)
+    print(f"{cost_s / 60.0:.0f} minutes of a processor", file=sys.stderr)
