@@ -10,6 +10,8 @@ from vwnav.safety.check import Check
 from vwnav.safety.keepalive import WatchdogReport
 from vwnav.types import Array, Navigation, VehicleState
 
+ASKS = "a ground station asks for"  # as it is said and recorded
+
 
 @dataclass(frozen=True, slots=True)
 class FlightConfig(DepartureConfig):

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from vwnav.clock import Clock
 from vwnav.flight import GONE_S, Flight
-from vwnav.mission import DeadMansHandle, FlightEnd, Phase
+from vwnav.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -126,7 +126,7 @@ class FlightRuntime:
     def _obey_ground_stations(self) -> None:
         orders, refused = self._autopilot.take_orders()
         for order in orders:
-            self._event(f"a ground station asks for {order.value}")
+            self._event(f"{ASKS} {order.value}")
             self._flight.obey(order)
         for text in refused:
             self._event(text)

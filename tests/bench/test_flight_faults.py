@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.bench.flights import campaign
+from vwnav.bench.flights import rows
 from vwnav.bench.flights.faults import camera, telemetry
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
 from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, rows_named
-from vwnav.bench.flights.track import Event, Sent, Track, Truth
+from vwnav.bench.flights.track import Event, Track, Truth
+from vwnav.rules.flight_log import Sent
 from vwnav.types import FlightMode, Frame
 
 PACKER = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -111,7 +112,8 @@ def a_track() -> Track:
         mode = FlightMode.OFFBOARD if i < 10 else FlightMode.LAND
         place = np.array([float(i), 0.0, -10.0 + 0.5 * i])
         track.truth.append(Truth(t_s, place, np.zeros(3), mode, i < 19, i == 19))
-        track.sent.append(Sent(t_s, t_s, place + 0.3, np.eye(2), 0))
+        believed = tuple((place + 0.3).tolist())
+        track.heard.estimates.append(Sent(t_s, t_s, believed, (1.0, 0.0, 1.0), 0))
     track.phases.append(Event(0.0, "on route"))
     track.events.append(Event(9.0, "breaks: something"))
     return track
@@ -138,7 +140,7 @@ def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):
     def burst(*_: object) -> None:
         raise RuntimeError("no such thing")
 
-    monkeypatch.setattr(campaign, "fly", burst)
-    result = campaign.fly_row("battery low", lambda: None, tmp_path)  # type: ignore[arg-type]
+    monkeypatch.setattr(rows, "fly", burst)
+    result = rows.fly_row("battery low", lambda: None, tmp_path)  # type: ignore[arg-type]
     assert not result.passed
     assert "no such thing" in result.wrong[0]

@@ -3,7 +3,7 @@
 import math
 
 from vwnav.rules.flight_log import Command, FlightLog
-from vwnav.rules.moments import flying, taken
+from vwnav.rules.moments import flying, handed_back, taken
 from vwnav.rules.rule import Rule
 from vwnav.rules.setpoints import NAVIGATOR, PILOT_S, WATCHDOG
 from vwnav.rules.temporal import Breach, after, always, never_while
@@ -17,6 +17,7 @@ _FORCED = 21196.0  # MAV_CMD_COMPONENT_ARM_DISARM, parameter 2
 _OFFBOARD = frozenset({(6, 0), (4, 0)})
 _LANDINGS = frozenset({(4, 6), (9, 0)})
 _OUR_MODES = _OFFBOARD | _LANDINGS | {(4, 3), (17, 0), (4, 5)}  # (6, 0) is ArduCopter's RTL too
+_TAKES_BACK_S = 5.0  # from the word to the last command
 _MOST_IN_A_SECOND = 4  # of one command, lost ones repeated included
 
 
@@ -81,9 +82,12 @@ def _offboard_asked(log: FlightLog) -> list[Command]:
 def _offboard_from_elsewhere(log: FlightLog) -> Breach | None:
     good = (FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD)
 
+    words = handed_back(log)
+
     def from_ours(command: Command) -> bool:
         vehicle = log.vehicle_at(command.t_s)
-        return vehicle is None or vehicle.mode in good
+        told = any(0.0 <= command.t_s - t_s <= _TAKES_BACK_S for t_s in words)
+        return told or vehicle is None or vehicle.mode in good
 
     return always(_offboard_asked(log), from_ours, _asked)
 
@@ -183,7 +187,7 @@ COMMANDS = (
     ),
     Rule(
         "Offboard from our modes",
-        "Offboard is asked for only out of take-off or Hold, never out of another's mode.",
+        "Offboard is asked for only out of take-off or Hold, never out of another's mode unless it is handed back.",
         ("vehicle", "commands"),
         _offboard_from_elsewhere,
     ),

@@ -2,10 +2,10 @@
 
 import math
 
-from vwnav.mission import Phase
+from vwnav.mission import ASKS, Phase
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.temporal import Span, inside, spans_where
-from vwnav.types import FlightMode
+from vwnav.types import FlightMode, Order
 
 _HOLE_S = 1.0  # of telemetry: in it the mode may have been any
 NOT_OURS = frozenset(FlightMode) - {FlightMode.OFFBOARD}
@@ -32,15 +32,23 @@ def steered(log: FlightLog) -> list[Span]:
 
 def taken(log: FlightLog) -> list[Span]:
     """From when on a person has the aircraft, until it is handed back, or stands disarmed."""
+    words = handed_back(log)
     spans: list[Span] = []
     since_s: float | None = None
     for row in log.vehicle:
         if since_s is None and row.armed and row.mode is FlightMode.MANUAL:
             since_s = row.t_s
-        elif since_s is not None and (row.mode is FlightMode.OFFBOARD or not row.armed):
-            spans.append((since_s, row.t_s))
-            since_s = None
+        elif since_s is not None:
+            word_s = next((t_s for t_s in words if since_s < t_s <= row.t_s), None)
+            if word_s is not None or row.mode is FlightMode.OFFBOARD or not row.armed:
+                spans.append((since_s, row.t_s if word_s is None else word_s))
+                since_s = None
     return spans if since_s is None else [*spans, (since_s, log.end_s)]
+
+
+def handed_back(log: FlightLog) -> list[float]:
+    """When a ground station asked the navigator to go on."""
+    return [each.t_s for each in log.events if each.text == f"{ASKS} {Order.GO_ON.value}"]
 
 
 def in_phases(log: FlightLog, *phases: Phase) -> list[Span]:

@@ -85,9 +85,10 @@ def _draw_error(axis: Any, track: Track, begun_s: float) -> None:
     sent = _sent_places(track)
     if not len(sent):
         return
-    true = np.array([track.truth_at(each.stamp_s).position_ned_m for each in track.heard.estimates])
+    estimates = track.heard.estimates
+    true = np.array([track.truth_at(each.stamp_s).position_ned_m for each in estimates])
     off_m = np.hypot(*(sent[:, 1:3] - true[:, :2]).T)
-    sigma_m = [np.sqrt(np.trace(each.covariance_ne_m2)) for each in track.heard.estimates]
+    sigma_m = [np.sqrt(nn + ee) for nn, _, ee in (each.covariance_ne_m2 for each in estimates)]
     axis.plot(sent[:, 0] - begun_s, off_m, ".", ms=2, label="estimate sent, horizontally")
     axis.plot(sent[:, 0] - begun_s, sigma_m, ".", ms=1, color="0.5", label="its sigma")
     axis.legend(fontsize=8)
