@@ -1,6 +1,7 @@
 """Faults do to bytes and pictures what they say, and the table holds what it must."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
 from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, rows_named
 from vwnav.bench.flights.track import Event, Track, Truth
+from vwnav.rules import flight_log
+from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import Sent
 from vwnav.types import FlightMode, Frame
 
@@ -131,9 +134,12 @@ def test_a_failure_is_drawn_and_told_by_time(tmp_path):
 
 
 def test_an_error_of_the_map_is_no_error_of_the_estimate():
-    track = a_track()
-    assert track.sigmas()[0, 1] == pytest.approx(np.hypot(0.3, 0.3))
-    assert track.sigmas(map_off_m=0.5)[0, 1] == 0.0
+    sent = [Sent(1.0, 1.0, (0.3, 0.3, -50.0), (1.0, 0.0, 1.0), 0)]
+    still = (0.0, 0.0, 0.0)
+    truth = [flight_log.Truth(t_s, (0.0, 0.0, -50.0), still) for t_s in (0.9, 1.1)]
+    log = flight_log.FlightLog(estimates=sent, truth=truth)
+    assert estimate_sigmas(log)[0][1] == pytest.approx(np.hypot(0.3, 0.3))
+    assert estimate_sigmas(replace(log, map_off_m=0.5))[0][1] == 0.0
 
 
 def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):

@@ -187,7 +187,8 @@ COMMANDS = (
     ),
     Rule(
         "Offboard from our modes",
-        "Offboard is asked for only out of take-off or Hold, never out of another's mode unless it is handed back.",
+        "Offboard is asked for only out of take-off or Hold, never out of another's mode unless it "
+        "is handed back.",
         ("vehicle", "commands"),
         _offboard_from_elsewhere,
     ),
