@@ -101,14 +101,14 @@ class NavigatorLeaves:
 
 @dataclass(frozen=True)
 class WatchdogKilled:
-    """The watchdog's process ends: nothing passes between navigator and autopilot any more."""
+    """The watchdog's process ends; nothing passes until the spare one has the link."""
 
     def begin(self, world: World) -> None:
         """Dead."""
-        world.watchdog = None
+        world.kill_watchdog()
 
     def end(self, world: World) -> None:
-        """It stays dead, unless the navigator starts another one."""
+        """It stays dead."""
 
 
 @dataclass(frozen=True)
