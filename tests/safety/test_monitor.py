@@ -392,3 +392,13 @@ def test_it_turns_back_while_the_battery_still_carries_it_home_in_the_wind(
 def test_the_table_in_the_documentation_is_the_programs() -> None:
     page = Path(__file__).resolve().parents[2] / "docs" / "flying.md"
     assert as_markdown(CONFIG) in page.read_text(), "python -m vwnav.safety.hierarchy"
+
+
+def test_what_nobody_watched_while_the_pilot_flew_is_no_gap_and_no_loss() -> None:
+    flight = Flight()
+    flight.fly(5.0, rc_available=True)
+    flight.fly(mode=FlightMode.MANUAL, rc_available=True)
+    flight.t_s += 60.0
+    flight.monitor.resume()
+    assert flight.fly(2.0, rc_available=False).action is Action.NAVIGATE
+    assert flight.monitor.gap_s == 0.0

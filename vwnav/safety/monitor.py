@@ -25,14 +25,17 @@ class SafetyMonitor:
         self._pilot = PilotWatch(config)
         self._battery = BatteryWatch(config)
         self._energy = EnergyWatch(config)
-        self._link = LinkWatch(config)
-        self._radio = LossWatch()
-        self._ground = LossWatch()
-        self._position = PositionWatch(config)
+        self._begin_watching()
         self._bounds: Bounds | None = None
-        self._lost_since_s: float | None = None
         self._order: Order | None = None
         self._lands = False
+
+    def _begin_watching(self) -> None:
+        self._link = LinkWatch(self._config)
+        self._radio = LossWatch()
+        self._ground = LossWatch()
+        self._position = PositionWatch(self._config)
+        self._lost_since_s: float | None = None
 
     @property
     def gap_s(self) -> float:
@@ -48,9 +51,10 @@ class SafetyMonitor:
         """The pilot asked for us again: to be called on the pilot's own word only.
 
         The flight mode alone is not that word: PX4 goes back to Offboard by itself when setpoints
-        return.
+        return. Nobody has watched meanwhile: what was silent then is not known.
         """
         self._pilot.resume()
+        self._begin_watching()
 
     def fly_within(self, route_ned_m: Array, home_ne_m: Array) -> None:
         """From now on the aircraft belongs near a route (n, 3) and the way home (2,) from it."""

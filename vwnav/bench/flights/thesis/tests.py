@@ -68,7 +68,7 @@ FAILSAFE = FlightTest(
         ),
         limit_s=240.0,
     ),
-    modes=("TAKEOFF", "OFFBOARD", "POSITION", "OFFBOARD", "HOLD", "RETURN"),  # which lands
+    modes=("TAKEOFF", "OFFBOARD", "MANUAL", "OFFBOARD", "HOLD", "RETURN"),  # which lands
     figures=("6.9", "6.10", "6.11"),
 )
 TESTS = {each.name: each for each in (HOVER, WAYPOINTS, FAILSAFE)}
