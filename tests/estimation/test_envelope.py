@@ -138,6 +138,9 @@ def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_
     assert ekf.handle(fix(12.0, 100.0)).verdict is Verdict.UNCONFIRMED
     lone = ekf.estimate(12.0)
     assert 20.0 < lone.sigma_horizontal_m < 45.0
+    for t_s in (12.05, 12.1, 12.15, 12.2):
+        ekf.handle(Height(t_s, 0.0))
+        ekf.handle(Attitude(t_s, LEVEL))
     assert ekf.handle(fix(12.2, 100.0)).accepted
     assert ekf.estimate(12.2).sigma_horizontal_m < 2.0
 

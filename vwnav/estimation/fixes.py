@@ -31,6 +31,7 @@ _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
 _MAP_TURN = States.MAP_TURN.start
 _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
+_UNSEEN_RAD = 0.1  # by which a picture may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
@@ -59,6 +60,10 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     attitudes, config = context.attitudes, context.config
     yaw_rad = attitudes.yaw_at(fix.t_s)
     position = _position(state, fix, yaw_rad, _NOW)
+    # Against an attitude that is only held, a heading would take a turn for the compass' error.
+    told = attitudes.at(fix.t_s) is not None
+    if not told:
+        position = _unseen(state, position, fix)
     before = state
     state, innovation = _apply_position(state, fix, position, config)
     if not innovation.accepted:
@@ -67,8 +72,6 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         state = _on_other_ground(before, state, context)
     state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
-    # Against an attitude that is only held, a heading would take a turn for the compass' error.
-    told = attitudes.at(fix.t_s) is not None
     if told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(yaw_rad - fix.yaw_rad)
         state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _NOW.yaw)
@@ -130,6 +133,15 @@ def _position(state: FilterState, fix: NedFix, measured_yaw_rad: float, pose: _P
     variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
     rest = np.maximum(variances - own_m2, np.maximum(0.01 * variances, _SMALLEST_SIGMA_M**2))
     return Measurement(residual, H, axes @ np.diag(rest) @ axes.T)
+
+
+def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measurement:
+    """No attitude that is believed tells how the picture was turned: by how much, nobody knows."""
+    H = position.H.copy()
+    H[:, States.TILT] = 0.0
+    wide_m2 = (_UNSEEN_RAD * max(state.agl_m, 0.0)) ** 2 * np.eye(2)
+    residual = fix.position_ne_m - H @ state.x
+    return Measurement(residual, H, fix.covariance_ne_m2 + wide_m2)
 
 
 def _apply_position(
