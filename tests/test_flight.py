@@ -678,3 +678,11 @@ def test_without_an_estimate_nothing_is_taken_back():
     scene.go_on(5.0)
     assert scene.flight.phase is Phase.RELEASED
     assert "no estimate" in scene.said[-1]
+
+
+@pytest.mark.parametrize("order", [Order.LAND, Order.RETURN, Order.PAUSE])
+def test_what_is_asked_for_on_the_ground_is_said_and_does_not_wait_for_the_air(order):
+    scene = Scene().go_on(1.0)
+    scene.flight.obey(order)
+    assert "not heeded" in scene.said[-1]
+    assert scene.run().flight.end.reason is None

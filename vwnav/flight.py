@@ -65,7 +65,7 @@ class Flight:
         self._config = config
         self._limits = limits
         self._safety_config = safety
-        self._safety = SafetyMonitor(safety)
+        self._safety = SafetyMonitor(safety, limits.cruise_m_s)
         self._departure = Departure(autopilot, config, crew.arms, self._say, crew.show)
         self._home = Home(mission.home_ne_m)
         self._height_m = float(-mission.route_ned_m[0, 2])
@@ -154,6 +154,8 @@ class Flight:
             self.go()
         elif order is Order.GO_ON and self.phase is Phase.RELEASED:
             self._handed_back = True
+        elif self.phase in (Phase.GET_READY, Phase.RELEASED, Phase.DONE):
+            self._say(f"the aircraft is not ours to fly now: {order.value} is not heeded")
         else:
             self._safety.obey(order)
 

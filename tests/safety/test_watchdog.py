@@ -225,6 +225,16 @@ def test_a_watchdog_that_died_is_replaced_within_a_second_and_it_flies_on(flown)
     assert len(flown.setpoints(replaced_s)) > 10
 
 
+def test_a_watchdog_that_was_told_to_end_and_has_left_is_not_replaced(flown):
+    wait_for(lambda: flown.socket.recv(4096))  # the aircraft has been heard, on the ground
+    told = flown.watchdog.process
+    told.send_signal(signal.SIGTERM)
+    wait_for(lambda: told.poll() is not None, 10.0)
+    time.sleep(0.5)
+    assert told.returncode == 0
+    assert flown.watchdog.process is told
+
+
 def test_a_link_that_cannot_be_opened_is_one_clear_line():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))

@@ -16,14 +16,12 @@ class Bounds:
     def __init__(self, route_ned_m: Array, home_ne_m: Array) -> None:
         self.home_ne_m = home_ne_m
         stops = np.vstack([home_ne_m, np.asarray(route_ned_m)[:, :2], home_ne_m])
-        homeward = [np.array([stop, home_ne_m]) for stop in stops[1:-1]]
-        legs = [stops[i : i + 2] for i in range(len(stops) - 1)]
-        self._legs: Array = np.array(legs + homeward, dtype=np.float64)  # (k, 2, 2)
+        self._legs: Array = np.stack([stops[:-1], stops[1:]], axis=1)  # (n + 1, 2, 2)
 
     def off_route_m(self, position_ned_m: Array) -> float:
-        """Horizontal distance from the nearest leg; whoever turns back flies straight home.
+        """Horizontal distance from the nearest leg.
 
-        The ground between the legs is inside: a return begins anywhere on the route.
+        Who is on the way home may be far from all of them: what is asked of him then, he does.
         """
         begin, along = self._legs[:, 0], self._legs[:, 1] - self._legs[:, 0]
         there = position_ned_m[:2] - begin

@@ -8,15 +8,19 @@ from vwnav.types import Array, Estimate, VehicleState
 _LEAST_FLOWN_S = 30.0  # before that, and this much used, the consumption is not known
 _LEAST_USED_RATIO = 0.03
 _COME_DOWN_M_S = 1.0  # from the height of the flight to the ground
-_CRUISE_M_S = 8.0
 _LEAST_SPEED_M_S = 1.0  # against a wind that is nearly too strong
 
 
 class EnergyWatch:
-    """Learns what a second of flight takes, and compares with the way home."""
+    """Learns what a second of flight takes, and compares with the way home.
 
-    def __init__(self, config: SafetyConfig) -> None:
+    Args:
+        cruise_m_s: speed over the ground, where the wind lets it.
+    """
+
+    def __init__(self, config: SafetyConfig, cruise_m_s: float) -> None:
         self._config = config
+        self._cruise_m_s = cruise_m_s
         self._first: tuple[float, float] | None = None  # time and ratio
 
     def step(self, vehicle: VehicleState, estimate: Estimate, home_ne_m: Array, t_s: float) -> bool:
@@ -40,5 +44,7 @@ class EnergyWatch:
         head_m_s = 0.0
         if estimate.wind_ne_m_s is not None and way_m > 1.0:
             head_m_s = -float(estimate.wind_ne_m_s @ way) / way_m
-        speed_m_s = max(min(_CRUISE_M_S, self._config.airspeed_m_s - head_m_s), _LEAST_SPEED_M_S)
+        speed_m_s = max(
+            min(self._cruise_m_s, self._config.airspeed_m_s - head_m_s), _LEAST_SPEED_M_S
+        )
         return way_m / speed_m_s + max(estimate.agl_m, 0.0) / _COME_DOWN_M_S

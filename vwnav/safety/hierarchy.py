@@ -155,6 +155,10 @@ def _poor(now: Situation, config: SafetyConfig) -> str | None:
     return now.warning or None
 
 
+def _return_to_below(now: Situation, config: SafetyConfig) -> str | None:
+    return None if now.had_fix else _ordered(Order.RETURN)(now, config)
+
+
 def _ordered(order: Order) -> Reason:
     return lambda now, config: (
         f"the ground station asks for {order.value}" if now.order is order else None
@@ -223,6 +227,10 @@ TABLE = (
         Action.SLOW, _poor,
     ),
     Rule(Rank.OPERATOR, "it asks to land", Action.LAND, _ordered(Order.LAND), stays=True),
+    Rule(
+        Rank.OPERATOR, "it asks to return before the first fix", Action.LAND, _return_to_below,
+        stays=True,
+    ),
     Rule(Rank.OPERATOR, "it asks to return", Action.RETURN, _ordered(Order.RETURN), stays=True),
     Rule(Rank.OPERATOR, "it asks to pause, until it asks to go on", Action.HOLD,
          _ordered(Order.PAUSE)),

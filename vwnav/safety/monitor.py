@@ -17,14 +17,18 @@ __all__ = ["Action", "Decision", "Rank", "SafetyConfig", "SafetyMonitor"]
 
 
 class SafetyMonitor:
-    """What has been seen so far, and the hierarchy's state."""
+    """What has been seen so far, and the hierarchy's state.
 
-    def __init__(self, config: SafetyConfig) -> None:
+    Args:
+        cruise_m_s: how fast the way home is flown.
+    """
+
+    def __init__(self, config: SafetyConfig, cruise_m_s: float) -> None:
         self._config = config
         self._hierarchy = Hierarchy(config)
         self._pilot = PilotWatch(config)
         self._battery = BatteryWatch(config)
-        self._energy = EnergyWatch(config)
+        self._energy = EnergyWatch(config, cruise_m_s)
         self._begin_watching()
         self._bounds: Bounds | None = None
         self._order: Order | None = None

@@ -119,7 +119,7 @@ class WatchdogProcess:
     def _replace_the_dead(self) -> None:
         for _ in range(_MOST_DEATHS):
             code = self.process.wait()
-            if self._closing:
+            if self._closing or code == 0:  # it was told to end, has landed what flew, and left
                 return
             self._say(f"the watchdog has died (code {code}): another one takes its place")
             self.process, spare = self._spare, self._spare
@@ -127,7 +127,11 @@ class WatchdogProcess:
             with contextlib.suppress(OSError):  # it has died too: the next turn sees it
                 spare.stdin.write(json.dumps(self._ports).encode() + b"\n")
                 spare.stdin.flush()
-            self._spare = self._start(["--spare"])
+            try:
+                self._spare = self._start(["--spare"])
+            except OSError as error:
+                self._say(f"no spare watchdog can be started, the present one is the last: {error}")
+                return
         self._say("watchdogs die again and again: nobody guards the aircraft any more")
 
 

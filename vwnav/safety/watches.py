@@ -225,7 +225,10 @@ class PositionWatch:
     def _warning(self, estimate: Estimate | None, sigma_m: float, t_s: float) -> str:
         if estimate is None or estimate.t_last_fix_s is None:
             return ""
-        if sigma_m > self._config.slow_sigma_m:
+        limit_m = self._config.slow_sigma_m
+        if self.warning:
+            limit_m *= self._config.resume_sigma_ratio
+        if sigma_m > limit_m:
             return f"position uncertain by {sigma_m:.0f} m"
         if t_s - estimate.t_last_fix_s > self._config.slow_fix_age_s:
             return f"no map fix for {self._config.slow_fix_age_s:.0f} s"
