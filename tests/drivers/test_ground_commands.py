@@ -66,12 +66,13 @@ def test_a_station_of_ours_is_obeyed_and_answered(number, parameter, order):
 @pytest.mark.parametrize("number", [21, 400, 176, 193])
 def test_a_stranger_is_denied_and_it_is_said(number):
     bench = Bench()
-    bench.command(number, sender=STRANGER)
+    for _ in range(3):
+        bench.command(number, sender=STRANGER)
     orders, refused = bench.autopilot.take_orders()
     assert orders == ()
+    assert len(refused) == 1  # said once, answered each time
     assert "system 77" in refused[0]
-    (answer,) = bench.sent("COMMAND_ACK")
-    assert answer.result == DENIED
+    assert [each.result for each in bench.sent("COMMAND_ACK")] == [DENIED] * 3
 
 
 def test_what_is_for_the_autopilot_or_for_everybody_is_not_ours():

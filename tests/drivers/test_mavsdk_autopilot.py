@@ -17,7 +17,8 @@ from vwnav.types import Attitude, FlightMode, ImuSample, Order
 def px4():
     port = free_port()
     with Peer(port) as peer:
-        autopilot = MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=10.0)
+        url = f"udpin://127.0.0.1:{port}"
+        autopilot = MavsdkAutopilot(url, timeout_s=10.0, ground_station_ids=(255,))
         with stepped(autopilot):
             yield peer, autopilot
         start_s = time.monotonic()

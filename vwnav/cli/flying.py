@@ -298,9 +298,8 @@ def _fly(
     record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
     assembled.ekf.record(record.tape.input)
     vehicle = first_state(autopilot, clock)
-    if not (
-        vehicle.armed and vehicle.in_air
-    ):  # of one that flies nothing is known: the first fix begins
+    # Of one that flies nothing is known: the first fix begins.
+    if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
     camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
     crew = mission_crew(autopilot, camera, plan, record, options.arms)

@@ -47,7 +47,7 @@ class LinkedAutopilot:
         port: the connection.
         clock: monotonic clock, in seconds.
         capacity_bytes_s: what the narrowest part of the way carries, None when it is wide.
-        ground_station_ids: of those that may command the navigator.
+        ground_station_ids: of those that may command the navigator; nobody may when empty.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class LinkedAutopilot:
         port: Port,
         clock: Callable[[], float],
         capacity_bytes_s: float | None = None,
-        ground_station_ids: tuple[int, ...] = (255,),
+        ground_station_ids: tuple[int, ...] = (),
     ) -> None:
         self._port = port
         self._clock = clock

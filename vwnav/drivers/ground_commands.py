@@ -1,7 +1,7 @@
 """What ground stations ask of the navigator itself: only of those that are named, on our own id."""
 
-import logging
 import math
+from collections import deque
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -9,17 +9,20 @@ from pymavlink.dialects.v20 import common as mavlink
 from vwnav.drivers.port import Fields, Port, Sender
 from vwnav.types import Order
 
-_log = logging.getLogger(__name__)
 _HEARD_S = 5.0  # heartbeats come once a second
+_MOST_WAITING = 100  # of a flood the newest count
 _ORDERS = {
     mavlink.MAV_CMD_NAV_LAND: Order.LAND,
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: Order.RETURN,
     mavlink.MAV_CMD_MISSION_START: Order.START,
 }
+_PAUSES = {0.0: Order.PAUSE, 1.0: Order.GO_ON}
 
 
 class GroundCommands:
     """Listens to ground stations.
+
+    Commands arrive on the port's thread, and are answered and handed out on that of `take`.
 
     Args:
         system_ids: of the stations that may command.
@@ -31,8 +34,8 @@ class GroundCommands:
         self._system_ids = system_ids
         self._clock = clock
         self._heard_s = -math.inf
-        self._orders: list[Order] = []
-        self._refused: list[str] = []
+        self._arrived: deque[tuple[Fields, Sender]] = deque(maxlen=_MOST_WAITING)
+        self._strangers: set[int] = set()
         port.listen("HEARTBEAT", self._heartbeat)
         port.listen("COMMAND_LONG", self._command)
         port.listen("COMMAND_INT", self._command)
@@ -43,47 +46,46 @@ class GroundCommands:
         return self._clock() - self._heard_s < _HEARD_S
 
     def take(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:
-        """Orders since the last call, and what was refused, in words."""
-        orders, refused = tuple(self._orders), tuple(self._refused)
-        self._orders.clear()
-        self._refused.clear()
-        return orders, refused
+        """Orders since the last call, and who was refused, in words and once each."""
+        orders: list[Order] = []
+        refused: list[str] = []
+        while self._arrived:
+            fields, (system, component) = self._arrived.popleft()
+            order = _order_of(fields)
+            if system not in self._system_ids:
+                result = mavlink.MAV_RESULT_DENIED
+                refused += self._refusal(fields, system)
+            elif order is None:
+                result = mavlink.MAV_RESULT_UNSUPPORTED
+            else:
+                result = mavlink.MAV_RESULT_ACCEPTED
+                orders.append(order)
+            self._port.send("COMMAND_ACK", {
+                "command": fields["command"], "result": result,
+                "target_system": system, "target_component": component,
+            })  # fmt: skip
+        return tuple(orders), tuple(refused)
+
+    def _refusal(self, fields: Fields, system: int) -> list[str]:
+        if system in self._strangers:
+            return []
+        self._strangers.add(system)
+        return [
+            f"commands of system {system} are refused (the first is {fields['command']}): it is no "
+            "ground station of ours (flight.ground_station_ids)"
+        ]
 
     def _heartbeat(self, fields: Fields, sender: Sender) -> None:
-        if sender[0] in self._system_ids and fields.get("type") == mavlink.MAV_TYPE_GCS:
+        if sender[0] in self._system_ids and fields["type"] == mavlink.MAV_TYPE_GCS:
             self._heard_s = self._clock()
 
     def _command(self, fields: Fields, sender: Sender) -> None:
         """Commands for everybody are the autopilot's, not ours."""
-        if (fields.get("target_system"), fields.get("target_component")) != self._port.own_id:
-            return
-        number = int(fields.get("command") or 0)
-        if sender[0] not in self._system_ids:
-            self._refused.append(
-                f"a command ({number}) of system {sender[0]} is refused: it is no ground station "
-                "of ours (flight.ground_station_ids)"
-            )
-            self._answer(number, mavlink.MAV_RESULT_DENIED, sender)
-            return
-        order = _order_of(number, fields.get("param1"))
-        if order is not None:
-            self._orders.append(order)
-        known = mavlink.MAV_RESULT_UNSUPPORTED if order is None else mavlink.MAV_RESULT_ACCEPTED
-        self._answer(number, known, sender)
-
-    def _answer(self, number: int, result: int, sender: Sender) -> None:
-        self._port.send(
-            "COMMAND_ACK",
-            {
-                "command": number, "result": result, "progress": 0, "result_param2": 0,
-                "target_system": sender[0], "target_component": sender[1],
-            },
-        )  # fmt: skip
+        if (fields["target_system"], fields["target_component"]) == self._port.own_id:
+            self._arrived.append((fields, sender))
 
 
-def _order_of(number: int, parameter: float | None) -> Order | None:
-    if number == mavlink.MAV_CMD_DO_PAUSE_CONTINUE:
-        return {0.0: Order.PAUSE, 1.0: Order.GO_ON}.get(
-            parameter if parameter is not None else -1.0
-        )
-    return _ORDERS.get(number)
+def _order_of(fields: Fields) -> Order | None:
+    if fields["command"] == mavlink.MAV_CMD_DO_PAUSE_CONTINUE:
+        return _PAUSES.get(fields["param1"])
+    return _ORDERS.get(fields["command"])

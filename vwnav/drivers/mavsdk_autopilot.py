@@ -26,7 +26,7 @@ class MavsdkAutopilot(LinkedAutopilot):
             one would never act. For the bench, not for flight.
         clock: monotonic clock, in seconds.
         link_url: the autopilot's own link, when `url` is that of a relay in front of it.
-        ground_station_ids: of those that may command the navigator.
+        ground_station_ids: of those that may command the navigator; nobody may when empty.
 
     Raises:
         LinkError: no PX4 or ArduPilot is on the link.
@@ -39,7 +39,7 @@ class MavsdkAutopilot(LinkedAutopilot):
         as_ground_station: bool = False,
         clock: Callable[[], float] = time.monotonic,
         link_url: str | None = None,
-        ground_station_ids: tuple[int, ...] = (255,),
+        ground_station_ids: tuple[int, ...] = (),
     ) -> None:
         capacity_bytes_s = bytes_per_s(link_url or url)
         port = MavlinkPort(url, as_ground_station, timeout_s, clock)

@@ -63,8 +63,9 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
         P = state.P.copy()
         P[States.WIND_FORCE, States.WIND_FORCE] += _REFUSED_M_S2**2 * np.eye(2)
         return replace(state, P=P), innovation
-    fused.x[_DRAG] = np.clip(fused.x[_DRAG], *config.drag_range_per_s)
-    return fused, innovation
+    x = fused.x.copy()
+    x[_DRAG] = np.clip(x[_DRAG], *config.drag_range_per_s)
+    return replace(fused, x=x), innovation
 
 
 def wind_ne_m_s(state: FilterState) -> Array | None:

@@ -14,14 +14,14 @@ class Rank(IntEnum):
     """Order of events at the same time; clones are last, so that they copy what others left."""
 
     LATE_FIX = 0
-    DRAG = 8
     STATIONARY = 1
     HEIGHT = 2
     RANGE = 3
     FIX = 4
     ODOMETRY = 5
-    ANCHOR = 6
-    EXPOSURE = 7
+    DRAG = 6
+    ANCHOR = 7
+    EXPOSURE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -130,7 +130,9 @@ class Navigator:
         self._camera = camera
         self.record = Record(note, clock)
         self.port = PymavlinkPort(link, clock)
-        self.autopilot = LinkedAutopilot(self.port, clock)
+        self.autopilot = LinkedAutopilot(
+            self.port, clock, ground_station_ids=config.flight.ground_station_ids
+        )
         self.keep_alive = KeepAlive(channel, clock)
         self.executor = LateExecutor(clock, processor, self._cost_of_matching)
         self.pack = MapPack.open(place.pack)
