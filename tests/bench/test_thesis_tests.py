@@ -45,7 +45,7 @@ def test_errors_are_of_the_hold_and_headings_pass_through_south():
 
 
 def test_modes_must_come_in_the_order_asked_for():
-    assert "position is missing" in steps(FAILSAFE, hover())[0].detail
+    assert "manual is missing" in steps(FAILSAFE, hover())[0].detail
 
 
 def test_files_are_a_table_and_three_pictures(tmp_path):

@@ -76,12 +76,9 @@ def faults(
         return
     from vwnav.drivers.run_folder import make_run_folder
 
-    links = _links(connection, truth, pilot)
+    links, ways = _links(connection, truth, pilot), _manners(manners)
     folder = make_run_folder(output, "faults")
-    if links is None:
-        flown = _in_lockstep(rows, jobs, folder, _manners(manners))
-    else:
-        flown = _live(rows, links, folder)
+    flown = _in_lockstep(rows, jobs, folder, ways) if links is None else _live(rows, links, folder)
     results = _collect(rows, flown, as_json, folder)
     failed = [each.name for each in results if not each.passed]
     if failed:

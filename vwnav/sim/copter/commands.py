@@ -8,10 +8,10 @@ from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
 from vwnav.sim.copter.streams import BUILDERS, SHORTEST_US
 from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
+from vwnav.sim.mavlink.conversation import GET_MESSAGE_INTERVAL, MESSAGE_INTERVAL
 from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.schedule import Schedule
 
-MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL = 244, 510
 _CUSTOM_MODE_ENABLED = 1
 
 

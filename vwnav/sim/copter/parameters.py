@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from vwnav.errors import ConfigError
+from vwnav.sim.mavlink.parameter_table import ParameterTable
 
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9  # MAV_PARAM_TYPE
 
@@ -69,30 +69,11 @@ NO_GPS: tuple[tuple[str, float], ...] = (
 )
 
 
-class Parameters:
+class Parameters(ParameterTable):
     """Names in alphabetical order with their values; all travel as numbers."""
 
     def __init__(self, overrides: Iterable[tuple[str, float]]) -> None:
-        self._values = {name: value for name, (_, value) in _DEFAULTS.items()}
-        self.names = tuple(self._values)
-        for name, value in overrides:
-            if name not in self._values:
-                raise ConfigError(f"simulated vehicle: no parameter {name}")
-            self._values[name] = value
-
-    def __getitem__(self, name: str) -> float:
-        """The value."""
-        return self._values[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._values
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def type_of(self, name: str) -> int:
-        """MAV_PARAM_TYPE."""
-        return _DEFAULTS[name][0]
+        super().__init__(_DEFAULTS, overrides)
 
     def set(self, name: str, value: float) -> bool:
         """Set from a PARAM_SET, whose type ArduPilot does not look at; False when not a number."""

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
+from vwnav.sim.mavlink.conversation import MESSAGE_INTERVAL
 from vwnav.sim.mavlink.enums import Result
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.px4.modes import NavState, state_of_custom_mode
 from vwnav.sim.px4.px4 import SimulatedPx4
 
-MESSAGE_INTERVAL = 244
 _CUSTOM_MODE_ENABLED = 1
 
 

@@ -5,7 +5,7 @@ import struct
 import zlib
 from collections.abc import Iterable
 
-from vwnav.errors import ConfigError
+from vwnav.sim.mavlink.parameter_table import ParameterTable
 
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 HASH_CHECK = "_HASH_CHECK"
@@ -153,32 +153,13 @@ NO_GPS: tuple[tuple[str, float], ...] = (
 )
 
 
-class Parameters:
+class Parameters(ParameterTable):
     """Names in PX4's (alphabetical) order with their values; integers travel byte by byte."""
 
     def __init__(self, overrides: Iterable[tuple[str, float]]) -> None:
-        self._types = dict.fromkeys(_INTEGERS, INT32) | dict.fromkeys(_FLOATS, REAL32)
-        defaults: dict[str, float] = {**_INTEGERS, **_FLOATS}
-        self._values = {name: defaults[name] for name in sorted(defaults)}
-        self.names = tuple(self._values)
-        for name, value in overrides:
-            if name not in self._values:
-                raise ConfigError(f"simulated vehicle: no parameter {name}")
-            self._values[name] = value
-
-    def __getitem__(self, name: str) -> float:
-        """The value; integers too come as numbers."""
-        return self._values[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._values
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def type_of(self, name: str) -> int:
-        """MAV_PARAM_TYPE: INT32 or REAL32."""
-        return self._types[name]
+        integers = {name: (INT32, float(value)) for name, value in _INTEGERS.items()}
+        floats = {name: (REAL32, value) for name, value in _FLOATS.items()}
+        super().__init__(dict(sorted((integers | floats).items())), overrides)
 
     def wire_value(self, name: str) -> float:
         """The float that carries the value in PARAM_VALUE: an integer's bytes, not its number."""

@@ -6,8 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.mavlink.answers import Answers
 from vwnav.sim.mavlink.command import Command, is_place
+from vwnav.sim.mavlink.conversation import Conversation
 from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
@@ -15,15 +15,11 @@ from vwnav.sim.mavlink.texts import text_messages
 from vwnav.sim.mavlink.timesync import Timesync
 from vwnav.sim.mavlink.velocity_target import setpoint_of
 from vwnav.sim.px4 import vision_input
-from vwnav.sim.px4.commands import MESSAGE_INTERVAL, Context, execute
+from vwnav.sim.px4.commands import Context, execute
 from vwnav.sim.px4.parameters import HASH_CHECK
 from vwnav.sim.px4.px4 import SimulatedPx4
 from vwnav.sim.px4.streams import BUILDERS
 
-ACK_DELAY_S = 0.008
-_TIMESYNC_EVERY_S = 0.1
-_PARAMETERS_AT_ONCE = 4
-_DEGE7_COMMANDS = frozenset({179, 611})  # x and y of COMMAND_INT are degrees * 1e7 here
 _GCS_SILENT_S = 5.0
 # PX4 takes these for its own system id only (mavlink_receiver.cpp, mavlink_parameters.cpp).
 _NEVER_BROADCAST = frozenset(
@@ -41,13 +37,19 @@ _NEVER_BROADCAST = frozenset(
 Clock = Callable[[], float]
 
 
-class Session:
-    """A link's conversation with the vehicle.
+class Session(Conversation[SimulatedPx4]):
+    """A link's conversation with the simulated PX4.
 
     Args:
         clock: the vehicle's time now, finer than its steps, for TIMESYNC.
         asks_time: whether it sends TIMESYNC requests itself (PX4 does so to companions).
     """
+
+    BUILDERS = BUILDERS
+    ACK_DELAY_S = 0.008
+    TIMESYNC_EVERY_S = 0.1
+    DEGE7_COMMANDS = frozenset({179, 611})
+    UNKNOWN_MESSAGE = Result.DENIED
 
     def __init__(
         self,
@@ -57,20 +59,11 @@ class Session:
         clock: Clock,
         asks_time: bool,
     ) -> None:
-        self.link = link
-        self._vehicle = vehicle
-        self._schedule = schedule
-        self._clock = clock
+        super().__init__(link, vehicle, schedule, clock, 0.0 if asks_time else math.inf)
         self._timesync = Timesync()
-        self._timesync_due_s = 0.0 if asks_time else math.inf
-        self._answers = Answers()
-        self._parameter_queue: list[int] = []
         self._text_seen = 0
         self._chunk_id = 0
-        self._reboot_wanted = False
-        self._handlers: dict[str, Callable[[Any], None]] = {
-            "COMMAND_LONG": self._command_long,
-            "COMMAND_INT": self._command_int,
+        self._handlers |= {
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
             "VISION_POSITION_ESTIMATE": self._vision_position,
             "ODOMETRY": self._odometry,
@@ -83,15 +76,7 @@ class Session:
             "PARAM_SET": self._parameter_set,
             "TIMESYNC": self._time,
             "PING": self._ping,
-            "MISSION_REQUEST_LIST": self._mission_list,
         }
-
-    def hear(self) -> None:
-        """Handle everything that has arrived."""
-        for message in self.link.receive(self._vehicle.t_s):
-            handler = self._handlers.get(message.get_type())
-            if handler is not None and self._is_for_us(message):
-                handler(message)
 
     def _is_for_us(self, message: Any) -> bool:
         system = getattr(message, "target_system", getattr(message, "target", 0))
@@ -100,31 +85,6 @@ class Session:
         if message.get_type() in _NEVER_BROADCAST:
             return system == own and component in (0, 1)
         return system in (0, own) and component in (0, 1)
-
-    @property
-    def reboot_wanted(self) -> bool:
-        """A reboot was commanded and acknowledged."""
-        return self._reboot_wanted and not self._answers
-
-    def say(self) -> None:
-        """Send what is due."""
-        v = self._vehicle
-        t_s = v.t_s
-        for message_id in self._schedule.due(t_s):
-            self._send(BUILDERS[message_id](v))
-        for answer in self._answers.due(t_s):
-            self._send(answer)
-        if t_s >= self._timesync_due_s:
-            self._timesync_due_s = t_s + _TIMESYNC_EVERY_S
-            self._send(mavlink.MAVLink_timesync_message(0, round(self._clock() * 1e9)))
-        for _ in range(min(_PARAMETERS_AT_ONCE, len(self._parameter_queue))):
-            self._send_parameter(self._parameter_queue.pop(0))
-        if v.texts:
-            self._say_texts()
-
-    def _send(self, message: Any) -> None:
-        if message is not None:
-            self.link.send(message)
 
     def _say_texts(self) -> None:
         """Texts go only where a ground station is heard; they wait for it."""
@@ -141,47 +101,15 @@ class Session:
         for message in text_messages(severity, text, self._chunk_id):
             self._send(message)
 
-    def _answer(self, message: Any) -> None:
-        """Send after the time PX4 takes to acknowledge."""
-        self._answers.put(message, self._vehicle.t_s + ACK_DELAY_S * self._vehicle.config.speed)
-
-    def _command_long(self, m: Any) -> None:
-        place = (m.param5, m.param6, m.param7)
-        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
-
-    def _command_int(self, m: Any) -> None:
-        scale = 1e-7 if m.command in _DEGE7_COMMANDS else 1.0
-        place = (m.x * scale, m.y * scale, m.z)
-        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
-
-    def _execute(self, message: Any, command: Command) -> None:
+    def _perform(self, command: Command) -> tuple[Result, list[int], bool]:
         context = Context(self._vehicle, self._schedule, [])
         result = execute(command, context)
-        wanted = [self._requested(number, command) for number in context.send_now]
-        if any(built is None for built in wanted) and command.number == 512:
-            result = Result.DENIED
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        self._answer(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *source))
-        for built in wanted:
-            if built is not None:
-                self._answer(built)
-        self._reboot_wanted = self._reboot_wanted or context.reboot
-
-    def _requested(self, message_id: int, command: Command) -> Any:
-        if message_id == MESSAGE_INTERVAL and command.number == 510:
-            asked = int(command.p1)
-            interval_us = self._schedule.interval_us(asked)
-            return mavlink.MAVLink_message_interval_message(asked, interval_us)
-        builder = BUILDERS.get(message_id)
-        return None if builder is None else builder(self._vehicle)
+        return result, context.send_now, context.reboot
 
     def _set_mode(self, m: Any) -> None:
         main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
         nothing = (math.nan, math.nan, math.nan)
-        execute(
-            Command(176, float(m.base_mode), float(main), float(sub), math.nan, *nothing),
-            Context(self._vehicle, self._schedule, []),
-        )
+        self._perform(Command(176, float(m.base_mode), float(main), float(sub), math.nan, *nothing))
 
     def _setpoint(self, m: Any) -> None:
         setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)
@@ -263,7 +191,3 @@ class Session:
         if m.target_system == 0:
             source = (m.get_srcSystem(), m.get_srcComponent())
             self._send(mavlink.MAVLink_ping_message(m.time_usec, m.seq, *source))
-
-    def _mission_list(self, m: Any) -> None:
-        source = (m.get_srcSystem(), m.get_srcComponent())
-        self._send(mavlink.MAVLink_mission_count_message(*source, 0, m.mission_type))

@@ -1,0 +1,145 @@
+"""What every simulated autopilot does on a link; its own manners are in the sessions made of it."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from vwnav.sim.config import VehicleConfig
+from vwnav.sim.mavlink.answers import Answers
+from vwnav.sim.mavlink.command import Command
+from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.link import MavlinkLink
+from vwnav.sim.mavlink.schedule import Schedule
+
+MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 244, 510, 512
+_PARAMETERS_AT_ONCE = 4
+
+
+class Vehicle(Protocol):
+    """What a conversation needs of any vehicle."""
+
+    config: VehicleConfig
+    t_s: float
+
+
+VehicleT = TypeVar("VehicleT", bound=Vehicle)
+
+
+class Conversation(ABC, Generic[VehicleT]):
+    """A link's conversation with a vehicle: messages heard, streams, answers, parameters.
+
+    Args:
+        clock: the vehicle's time now, finer than its steps, for TIMESYNC.
+        timesync_due_s: when it first asks for the time.
+    """
+
+    BUILDERS: ClassVar[Mapping[int, Callable[[Any], Any]]]  # of messages, by number
+    ACK_DELAY_S: ClassVar[float]
+    TIMESYNC_EVERY_S: ClassVar[float]
+    DEGE7_COMMANDS: ClassVar[frozenset[int]]  # x and y of COMMAND_INT are degrees * 1e7 here
+    UNKNOWN_MESSAGE: ClassVar[Result]  # what a request for a message that it has not brings
+
+    def __init__(
+        self,
+        link: MavlinkLink,
+        vehicle: VehicleT,
+        schedule: Schedule,
+        clock: Callable[[], float],
+        timesync_due_s: float,
+    ) -> None:
+        self.link = link
+        self._vehicle = vehicle
+        self._schedule = schedule
+        self._clock = clock
+        self._timesync_due_s = timesync_due_s
+        self._answers = Answers()
+        self._parameter_queue: list[int] = []
+        self._reboot_wanted = False
+        self._handlers: dict[str, Callable[[Any], None]] = {
+            "COMMAND_LONG": self._command_long,
+            "COMMAND_INT": self._command_int,
+            "MISSION_REQUEST_LIST": self._mission_list,
+        }
+
+    @abstractmethod
+    def _is_for_us(self, message: Any) -> bool: ...
+
+    @abstractmethod
+    def _perform(self, command: Command) -> tuple[Result, list[int], bool]:
+        """The result, numbers of messages to send, and whether a reboot is wanted."""
+
+    @abstractmethod
+    def _send_parameter(self, index: int) -> None: ...
+
+    @abstractmethod
+    def _say_texts(self) -> None: ...
+
+    @property
+    def reboot_wanted(self) -> bool:
+        """A reboot was commanded and acknowledged."""
+        return self._reboot_wanted and not self._answers
+
+    def hear(self) -> None:
+        """Handle everything that has arrived."""
+        for message in self.link.receive(self._vehicle.t_s):
+            handler = self._handlers.get(message.get_type())
+            if handler is not None and self._is_for_us(message):
+                handler(message)
+
+    def say(self) -> None:
+        """Send what is due."""
+        t_s = self._vehicle.t_s
+        for message_id in self._schedule.due(t_s):
+            self._send(self.BUILDERS[message_id](self._vehicle))
+        for answer in self._answers.due(t_s):
+            self._send(answer)
+        if t_s >= self._timesync_due_s:
+            self._timesync_due_s = t_s + self.TIMESYNC_EVERY_S
+            self._send(mavlink.MAVLink_timesync_message(0, round(self._clock() * 1e9)))
+        for _ in range(min(_PARAMETERS_AT_ONCE, len(self._parameter_queue))):
+            self._send_parameter(self._parameter_queue.pop(0))
+        self._say_texts()
+
+    def _send(self, message: Any) -> None:
+        if message is not None:
+            self.link.send(message)
+
+    def _answer(self, message: Any) -> None:
+        """Send after the time that this autopilot takes to acknowledge."""
+        due_s = self._vehicle.t_s + self.ACK_DELAY_S * self._vehicle.config.speed
+        self._answers.put(message, due_s)
+
+    def _command_long(self, m: Any) -> None:
+        place = (m.param5, m.param6, m.param7)
+        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
+
+    def _command_int(self, m: Any) -> None:
+        scale = 1e-7 if m.command in self.DEGE7_COMMANDS else 1.0
+        place = (m.x * scale, m.y * scale, m.z)
+        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
+
+    def _execute(self, message: Any, command: Command) -> None:
+        result, numbers, reboot = self._perform(command)
+        wanted = [self._requested(number, command) for number in numbers]
+        if None in wanted and command.number == REQUEST_MESSAGE:
+            result = self.UNKNOWN_MESSAGE
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        self._answer(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *source))
+        for built in wanted:
+            if built is not None:
+                self._answer(built)
+        self._reboot_wanted = self._reboot_wanted or reboot
+
+    def _requested(self, message_id: int, command: Command) -> Any:
+        if message_id == MESSAGE_INTERVAL and command.number == GET_MESSAGE_INTERVAL:
+            asked = int(command.p1)
+            interval_us = self._schedule.interval_us(asked)
+            return mavlink.MAVLink_message_interval_message(asked, interval_us)
+        builder = self.BUILDERS.get(message_id)
+        return None if builder is None else builder(self._vehicle)
+
+    def _mission_list(self, m: Any) -> None:
+        source = (m.get_srcSystem(), m.get_srcComponent())
+        self._send(mavlink.MAVLink_mission_count_message(*source, 0, m.mission_type))
