@@ -453,9 +453,9 @@ def test_an_autopilot_that_is_gone_for_good_is_not_waited_for():
     scene = on_route()
     scene.flight.abort("interrupted")
     scene.go_on(1.0)
-    scene.vehicle.be(heartbeat_age_s=50.0)
+    scene.vehicle.be(silence_s=50.0)
     assert scene.go_on(5.0).flight.end is None
-    scene.vehicle.be(heartbeat_age_s=61.0)
+    scene.vehicle.be(silence_s=61.0)
     assert "not heard any more" in scene.go_on(1.0).flight.end.reason
 
 
@@ -514,9 +514,9 @@ def failsafe(scene: Scene, mode: FlightMode) -> Scene:
 
 
 def gap(scene: Scene, seconds: float) -> Scene:
-    scene.vehicle.be(heartbeat_age_s=seconds)
+    scene.vehicle.be(silence_s=seconds)
     scene.go_on(seconds)
-    scene.vehicle.be(heartbeat_age_s=0.1)
+    scene.vehicle.be(silence_s=0.1)
     return scene
 
 

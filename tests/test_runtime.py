@@ -263,6 +263,6 @@ def test_what_breaks_the_mission_is_raised_once_it_is_down_and_estimates_go_on_t
 
 def test_a_mission_that_breaks_beside_an_autopilot_that_is_gone_ends_too():
     link = Link()
-    link.vehicle = replace(FLYING, heartbeat_age_s=61.0)
+    link.vehicle = replace(FLYING, silence_s=61.0)
     with pytest.raises(ZeroDivisionError):
         fly(mission=Mission(error=ZeroDivisionError()), link=link)

@@ -16,5 +16,5 @@ FLYING = VehicleState(
     rc_available=True,
     local_position_ok=True,
     armable=True,
-    heartbeat_age_s=0.1,
+    silence_s=0.1,
 )

@@ -12,6 +12,10 @@ from vwnav.safety.check import Check
 from vwnav.safety.readiness import missing
 from vwnav.types import Autopilot, FlightMode, Request, VehicleState
 
+_PILOT_HAS_IT = Check(
+    "pilot", "FAIL", "chose a mode flown with sticks: choose Hold (GUIDED on ArduCopter) to go on"
+)
+
 
 class Stage(Enum):
     """How far the departure has got."""
@@ -19,6 +23,7 @@ class Stage(Enum):
     READINESS = "getting ready"
     PERSON = "waiting for a person"
     ARM = "arming"
+    ARMED = "waiting for the autopilot to show that it is armed"
     TAKE_OFF = "asking for take-off"
 
 
@@ -78,6 +83,8 @@ class Departure:
         self._request: Request | None = None
         self._armed_s: float | None = None  # our arming was accepted
         self._refusals = 0
+        self._mode = FlightMode.UNKNOWN
+        self._pilots = False  # a mode flown with sticks was chosen since it began
         self.stage = Stage.READINESS
 
     @property
@@ -92,13 +99,25 @@ class Departure:
     def step(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
         """Advance; None while it goes on."""
         self._began_s = t_s if self._began_s is None else self._began_s
+        self._note_mode(vehicle.mode)
         match self.stage:
             case Stage.READINESS | Stage.PERSON:
+                if self._pilots:
+                    checks += (_PILOT_HAS_IT,)
                 return self._wait(vehicle, checks, t_s)
             case Stage.ARM:
                 return self._arm(vehicle, t_s)
+            case Stage.ARMED:
+                return self._look_who_has_it(vehicle, t_s)
             case Stage.TAKE_OFF:
                 return self._take_off(vehicle, t_s)
+
+    def _note_mode(self, mode: FlightMode) -> None:
+        """A switch that stands on sticks from the start is how many aircraft are left standing."""
+        if mode is FlightMode.UNKNOWN or mode is self._mode:
+            return
+        self._pilots = mode is FlightMode.MANUAL and self._mode is not FlightMode.UNKNOWN
+        self._mode = mode
 
     def _wait(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
         """Until the list has been complete for a while, and somebody says go."""
@@ -148,8 +167,7 @@ class Departure:
         if not request.done:
             return None
         if request.refused is None:
-            self._armed_s = t_s
-            self._begin_take_off()
+            self._armed_s, self.stage = t_s, Stage.ARMED
             return None
         self._refusals += 1
         reason = f"the autopilot refused to arm: {request.refused}"
@@ -159,6 +177,17 @@ class Departure:
             return Outcome(reason=reason)
         self._say(reason)
         self.stage, self._ready_since_s = Stage.READINESS, None
+        return None
+
+    def _look_who_has_it(self, vehicle: VehicleState, t_s: float) -> Outcome | None:
+        """The heartbeat that shows the motors running shows a pilot's switch of that moment too."""
+        assert self._armed_s is not None
+        if self._pilots:
+            return self._taken()
+        if vehicle.armed:
+            self._begin_take_off()
+        elif t_s - self._armed_s > self._config.arming_shows_s:
+            return self._disarmed()
         return None
 
     def _begin_take_off(self) -> None:
@@ -171,11 +200,9 @@ class Departure:
         assert request is not None
         told = self._armed_s is None or t_s - self._armed_s > self._config.arming_shows_s
         if not vehicle.armed and told:
-            self._autopilot.withdraw()
-            return Outcome(reason="the aircraft was disarmed before it took off")
-        if vehicle.mode is FlightMode.MANUAL and told:
-            self._autopilot.withdraw()
-            return Outcome(not_ours=True, reason="the pilot took over before take-off")
+            return self._disarmed()
+        if self._pilots or (vehicle.mode is FlightMode.MANUAL and told):
+            return self._taken()
         if not request.done:
             return None
         if request.refused is None:
@@ -183,3 +210,11 @@ class Departure:
         if not vehicle.in_air:
             self._autopilot.disarm()
         return Outcome(reason=f"the autopilot refused to take off: {request.refused}")
+
+    def _disarmed(self) -> Outcome:
+        self._autopilot.withdraw()
+        return Outcome(reason="the aircraft was disarmed before it took off")
+
+    def _taken(self) -> Outcome:
+        self._autopilot.withdraw()
+        return Outcome(not_ours=True, reason="the pilot took over before take-off")

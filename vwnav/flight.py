@@ -532,7 +532,7 @@ class Flight:
         """The aircraft comes down, or is somebody else's; it is left when the motors stop."""
         if not vehicle.armed:
             self._finish(self._trouble)
-        elif vehicle.heartbeat_age_s > GONE_S:
+        elif vehicle.silence_s > GONE_S:
             self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             self._recover(t_s, vehicle, navigation)

@@ -229,8 +229,7 @@ class Pipeline:
         Wait no longer than `ATTITUDE_WAIT_S` after the exposure.
         """
         with self._lock:
-            newest_s = self._ekf.newest_attitude_s
-            return self._ekf.counts_heading or (newest_s is not None and newest_s >= t_s)
+            return self._ekf.covers(t_s)
 
     def step(self, frame: Frame) -> StepResult:
         """Take one picture through the whole path.

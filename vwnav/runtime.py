@@ -137,7 +137,7 @@ class FlightRuntime:
         An estimate that has run on its own through a gap comes back as a new one, or not at all.
         """
         report = self._keep_alive.report
-        if vehicle.armed and _silence_s(vehicle, t_s) > SILENT_S:
+        if vehicle.armed and vehicle.silence_s > SILENT_S:
             self._guard.lose("the autopilot is not heard", t_s)
         if report is None or report.relays_estimates or self._guard.lost_since_s is not None:
             self._held_back_since_s = t_s
@@ -225,7 +225,7 @@ class FlightRuntime:
 
     def _is_down_after_failure(self) -> bool:
         vehicle = self._autopilot.state()
-        over = not vehicle.armed or vehicle.heartbeat_age_s > GONE_S
+        over = not vehicle.armed or vehicle.silence_s > GONE_S
         return self._failure is not None and over
 
     def _link_loop(self, clock: Clock) -> None:
@@ -312,8 +312,3 @@ class FlightRuntime:
         if about not in self._said:
             self._said.add(about)
             self._event(text)
-
-
-def _silence_s(vehicle: VehicleState, t_s: float) -> float:
-    newest_s = t_s - vehicle.heartbeat_age_s
-    return t_s - max(newest_s, vehicle.attitude.t_s if vehicle.attitude else newest_s)

@@ -361,6 +361,7 @@ class VehicleState:
             `mode` where the autopilot cannot tell the two apart, and UNKNOWN for the moment between
             a change of mode and PX4's word on who asked for it.
         failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
+        silence_s: since anything of it came.
         aiding: its filter predicts the position from what we send; None when it does not say.
         ground_station: one has been heard within some seconds.
         own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
@@ -380,7 +381,7 @@ class VehicleState:
     rc_available: bool
     local_position_ok: bool
     armable: bool
-    heartbeat_age_s: float
+    silence_s: float
     intended_mode: FlightMode = FlightMode.UNKNOWN
     failsafe: bool = False
     aiding: bool | None = None

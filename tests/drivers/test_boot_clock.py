@@ -28,6 +28,7 @@ class Autopilot:
         self.clock, self.t_s = BootClock(), 1000.0
         self.boot_zero_s = 990.0  # of ours, when its clock showed zero
         self.late_until_s = 0.0
+        self.down_s = 0.0  # longer than usual is the way from it
 
     def boot_s(self, t_s):
         return (t_s - self.boot_zero_s) * self.rate
@@ -50,7 +51,7 @@ class Autopilot:
             self.t_s += PERIOD_S
             if self.burst_every_s and self.rng.random() < PERIOD_S / self.burst_every_s:
                 self.late_until_s = self.t_s + 0.1
-            boot_s, received_s = self.boot_s(self.t_s), self.t_s + self.latency_s()
+            boot_s, received_s = self.boot_s(self.t_s), self.t_s + self.latency_s() + self.down_s
             if self.clock.handle_stamp(boot_s, received_s):
                 errors_s.append(self.clock.to_monotonic(boot_s) - self.t_s)
             if self.asks and i % 10 == 0:
@@ -58,7 +59,7 @@ class Autopilot:
         return errors_s
 
     def ask(self):
-        up_s, down_s = self.latency_s(), self.latency_s()
+        up_s, down_s = self.latency_s(), self.latency_s() + self.down_s
         answered_s = self.boot_s(self.t_s + up_s)
         self.clock.handle_round_trip(self.t_s, answered_s, self.t_s + up_s + down_s)
 
@@ -246,3 +247,12 @@ def test_what_a_link_held_back_is_dated_when_it_was_measured():
         assert autopilot.clock.handle_stamp(autopilot.boot_s(t_s), start_s + 5.0)
         found_s = autopilot.clock.to_monotonic(autopilot.boot_s(t_s))
         assert found_s == pytest.approx(t_s, abs=0.005)
+
+
+@pytest.mark.parametrize("down_s", [0.1, 0.3])
+def test_a_way_that_becomes_longer_in_flight_does_not_move_the_clock(down_s):
+    """Only what comes from the autopilot is late, for a minute."""
+    autopilot = Autopilot()
+    autopilot.run(10.0)
+    autopilot.down_s = down_s
+    assert worst(autopilot.run(60.0)) < 0.010

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.bench.estimator_rectified import rectified
 from vwnav.bench.estimator_streams import Event, Stream
 from vwnav.bench.estimator_world import Truth
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix, Start
@@ -88,7 +89,7 @@ def play(
             estimates.append(now)
             due += 1
         event_s = time.process_time()
-        answer = ekf.handle(event.seen)
+        answer = ekf.handle(rectified(event.seen, ekf, stream))
         if not isinstance(event.seen, Attitude | ImuSample):
             cost_s.append(time.process_time() - event_s)
             answers.append((event, answer))

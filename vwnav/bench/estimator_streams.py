@@ -54,12 +54,19 @@ class Table:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """All that a filter is told of one flight; `ground` is the map's terrain table."""
+    """All that a filter is told of one flight.
+
+    Attributes:
+        measured_yaw_rad: (n,) heading as the autopilot has it, at the truth's times.
+        measured_quats: (n, 4) its attitude; None where only its heading is kept.
+        ground: the map's terrain table.
+    """
 
     truth: Truth
     events: list[Event]
     measured_yaw_rad: Array
     ground: Table | None = None
+    measured_quats: Array | None = None
 
 
 def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
@@ -75,7 +82,8 @@ def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
         events += _imu(world, truth, rng)
     events.sort(key=lambda event: event.arrival_s)
     measured = truth.yaw_rad + errors.yaw
-    return Stream(truth, events, measured, _table(world, rng) if world.table else None)
+    table = _table(world, rng) if world.table else None
+    return Stream(truth, events, measured, table, errors.quats)
 
 
 class _AttitudeErrors:

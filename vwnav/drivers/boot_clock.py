@@ -33,8 +33,10 @@ class BootClock:
     been given before it was asked for: a lower bound. The truth is taken to be in the middle: both
     ways are equally fast at their best.
 
-    What is only late moves neither bound. A simulator that falls behind for good shows in bounds
-    that contradict each other: what came before is forgotten.
+    What is only late moves neither bound: a way that becomes longer in flight leaves the clock
+    where it was. One that has slipped (a simulator that falls behind for good) shows in bounds that
+    contradict each other or, where nobody answers, in stamps that are all late for seconds: what
+    came before is forgotten.
 
     Attributes:
         restarts: how often the autopilot has started anew.
@@ -105,14 +107,19 @@ class BootClock:
         self._fresh.append(point)
         if self._stamps and self._residual_s(point) > self._least_s + _LATE_S:
             self._late.add(point, self._drift)
-            if self._late.heard_for_s > _SLIPPED_FOR_S:
+            if self._late.heard_for_s > _SLIPPED_FOR_S and not self._asked_since(self._late[0][0]):
                 self._take_late_for_true()
         else:
             self._late = _Buckets()
             if self._stamps.add(point, self._drift):
-                self._drop_before(boot_s - _WINDOW_S)
+                _drop_before(self._stamps, boot_s - _WINDOW_S)
                 self._drift = self._stamps.trusted_slope()
+        _drop_before(self._answers, boot_s - _WINDOW_S)
         self._fit()
+
+    def _asked_since(self, boot_s: float) -> bool:
+        """Honest answers have come since: had the clock slipped, they would contradict the line."""
+        return self._honest and bool(self._answers) and self._answers[-1][0] >= boot_s
 
     def _take_late_for_true(self) -> None:
         self._stamps, self._late = self._late, _Buckets()
@@ -127,7 +134,9 @@ class BootClock:
             lower_s, upper_s = self._bounds_s()
         while lower_s > upper_s + _CONTRADICTION_S:  # it has slipped since the oldest
             if len(self._stamps) > 1:
-                self._drop_before(self._stamps[1][0])
+                second_s = self._stamps[1][0]
+                _drop_before(self._stamps, second_s)
+                _drop_before(self._answers, second_s)
                 self._drift = self._stamps.slope()
             elif self._late:
                 self._take_late_for_true()
@@ -139,9 +148,13 @@ class BootClock:
     def _bounds_s(self) -> tuple[float, float]:
         """How late the newest stamp is at least, by the answers, and at most, by the stamps."""
         upper_s = min(map(self._residual_s, self._stamps))
-        honest = 2 * sum(self._verdicts) >= len(self._verdicts)
-        answers = self._answers if honest else ()
+        answers = self._answers if self._honest else ()
         return max(map(self._residual_s, answers), default=upper_s), upper_s
+
+    @property
+    def _honest(self) -> bool:
+        """Most of the last answers were not denied by stamps of their moment."""
+        return 2 * sum(self._verdicts) >= len(self._verdicts)
 
     def _residual_s(self, point: Point) -> float:
         """How late a point says that the newest stamp is."""
@@ -158,10 +171,10 @@ class BootClock:
         ahead_s = min(fresh_s) - self._residual_s(answer)
         return -_CONTRADICTION_S <= ahead_s <= round_trip_s + _SLOWER_STAMPS_S
 
-    def _drop_before(self, boot_s: float) -> None:
-        for points in (self._stamps, self._answers):
-            while points and points[0][0] < boot_s:
-                points.popleft()
+
+def _drop_before(points: deque[Point], boot_s: float) -> None:
+    while points and points[0][0] < boot_s:
+        points.popleft()
 
 
 def _agree(points: list[Point]) -> bool:

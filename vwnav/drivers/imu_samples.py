@@ -74,6 +74,7 @@ class ImuSamples:
         t_s = clock.to_monotonic(t_us / 1e6)
         if t_s is None or abs(t_s - received_s) > _STRANGE_S or not np.isfinite(values).all():
             return None
+        clock.handle_stamp(t_us / 1e6, received_s)
         started_anew = t_us < self._newest_us - _STRANGE_S * 1e6
         if not started_anew and (t_us <= self._newest_us or t_s <= self._newest_s):
             return None  # a duplicate, or overtaken by a newer one on its way

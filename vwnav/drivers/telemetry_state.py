@@ -86,6 +86,7 @@ class TelemetryState:
         self._attitude_boot_s = -math.inf
         self._rates_rad_s = np.zeros(3)
         self._heartbeat_t_s = -math.inf
+        self._heard_s = -math.inf
         self._armed = False
         self._landed_state = 0
         self._sensors: tuple[int, int] | None = None  # present, healthy
@@ -125,6 +126,7 @@ class TelemetryState:
 
     def handle(self, name: str, fields: Fields, received_s: float) -> None:
         """Take one message in; unknown ones do nothing."""
+        self._heard_s = received_s
         handler = self._handlers.get(name)
         if handler is not None:
             handler(fields, received_s)
@@ -154,13 +156,12 @@ class TelemetryState:
 
     def state(self, t_s: float) -> VehicleState:
         """The snapshot at `t_s`."""
-        beat_age_s = t_s - self._heartbeat_t_s
         height = self._height(t_s)
         fresh_range = self._range is not None and t_s - self._range.t_s < _RANGE_STALE_S
         present, healthy = self._sensors or (0, 0)
         return VehicleState(
             t_s=t_s,
-            connected=beat_age_s < _LINK_LOST_S,
+            connected=t_s - self._heartbeat_t_s < _LINK_LOST_S,
             armed=self._armed,
             in_air=self._landed_state in _IN_AIR or (self._landed_state == 0 and self._armed),
             mode=self.modes.mode(t_s),
@@ -172,7 +173,7 @@ class TelemetryState:
             rc_available=bool(present & healthy & _RC_RECEIVER),
             local_position_ok=self._position_ok(t_s),
             armable=bool(healthy & _PREARM) and self._can_take_off(),
-            heartbeat_age_s=beat_age_s,
+            silence_s=t_s - self._heard_s,
             intended_mode=self.modes.intended(t_s),
             failsafe=self.modes.is_failsafe(t_s),
             aiding=self.aiding(t_s),

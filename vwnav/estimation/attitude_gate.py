@@ -22,7 +22,6 @@ _CARRIED_S = 0.1  # ... after the gyro's newest sample, which is carried on for 
 _LEVEL_RAD = math.radians(4.0)  # a reset that leaves the tilt within this is one of the heading
 _ANYWHERE_S = 1.0  # after so long without one an attitude may be any
 _ALONE_S = 0.5  # an autopilot that tells its attitude tells its height or its IMU too
-_GYRO_SILENT_S, _GYRO_GONE_S = 0.4, 3.0  # for so long the silent gyro may come back
 _LONG_S, _FORGET = 2.0, 0.9
 # How long those that join each other must last, and how many they must be, after ...
 _SILENCE = (0.04, 3)  # ... a silence in which it could be turned to
@@ -77,11 +76,9 @@ class AttitudeGate:
         return Verdict.RELOCATED
 
     def _unvouched(self, t_s: float) -> bool:
-        """Whether what used to come with attitudes is silent: the gyro, or all of it."""
+        """Whether all that used to come with attitudes is silent."""
         alone_s = max(_ALONE_S, 3.0 * self._spacing_s)
-        if -math.inf < self._others_s < t_s - alone_s:
-            return True
-        return _GYRO_SILENT_S < t_s - self._imu.newest_s < _GYRO_GONE_S
+        return -math.inf < self._others_s < t_s - alone_s
 
     def _take_late(self, attitude: Attitude) -> Verdict:
         """One that comes late must fit between its neighbours."""

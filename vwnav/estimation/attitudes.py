@@ -5,20 +5,29 @@ import math
 
 import numpy as np
 
+from vwnav.estimation.gyro import GyroHistory
+from vwnav.geometry.rotations import quat_multiply
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
 MAX_GAP_S = 0.25  # neighbours farther apart are not interpolated between
 _TURN_ON_S = 0.1  # an attitude is carried on for so long after the newest one
+_CARRIED_S = 5.0  # the same by the gyro, which drifts by some tenths of a degree a second at worst
 _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
 
 
 class AttitudeHistory:
-    """Attitudes in order of time, looked up by time."""
+    """Attitudes in order of time, looked up by time.
 
-    def __init__(self, length_s: float, max_gap_s: float = MAX_GAP_S) -> None:
+    Where none came, or none has come yet, the gyro carries the last one on.
+    """
+
+    def __init__(
+        self, length_s: float, gyro: GyroHistory | None = None, max_gap_s: float = MAX_GAP_S
+    ) -> None:
         self._length_s = length_s
+        self._gyro = gyro if gyro is not None else GyroHistory(length_s)
         self._max_gap_s = max_gap_s
         self._times_s: list[float] = []
         self._quats: list[Array] = []
@@ -45,16 +54,20 @@ class AttitudeHistory:
     def at(self, t_s: float) -> Attitude | None:
         """The attitude at a time; None where telemetry does not reach.
 
-        That is in gaps of more than 0.25 s, before the first one, and more than 0.1 s beyond the
-        newest.
+        That is before the first one and, where no gyro tells, in gaps of more than 0.25 s and more
+        than 0.1 s beyond the newest.
         """
         i = bisect.bisect_left(self._times_s, t_s)
         if i < len(self._times_s) and self._times_s[i] == t_s:
             return Attitude(t_s, self._quats[i])
         ahead_s = _TURN_ON_S if math.isfinite(self._max_gap_s) else math.inf
-        if i == 0 or t_s > self._times_s[-1] + ahead_s:
+        if i == 0:
             return None
-        if i < len(self._times_s) and self._times_s[i] - self._times_s[i - 1] > self._max_gap_s:
+        if i < len(self._times_s):
+            near = self._times_s[i] - self._times_s[i - 1] <= self._max_gap_s
+        else:
+            near = t_s <= self._times_s[-1] + ahead_s
+        if not near and self._carried(i - 1, t_s) is None:
             return None
         return Attitude(t_s, self.quat_at(t_s))
 
@@ -63,12 +76,13 @@ class AttitudeHistory:
         return i < len(self._times_s) and self._times_s[i] == t_s
 
     def tell(self, t_s: float) -> bool:
-        """Whether they tell how the aircraft leans then: the newest is held as long as a gap."""
+        """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""
         i = bisect.bisect_right(self._times_s, t_s)
         if i == 0:
             return False
         later_s = self._times_s[i] if i < len(self._times_s) else t_s
-        return later_s - self._times_s[i - 1] <= self._max_gap_s
+        near = later_s - self._times_s[i - 1] <= self._max_gap_s
+        return near or self._carried(i - 1, t_s) is not None
 
     def forget_after(self, t_s: float) -> None:
         """Drop attitudes later than a time."""
@@ -79,13 +93,17 @@ class AttitudeHistory:
     def quat_at(self, t_s: float) -> Array:
         """quat_wxyz (4,) at a time: interpolated, held before the first one.
 
-        After the last one it turns on at the last rate for a tenth of a second, then holds: in a
-        turn of 90 deg/s an attitude 30 ms old is 3 degrees wrong. Level and facing north when no
-        attitude ever came. Neighbours are some 20 ms apart, where normalised linear interpolation
-        differs from slerp by less than 1e-5 rad.
+        After the last one, and in a gap, it turns as the gyro says. Where none tells it turns on
+        at the last rate for a tenth of a second, then holds: in a turn of 90 deg/s an attitude
+        30 ms old is 3 degrees wrong. Level and facing north when no attitude ever came. Neighbours
+        are some 20 ms apart, where normalised linear interpolation differs from slerp by less than
+        1e-5 rad.
         """
         if not self._times_s:
             return np.array([1.0, 0.0, 0.0, 0.0])
+        carried = self._carried_over(t_s)
+        if carried is not None:
+            return carried
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
         if i == 0:
             return self._quats[0]
@@ -98,6 +116,29 @@ class AttitudeHistory:
             quat1 = -quat1
         quat = (1.0 - fraction) * quat0 + fraction * quat1
         return np.asarray(quat / math.sqrt(quat @ quat))
+
+    def carries(self, t_s: float) -> bool:
+        """Whether `quat_at` is the gyro's word, from the autopilot's last one on."""
+        return self._carried_over(t_s) is not None
+
+    def _carried_over(self, t_s: float) -> Array | None:
+        """Beyond the newest attitude, though not beyond the gyro, and in a gap."""
+        after = bisect.bisect_right(self._times_s, t_s)
+        if after == 0:
+            return None
+        before_s = self._times_s[after - 1]
+        if after == len(self._times_s):
+            is_open = self._gyro.newest_s > before_s and t_s > before_s
+        else:
+            is_open = self._times_s[after] - before_s > self._max_gap_s
+        return self._carried(after - 1, t_s) if is_open else None
+
+    def _carried(self, i: int, t_s: float) -> Array | None:
+        """The i-th attitude, turned on to `t_s` by the gyro."""
+        if t_s - self._times_s[i] > _CARRIED_S:
+            return None
+        turn = self._gyro.between(self._times_s[i], t_s)
+        return None if turn is None else quat_multiply(self._quats[i], turn)
 
     def yaw_at(self, t_s: float) -> float:
         """Heading as the autopilot has it, radians."""

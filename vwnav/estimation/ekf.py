@@ -25,6 +25,7 @@ from vwnav.estimation.events import (
     between,
 )
 from vwnav.estimation.fusion import apply
+from vwnav.estimation.gyro import GyroHistory
 from vwnav.estimation.imu import ImuHistory, is_sensible
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.process import predict
@@ -53,6 +54,7 @@ __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _NOISE_M = 0.5  # of odometry's ways
+_ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 _TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
@@ -74,8 +76,9 @@ class Ekf:
         self._config = config
         length_s = config.history_s + _ATTITUDE_MARGIN_S
         gap_s = math.inf if config.odometry_turns_attitude else MAX_GAP_S
-        self._attitudes = AttitudeHistory(length_s, gap_s)
-        self._imu = ImuHistory(self._attitudes, length_s)
+        self._gyro = GyroHistory(length_s)
+        self._attitudes = AttitudeHistory(length_s, self._gyro, gap_s)
+        self._imu = ImuHistory(self._attitudes, self._gyro, length_s)
         self._gate = AttitudeGate(self._attitudes, self._imu)
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
@@ -96,10 +99,15 @@ class Ekf:
         """A video alone, by its settings: its attitude is level with the heading of odometry."""
         return self._config.odometry_turns_attitude
 
-    @property
-    def newest_attitude_s(self) -> float | None:
-        """Time of the newest attitude."""
-        return self._attitudes.newest_s
+    def covers(self, t_s: float) -> bool:
+        """Whether waiting for telemetry tells no more of the attitude at an exposure.
+
+        An attitude has come since, or the gyro alone reaches far beyond: attitudes are late.
+        """
+        newest_s = self._attitudes.newest_s
+        if self.counts_heading or (newest_s is not None and newest_s >= t_s):
+            return True
+        return self._gyro.newest_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.tell(t_s)
 
     def attitude_at(self, t_s: float) -> Attitude | None:
         """The autopilot's attitude at an exposure; None where telemetry does not reach."""
@@ -293,7 +301,8 @@ class Ekf:
             return None
         state = predict(self._timeline.head, t_s, self._context)
         unseen_s = max(state.t_s - self._attitudes.newest_s - MAX_GAP_S, 0.0)
-        turned_rad = 0.0 if self._config.odometry_turns_attitude else _TURNING_RAD_S * unseen_s
+        told = self._attitudes.tell(state.t_s)
+        turned_rad = 0.0 if told else _TURNING_RAD_S * unseen_s
         return _estimate(state, self._attitudes.quat_at(state.t_s), turned_rad)
 
     def _note(self, seen: Input) -> None:

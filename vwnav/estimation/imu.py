@@ -7,15 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.gyro import LONGEST_GAP_S, GyroHistory
 from vwnav.geometry.rotations import (
     quat_conjugate,
-    quat_from_vector,
     quat_multiply,
     rotation_from_quat,
 )
 from vwnav.types import Array, ImuSample
 
-_LONGEST_GAP_S = 0.1  # between samples; a longer one is a silence
 _FORGET_AT_ONCE = 1000  # samples
 _SHAKE_S = 1.0  # over which the scatter of the samples is averaged
 _SCATTER_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
@@ -95,8 +94,10 @@ def push_between(zero: Felt | None, one: Felt | None) -> Push | None:
 class ImuHistory:
     """Running integrals over the samples: any span is a difference of two of them."""
 
-    def __init__(self, attitudes: AttitudeHistory, length_s: float) -> None:
+    def __init__(self, attitudes: AttitudeHistory, gyro: GyroHistory, length_s: float) -> None:
+        """Prepare; `gyro` is that of the attitudes, and is told every sample."""
         self._attitudes = attitudes
+        self._gyro = gyro
         self._length_s = length_s
         self._times_s: list[float] = []
         self._felt: list[Felt] = []
@@ -127,12 +128,12 @@ class ImuHistory:
         if sample.t_s <= self.newest_s:
             return True  # too late to be compared, and to be added
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
-        silent = sample.t_s > self.newest_s + _LONGEST_GAP_S
+        silent = sample.t_s > self.newest_s + LONGEST_GAP_S
         before, self._sudden = self._sudden, (sample.t_s, values)
         if _within(values, _FELT_M_S2, _FELT_RAD_S):
             if silent or _within(values - self._newest[1], _SUDDEN_M_S2, _SUDDEN_RAD_S):
                 return True
-            if before is not None and sample.t_s < before[0] + _LONGEST_GAP_S:
+            if before is not None and sample.t_s < before[0] + LONGEST_GAP_S:
                 return _within(values - before[1], _SUDDEN_M_S2, _SUDDEN_RAD_S)
         if not silent:
             self._doubt(values - self._newest[1], sample.t_s - self.newest_s)
@@ -149,11 +150,13 @@ class ImuHistory:
         """Take the next sample; False when it is not later than the newest."""
         if self._times_s and sample.t_s <= self._times_s[-1]:
             return False
+        values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
+        span_s = self._span_s(sample)
+        self._turn(sample.t_s, values[3:], span_s)
         R = rotation_from_quat(self._attitudes.quat_at(sample.t_s))
         force = sample.specific_force_m_s2
         now = np.column_stack([R, R @ force, force])
-        values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
-        self._felt.append(self._next(sample, now, values))
+        self._felt.append(self._next(sample.t_s, span_s, now, values))
         self._times_s.append(sample.t_s)
         self._newest = now, values
         old = bisect.bisect_left(self._times_s, sample.t_s - self._length_s) - 1
@@ -166,7 +169,7 @@ class ImuHistory:
 
         The newest sample holds for a moment: estimates look a little ahead of it.
         """
-        if not self._times_s or not self._times_s[0] <= t_s <= self._times_s[-1] + _LONGEST_GAP_S:
+        if not self._times_s or not self._times_s[0] <= t_s <= self._times_s[-1] + LONGEST_GAP_S:
             return None
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
         one = self._felt[i]
@@ -185,26 +188,37 @@ class ImuHistory:
             zero.shaken + fraction * (one.shaken - zero.shaken),
         )
 
-    def _next(self, sample: ImuSample, now: Array, values: Array) -> Felt:
-        """Add a sample to the integrals, by the trapezoidal rule."""
-        if not self._felt:
-            return Felt(0, 0.0, np.zeros((3, 5)), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
-        zero, (pushed, before) = self._felt[-1], self._newest
+    def _span_s(self, sample: ImuSample) -> float | None:
+        """Since the sample before; None for the first one and after a silence."""
+        if not self._times_s:
+            return None
         span_s = sample.span_s
         if span_s is None or self._doubted.any():  # its own clock counts from the one refused
             span_s = sample.t_s - self._times_s[-1]
-        if span_s > _LONGEST_GAP_S or not self._attitudes.tell(sample.t_s):
-            return Felt(zero.series + 1, zero.lasted_s, zero.pushed, zero.turned, zero.shaken)
+        return span_s if span_s <= LONGEST_GAP_S else None
+
+    def _turn(self, t_s: float, rates_rad_s: Array, span_s: float | None) -> None:
+        """Tell the gyro's history, by the trapezoidal rule."""
+        if span_s is None:
+            self._gyro.begin(t_s)
+        else:
+            self._gyro.turn(t_s, (0.5 * span_s) * (self._newest[1][3:] + rates_rad_s))
+
+    def _next(self, t_s: float, span_s: float | None, now: Array, values: Array) -> Felt:
+        """Add a sample to the integrals, by the trapezoidal rule."""
+        turned = self._gyro.newest
+        if not self._felt:
+            return Felt(0, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
+        zero, (pushed, before) = self._felt[-1], self._newest
+        if span_s is None or not self._attitudes.tell(t_s):
+            return Felt(zero.series + 1, zero.lasted_s, zero.pushed, turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
         doubted, self._doubted = self._doubted, np.zeros(2)
-        turned = quat_multiply(
-            zero.turned, quat_from_vector((0.5 * span_s) * (before + values)[3:])
-        )
         return Felt(
             zero.series,
             zero.lasted_s + span_s,
             zero.pushed + (0.5 * span_s) * (pushed + now),
-            turned / math.sqrt(turned @ turned),
+            turned,
             zero.shaken + span_s**2 * self._scatter + doubted,
         )
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import GRAVITY_M_S2, thrust_acceleration, yaw_of
+from vwnav.estimation.attitudes import GRAVITY_M_S2, level_axes, thrust_acceleration, yaw_of
 from vwnav.estimation.context import Context
 from vwnav.estimation.imu import Felt, Push, push_between
 from vwnav.estimation.states import EkfConfig, FilterState, States
@@ -27,6 +27,7 @@ _RATE_BIAS = np.arange(States.GYRO_BIAS.start, States.GYRO_BIAS.stop)
 _WIND = np.arange(States.WIND_FORCE.start, States.WIND_FORCE.stop)
 _DRAG = States.DRAG.start
 _IDENTITY = np.eye(States.SIZE)
+_LEVEL = np.eye(2)
 
 
 def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
@@ -44,7 +45,9 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
         (quat0, felt0), (quat, felt) = (quat, felt), _measured(end_s, context)
         told0, told = told, context.attitudes.tell(end_s)
         both = told0 and told
-        span = _Span(dt_s, quat0, quat, push_between(felt0, felt) if both else None, both)
+        push = push_between(felt0, felt) if both else None
+        carried = push is not None and context.attitudes.carries(end_s)
+        span = _Span(dt_s, quat0, quat, push, both, carried)
         x, P = _step(x, P, span, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=(quat, felt))
 
@@ -57,7 +60,8 @@ def _measured(t_s: float, context: Context) -> tuple[Array, Felt | None]:
 class _Span:
     """A step of `dt_s`: the autopilot's attitudes (4,) at its ends, and what the IMU felt in it.
 
-    `told` is False where attitudes are missing: nobody knows where the thrust pushed then.
+    `told` is False where attitudes are missing: nobody knows where the thrust pushed then;
+    `carried` where the gyro alone has turned the attitude on.
     """
 
     dt_s: float
@@ -65,6 +69,7 @@ class _Span:
     quat1: Array
     push: Push | None
     told: bool = True
+    carried: bool = False
 
     @property
     def quat(self) -> Array:
@@ -129,7 +134,8 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     moved[States.POSITION] += dt_s * x[States.VELOCITY] + (0.5 * dt_s**2) * felt.acceleration
     moved[States.VELOCITY] += dt_s * felt.acceleration
     moved[States.ACCELERATION] *= keep
-    moved[States.TILT] *= keep_tilt
+    F_tilt = keep_tilt * _tilt_turn(span)
+    moved[States.TILT] = F_tilt @ x[States.TILT]
     moved[_MAP] *= keep_map
 
     F = _IDENTITY.copy()
@@ -147,17 +153,28 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
     F[_VE, _YAW] = -dt_s * (felt.acceleration[0] - slow[0])
     F[_VN, _FORWARD], F[_VE, _FORWARD] = (dt_s * by for by in felt.by_forward)
     F[_VN, _RIGHT], F[_VE, _RIGHT] = (dt_s * by for by in felt.by_right)
-    F[_FORWARD, _FORWARD] = F[_RIGHT, _RIGHT] = keep_tilt
+    F[States.TILT, States.TILT] = F_tilt
     F[_MAP, _MAP] = keep_map
     known = _follow_ground(x, moved, F, dt_s, context)
     Q = _process_noise(span, x, flown_m, known, config)
     if span.push is None:
         predicted = F @ P @ F.T + Q
     else:
-        turned = gyro_says(x, span.push, (span.quat0, span.quat1), dt_s, keep_tilt, config)
+        quats = span.quat0, span.quat1
+        turned = gyro_says(x, span.push, quats, dt_s, F_tilt, config)
         moved, predicted = conditioned(moved, P, F, Q, turned)
         moved[_YAW] = wrap_pi(float(moved[_YAW]))
     return moved, 0.5 * (predicted + predicted.T)
+
+
+def _tilt_turn(span: _Span) -> Array:
+    """(2, 2) how the tilt error turns about the body: the autopilot's goes with it, mostly.
+
+    That of an attitude which the gyro carries on stays where it was, whichever way the body turns.
+    """
+    if not span.carried:
+        return _LEVEL
+    return level_axes(yaw_of(span.quat1)).T @ level_axes(yaw_of(span.quat0))
 
 
 def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Context) -> bool:

@@ -48,7 +48,7 @@ def gyro_says(
     push: Push,
     quats: tuple[Array, Array],
     span_s: float,
-    keep_tilt: float,
+    F_tilt: Array,
     config: EkfConfig,
 ) -> Turned:
     """Compare the autopilot's attitudes (4,) at a step's ends with the gyro's turn between them.
@@ -58,7 +58,7 @@ def gyro_says(
         push: what the IMU felt in it.
         quats: quat_wxyz of the autopilot before and after.
         span_s: length of the step.
-        keep_tilt: share of the tilt error that the step leaves.
+        F_tilt: (2, 2) what the step makes of the tilt error.
         config: noises.
     """
     quat0, quat1 = quats
@@ -71,7 +71,7 @@ def gyro_says(
     A[:2, _TILT] = level1
     A[_DOWN, _YAW] = 1.0
     C = np.zeros((3, States.SIZE))
-    C[:2, _TILT] = keep_tilt * level1 - level0
+    C[:2, _TILT] = level1 @ F_tilt - level0
     C[:, States.GYRO_BIAS] = -push.rotation_s
     turn_rad = vector_from_quat(push.turn_wxyz)
     variance = config.gyro_noise_rad**2 * span_s + push.shaken_rad2

@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import dropwhile, pairwise
 
 from vwnav.rules.flight_log import At, FlightLog, Sent
 from vwnav.rules.moments import flying, sent_armed
 from vwnav.rules.rule import Rule
-from vwnav.rules.temporal import Breach, after, always, inside, spans_where
+from vwnav.rules.temporal import Breach, after, always, inside, spans_where, without
 
 _SHRINKS = 0.8  # a sigma may fall by what velocity tells of position
 _NO_FIX_S = 2.0
 _FIX_LATE_S = 1.0  # from exposure to filter
+_RECOVERY_S = 3.0  # after something was broken
 _NEVER_SIGMAS, _SELDOM_SIGMAS, _SELDOM_S = 5.0, 3.0, 1.0
 _WRONG_FIX_M = 20.0
 
@@ -44,7 +45,8 @@ def _sigma_shrinks(log: FlightLog) -> Breach | None:
     pauses = [(a[1], b[0]) for a, b in pairwise(taken) if b[0] - a[1] > _NO_FIX_S]
     if taken:
         pauses.append((taken[-1][1], math.inf))
-    spans = flying(log)
+    # A way from before a gap of telemetry tells again where the gap has led.
+    spans = without(flying(log), log.broken, _RECOVERY_S)
     for lo, hi in pauses:
         rows = [e for e in log.estimates if lo <= e.t_s <= hi and inside(e.t_s, spans)]
         broken = _shrinks(rows)
@@ -66,13 +68,14 @@ def _shrinks(rows: Sequence[Sent]) -> Breach | None:
 
 
 def _uncertain(log: FlightLog) -> Breach | None:
-    limit_m, first_s = (
-        log.bounds.estimate.max_position_sigma_m,
-        min([fix.t_s for fix in log.fixes], default=math.inf),
-    )
-    flown = [each for each in sent_armed(log) if each.t_s > first_s + _FIX_LATE_S]
+    """From the first certain one on: a first search takes seconds."""
+    limit_m = log.bounds.estimate.max_position_sigma_m
+    first_s = min([fix.t_s for fix in log.fixes], default=math.inf)
+    flown = [each for each in sent_armed(log) if each.t_s > first_s]
     return always(
-        flown, lambda each: each.sigma_m <= limit_m, lambda each: f"sigma {each.sigma_m:.0f} m"
+        dropwhile(lambda each: not each.sigma_m <= limit_m, flown),
+        lambda each: each.sigma_m <= limit_m,
+        lambda each: f"sigma {each.sigma_m:.0f} m",
     )
 
 

@@ -1,6 +1,7 @@
 """Rules of commands: who may ask the autopilot for a mode, arming, take-off, and when."""
 
 import math
+from itertools import pairwise
 
 from vwnav.rules.flight_log import Command, FlightLog
 from vwnav.rules.moments import flying, handed_back, taken
@@ -18,6 +19,7 @@ _OFFBOARD = frozenset({(6, 0), (4, 0)})
 _LANDINGS = frozenset({(4, 6), (9, 0)})
 _OUR_MODES = _OFFBOARD | _LANDINGS | {(4, 3), (17, 0), (4, 5)}  # (6, 0) is ArduCopter's RTL too
 _TAKES_BACK_S = 5.0  # from the word to the last command
+_REPEATED_S = 1.5  # a command that is not answered is repeated within this
 _MOST_IN_A_SECOND = 4  # of one command, lost ones repeated included
 
 
@@ -37,6 +39,14 @@ def _numbered(log: FlightLog, number: int, first: float | None = None) -> list[C
 def _mode_of(command: Command) -> tuple[int, int]:
     main, sub = (int(value) if math.isfinite(value) else 0 for value in command.parameters[1:3])
     return main, sub
+
+
+def _arms_in_flight(log: FlightLog) -> Breach | None:
+    """A command whose answer is still on its way is sent again: the first of a row counts."""
+    asked = _numbered(log, ARM, 1.0)
+    anew = [b for a, b in pairwise(asked) if b.t_s - a.t_s > _REPEATED_S]
+    first = asked[:1] + anew
+    return always(first, lambda command: not _flies_or_runs(log, command), _asked)
 
 
 def _flies_or_runs(log: FlightLog, command: Command) -> bool:
@@ -135,7 +145,7 @@ COMMANDS = (
         "arming on the ground",
         "Arming is asked for only of a disarmed aircraft on the ground.",
         ("vehicle", "commands"),
-        lambda log: always(_numbered(log, ARM, 1.0), lambda c: not _flies_or_runs(log, c), _asked),
+        _arms_in_flight,
     ),
     Rule(
         "arming after a refusal",

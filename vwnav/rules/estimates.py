@@ -21,6 +21,7 @@ _UNSEEN_JUMP_M = 0.05
 _COUNTERS = 256  # reset_counter is a byte
 _BEAT_S = 1.5  # 1 Hz and what a busy loop adds
 _GROUND_STATION = 6
+_HANDED_ON_S = 0.6  # the watchdog has seen the new ones for a while
 _LOST = "the estimate is not sent any more"
 
 
@@ -122,7 +123,7 @@ def _rare(log: FlightLog) -> Breach | None:
     """Outside of what was broken, and of what the program itself calls lost."""
     lost = [(e.t_s - _RECOVERY_S, e.t_s) for e in log.events if e.text.startswith(_LOST)]
     again = [e.t_s for e in log.events if e.text == "estimates again"]
-    told = [(lo, next((t for t in again if t >= hi), math.inf)) for lo, hi in lost]
+    told = [(lo, next((t + _HANDED_ON_S for t in again if t >= hi), math.inf)) for lo, hi in lost]
     spans = without(without(armed(log), log.broken, _RECOVERY_S), told)
     return steady(log.estimates, _RATE_S, spans, "no estimate")
 

@@ -104,7 +104,8 @@ class LinkWatch:
         step_s = 0.0 if self._t_s is None else max(t_s - self._t_s, 0.0)
         self._t_s = t_s
         awake_s = self.silence_s + min(step_s, _LONGEST_STEP_S)
-        self.silence_s = min(_heard_s_ago(vehicle, t_s), awake_s)
+        unheard_s = vehicle.silence_s if math.isfinite(vehicle.silence_s) else math.inf
+        self.silence_s = min(unheard_s, awake_s)
         gap_s = max(self.silence_s, step_s)
         remembered = t_s - self._gap_t_s <= self._config.gap_memory_s
         if gap_s >= self._config.gap_s:
@@ -112,14 +113,6 @@ class LinkWatch:
             self._gap_t_s = t_s
         elif not remembered:
             self.gap_s = 0.0
-
-
-def _heard_s_ago(vehicle: VehicleState, t_s: float) -> float:
-    """Since the autopilot was last heard: heartbeats come at 1 to 5 Hz, attitudes at 50."""
-    ages_s = [vehicle.heartbeat_age_s]
-    if vehicle.attitude is not None:
-        ages_s.append(max(t_s - vehicle.attitude.t_s, 0.0))
-    return min((age_s for age_s in ages_s if math.isfinite(age_s)), default=math.inf)
 
 
 class LossWatch:

@@ -35,6 +35,8 @@ class NotedLink(ByteLink):
         super().send(message)
 
     def _note(self, m: Any, t_s: float) -> None:
+        if m.get_srcSystem() != _OURS:
+            return  # another station's
         heard, component = self._track.heard, m.get_srcComponent()
         match m.get_type():
             case "VISION_POSITION_ESTIMATE":
@@ -53,4 +55,5 @@ class NotedLink(ByteLink):
                 heard.beats.append(Beat(t_s, component, m.type))
 
 
+_OURS = 1  # system id of the aircraft, whose components we are
 _IN_PROGRESS = 5  # MAV_RESULT: the answer proper is still to come
