@@ -36,6 +36,7 @@ log = logging.getLogger(__name__)
 LINK_HZ = 50.0
 TICK_HZ = 20.0
 HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
+_LINK_FAILS_S = 1.0
 SILENT_S = 1.0  # of telemetry: gaps up to this are bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
@@ -66,7 +67,8 @@ class FlightRuntime:
     Whatever breaks, the aircraft is not left: a watcher that fails (a full disk) is left out, a
     picture or a camera that fails is a missing picture, a link step that fails is tried again, and
     when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
-    estimates go on until the motors stop.
+    estimates go on until the motors stop. Where the link's steps fail on and on, no estimate goes
+    out: the program ends, the watchdog lands the aircraft, and its successor gives estimates.
     """
 
     def __init__(
@@ -91,6 +93,8 @@ class FlightRuntime:
         self._seen_s: float | None = None
         self._heard_s: float | None = None
         self._held_back_since_s = -math.inf
+        self._link_fails_since_s: float | None = None
+        self._link_broke = False
         self._said: set[str] = set()
         self._stop = threading.Event()
         self._failure: Exception | None = None
@@ -104,7 +108,26 @@ class FlightRuntime:
     # ---- the steps
 
     def step_link(self, t_s: float) -> None:
-        """Telemetry into the pipeline, the guarded estimate out to the autopilot."""
+        """Telemetry into the pipeline, the guarded estimate out to the autopilot.
+
+        A step that fails is left out.
+
+        Raises:
+            Exception: what broke it, once no step has worked for a second.
+        """
+        try:
+            self._exchange(t_s)
+        except Exception as error:
+            log.exception("a step of the link failed")
+            self._say_once("link", f"a step of the link failed, it goes on: {error!r}")
+            if self._link_fails_since_s is None:
+                self._link_fails_since_s = t_s
+            if t_s - self._link_fails_since_s > _LINK_FAILS_S:
+                raise
+        else:
+            self._link_fails_since_s = None
+
+    def _exchange(self, t_s: float) -> None:
         self._autopilot.step(t_s)
         for measurement in self._autopilot.take_measurements():
             self._pipeline.feed(measurement)
@@ -208,7 +231,8 @@ class FlightRuntime:
         """Until the flight has ended. An interrupt lands; one who does not steer cannot."""
         while True:
             try:
-                if self._flight.end is not None or self._is_down_after_failure():
+                over = self._link_broke or self._is_down_after_failure()
+                if over or self._flight.end is not None:
                     return
                 time.sleep(0.1)
             except KeyboardInterrupt:
@@ -234,8 +258,9 @@ class FlightRuntime:
             try:
                 self.step_link(t_s)
             except Exception as error:
-                log.exception("a step of the link failed")
-                self._say_once("link", f"a step of the link failed, it goes on: {error!r}")
+                self._failure, self._link_broke = error, True
+                self._event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
+                break
             if self._heard_s is not None and self._heard_s != heard_s:
                 heard_s = self._heard_s
                 telemetry.until(heard_s + TELEMETRY_LATE_S)

@@ -34,14 +34,14 @@ def next_frame(self):
 camera.SimulatedCamera.next_frame = next_frame
 """
 LINK_STEPS_FAIL = """
-import vwnav.runtime as runtime
-whole = runtime.FlightRuntime.step_link
-def step_link(self, t_s):
+import vwnav.drivers.autopilot as autopilot
+whole = autopilot.LinkedAutopilot.take_measurements
+def take_measurements(self):
     self.count = getattr(self, "count", 0) + 1
     if self.count % 7 == 0:
         raise ValueError("broken on purpose")
-    whole(self, t_s)
-runtime.FlightRuntime.step_link = step_link
+    return whole(self)
+autopilot.LinkedAutopilot.take_measurements = take_measurements
 """
 
 

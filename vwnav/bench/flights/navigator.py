@@ -161,7 +161,6 @@ class Navigator:
         self._frame_done_s: float | None = None
         self._camera_again_s = 0.0
         self._asleep_until_s = -np.inf
-        self._link_failed = False
         self.broken: Exception | None = None
         self.ended = False
 
@@ -245,13 +244,12 @@ class Navigator:
         self._see(t_s)
 
     def _talk(self, t_s: float) -> None:
-        """The link's loop goes on whatever its step raises, as in `FlightRuntime`."""
+        """The process ends when the link breaks, as with `FlightRuntime.run`."""
         try:
             self.runtime.step_link(t_s)
         except Exception as error:
-            if not self._link_failed:
-                self.record.event(f"a step of the link failed, it goes on: {error!r}")
-            self._link_failed = True
+            self.record.event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
+            self.end()
 
     def stop_until(self, t_s: float) -> None:
         """Stopped as by SIGSTOP: nothing of it runs, what arrives waits."""

@@ -35,8 +35,8 @@ class NotedLink(ByteLink):
         super().send(message)
 
     def _note(self, m: Any, t_s: float) -> None:
-        if m.get_srcSystem() != _OURS:
-            return  # another station's
+        if m.get_srcSystem() == _STATION:
+            return  # not ours
         heard, component = self._track.heard, m.get_srcComponent()
         match m.get_type():
             case "VISION_POSITION_ESTIMATE":
@@ -55,5 +55,5 @@ class NotedLink(ByteLink):
                 heard.beats.append(Beat(t_s, component, m.type))
 
 
-_OURS = 1  # system id of the aircraft, whose components we are
+_STATION = 255  # system id of the ground stations that scenarios play
 _IN_PROGRESS = 5  # MAV_RESULT: the answer proper is still to come

@@ -83,6 +83,7 @@ class World:
         self.watchdog: Watchdog | None = self._watchdog()
         self._spare_due_s = math.inf
         self._steps = 0
+        self._end_seen = False
         self.begun_s = 0.0
 
     def _vehicle(self, place: Place) -> VehicleCore:
@@ -258,6 +259,9 @@ class World:
         """Advance by `STEP_S`."""
         self._advance()
         self.navigator.step(self.clock.now_s)
+        if self.navigator.ended and not self._end_seen and self.watchdog is not None:
+            self._end_seen = True
+            self.watchdog.handle_navigator_end(self.clock.now_s)
         if self._steps % _NOTED_EVERY == 0:
             self._note_truth()
 

@@ -79,8 +79,6 @@ class NavigatorKilled:
     def begin(self, world: World) -> None:
         """Dead."""
         world.navigator.end()
-        if world.watchdog is not None:
-            world.watchdog.handle_navigator_end(world.clock.now_s)
 
     def end(self, world: World) -> None:
         """It stays dead."""
@@ -131,7 +129,7 @@ class StepRaises:
         navigator = world.navigator
         match self.step:
             case "link":
-                return navigator.runtime, "step_link"
+                return navigator.autopilot, "step"
             case "mission":
                 return navigator.runtime, "step_control"
             case "picture":
