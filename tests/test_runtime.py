@@ -238,7 +238,7 @@ def test_a_picture_waits_for_telemetry_of_its_exposure_and_not_for_ever():
 
 @pytest.mark.parametrize(
     ("pictures", "word"),
-    [(Pictures(frozen=True), "repeats one picture"), (Pictures(size=(60, 80)), "calibration")],
+    [(Pictures(frozen=True), "repeats its pictures"), (Pictures(size=(60, 80)), "calibration")],
     ids=["frozen", "another size"],
 )
 def test_pictures_that_cannot_be_true_are_not_seen_but_have_their_row(pictures, word):

@@ -101,7 +101,7 @@ def assemble_with(
         localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
     )
     ekf = make_ekf(config.ekf, ground_of(pack, local_frame))
-    ekf.on_restart(say)
+    ekf.on_event(say)
     odometry = Odometry(camera, config.odometry, alone=config.ekf.odometry_turns_attitude)
     pipeline = Pipeline(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,

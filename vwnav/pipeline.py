@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from vwnav.estimation.ekf import Ekf, NedFix, Start
 from vwnav.estimation.events import Exposed
+from vwnav.estimation.updates import Verdict
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.types import (
@@ -262,7 +263,9 @@ class Pipeline:
             if self._ekf.counts_heading:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
             if isinstance(motion, OdometryMotion):
-                self._ekf.handle(motion)
+                verdict = self._ekf.handle(motion).verdict
+                if verdict is Verdict.DISTRUSTED:
+                    return Rejected(frame.t_s, RejectReason.PRIOR, verdict.value)
         return motion
 
     def _attempt_if_due(self, frame: Frame, attitude: Attitude | None) -> MapFix | Rejected | None:

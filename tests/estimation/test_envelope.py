@@ -90,7 +90,7 @@ def test_a_state_outside_of_the_envelope_begins_anew_at_the_last_trusted_fix(ind
 def test_a_runaway_is_said_and_counted():
     said: list[str] = []
     ekf = hovering(seconds=1.0, most_speed_m_s=2.0)
-    ekf.on_restart(said.append)
+    ekf.on_event(said.append)
     lean = np.array([math.cos(0.2), 0.0, -math.sin(0.2), 0.0])  # 4 m/s^2 by its thrust
     for i in range(1, 100):
         ekf.handle(Attitude(1.0 + 0.02 * i, lean))

@@ -54,7 +54,7 @@ def test_what_the_vehicle_lacks_is_said(changes, word):
         ({"link_refusal": "57600 baud is too little"}, "57600 baud"),
         ({"picture_s": None}, "no picture has come"),
         ({"picture_s": 7.0}, "no picture for 3.0 s"),
-        ({"picture_trouble": "the camera repeats one picture"}, "repeats"),
+        ({"picture_trouble": "the camera repeats its pictures"}, "repeats"),
     ],
 )
 def test_what_the_equipment_lacks_is_said(changes, word):

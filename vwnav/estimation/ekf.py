@@ -6,6 +6,7 @@ Read `states.py` first (what is estimated, with all noises), then `process.py` (
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -22,12 +23,14 @@ from vwnav.estimation.events import (
     Keyframe,
     LateFix,
     NedFix,
+    Rank,
     between,
 )
 from vwnav.estimation.fusion import apply
 from vwnav.estimation.gyro import GyroHistory
 from vwnav.estimation.imu import ImuHistory, is_sensible
 from vwnav.estimation.inputs import Asked, Input, Measurement
+from vwnav.estimation.odometry_trust import OdometryTrust
 from vwnav.estimation.process import predict
 from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
@@ -55,6 +58,10 @@ _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _NOISE_M = 0.5  # of odometry's ways
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
+_IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
+_DATE_DOUBT_S, _LEAN_DOUBT_RAD = 0.5, 0.15
+_CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
+_AGREES = "the pictures' ways agree with the IMU again"
 _TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
@@ -84,9 +91,10 @@ class Ekf:
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
         self._tape: Callable[[Input], None] | None = None
-        self._on_restart: Callable[[str], None] | None = None
+        self._say: Callable[[str], None] = lambda _: None
         self._restarted_s = -math.inf
         self._newest_way: OdometryMotion | None = None
+        self._trust = OdometryTrust()
         self._drag_s = -math.inf
 
     @property
@@ -125,13 +133,14 @@ class Ekf:
         """
         self._tape = tape
 
-    def on_restart(self, say: Callable[[str], None]) -> None:
+    def on_event(self, say: Callable[[str], None]) -> None:
         """Tell `say` in a sentence when the state has left its envelope and begins anew.
 
+        Also when the ways that pictures tell are not believed any more, and when they are again.
         What happens again within seconds (an aircraft that truly flies faster than aircraft do) is
         not said again.
         """
-        self._on_restart = say
+        self._say = say
 
     def take(self, seen: Input) -> Estimate | None:
         """Take an input of any kind; the estimate where one was asked for.
@@ -235,6 +244,8 @@ class Ekf:
         refusal = self._refusal(fix)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
+        if self._trust.lost:
+            fix = _of_doubtful_date(fix, self._timeline.head)
         if fix.t_s >= self._timeline.oldest_s:
             return self._insert(fix)
         # At the beginning of the history: a picture taken since may have been cloned in its place.
@@ -258,7 +269,20 @@ class Ekf:
             return Innovation(Verdict.NO_ATTITUDE)
         if not self._anchored(event.motion):
             return Innovation(Verdict.NO_ANCHOR)
-        return self._insert(event)
+        return self._judged(event)
+
+    def _judged(self, event: Displacement) -> Innovation:
+        """One of ways that mostly contradict the IMU is refused, and those before it too."""
+        assert self._timeline is not None
+        innovation = self._timeline.test(event) if self._trust.lost else self._insert(event)
+        felt = event.t_s <= self._gyro.newest_s + _IMU_OF_NOW_S
+        if not felt or innovation.verdict not in (Verdict.FUSED, Verdict.GATED):
+            return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
+        if self._trust.saw(event.t_s, innovation.accepted):
+            if self._trust.lost:
+                self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
+            self._say(_CONTRADICTS if self._trust.lost else _AGREES)
+        return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
 
     def _anchored(self, motion: OdometryMotion) -> bool:
         """Whether its keyframe is cloned, from now on if not before."""
@@ -327,8 +351,8 @@ class Ekf:
             head = self._timeline.head
             self._begin(begun_anew(head, self._config))
             again, self._restarted_s = head.t_s < self._restarted_s + _SAID_S, head.t_s
-            if self._on_restart is not None and not again:
-                self._on_restart(f"the estimate left its envelope ({why}) and begins anew")
+            if not again:
+                self._say(f"the estimate left its envelope ({why}) and begins anew")
         return innovation
 
     def _refusal(self, event: Event) -> Verdict | None:
@@ -348,6 +372,17 @@ class Ekf:
         if attitude_s is not None:
             newest_s = max(newest_s, attitude_s)
         return t_s > newest_s + self._config.ahead_s
+
+
+def _of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
+    """Of a picture whose ways contradict the IMU: it may be from another moment than it says.
+
+    The aircraft was elsewhere then, and leaned otherwise.
+    """
+    flown_m = _DATE_DOUBT_S * state.x[States.VELOCITY][:2]
+    leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
+    doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
+    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
 
 
 def _estimate(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:

@@ -66,6 +66,20 @@ class Timeline:
         self._forget()
         return innovation
 
+    def test(self, event: Event) -> Innovation:
+        """What `insert` would say of an event, which is left out."""
+        if event.t_s < self._base.t_s:
+            return Innovation(Verdict.TOO_LATE)
+        return self._apply(self._before(self._place(event.t_s, rank_of(event))), event)[1]
+
+    def leave_out(self, *ranks: Rank) -> None:
+        """As if no event of these kinds had come in the history."""
+        self._entries = [entry for entry in self._entries if entry.order[1] not in ranks]
+        state = self._base
+        for entry in self._entries:
+            state, _ = self._apply(state, entry.event)
+            entry.state = state
+
     def _place(self, t_s: float, rank: Rank) -> int:
         return bisect.bisect_left(self._entries, (t_s, rank), key=lambda entry: entry.order)
 

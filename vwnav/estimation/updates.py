@@ -37,6 +37,7 @@ class Verdict(Enum):
     NO_ATTITUDE = "no attitude that is believed tells how it was seen"
     ON_GROUND = "the aircraft stands, or nearly"
     IMPOSSIBLE = "no aircraft does that"
+    DISTRUSTED = "most of its kind contradict the IMU"
     HEADING_UNKNOWN = "the heading is not known yet"
     NOT_STARTED = "the filter is not initialised"
 

@@ -19,6 +19,7 @@ _OFFBOARD = frozenset({(6, 0), (4, 0)})
 _LANDINGS = frozenset({(4, 6), (9, 0)})
 _OUR_MODES = _OFFBOARD | _LANDINGS | {(4, 3), (17, 0), (4, 5)}  # (6, 0) is ArduCopter's RTL too
 _TAKES_BACK_S = 5.0  # from the word to the last command
+_BEFORE_S = 0.03
 _REPEATED_S = 1.5  # a command that is not answered is repeated within this
 _MOST_IN_A_SECOND = 4  # of one command, lost ones repeated included
 
@@ -50,7 +51,8 @@ def _arms_in_flight(log: FlightLog) -> Breach | None:
 
 
 def _flies_or_runs(log: FlightLog, command: Command) -> bool:
-    vehicle = log.vehicle_at(command.t_s)
+    """As it was before the command."""
+    vehicle = log.vehicle_at(command.t_s - _BEFORE_S)
     return vehicle is not None and (vehicle.armed or vehicle.in_air)
 
 

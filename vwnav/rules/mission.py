@@ -184,9 +184,9 @@ def _asks_after_touch_down(log: FlightLog) -> Breach | None:
         (row for row in rows if not isinstance(row, Command) or row.number != _DISARM),
         key=lambda row: row.t_s,
     )
-    span = (touch_down_s(log) + _DOWN_S, math.inf)
+    spans = without([(touch_down_s(log) + _DOWN_S, math.inf)], log.broken, _RECOVERY_S)
     controls = [r for r in asked if isinstance(r, Setpoint) or r.number in (21, 22, 176)]
-    return never_while([span], controls, lambda row: f"asked for: {row}")
+    return never_while(spans, controls, lambda row: f"asked for: {row}")
 
 
 def _hard_touch_down(log: FlightLog) -> Breach | None:

@@ -51,7 +51,9 @@ def _too_steep(log: FlightLog) -> Breach | None:
 
 
 def _disarmed(log: FlightLog) -> list[Span]:
-    return after(_SHOWS_S, spans_where(log.vehicle, lambda row: not row.armed))
+    """Where the link tells that it is."""
+    disarmed = after(_SHOWS_S, spans_where(log.vehicle, lambda row: not row.armed))
+    return without(disarmed, log.broken, _RECOVERY_S)
 
 
 def _pauses(log: FlightLog) -> Breach | None:

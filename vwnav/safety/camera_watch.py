@@ -1,4 +1,7 @@
-"""Whether pictures come, fit the calibration, and are not one picture again and again."""
+"""Whether pictures come, fit the calibration, and are not the same ones again and again."""
+
+import hashlib
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,6 +9,7 @@ from numpy.typing import NDArray
 from vwnav.types import Frame
 
 _COMPARED_EVERY_PX = 16
+_REMEMBERED = 300  # pictures: a buffer that is stuck holds no more
 
 
 class CameraWatch:
@@ -21,7 +25,7 @@ class CameraWatch:
 
     def __init__(self, width_px: int, height_px: int) -> None:
         self._size = (width_px, height_px)
-        self._before: NDArray[np.uint8] | None = None
+        self._shown: deque[bytes] = deque(maxlen=_REMEMBERED)
         self.picture_s: float | None = None
         self.trouble = ""
 
@@ -38,10 +42,12 @@ class CameraWatch:
                 f"the calibration is for pictures of {self._size[0]} x {self._size[1]} px but they "
                 f"are {size[0]} x {size[1]} px; calibrate at that size"
             )
-        return "the camera repeats one picture" if self._is_repeated(image) else ""
+        return "the camera repeats its pictures" if self._is_repeated(image) else ""
 
     def _is_repeated(self, image: NDArray[np.uint8]) -> bool:
         """Noise makes no two pictures of a sensor the same, unless all of it is one shade."""
-        sample = image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX].copy()
-        before, self._before = self._before, sample
-        return before is not None and bool(np.ptp(sample)) and np.array_equal(before, sample)
+        sample = image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX]
+        digest = hashlib.blake2b(sample.tobytes(), digest_size=16).digest()
+        repeated = digest in self._shown
+        self._shown.append(digest)
+        return repeated and bool(np.ptp(sample))
