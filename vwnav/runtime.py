@@ -37,7 +37,7 @@ LINK_HZ = 50.0
 TICK_HZ = 20.0
 HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
 _LINK_FAILS_S = 1.0
-SILENT_S = 1.0  # of telemetry: gaps up to this are bridged, by the filter and by autopilots
+SILENT_S = 1.1  # of telemetry: a gap of a second is bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
 # What simulated time waits for (`vwnav.clock`), beside the beats of the loops:

@@ -246,15 +246,17 @@ class Ekf:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if self._trust.lost:
             fix = _of_doubtful_date(fix, self._timeline.head)
-        if fix.t_s >= self._timeline.oldest_s:
-            return self._insert(fix)
         # At the beginning of the history: a picture taken since may have been cloned in its place.
-        return self._insert(LateFix(self._timeline.oldest_s, fix))
+        oldest_s = self._timeline.oldest_s
+        innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
+        if innovation.accepted:
+            self._trust.saw_fix()
+        return innovation
 
     def handle_odometry(self, motion: OdometryMotion) -> Innovation:
         """Take the motion since a keyframe, in NED as the autopilot's own heading has it."""
         self._note(motion)
-        event = Displacement(motion)
+        event = Displacement(self._shaken(motion))
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
@@ -264,7 +266,7 @@ class Ekf:
         if not self._timeline.keyframe_known(motion.t0_s) and motion.t0_s < self._timeline.oldest_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Innovation(Verdict.NO_ANCHOR)
-            event = Displacement(between(before, motion))
+            event = Displacement(self._shaken(between(before, motion)))
         if not self._seen_upright(event.motion):
             return Innovation(Verdict.NO_ATTITUDE)
         if not self._anchored(event.motion):
@@ -283,6 +285,13 @@ class Ekf:
                 self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
             self._say(_CONTRADICTS if self._trust.lost else _AGREES)
         return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
+
+    def _shaken(self, motion: OdometryMotion) -> OdometryMotion:
+        """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
+        rates = [self._gyro.rate_rad_s(t_s) for t_s in (motion.t0_s, motion.t1_s)]
+        off_m = self._config.picture_date_s * motion.agl_m * math.hypot(*rates)
+        unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
+        return replace(motion, covariance_ned_m2=motion.covariance_ned_m2 + unsure_m2)
 
     def _anchored(self, motion: OdometryMotion) -> bool:
         """Whether its keyframe is cloned, from now on if not before."""

@@ -9,6 +9,7 @@ from vwnav.geometry.rotations import quat_conjugate, quat_from_vector, quat_mult
 from vwnav.types import Array
 
 LONGEST_GAP_S = 0.1  # between samples; a longer one is a silence
+_RATE_OVER_S = 0.04
 _FORGET_AT_ONCE = 1000  # samples
 
 
@@ -51,6 +52,11 @@ class GyroHistory:
         if zero is None or one is None or zero[0] != one[0]:
             return None
         return quat_multiply(quat_conjugate(zero[1]), one[1])
+
+    def rate_rad_s(self, t_s: float) -> float:
+        """How fast the body tilted about then; 0 where nothing tells."""
+        turn = self.between(t_s - _RATE_OVER_S, t_s)
+        return 0.0 if turn is None else 2.0 * math.hypot(*turn[1:3].tolist()) / _RATE_OVER_S
 
     def _append(self, t_s: float, series: int, turned: Array) -> None:
         self._times_s.append(t_s)

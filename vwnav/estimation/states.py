@@ -101,6 +101,7 @@ class EkfConfig:
     touching_speed_m_s: float = 1.5  # and no faster than this sideways
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
+    picture_date_s: float = 0.005  # error of a picture's date, its read-out's part included
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1

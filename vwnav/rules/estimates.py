@@ -113,8 +113,13 @@ def _counts_again(log: FlightLog) -> Breach | None:
 
 
 def _same_after_pause(log: FlightLog) -> Breach | None:
+    """What a cut link holds up is no silence of ours."""
+
     def renewed(a: Sent, b: Sent) -> bool:
-        return b.t_s - a.t_s <= _SAME_S or a.reset_counter != b.reset_counter
+        if b.t_s - a.t_s <= _SAME_S or a.reset_counter != b.reset_counter:
+            return True
+        ours = without([(a.t_s, b.t_s)], log.broken)
+        return sum(hi - lo for lo, hi in ours) <= _SAME_S
 
     return _pairs(log, renewed, lambda a, b: f"the same after {b.t_s - a.t_s:.1f} s of silence")
 

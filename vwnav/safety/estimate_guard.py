@@ -15,6 +15,8 @@ import numpy as np
 from vwnav.safety.estimate_track import Track, Trial
 from vwnav.types import Array, Estimate
 
+_VELOCITY_LOST = "the estimate's velocity is lost"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateLimits:
@@ -102,7 +104,7 @@ class EstimateGuard:
             if broken is None:
                 return self._sent(estimate)
             self.lose(broken, t_s)
-            self._may_resume = self._limits.max_gap_s < gap_s <= self._limits.brief_gap_s
+            self._may_resume = gap_s > self._limits.max_gap_s or broken == _VELOCITY_LOST
         return self._try(estimate, fault, t_s)
 
     def lose(self, reason: str, t_s: float) -> None:
@@ -137,7 +139,7 @@ class EstimateGuard:
         if not _tilt_rad(estimate.quat_wxyz) <= limits.max_tilt_rad:
             return "the estimate is tilted beyond what an aircraft flies"
         if not _sigma(estimate, 3) < limits.max_velocity_sigma_m_s:
-            return "the estimate's velocity is lost"
+            return _VELOCITY_LOST
         sigma_m = _sigma(estimate, 0)
         if estimate.t_last_fix_s is not None and not sigma_m < limits.max_position_sigma_m:
             return f"the estimate's position is uncertain by {sigma_m:.0f} m"
@@ -189,12 +191,13 @@ class EstimateGuard:
     def _try(self, estimate: Estimate, fault: str | None, t_s: float) -> Estimate | None:
         """Watch a lost estimate; it comes back as a new one, or as the same after a brief gap."""
         if fault is not None:
-            self._trial, self._may_resume = None, False
+            self._trial = None
+            self._may_resume = self._may_resume and fault == _VELOCITY_LOST
             return None
         place = (estimate.t_s, *_north_east(estimate))
         trial = self._trial
         if trial is None or estimate.reset_counter != trial.counter or trial.track.jumped(*place):
-            resume = trial is None and self._may_resume
+            resume = trial is None and self._may_resume and self._is_brief(estimate)
             trial = Trial(t_s, estimate.reset_counter, self._new_track(), resume)
             self._trial = trial
         trial.track.add(*place)
@@ -221,6 +224,11 @@ class EstimateGuard:
         if len(fixes_t_s) < limits.new_fixes or t_s - trial.since_s < limits.new_fixes_s:
             return False
         return fixes_t_s[-1] - fixes_t_s[0] >= limits.new_fixes_s
+
+    def _is_brief(self, estimate: Estimate) -> bool:
+        """Whether little time has passed since the last one that was sent."""
+        last = self._last
+        return last is not None and estimate.t_s - last.t_s <= self._limits.brief_gap_s
 
     def _goes_on(self, trial: Trial, estimate: Estimate, t_s: float) -> bool:
         """After a brief stall: steady again, and where it would be by now. Asked once."""
