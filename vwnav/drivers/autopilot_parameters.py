@@ -8,6 +8,7 @@ from vwnav.drivers.port import Fields, Send
 
 _TRIES = 3
 _REAL32 = 9  # MAV_PARAM_TYPE
+_MOST_VALUES = 4000  # an autopilot has 1500
 
 
 class ParameterTable:
@@ -40,8 +41,9 @@ class ParameterTable:
         value, kind = fields["param_value"], fields["param_type"]
         if self._px4() and kind != _REAL32:
             value = integer_of_bits(value)
-        if value is not None:
-            self.values[fields["param_id"].rstrip("\0")] = float(value)
+        name = fields["param_id"].rstrip("\0")
+        if value is not None and (name in self.values or len(self.values) < _MOST_VALUES):
+            self.values[name] = float(value)
 
     def read(self, names: tuple[str, ...]) -> Generator[None, None, None]:
         """Ask for those that are not known; returns when all are, or nothing more comes."""
