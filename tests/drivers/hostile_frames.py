@@ -20,12 +20,9 @@ HEARD = tuple(_BY_NAME[name] for name in _HEARD)
 _COMMANDS = (_BY_NAME["COMMAND_LONG"], _BY_NAME["COMMAND_INT"])
 _ORDERS = (21, 20, 300, 193)  # land, return, start, pause: what the navigator obeys
 # NaN, infinities, the greatest numbers, integers' ends.
-_FILLS = tuple(
-    bytes.fromhex(fill)
-    for fill in (
-        "00000000 ffffffff 0000c07f 0000807f 000080ff ffff7f7f 00000080 ffffff7f 01000000"
-        " 000000000000f87f"
-    ).split()
+_FILLS = (
+    *map(bytes.fromhex, ("00000000", "ffffffff", "0000c07f", "0000807f", "000080ff", "ffff7f7f")),
+    *map(bytes.fromhex, ("00000080", "ffffff7f", "01000000", "000000000000f87f")),
 )
 _SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4,
           "uint32_t": 4, "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}  # fmt: skip

@@ -8,11 +8,10 @@ from vwnav.drivers.port import Fields, Send
 
 _TRIES = 3
 _REAL32 = 9  # MAV_PARAM_TYPE
-_MOST_VALUES = 4000  # an autopilot has 1500
 
 
 class ParameterTable:
-    """Values by name, as the autopilot last told them to anybody.
+    """Values by name, as the autopilot last told them to anybody: of those once asked for here.
 
     Args:
         system_id: of the autopilot.
@@ -34,6 +33,7 @@ class ParameterTable:
         self._px4 = px4
         self._clock = clock
         self._patience_s = patience_s
+        self._asked: set[str] = set()
         self.values: dict[str, float] = {}
 
     def handle_value(self, fields: Fields) -> None:
@@ -42,11 +42,12 @@ class ParameterTable:
         if self._px4() and kind != _REAL32:
             value = integer_of_bits(value)
         name = fields["param_id"].rstrip("\0")
-        if value is not None and (name in self.values or len(self.values) < _MOST_VALUES):
+        if value is not None and name in self._asked:
             self.values[name] = float(value)
 
     def read(self, names: tuple[str, ...]) -> Generator[None, None, None]:
         """Ask for those that are not known; returns when all are, or nothing more comes."""
+        self._asked.update(names)
         for _ in range(_TRIES):
             for name in names:
                 if name not in self.values:
@@ -56,6 +57,7 @@ class ParameterTable:
 
     def write(self, name: str, value: float) -> Generator[None, None, bool]:
         """Set a parameter of type float; True when the autopilot has confirmed it."""
+        self._asked.add(name)
         for _ in range(_TRIES):
             self.values.pop(name, None)
             self.tell(name, value)
