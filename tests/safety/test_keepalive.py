@@ -146,3 +146,10 @@ def test_the_watchdogs_end_answers_whoever_spoke_last_and_a_taken_port_is_said()
         assert each.fileno() >= 0
         each.close()
     assert listening.fileno() == -1
+
+
+def test_a_beat_whose_phase_is_no_text_is_a_beat():
+    data = Beat(True, 1, 2, "on route").pack().replace(b"route", b"\xff\xfe\xfd\xfc\xfb")
+    beat = Beat.unpack(data)
+    assert (beat.engaged, beat.sequence, beat.epoch) == (True, 1, 2)
+    assert beat.phase.startswith("on ")
