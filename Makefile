@@ -1,11 +1,13 @@
 # make fly   sets everything up and flies the embedded site in simulation, GPS off
 # make test  sets everything up and passes the tests
 # make test-long  the same and all that takes minutes: every scenario, the million filter steps
+# make fuzz  a million hostile MAVLink frames against what hears the link onboard
+# make mutants  how many of 300 mutants of vwnav/safety its tests kill; MUTANTS=all takes them all
 # make check lint and types
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv fly test test-long check clean
+.PHONY: venv fly test test-long fuzz mutants check clean
 
 venv: .venv/.onboard
 
@@ -31,10 +33,20 @@ test: .venv/.dev
 test-long: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m "long or not long"
 
+fuzz: .venv/.dev
+	$(BIN)/python -m pytest -m long tests/drivers/test_hostile_frames.py
+
+# JOBS at a time; SEED draws another sample
+MUTANTS ?= 300
+SEED ?= 1
+JOBS ?= 1
+mutants: .venv/.dev
+	$(BIN)/python tests/mutants.py --count $(MUTANTS) --seed $(SEED) --jobs $(JOBS)
+
 check: .venv/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
 clean:
-	rm -rf .venv build dist
+	rm -rf .venv build dist mutants

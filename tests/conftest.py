@@ -8,6 +8,10 @@ from hypothesis import settings
 
 # Laws are about values, not about how busy the machine is.
 settings.register_profile("any_machine", deadline=None)
+# Each mutant runs them anew; a law that needs luck to kill one would make the number a dice roll.
+settings.register_profile(
+    "mutants", deadline=None, max_examples=10, derandomize=True, database=None
+)
 settings.load_profile("any_machine")
 
 

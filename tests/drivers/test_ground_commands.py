@@ -75,6 +75,23 @@ def test_a_stranger_is_denied_and_it_is_said(number):
     assert [each.result for each in bench.sent("COMMAND_ACK")] == [DENIED] * 3
 
 
+def test_a_flood_of_strangers_is_not_answered_whole_and_hides_no_order():
+    bench = Bench()
+    bench.command(193)
+    for _ in range(1000):
+        bench.command(20, sender=STRANGER)
+    assert bench.autopilot.take_orders()[0] == (Order.PAUSE,)
+    for _ in range(200):
+        bench.command(20, sender=STRANGER)
+        bench.clock.t_s += 0.01
+        assert bench.autopilot.take_orders() == ((), ())
+    assert len(bench.sent("COMMAND_ACK")) < 20
+    bench.clock.t_s += 1.0
+    bench.command(20, sender=STRANGER)
+    bench.autopilot.take_orders()
+    assert [each.result for each in bench.sent("COMMAND_ACK")] == [DENIED]
+
+
 def test_what_is_for_the_autopilot_or_for_everybody_is_not_ours():
     bench = Bench()
     for target in [(7, 1), (7, 0), (0, 0), (bench.port.own_id[0], 0)]:

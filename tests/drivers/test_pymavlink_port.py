@@ -52,6 +52,17 @@ def test_the_first_autopilot_is_the_one_and_a_gimbal_is_none(link):
     assert len(beats) == 1
 
 
+def test_a_heartbeat_of_another_component_makes_no_autopilot_though_it_is_listened_to(link):
+    port, down, _ = link
+    port.listen("HEARTBEAT", lambda *_: None)
+    beats = heard(port, "HEARTBEAT")
+    for message in (packed(beat(), 4, 190), packed(beat(), 7)):
+        down.write(message)
+    port.poll()
+    assert port.system_id == 7
+    assert len(beats) == 1
+
+
 def test_nan_is_none_and_arrays_are_lists(link):
     port, down, _ = link
     heard(port, "HEARTBEAT")

@@ -268,3 +268,19 @@ def test_a_sleep_never_ends_in_an_estimate_of_the_same_counter(sleeps, speed):
         north_m += speed * 8.0 * (5.0 if sleep else 0.1)
         sent = guard.admit(at(t_s, north_m, speed * 8.0), t_s)
         assert sent is None or (before and not sleep)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_worse_of_north_and_east_counts(axis):
+    for first, sigma, word in [(0, 70.0, "uncertain by 70 m"), (3, 5.0, "velocity is lost")]:
+        variances = np.full(6, 0.1)
+        variances[first + axis] = sigma**2
+        guard = flying()
+        assert guard.admit(at(0.1, covariance=np.diag(variances)), 0.1) is None
+        assert word in guard.reason
+
+
+def test_after_a_brief_stall_one_that_says_that_it_jumped_is_no_longer_the_same():
+    guard = flying()
+    assert feed(guard, DT_S, 0.2)
+    assert not feed(guard, 1.0, 6.0, lambda t: at(t, reset_counter=1))

@@ -185,7 +185,7 @@ def test_pilot_may_take_over_a_landing() -> None:
 
 
 # A machine busy with other work is no failure of a law.
-unhurried = settings(deadline=None, max_examples=40)
+unhurried = settings(deadline=None, max_examples=min(40, settings.default.max_examples))
 troubles = st.fixed_dictionaries(
     {
         "mode": st.sampled_from(FlightMode),

@@ -67,3 +67,58 @@ def test_a_parameter_that_only_warns_keeps_nobody_on_the_ground():
 
 def test_without_an_estimate_the_guards_own_words_are_passed_on():
     assert "velocity is lost" in trouble(navigation=Navigation(None, "its velocity is lost"))
+
+
+def shown(vehicle=STANDING, navigation=GOOD, equipment=READY) -> list[tuple[str, str, str]]:
+    checks = check_flight(vehicle, navigation, equipment, SafetyConfig(), 10.0)
+    return [(check.name, check.verdict, check.detail) for check in checks]
+
+
+def test_what_is_well_is_shown_too_in_its_order():
+    assert shown() == [
+        ("link", "PASS", "heard"),
+        ("parameters", "PASS", "as a flight on vision wants them"),
+        ("battery", "PASS", "90 %"),
+        ("camera", "PASS", "pictures come"),
+        ("estimate", "PASS", "there is one to fly on"),
+        ("autopilot", "PASS", "ready to arm, with a position"),
+    ]
+
+
+def test_all_that_is_wrong_is_shown_at_once():
+    vehicle = replace(STANDING, connected=False, battery_ratio=0.2, armable=False)
+    warns = replace(NO_VISION, parameter="NAV_DLL_ACT", present=None, severity="warn")
+    equipment = replace(READY, findings=(NO_VISION, warns), picture_s=8.9)
+    assert shown(vehicle, Navigation(None), equipment) == [
+        ("link", "FAIL", "the autopilot is not heard"),
+        ("EKF2_EV_CTRL", "FAIL", "is 0, should be 1: vision is not fused"),
+        ("NAV_DLL_ACT", "WARN", "is missing, should be 1: vision is not fused"),
+        ("battery", "FAIL", "20 %, 35 % is wanted: charge it"),
+        ("camera", "FAIL", "no picture for 1.1 s: check its cable"),
+        ("estimate", "FAIL", "neither attitude nor height has come from the autopilot"),
+        ("autopilot", "FAIL", "it reports no readiness to arm"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [({"battery_ratio": None}, "battery"), ({"in_air": True}, "autopilot"),
+     ({"local_position_ok": False}, "autopilot")],
+)  # fmt: skip
+def test_what_the_vehicle_lacks_has_its_name(changes, name):
+    assert trouble(vehicle=replace(STANDING, **changes)).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [({"findings": None}, "parameters"), ({"link_refusal": "57600 baud"}, "link"),
+     ({"picture_s": None}, "camera"), ({"picture_trouble": "repeats"}, "camera")],
+)  # fmt: skip
+def test_what_the_equipment_lacks_has_its_name(changes, name):
+    assert trouble(equipment=replace(READY, **changes)).startswith(f"{name}: ")
+
+
+def test_exactly_enough_is_enough():
+    assert trouble(vehicle=replace(STANDING, battery_ratio=0.35)) == ""
+    assert trouble(equipment=replace(READY, picture_s=9.0)) == ""
+    assert trouble(vehicle=replace(STANDING, armable=False, connected=False)).count("; ") == 1

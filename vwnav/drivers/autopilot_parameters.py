@@ -11,7 +11,7 @@ _REAL32 = 9  # MAV_PARAM_TYPE
 
 
 class ParameterTable:
-    """Values by name, as the autopilot last told them to anybody.
+    """Values by name, as the autopilot last told them to anybody: of those once asked for here.
 
     Args:
         system_id: of the autopilot.
@@ -33,6 +33,7 @@ class ParameterTable:
         self._px4 = px4
         self._clock = clock
         self._patience_s = patience_s
+        self._asked: set[str] = set()
         self.values: dict[str, float] = {}
 
     def handle_value(self, fields: Fields) -> None:
@@ -40,11 +41,13 @@ class ParameterTable:
         value, kind = fields["param_value"], fields["param_type"]
         if self._px4() and kind != _REAL32:
             value = integer_of_bits(value)
-        if value is not None:
-            self.values[fields["param_id"].rstrip("\0")] = float(value)
+        name = fields["param_id"].rstrip("\0")
+        if value is not None and name in self._asked:
+            self.values[name] = float(value)
 
     def read(self, names: tuple[str, ...]) -> Generator[None, None, None]:
         """Ask for those that are not known; returns when all are, or nothing more comes."""
+        self._asked.update(names)
         for _ in range(_TRIES):
             for name in names:
                 if name not in self.values:
@@ -54,6 +57,7 @@ class ParameterTable:
 
     def write(self, name: str, value: float) -> Generator[None, None, bool]:
         """Set a parameter of type float; True when the autopilot has confirmed it."""
+        self._asked.add(name)
         for _ in range(_TRIES):
             self.values.pop(name, None)
             self.tell(name, value)

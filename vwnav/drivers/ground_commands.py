@@ -11,6 +11,8 @@ from vwnav.types import Order
 
 _HEARD_S = 5.0  # heartbeats come once a second
 _MOST_WAITING = 100  # of a flood the newest count
+# Answers would go before estimates and setpoints on a narrow link: a flood is not answered whole.
+_MOST_REFUSALS, _REFUSALS_S = 5, 1.0
 _ORDERS = {
     mavlink.MAV_CMD_NAV_LAND: Order.LAND,
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: Order.RETURN,
@@ -35,7 +37,9 @@ class GroundCommands:
         self._clock = clock
         self._heard_s = -math.inf
         self._arrived: deque[tuple[Fields, Sender]] = deque(maxlen=_MOST_WAITING)
+        self._foreign: deque[tuple[Fields, Sender]] = deque(maxlen=_MOST_REFUSALS)
         self._strangers: set[int] = set()
+        self._refused_s: deque[float] = deque(maxlen=_MOST_REFUSALS)
         port.listen("HEARTBEAT", self._heartbeat)
         port.listen("COMMAND_LONG", self._command)
         port.listen("COMMAND_INT", self._command)
@@ -49,22 +53,32 @@ class GroundCommands:
         """Orders since the last call, and who was refused, in words and once each."""
         orders: list[Order] = []
         refused: list[str] = []
+        while self._foreign:
+            fields, sender = self._foreign.popleft()
+            refused += self._refusal(fields, sender[0])
+            self._refuse(fields, sender, mavlink.MAV_RESULT_DENIED)
         while self._arrived:
-            fields, (system, component) = self._arrived.popleft()
+            fields, sender = self._arrived.popleft()
             order = _order_of(fields)
-            if system not in self._system_ids:
-                result = mavlink.MAV_RESULT_DENIED
-                refused += self._refusal(fields, system)
-            elif order is None:
-                result = mavlink.MAV_RESULT_UNSUPPORTED
+            if order is None:
+                self._refuse(fields, sender, mavlink.MAV_RESULT_UNSUPPORTED)
             else:
-                result = mavlink.MAV_RESULT_ACCEPTED
+                self._answer(fields, sender, mavlink.MAV_RESULT_ACCEPTED)
                 orders.append(order)
-            self._port.send("COMMAND_ACK", {
-                "command": fields["command"], "result": result,
-                "target_system": system, "target_component": component,
-            })  # fmt: skip
         return tuple(orders), tuple(refused)
+
+    def _refuse(self, fields: Fields, sender: Sender, result: int) -> None:
+        now_s = self._clock()
+        if len(self._refused_s) == _MOST_REFUSALS and now_s - self._refused_s[0] < _REFUSALS_S:
+            return
+        self._refused_s.append(now_s)
+        self._answer(fields, sender, result)
+
+    def _answer(self, fields: Fields, sender: Sender, result: int) -> None:
+        self._port.send("COMMAND_ACK", {
+            "command": fields["command"], "result": result,
+            "target_system": sender[0], "target_component": sender[1],
+        })  # fmt: skip
 
     def _refusal(self, fields: Fields, system: int) -> list[str]:
         if system in self._strangers:
@@ -82,7 +96,8 @@ class GroundCommands:
     def _command(self, fields: Fields, sender: Sender) -> None:
         """Commands for everybody are the autopilot's, not ours."""
         if (fields["target_system"], fields["target_component"]) == self._port.own_id:
-            self._arrived.append((fields, sender))
+            is_ours = sender[0] in self._system_ids
+            (self._arrived if is_ours else self._foreign).append((fields, sender))
 
 
 def _order_of(fields: Fields) -> Order | None:

@@ -104,7 +104,8 @@ class PymavlinkPort:
             message = self._mavlink.decode(bytearray(packet.data))
         except mavlink.MAVError:
             return  # damaged on the way
-        if not self._system_id and getattr(message, "autopilot", None) in _KINDS:
+        is_first = by_autopilot and not self._system_id
+        if is_first and getattr(message, "autopilot", None) in _KINDS:
             self._system_id = packet.system_id
         fields = {field: _decoded(getattr(message, field)) for field in message.fieldnames}
         if not by_autopilot:

@@ -37,6 +37,9 @@ class GuardState(Enum):
     STOOD_DOWN = 4  # somebody else has the aircraft: the pilot, or the autopilot's own failsafe
 
 
+_STATES = frozenset(state.value for state in GuardState)
+
+
 @dataclass(frozen=True, slots=True)
 class Beat:
     """What the control loop says of itself.
@@ -99,6 +102,8 @@ class WatchdogReport:
         if len(data) != _REPORT.size or data[:4] != _REPORT_MAGIC:
             return None
         _, state, flags, sequence, age_s = _REPORT.unpack(data)
+        if state not in _STATES:
+            return None
         return WatchdogReport(GuardState(state), sequence, age_s, bool(flags & _RELAYS_ESTIMATES))
 
 

@@ -40,7 +40,11 @@ class Origin:
 
 
 class AutopilotEar:
-    """Follows the autopilot's heartbeat, estimator and answers among all that passes."""
+    """Follows the autopilot's heartbeat, estimator and answers among all that passes.
+
+    The first autopilot that is heard is the one: another aircraft's words on the same link, a
+    disarmed one's above all, are no reason to leave ours.
+    """
 
     def __init__(self) -> None:
         self.kind: AutopilotKind | None = None
@@ -68,7 +72,7 @@ class AutopilotEar:
         """Take bytes of the link in; returns the answers to the watchdog's own mode commands."""
         answers: list[bool] = []
         for packet in self._framer.split(data):
-            if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id is None:
+            if not self._is_the_autopilots(packet):
                 continue
             self.heard_t_s = t_s
             message = self._decode(packet)
@@ -86,6 +90,13 @@ class AutopilotEar:
                 case _:
                     self._handle_estimator(message)
         return answers
+
+    def _is_the_autopilots(self, packet: Packet) -> bool:
+        if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id is None:
+            return False
+        if self.kind is None:
+            return bool(packet.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        return packet.system_id == self.system_id
 
     def _decode(self, packet: Packet) -> Any | None:
         if packet.message_id not in _HEARD:
@@ -124,6 +135,8 @@ class AutopilotEar:
 
     def _handle_origin(self, message: Any) -> None:
         lat_deg, lon_deg = message.latitude / 1e7, message.longitude / 1e7
+        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+            return
         self.origin = Origin(lat_deg, lon_deg, message.altitude / 1e3)
 
     @staticmethod

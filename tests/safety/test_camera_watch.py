@@ -1,0 +1,59 @@
+"""Pictures of another size, and one picture again and again."""
+
+import numpy as np
+import pytest
+
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.types import Frame
+
+
+def picture(seed: int, shape=(48, 64)) -> Frame:
+    image = np.random.default_rng(seed).integers(0, 255, shape, dtype=np.uint8)
+    return Frame(index=0, t_s=float(seed), image=image)
+
+
+def test_pictures_that_differ_are_good_and_their_time_is_kept():
+    watch = CameraWatch(64, 48)
+    assert watch.picture_s is None
+    assert [watch.look(picture(seed)) for seed in range(3)] == ["", "", ""]
+    assert watch.picture_s == 2.0
+    assert watch.trouble == ""
+
+
+def test_one_picture_again_is_trouble_until_another_comes():
+    watch = CameraWatch(64, 48)
+    watch.look(picture(1))
+    assert "repeats" in watch.look(picture(1))
+    assert "repeats" in watch.trouble
+    assert watch.look(picture(2)) == ""
+    assert watch.trouble == ""
+
+
+def test_a_picture_of_one_shade_may_come_again():
+    watch = CameraWatch(64, 48)
+    dark = Frame(index=0, t_s=0.0, image=np.zeros((48, 64), dtype=np.uint8))
+    assert [watch.look(dark), watch.look(dark)] == ["", ""]
+
+
+@pytest.mark.parametrize("shape", [(64, 48), (48, 63), (47, 64)])
+def test_another_size_is_not_what_was_calibrated(shape):
+    trouble = CameraWatch(64, 48).look(picture(1, shape))
+    assert "pictures of 64 x 48 px" in trouble
+    assert f"are {shape[1]} x {shape[0]} px" in trouble
+
+
+def test_a_change_anywhere_on_its_grid_is_seen():
+    watch = CameraWatch(64, 48)
+    first = picture(1)
+    changed = first.image.copy()
+    changed[32, 48] ^= 1
+    watch.look(first)
+    assert watch.look(Frame(index=0, t_s=2.0, image=changed)) == ""
+
+
+def test_the_buffer_of_the_camera_may_be_used_again():
+    watch = CameraWatch(64, 48)
+    frame = picture(1)
+    watch.look(frame)
+    frame.image[:] = picture(2).image
+    assert watch.look(frame) == ""
