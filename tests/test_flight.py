@@ -543,15 +543,32 @@ def test_after_a_longer_gap_hold_and_land_are_asked_for_once_the_autopilot_agree
 
 
 @pytest.mark.parametrize("trouble", ["battery", "nothing on our side"])
-def test_a_failsafe_that_is_not_for_want_of_us_is_not_touched(trouble):
+def test_a_failsafe_that_is_not_for_want_of_us_is_flown_to_its_end_and_not_made_worse(trouble):
     scene = on_route()
     if trouble == "battery":
         scene.vehicle.be(battery_ratio=0.2)
         gap(scene, 4.0)
     asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
-    failsafe(scene, FlightMode.RETURN).go_on(20.0)
-    assert (scene.vehicle.asked, scene.vehicle.setpoints) == (asked, setpoints)
+    failsafe(scene, FlightMode.HOLD).go_on(5.0)
+    failsafe(scene, FlightMode.RETURN).go_on(15.0)
+    assert scene.vehicle.asked == asked
+    assert scene.flight.phase is Phase.FAILSAFE
+    assert scene.vehicle.setpoints >= setpoints + 20.0 / DT_S - 2  # else offboard loss comes too
+    assert scene.flight.setpoint == VelocitySetpoint(0.0, 0.0, 0.0)
+    scene.vehicle.be(armed=False, in_air=False)
+    assert scene.run().flight.end.reason
+
+
+def test_setpoints_go_on_while_nobody_has_said_who_asked_for_the_mode():
+    scene = on_route()
+    setpoints = scene.vehicle.setpoints
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.UNKNOWN)
+    scene.go_on(1.0)
+    assert scene.vehicle.setpoints >= setpoints + 1.0 / DT_S - 2
+    scene.vehicle.be(intended_mode=FlightMode.HOLD)
+    setpoints = scene.go_on(1.0).vehicle.setpoints
     assert scene.flight.phase is Phase.RELEASED
+    assert scene.go_on(5.0).vehicle.setpoints == setpoints
 
 
 def test_a_critical_battery_lands_at_once():

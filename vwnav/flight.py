@@ -42,6 +42,7 @@ _DOING = {
 }
 # Phases of their own, which say it.
 _TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RELEASE})
+_CAME_DOWN = "the autopilot came down in a failsafe of its own"
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 
 
@@ -337,8 +338,6 @@ class Flight:
             self._lost_s = t_s
         gap_s = math.inf if self._lost_lately(t_s) else self._safety.gap_s
         match self._recovery.step(vehicle, navigation.estimate, gap_s, t_s):
-            case Wish.RELEASE:
-                self._release(t_s, "the autopilot flies its failsafe, and not for want of us")
             case Wish.GO_ON:
                 self._enter(self._phase_before_failsafe, t_s)
             case Wish.STAY:
@@ -531,7 +530,8 @@ class Flight:
     def _wait_for_ground(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
         """The aircraft comes down, or is somebody else's; it is left when the motors stop."""
         if not vehicle.armed:
-            self._finish(self._trouble)
+            by_itself = _CAME_DOWN if self.phase is Phase.FAILSAFE else None
+            self._finish(self._trouble or by_itself)
         elif vehicle.silence_s > GONE_S:
             self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:

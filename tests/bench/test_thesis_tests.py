@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
 from vwnav.bench.flights.thesis.plots import save_plots
 from vwnav.bench.flights.thesis.samples import Sample, write_csv
-from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER
+from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, in_manners
 from vwnav.bench.flights.thesis.verdict import statistics, steps
 
 ON_THE_GROUND = Sample(
@@ -46,6 +47,15 @@ def test_errors_are_of_the_hold_and_headings_pass_through_south():
 
 def test_modes_must_come_in_the_order_asked_for():
     assert "manual is missing" in steps(FAILSAFE, hover())[0].detail
+
+
+def test_each_autopilot_flies_the_failsafe_test_in_its_own_modes():
+    assert in_manners(FAILSAFE, "px4") is FAILSAFE
+    test = in_manners(FAILSAFE, "copter")
+    assert test.scenario.setup.manners == "copter"
+    assert test.modes == ("OFFBOARD", "MANUAL", "OFFBOARD", "RETURN")
+    faults = [type(each.fault) for each in test.scenario.breaks]
+    assert faults == [PilotSwitches, PilotHandsBack, RadioOff]  # a stick does not end GUIDED
 
 
 def test_files_are_a_table_and_three_pictures(tmp_path):

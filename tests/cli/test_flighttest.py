@@ -40,3 +40,18 @@ def test_what_cannot_be_flown_is_said(words, says, tmp_path):
     result = RUN.invoke(app, ["flighttest", "faults", "-o", str(tmp_path / "out"), *words])
     assert isinstance(result.exception, ConfigError)
     assert says in str(result.exception)
+
+
+@pytest.mark.parametrize("test", ["hover", "waypoints", "failsafe"])
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--manners", "rover"], "--manners is px4 or copter, not 'rover'"),
+        (["--connection", "udpin://0.0.0.0:24000"], "--truth"),
+    ],
+)
+def test_a_test_that_cannot_be_flown_leaves_nothing(test, words, says, tmp_path):
+    result = RUN.invoke(app, ["flighttest", test, "-o", str(tmp_path / "out"), *words])
+    assert isinstance(result.exception, ConfigError)
+    assert says in str(result.exception)
+    assert not (tmp_path / "out").exists()

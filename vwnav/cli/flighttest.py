@@ -26,6 +26,7 @@ _PILOT = "With --connection: a second link, on which this command plays the pilo
 _TRUTH = "With --connection: where the simulator tells its ground truth."
 _ONE_OBJECT = "One JSON object on stdout."
 _FOLDER = "Folder of the result: three plots and a table (CSV)."
+_MANNERS = "The simulated vehicle's, px4 or copter; with --connection the autopilot's own count."
 
 app = typer.Typer(no_args_is_help=True, help="Fly tests, and say whether they passed.")
 
@@ -41,7 +42,7 @@ def faults(
     listed: bool = typer.Option(False, "--list", help="Say what there is, and fly nothing."),
     only: list[str] = typer.Option([], help="Only rows with this in their name; may be repeated."),
     jobs: int = typer.Option(1, min=1, help="How many are flown at a time."),
-    manners: str = typer.Option("px4", help="The simulated vehicle's, px4 or copter."),
+    manners: str = typer.Option("px4", help=_MANNERS),
     connection: str | None = typer.Option(None, help=_CONNECTION),
     pilot: str | None = typer.Option(None, help=_PILOT),
     truth: str | None = typer.Option(None, help=_TRUTH),
@@ -88,6 +89,7 @@ def faults(
 
 @app.command()
 def hover(
+    manners: str = typer.Option("px4", help=_MANNERS),
     connection: str | None = typer.Option(None, help=_CONNECTION),
     pilot: str | None = typer.Option(None, help=_PILOT),
     truth: str | None = typer.Option(None, help=_TRUTH),
@@ -98,11 +100,12 @@ def hover(
 
     Example: vwnav flighttest hover -o hover
     """
-    _run_test("hover", _links(connection, truth, pilot), as_json, output)
+    _run_test("hover", _manners(manners), _links(connection, truth, pilot), as_json, output)
 
 
 @app.command()
 def waypoints(
+    manners: str = typer.Option("px4", help=_MANNERS),
     connection: str | None = typer.Option(None, help=_CONNECTION),
     pilot: str | None = typer.Option(None, help=_PILOT),
     truth: str | None = typer.Option(None, help=_TRUTH),
@@ -113,11 +116,12 @@ def waypoints(
 
     Example: vwnav flighttest waypoints -o waypoints
     """
-    _run_test("waypoints", _links(connection, truth, pilot), as_json, output)
+    _run_test("waypoints", _manners(manners), _links(connection, truth, pilot), as_json, output)
 
 
 @app.command()
 def failsafe(
+    manners: str = typer.Option("px4", help=_MANNERS),
     connection: str | None = typer.Option(None, help=_CONNECTION),
     pilot: str | None = typer.Option(None, help=_PILOT),
     truth: str | None = typer.Option(None, help=_TRUTH),
@@ -126,9 +130,9 @@ def failsafe(
 ) -> None:
     """Fly a route; a pilot takes over and hands back, then his radio fails: figures 6.9 to 6.11.
 
-    Example: vwnav flighttest failsafe -o failsafe
+    Example: vwnav flighttest failsafe --manners copter -o failsafe
     """
-    _run_test("failsafe", _links(connection, truth, pilot), as_json, output)
+    _run_test("failsafe", _manners(manners), _links(connection, truth, pilot), as_json, output)
 
 
 def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Links | None":
@@ -146,20 +150,23 @@ def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Lin
     return Links(connection, truth, pilot)
 
 
-def _run_test(name: str, links: "Links | None", as_json: bool, output: Path | None) -> None:
+def _run_test(
+    name: str, manners: "Manners", links: "Links | None", as_json: bool, output: Path | None
+) -> None:
     from vwnav.bench.flights.thesis.report import fly_test
-    from vwnav.bench.flights.thesis.tests import TESTS
+    from vwnav.bench.flights.thesis.tests import TESTS, in_manners
     from vwnav.cli.lockstep_place import lockstep_place
     from vwnav.drivers.run_folder import make_run_folder
 
-    folder = make_run_folder(output, name)
     if links is None:
-        report = fly_test(TESTS[name], lockstep_place(), folder)
+        folder = make_run_folder(output, name)
+        report = fly_test(in_manners(TESTS[name], manners), lockstep_place(), folder)
     else:
         from vwnav.bench.flights.live.session import simulator_at
         from vwnav.bench.flights.thesis.live import fly_live_test
 
         with simulator_at(links) as simulator:
+            folder = make_run_folder(output, name)
             report = fly_live_test(TESTS[name], simulator, folder, say)
     if as_json:
         print(json.dumps(asdict(report)))

@@ -22,11 +22,10 @@ class Wish(Enum):
     """What is to be done now."""
 
     WAIT = "wait"  # ask for nothing, send no setpoint
-    STAY = "stay"  # setpoints of zero velocity: the autopilot comes back to us by itself
+    STAY = "stay"  # setpoints of zero velocity, and nothing else
     GO_ON = "go on"  # it is back in our mode
     HOLD = "hold"  # ask for it, once
     LAND = "land"
-    RELEASE = "release"  # it cannot be told whose failsafe this is: not ours to end
 
 
 class Recovery:
@@ -34,6 +33,11 @@ class Recovery:
 
     Back in our mode after a long gap the aircraft is landed all the same: what PX4 does by itself
     when setpoints return is nobody's decision.
+
+    One that no gap explains (radio, battery, fence) is the autopilot's to fly to its end. Setpoints
+    of zero velocity go on meanwhile: PX4 still intends Offboard, and does not follow them, but
+    without them it adds a second failsafe to the first one, and offboard loss (Land) outranks the
+    return that it was going to fly.
 
     Args:
         explained: a gap of the link, or an estimate that was lost, explains it.
@@ -59,10 +63,11 @@ class Recovery:
             return Wish.LAND if waited or vehicle.mode is FlightMode.HOLD else Wish.WAIT
         if vehicle.mode is FlightMode.OFFBOARD:
             return Wish.GO_ON if gap_s <= self._config.resume_gap_s else Wish.LAND
+        if not self._explained:
+            # From the first moment: who asked for the mode is told up to two seconds later.
+            return Wish.WAIT if vehicle.mode is FlightMode.UNKNOWN else Wish.STAY
         if not vehicle.failsafe:
             return Wish.WAIT  # whose mode it is has not been told yet
-        if not self._explained:
-            return Wish.RELEASE
         if gap_s <= self._config.resume_gap_s and estimate is not None:
             return Wish.STAY
         if estimate is None or not _agrees(vehicle, estimate):

@@ -22,6 +22,7 @@ from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.mission import Phase
 from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.sim.config import Manners
 from vwnav.sim.site import Site
 from vwnav.sim.sites import DEFAULT_SEED
 from vwnav.sim.truth import TruthReader
@@ -57,7 +58,7 @@ class Simulator:
     """An autopilot in simulation: its link through a relay of ours, its truth, its pilot.
 
     Attributes:
-        mode, armed: as its heartbeat says.
+        mode, armed, manners: as its heartbeat says.
         heard: the newest message of each kind that passed over the link, see `relay.HEARD`.
 
     Raises:
@@ -66,6 +67,7 @@ class Simulator:
 
     def __init__(self, links: Links) -> None:
         self.mode, self.armed = FlightMode.HOLD, False
+        self.manners: Manners = "px4"
         self.heard: dict[str, Any] = {}
         with contextlib.ExitStack() as stack:
             self.relay = Relay(links.connection, self._hear)
@@ -129,7 +131,9 @@ class Simulator:
             return
         self.armed = bool(message.base_mode & _ARMED)
         with contextlib.suppress(ValueError):
-            mode = flight_mode(AutopilotKind(message.autopilot), message.custom_mode)
+            kind = AutopilotKind(message.autopilot)
+            mode = flight_mode(kind, message.custom_mode)
+            self.manners = "copter" if kind is AutopilotKind.ARDUPILOT else "px4"
             self.mode = _NAMES.get(mode, FlightMode.HOLD)
 
 

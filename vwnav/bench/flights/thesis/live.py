@@ -17,6 +17,7 @@ from vwnav.bench.flights.thesis.tests import (
     RADIO_OFF_S,
     TAKES_S,
     FlightTest,
+    in_manners,
 )
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
@@ -43,7 +44,7 @@ def fly_live_test(test: FlightTest, simulator: Simulator, folder: Path, say: Say
         for i, (north, east, down) in enumerate(test.scenario.setup.route_ned_m)
     )
     settings = ""
-    if test is HOVER:
+    if test.name == HOVER.name:
         flight_config = test.scenario.setup.config.flight
         settings = (
             f"[flight]\nfixes_to_start = {flight_config.fixes_to_start}\n"
@@ -57,7 +58,7 @@ def fly_live_test(test: FlightTest, simulator: Simulator, folder: Path, say: Say
         flight.watch(lambda: flight.is_down() or flight.has_ended(), _DOWN_S)
     simulator.bring_down(_DOWN_S)
     said = [f"{each.t_s:.1f} s {each.text}" for each in flight.track.events]
-    return report_on(test, sampler.samples, said, folder)
+    return report_on(in_manners(test, simulator.manners), sampler.samples, said, folder)
 
 
 def _play_the_pilot(flight: LiveFlight, say: Say) -> None:

@@ -26,7 +26,8 @@ def save_plots(test: FlightTest, samples: Sequence[Sample], folder: Path) -> lis
     for draw, name, figure_number in zip(draws, names, test.figures, strict=True):
         figure, axis = plt.subplots(figsize=(9, 5))
         draw(axis, samples)
-        axis.set_title(f"{test.name}, as figure {figure_number} of the thesis, without GPS")
+        manners = test.scenario.setup.manners
+        axis.set_title(f"{test.name} ({manners}), as figure {figure_number} of the thesis, no GPS")
         axis.legend(fontsize=8)
         axis.grid(alpha=0.3)
         figure.tight_layout()

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from vwnav.bench.figures import pyplot
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import fly
 from vwnav.bench.flights.thesis.plots import save_plots
@@ -40,6 +41,7 @@ def fly_test(test: FlightTest, place: Place, folder: Path) -> TestReport:
     Raises:
         VwnavError: matplotlib is missing.
     """
+    pyplot()  # what it lacks is said now, not when it has been flown
     sampler = Sampler()
     flown = fly(test.scenario, place, see=sampler)
     said = [f"{each.t_s:.1f} s {each.text}" for each in flown.track.events]

@@ -4,13 +4,19 @@ hover: arm, climb, hold for 30 s, land. waypoints: a route and home. failsafe: a
 pilot takes over, gives back, and then loses the radio: loiter, return, land.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotPushes, RadioOff
+from vwnav.bench.flights.faults.aircraft import (
+    PilotHandsBack,
+    PilotPushes,
+    PilotSwitches,
+    RadioOff,
+)
 from vwnav.bench.flights.scenario import Break, Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.config import Config
 from vwnav.mission import FlightConfig, Phase
+from vwnav.sim.config import Manners
 
 HOLD_S = 30.0
 HEIGHT_M = 30.0
@@ -72,3 +78,24 @@ FAILSAFE = FlightTest(
     figures=("6.9", "6.10", "6.11"),
 )
 TESTS = {each.name: each for each in (HOVER, WAYPOINTS, FAILSAFE)}
+_PX4_ALONE = ("TAKEOFF", "HOLD")
+
+
+def in_manners(test: FlightTest, manners: Manners) -> FlightTest:
+    """The test as this autopilot flies it.
+
+    ArduCopter takes off in GUIDED, which the mode switch ends and a stick does not; a lost radio is
+    RTL at once, and the loiter is a part of it, above home.
+    """
+    if manners == "px4":
+        return test
+    breaks = tuple(
+        replace(each, fault=PilotSwitches()) if isinstance(each.fault, PilotPushes) else each
+        for each in test.scenario.breaks
+    )
+    setup = replace(test.scenario.setup, manners=manners)
+    return replace(
+        test,
+        scenario=replace(test.scenario, setup=setup, breaks=breaks),
+        modes=tuple(mode for mode in test.modes if mode not in _PX4_ALONE),
+    )
