@@ -14,7 +14,6 @@ import numpy as np
 from vwnav.estimation.attitude_gate import AttitudeGate
 from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.context import Context, Ground
-from vwnav.estimation.drag import wind_ne_m_s
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -31,18 +30,13 @@ from vwnav.estimation.gyro import GyroHistory
 from vwnav.estimation.imu import ImuHistory, is_sensible
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_trust import OdometryTrust
+from vwnav.estimation.output import estimate_of
 from vwnav.estimation.process import predict
 from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
 from vwnav.estimation.timeline import Timeline
 from vwnav.estimation.updates import Innovation, Verdict
-from vwnav.geometry.rotations import (
-    quat_from_rotation,
-    rotation_from_quat,
-    rotation_from_vector,
-)
 from vwnav.types import (
-    Array,
     Attitude,
     Estimate,
     Height,
@@ -336,7 +330,7 @@ class Ekf:
         unseen_s = max(state.t_s - self._attitudes.newest_s - MAX_GAP_S, 0.0)
         told = self._attitudes.tell(state.t_s)
         turned_rad = 0.0 if told else _TURNING_RAD_S * unseen_s
-        return _estimate(state, self._attitudes.quat_at(state.t_s), turned_rad)
+        return estimate_of(state, self._attitudes.quat_at(state.t_s), turned_rad)
 
     def _note(self, seen: Input) -> None:
         if self._tape is not None:
@@ -392,44 +386,3 @@ def _of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
     leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
     doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
     return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
-
-
-def _estimate(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
-    """Of a state, and how far the aircraft may have turned since its attitude was known."""
-    x, P = state.x, state.P
-    kept = np.r_[0:6]
-    down, terrain = 2, States.TERRAIN.start
-    variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
-    return Estimate(
-        t_s=state.t_s,
-        position_ned_m=x[States.POSITION].copy(),
-        velocity_ned_m_s=x[States.VELOCITY].copy(),
-        covariance=P[np.ix_(kept, kept)],
-        quat_wxyz=_true_attitude(x, quat_measured_wxyz),
-        sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
-        agl_m=max(state.agl_m, 0.0),
-        sigma_agl_m=math.sqrt(variance_agl),
-        t_last_fix_s=state.t_last_fix_s,
-        reset_counter=state.reset_counter,
-        wind_ne_m_s=wind_ne_m_s(state),
-    )
-
-
-def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
-    """A tilt error turns the heading of a nose that points up or down: by tan(pitch)."""
-    w, x, y, z = quat_measured_wxyz.tolist()
-    sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
-    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
-    yaw, forward = States.HEADING_BIAS.start, States.TILT.start
-    return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
-
-
-def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
-    """quat_wxyz (4,) with heading bias and tilt removed: R = Rz(-b) exp(-tilt) R_measured."""
-    R_measured = rotation_from_quat(quat_measured_wxyz)
-    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    forward, right = x[States.TILT]
-    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
-    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS.start])])
-    return quat_from_rotation(unturn @ untilt @ R_measured)
