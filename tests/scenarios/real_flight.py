@@ -14,9 +14,11 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from vwnav.bench.flights.live.relay import Relay
 from vwnav.cli.simulation import free_ports
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.truth import TruthReader
@@ -109,7 +111,12 @@ def broken(code: str, folder: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def real_flight(
-    folder: Path, patch: str = "pass", file_limit: int | None = None, wind_m_s: float = 5.0
+    folder: Path,
+    patch: str = "pass",
+    file_limit: int | None = None,
+    wind_m_s: float = 5.0,
+    route_text: str = ROUTE_TEXT,
+    hear: Callable[[Any], None] | None = None,
 ) -> Iterator[RealFlight]:
     """Start vehicle and navigator; both are gone at the end.
 
@@ -118,6 +125,8 @@ def real_flight(
         patch: code that breaks the navigator.
         file_limit: no file can grow beyond so many bytes: a full disk.
         wind_m_s: with gusts.
+        route_text: what is flown.
+        hear: is called with messages of the link, through a relay.
     """
     link, truth = free_ports(2)
     config = VehicleConfig(
@@ -126,12 +135,14 @@ def real_flight(
         ground_url="", wind_m_s=wind_m_s,
     )  # fmt: skip
     route = folder / "route.txt"
-    route.write_text(ROUTE_TEXT)
+    route.write_text(route_text)
+    vehicle_url = f"udpin://127.0.0.1:{link}"
+    relay = None if hear is None else Relay(vehicle_url, hear)
     command = [
         sys.executable, "-m", "vwnav", "fly", "--video", "sim:default", "--map", "sim:default",
         "--route", str(route), "--home", f"{HOME.lat_deg},{HOME.lon_deg}",
-        "--connection", f"udpin://127.0.0.1:{link}", "--truth", f"udpout:127.0.0.1:{truth}",
-        "-o", str(folder / "run"),
+        "--connection", vehicle_url if relay is None else relay.url,
+        "--truth", f"udpout:127.0.0.1:{truth}", "-o", str(folder / "run"),
     ]  # fmt: skip
 
     def limit() -> None:
@@ -153,3 +164,5 @@ def real_flight(
                 process.kill()
             process.wait()
             reader.close()
+            if relay is not None:
+                relay.close()

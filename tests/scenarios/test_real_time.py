@@ -6,6 +6,8 @@ Bounds are wide: these machines are shared. The narrow ones are measured (docs/f
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -135,3 +137,28 @@ def test_a_watchdog_that_is_killed_is_replaced_and_it_flies_on(tmp_path):
         assert not flight.said("failsafe")
     run = json.loads((flight.folder / "run.json").read_text())
     assert run["score"]["error_at_landing_m"] < 5.0
+
+
+@pytest.mark.long
+def test_setpoints_come_steadily_for_ten_minutes_beside_a_busy_loop(tmp_path):
+    times_s: list[float] = []
+
+    def note(message) -> None:
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            times_s.append(time.monotonic())
+
+    there_and_back = "".join(f"{i},{90 * (i % 2)},{-10 * (i % 3)},32\n" for i in range(1, 41))
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        with real_flight(tmp_path, route_text=there_and_back, hear=note) as flight:
+            flight.wait_until_on_route()
+            begun_s = time.monotonic()
+            flight.wait(lambda: time.monotonic() - begun_s > 600.0, 620.0)
+            end_s = time.monotonic()
+    finally:
+        busy.kill()
+    steered_s = [t_s for t_s in times_s if begun_s <= t_s <= end_s]
+    assert steered_s[-1] - steered_s[0] > 590.0
+    gaps_s = np.diff(steered_s)
+    print(f"p99.9 {np.percentile(gaps_s, 99.9):.3f} s, longest {gaps_s.max():.3f} s")
+    assert np.percentile(gaps_s, 99.9) <= 0.1
