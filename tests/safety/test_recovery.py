@@ -85,6 +85,8 @@ def test_after_a_short_gap_it_stays_where_it_is_if_there_is_an_estimate():
 
 def test_a_failsafe_that_no_gap_of_ours_explains_is_not_ours_to_end():
     recovery = Recovery(CONFIG, explained=False)
-    undecided = replace(LANDS, failsafe=False)
-    assert recovery.step(undecided, ESTIMATE, 0.5, 0.0) is Wish.WAIT
-    assert recovery.step(LANDS, ESTIMATE, 0.5, 0.1) is Wish.RELEASE
+    for i, failsafe in enumerate((False, True, True)):
+        seen = replace(LANDS, failsafe=failsafe)
+        assert recovery.step(seen, ESTIMATE, 0.5, 0.1 * i) is Wish.STAY
+    untold = replace(LANDS, mode=FlightMode.UNKNOWN)
+    assert recovery.step(untold, ESTIMATE, 0.5, 0.3) is Wish.WAIT

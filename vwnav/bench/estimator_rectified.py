@@ -4,6 +4,7 @@ Where an attitude is late or lost the filter carries the last one on, and a pict
 with that: what it tells leans by the error of that attitude, not by the autopilot's.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from vwnav.estimation.inputs import Measurement
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
 from vwnav.types import Array, OdometryMotion
 
-_SAME_RAD = 1e-4
+_SAME_RAD = math.radians(0.25)  # what interpolation between noisy attitudes makes of them
 
 
 def rectified(seen: Measurement, ekf: Ekf, stream: Stream) -> Measurement:
