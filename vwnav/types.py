@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 FeatureName = Literal["learned", "sift", "orb"]
 FEATURE_NAMES: tuple[FeatureName, ...] = ("learned", "sift", "orb")
+PlacedBy = Literal["keypoints", "correlation"]
 PointKind = Literal["nadir", "center"]
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
@@ -151,20 +152,22 @@ class MapFix:
         covariance_ne_m2: (2, 2) of north and east.
         yaw_rad: heading of the body, 0 = true north, clockwise positive.
         agl_m: height above ground from the scale.
-        features: the set that made it.
+        features: the set that made it, or that was tried before it was placed by correlation: such
+            a fix is a position alone, without heading and height.
     """
 
     t_s: float
     lat_deg: float
     lon_deg: float
     covariance_ne_m2: Array
-    yaw_rad: float
-    sigma_yaw_rad: float
+    yaw_rad: float | None
+    sigma_yaw_rad: float | None
     agl_m: float | None
     sigma_agl_m: float | None
     point: PointKind
     features: FeatureName
     stats: MatchStats = field(default_factory=MatchStats)
+    placed_by: PlacedBy = "keypoints"
 
     @property
     def sigma_m(self) -> float:

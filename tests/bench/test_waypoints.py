@@ -18,10 +18,11 @@ def test_flights_are_the_same_for_every_feature_set_and_stay_at_their_height() -
 
 
 def test_errors_are_pooled_over_flights() -> None:
-    seen = [Seen((1.0, 3.0), (0.5, 0.5), 4, 10, 10), Seen((2.0,), (0.2,), 4, 10, 5)]
+    seen = [Seen((1.0, 3.0), (0.5, 0.5), 4, 10, 10, 1), Seen((2.0,), (0.2,), 4, 10, 5, 1)]
     row = row_of("sift", 50.0, seen)
     assert (row.raw.count, row.raw.mean_m, row.raw.worst_m) == (3, 2.0, 3.0)
     assert row.raw.available == 3 / 8
+    assert row.correlated == 2
     assert row.filtered.median_m == 0.5
     assert row.filtered.available == 0.75
     assert row.raw.mean_interval_m == pytest.approx((2.0, 2.0))

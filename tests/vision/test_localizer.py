@@ -11,6 +11,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import Features, Frame, MapFix, Prior, Rejected, RejectReason
+from vwnav.vision.checks import no_features
 from vwnav.vision.localizer import Localizer
 
 AGL_M = 60.0
@@ -185,6 +186,47 @@ def test_a_map_that_repeats_itself_is_ambiguous(tmp_path, orb):
             picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0, sigma_m=30.0), 0
         )
     assert isinstance(outcome, Rejected)
+
+
+class Blind:
+    """An extractor that finds nothing in a picture."""
+
+    def __init__(self, extractor) -> None:
+        self.name, self.feature_set_id = extractor.name, extractor.feature_set_id
+
+    def extract(self, gray, max_keypoints):
+        return no_features(32, np.uint8)
+
+
+def test_a_view_without_keypoints_is_placed_by_correlation_which_tells_a_position_alone(
+    pack, ground, orb
+):
+    frame = picture(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
+    prior = prior_at(24.0, -12.0, agl_m=36.0, sigma_m=3.0)
+    fix = Localizer(pack, Blind(orb), CAMERA).localize(frame, prior, 0)
+    assert isinstance(fix, MapFix)
+    assert (fix.placed_by, fix.point) == ("correlation", "nadir")
+    assert np.linalg.norm(error_ne_m(fix, 20.0, -15.0)) < 0.4
+    assert fix.yaw_rad is fix.sigma_yaw_rad is fix.agl_m is fix.sigma_agl_m is None
+
+
+@pytest.mark.parametrize(
+    "known", [{"roll_rad": None}, {"yaw_deg": 20.0}, {"sigma_m": 30.0}], ids=str
+)
+def test_without_tilt_heading_or_a_good_place_nothing_is_placed_by_correlation(
+    pack, ground, orb, known
+):
+    frame = picture(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
+    prior = prior_at(24.0, -12.0, **{"agl_m": 36.0, "sigma_m": 3.0, **known})
+    assert isinstance(Localizer(pack, Blind(orb), CAMERA).localize(frame, prior, 0), Rejected)
+
+
+def test_unrelated_ground_is_not_placed_by_correlation_either(pack, orb):
+    localizer = Localizer(pack, Blind(orb), CAMERA)
+    for seed in range(400, 430):
+        frame = picture(texture(seed, 320), 0.0, 0.0, 36.0, rng=np.random.default_rng(seed))
+        outcome = localizer.localize(frame, prior_at(0, 0, agl_m=36.0, sigma_m=3.0), seed)
+        assert isinstance(outcome, Rejected)
 
 
 def test_the_same_picture_gives_the_same_fix(pack, ground, extractor):

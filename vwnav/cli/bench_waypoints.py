@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vwnav.bench.flights.waypoints import Errors, WaypointsRow
     from vwnav.types import FeatureName
 
-_WIDTH = 130  # of a file, which has none of its own
+_WIDTH = 146  # of a file, which has none of its own
 
 
 def waypoints(
@@ -131,18 +131,22 @@ def _print(
     from rich.console import Console
     from rich.table import Table
 
-    names = ("features", "height", "", "n", "mean m", "median m", "95 % m", "worst m", "available")
+    names = (
+        "features", "height", "", "n", "mean m", "median m", "95 % m", "worst m", "available",
+        "by correlation",
+    )  # fmt: skip
     table = Table(title=f"waypoints over {site}; 95 % intervals", title_justify="left")
     for name in names:
         table.add_column(name, justify="left" if name in ("features", "") else "right")
     for height, errors in thesis_m.items():
         mean, worst = sum(errors) / len(errors), max(errors)
         median = sorted(errors)[len(errors) // 2]
-        cells = (str(len(errors)), f"{mean:.2f}", f"{median:.2f}", "", f"{worst:.2f}", "")
+        cells = (str(len(errors)), f"{mean:.2f}", f"{median:.2f}", "", f"{worst:.2f}", "", "")
         table.add_row("thesis: SIFT", f"{height:g} m", "no filter", *cells)
     for row in rows:
-        table.add_row(row.features, f"{row.height_m:g} m", "no filter", *_cells(row.raw))
-        table.add_row("", "", "filter", *_cells(row.filtered))
+        raw = (*_cells(row.raw), str(row.correlated))
+        table.add_row(row.features, f"{row.height_m:g} m", "no filter", *raw)
+        table.add_row("", "", "filter", *_cells(row.filtered), "")
     width = None if sys.stdout.isatty() else _WIDTH
     Console(file=sys.stdout, highlight=False, width=width).print(table)
 

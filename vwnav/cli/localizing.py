@@ -211,7 +211,9 @@ def _json(path: Path, outcome: MapFix | Rejected) -> str:
         "lat_deg": round(fix.lat_deg, 8) if fix else None,
         "lon_deg": round(fix.lon_deg, 8) if fix else None,
         "sigma_m": round(fix.sigma_m, 3) if fix else None,
-        "yaw_deg": round(math.degrees(fix.yaw_rad) % 360.0, 3) if fix else None,
+        "yaw_deg": (
+            round(math.degrees(fix.yaw_rad) % 360.0, 3) if fix and fix.yaw_rad is not None else None
+        ),
         "agl_m": round(fix.agl_m, 2) if fix and fix.agl_m is not None else None,
         "keypoints": stats.keypoints,
         "matches": stats.matches,
@@ -227,9 +229,14 @@ def _json(path: Path, outcome: MapFix | Rejected) -> str:
 def _line(path: Path, outcome: MapFix | Rejected) -> str:
     if isinstance(outcome, Rejected):
         return f"{path.name}: no fix, {outcome.reason.value} ({outcome.detail})"
+    place = (
+        f"{path.name}: {outcome.point} at {outcome.lat_deg:.7f}, {outcome.lon_deg:.7f} "
+        f"+-{outcome.sigma_m:.1f} m"
+    )
+    if outcome.yaw_rad is None:
+        return f"{place}, by correlation"
     agl = "" if outcome.agl_m is None else f", {outcome.agl_m:.1f} m above ground"
     return (
-        f"{path.name}: {outcome.point} at {outcome.lat_deg:.7f}, {outcome.lon_deg:.7f} "
-        f"+-{outcome.sigma_m:.1f} m, heading {math.degrees(outcome.yaw_rad) % 360.0:.1f} deg{agl}; "
+        f"{place}, heading {math.degrees(outcome.yaw_rad) % 360.0:.1f} deg{agl}; "
         f"{outcome.stats.inliers} of {outcome.stats.matches} matches agree"
     )

@@ -119,13 +119,14 @@ def _outcome_cells(outcome: MapFix | Rejected) -> dict[str, object]:
         return cells | (
             {"inliers": outcome.stats.inliers, "features": outcome.features} if tried else {}
         )
+    yaw_rad = outcome.yaw_rad
     return {
         "fix_status": "fix",
         "inliers": outcome.stats.inliers,
         "features": outcome.features,
         "fix_lat_deg": f"{outcome.lat_deg:.8f}",
         "fix_lon_deg": f"{outcome.lon_deg:.8f}",
-        "measured_yaw_deg": f"{math.degrees(outcome.yaw_rad):.2f}",
+        "measured_yaw_deg": "" if yaw_rad is None else f"{math.degrees(yaw_rad):.2f}",
     }
 
 

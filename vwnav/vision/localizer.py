@@ -33,6 +33,7 @@ from vwnav.vision.hypotheses import Bounds
 from vwnav.vision.look import Found, Job, Looker, Stopwatch, too_small
 from vwnav.vision.placing import Misplaced, PlacingRules
 from vwnav.vision.search import Area, coarse_tests, search
+from vwnav.vision.shifting import Shifted, place_by_correlation
 
 # A second look where the first had to turn or scale more than the features like.
 MAX_TURN_RAD = math.radians(8.0)
@@ -137,11 +138,18 @@ class Localizer:
             picture = self._looker.maker.picture(frame.image)
         job = Job(picture, prior, seed, watch)
         outcome = self._find(job)
-        if isinstance(outcome, Misplaced):
-            return self._rejected(frame, watch, outcome)
-        return self._fix(frame, job, outcome)
+        match outcome:
+            case Misplaced():
+                return self._rejected(frame, watch, outcome)
+            case Shifted():
+                stats = _stats(watch, 0, 0, 0)
+                sigmas = (self._config.sigma_tilt_rad, self._looker.pack.georeference_sigma_m)
+                fix = outcome.fix(frame.t_s, self._features, stats, *sigmas)
+                return self._plausible(fix, frame, job)
+            case Found():
+                return self._fix(frame, job, outcome)
 
-    def _find(self, job: Job) -> Found | Misplaced:
+    def _find(self, job: Job) -> Found | Shifted | Misplaced:
         if job.picture.contrast < self._config.min_contrast:
             return Misplaced(
                 RejectReason.TOO_DARK, f"its gray values differ by {job.picture.contrast:.1f} only"
@@ -167,8 +175,12 @@ class Localizer:
             self._given_up.is_set,
         )
 
-    def _track(self, job: Job, todo: list[Guess], radius_m: float) -> Found | Misplaced:
-        """Look around the prior's place, with the prior's heading and height first."""
+    def _track(self, job: Job, todo: list[Guess], radius_m: float) -> Found | Shifted | Misplaced:
+        """Look around the prior's place, with the prior's heading and height first.
+
+        A view that keypoints do not place may still correlate with the map: that wants the tilt,
+        and a heading and a height that are nearly right to begin with.
+        """
         lat_deg, lon_deg = job.prior.lat_deg, job.prior.lon_deg
         refusal = Misplaced(RejectReason.NO_MAP, "no place to look at")
         if lat_deg is None or lon_deg is None:
@@ -181,8 +193,11 @@ class Localizer:
             if i == 0:
                 refusal = seen
             if seen.reason in HOPELESS:
-                break
-        return refusal
+                return refusal
+        level = self._looker.fine_level(job, todo[0].agl_m, self._config.max_view_area_px)
+        decades = self._config.min_decades
+        shifted = place_by_correlation(self._looker, job, todo[0], level, radius_m, decades)
+        return shifted or refusal
 
     def _look(
         self, job: Job, guess: Guess, lat_lon: tuple[float, float], radius_m: float, tests: int
@@ -290,7 +305,10 @@ class Localizer:
                 len(found.placement.uv_view),
             ),
         )
-        doubt = self._implausible(fix, prior)
+        return self._plausible(fix, frame, job)
+
+    def _plausible(self, fix: MapFix, frame: Frame, job: Job) -> MapFix | Rejected:
+        doubt = self._implausible(fix, job.prior)
         return fix if doubt is None else self._rejected(frame, job.watch, doubt)
 
     def _implausible(self, fix: MapFix, prior: Prior) -> Misplaced | None:

@@ -35,6 +35,7 @@ class Seen:
         raw_m: errors of its fixes. filtered_m: of the filter's estimates at the same exposures.
         attempts: pictures that were matched. looks, usable: pictures, and those at whose exposure
             there was an estimate good enough to fly on.
+        correlated: fixes that were placed by correlation, not by keypoints.
     """
 
     raw_m: tuple[float, ...]
@@ -42,6 +43,7 @@ class Seen:
     attempts: int
     looks: int
     usable: int
+    correlated: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,11 +66,16 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaypointsRow:
-    """One feature set at one height."""
+    """One feature set at one height.
+
+    Attributes:
+        correlated: fixes that were placed by correlation, where keypoints did not tell the place.
+    """
 
     features: FeatureName
     height_m: float
     flights: int
+    correlated: int
     raw: Errors
     filtered: Errors
 
@@ -112,6 +119,7 @@ def row_of(features: FeatureName, height_m: float, seen: Sequence[Seen]) -> Wayp
         features=features,
         height_m=height_m,
         flights=len(seen),
+        correlated=sum(each.correlated for each in seen),
         raw=_errors(seen, lambda each: each.raw_m, lambda each: (len(each.raw_m), each.attempts)),
         filtered=_errors(
             seen, lambda each: each.filtered_m, lambda each: (each.usable, each.looks)
@@ -133,7 +141,11 @@ def look_at(flown: Flown) -> Seen:
             filtered.append(math.dist((north, east), truth))
     usable = sum(each.sigma_horizontal_m <= _USABLE_SIGMA_M for each in believed.values())
     attempts = sum(_is_attempt(step.outcome) for step in steps)
-    return Seen(tuple(raw), tuple(filtered), attempts, len(steps), usable)
+    correlated = sum(
+        isinstance(step.outcome, MapFix) and step.outcome.placed_by == "correlation"
+        for step in steps
+    )
+    return Seen(tuple(raw), tuple(filtered), attempts, len(steps), usable, correlated)
 
 
 def _is_attempt(outcome: MapFix | Rejected) -> bool:
