@@ -18,8 +18,8 @@ _MILLI_G_M_S2 = 9.80665e-3
 _MILLI = 1e-3
 _AT_REST_M_S2 = np.array([0.0, 0.0, -9.80665])
 _MOST_M_S2 = 160.0  # 16 g: one absurd sample shall not count for minutes
-_AVERAGE_S = 10.0
-_FOREIGN_M_S2 = 3.0  # on that average: no aircraft accelerates so for so long
+# On these averages no aircraft accelerates so much for so long.
+_AVERAGES_S, _FOREIGN_M_S2 = np.array([0.5, 10.0]), np.array([7.0, 3.0])
 
 
 class ImuSamples:
@@ -34,7 +34,7 @@ class ImuSamples:
         self._newest_s = -math.inf
         self._newest_us = 0
         self._highres_s = -math.inf
-        self._felt_ned: Array = _AT_REST_M_S2
+        self._felt_ned: Array = np.tile(_AT_REST_M_S2, (2, 1))  # a row for each average
         self._foreign = False
 
     def highres(
@@ -88,17 +88,17 @@ class ImuSamples:
         if sample is None or attitude is None:
             return None
         R_ned_body = rotation_from_quat(attitude.quat_wxyz)
-        share = min(sample.span_s or 0.0, _STRANGE_S) / _AVERAGE_S
+        shares = -np.expm1(-min(sample.span_s or 0.0, _STRANGE_S) / _AVERAGES_S)
         force_ned = R_ned_body @ np.clip(sample.specific_force_m_s2, -_MOST_M_S2, _MOST_M_S2)
-        self._felt_ned = self._felt_ned + share * (force_ned - self._felt_ned)
-        off_m_s2 = float(np.linalg.norm(self._felt_ned - _AT_REST_M_S2))
-        if self._foreign != (off_m_s2 > _FOREIGN_M_S2):
+        self._felt_ned = self._felt_ned + shares[:, None] * (force_ned - self._felt_ned)
+        off_m_s2 = np.linalg.norm(self._felt_ned - _AT_REST_M_S2, axis=1)
+        if self._foreign != bool(np.any(off_m_s2 > _FOREIGN_M_S2)):
             self._foreign = not self._foreign
             what = "not used" if self._foreign else "used again"
             _log.warning(
                 "the autopilot's IMU is %s: gravity %.1f m/s^2 from where its attitude has it; "
                 "check its orientation and calibration",
                 what,
-                off_m_s2,
+                off_m_s2[0],
             )
         return None if self._foreign else sample

@@ -270,9 +270,11 @@ class Ekf:
     def _judged(self, event: Displacement) -> Innovation:
         """One of ways that mostly contradict the IMU is refused, and those before it too."""
         assert self._timeline is not None
+        if event.t_s > self._gyro.newest_s + _IMU_OF_NOW_S:
+            self._trust = OdometryTrust()  # nothing contradicts them any more
+            return self._insert(event)
         innovation = self._timeline.test(event) if self._trust.lost else self._insert(event)
-        felt = event.t_s <= self._gyro.newest_s + _IMU_OF_NOW_S
-        if not felt or innovation.verdict not in (Verdict.FUSED, Verdict.GATED):
+        if innovation.verdict not in (Verdict.FUSED, Verdict.GATED):
             return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
         if self._trust.saw(event.t_s, innovation.accepted):
             if self._trust.lost:
