@@ -32,6 +32,7 @@ from vwnav.types import (
 _log = logging.getLogger(__name__)
 _READ_AGAIN_S = 5.0
 _CHUNK, _NOTICE = 50, 5  # of STATUSTEXT: bytes, severity
+_LONGEST_ROUND_TRIP_S = 1.0  # before take-off
 _LEAST_ATTITUDE_HZ = 18.0  # of 20 that are asked for at least
 _PATIENCE_S = (0.25, 2.0)  # for an answer, at least and at most
 _PATIENCE_UNKNOWN_S = 0.6  # before a round trip has been seen
@@ -114,9 +115,11 @@ class LinkedAutopilot:
     @property
     def budget_refusal(self) -> str | None:
         """Why the link cannot carry what a flight needs, None when it can."""
-        if self._budget is None or not self._budget.is_tight:
+        if self._budget is None:
             return None
-        return self._budget.refusal or self._slow_attitude()
+        if not self._budget.is_tight:
+            return self._held_up()
+        return self._budget.refusal or self._slow_attitude() or self._held_up()
 
     def warnings(self, within_s: float = 10.0) -> list[str]:
         """The autopilot's warnings of the last while (PX4 sends them to ground stations only)."""
@@ -245,6 +248,16 @@ class LinkedAutopilot:
         return (
             f"the autopilot sends its attitude {rate_hz:.0f} times a second on this link, 20 are "
             "needed: look at its own limit of the port (PX4: MAV_0_RATE, MAV_1_RATE)"
+        )
+
+    def _held_up(self) -> str | None:
+        """A line that is fuller than anybody told holds everything up."""
+        round_trip_s = self._telemetry.clock.round_trip_s
+        if round_trip_s is None or round_trip_s <= _LONGEST_ROUND_TRIP_S:
+            return None
+        return (
+            f"the autopilot's answers take {round_trip_s:.1f} s: the link is asked to carry more "
+            "than it can; take a faster one, or give its baud rate"
         )
 
     def _begin(self, procedure: Procedure) -> Request:
