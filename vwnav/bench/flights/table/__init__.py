@@ -39,6 +39,9 @@ TABLE = [row for rows in FAMILIES.values() for row in rows]
 QUICK = {
     "attitude missing for 1 s",
     "one attitude level and facing north",
+    "attitude 0.3 s late",
+    "IMU turns on its side in flight",
+    "camera mounted upside down",
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",
     "navigator stopped for 20 s",

@@ -1,0 +1,48 @@
+"""An attitude that does not come is carried on by the gyro, and by it alone."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.gyro import GyroHistory
+from vwnav.geometry.rotations import quat_from_vector
+from vwnav.types import Attitude
+
+RATE = np.array([0.2, -0.3, 0.5])  # rad/s
+
+
+def turning(until_s: float, gyro_until_s: float) -> AttitudeHistory:
+    """Attitudes at 50 Hz up to a time, the gyro up to another."""
+    gyro = GyroHistory(10.0)
+    attitudes = AttitudeHistory(10.0, gyro)
+    gyro.begin(0.0)
+    for i in range(round(50 * gyro_until_s)):
+        gyro.turn(0.02 * (i + 1), 0.02 * RATE)
+    for i in range(round(50 * until_s) + 1):
+        attitudes.add(Attitude(0.02 * i, quat_from_vector(0.02 * i * RATE)))
+    return attitudes
+
+
+def off_rad(attitudes: AttitudeHistory, t_s: float) -> float:
+    return 2.0 * math.acos(min(1.0, abs(attitudes.quat_at(t_s) @ quat_from_vector(t_s * RATE))))
+
+
+@pytest.mark.parametrize("t_s", [1.05, 1.5, 3.0])
+def test_beyond_the_newest_attitude_it_turns_as_the_gyro_says(t_s):
+    attitudes = turning(1.0, 3.0)
+    assert attitudes.tell(t_s)
+    assert attitudes.carries(t_s)
+    assert off_rad(attitudes, t_s) < 1e-3
+
+
+def test_without_the_gyro_nobody_tells():
+    attitudes = turning(1.0, 1.0)
+    assert not attitudes.tell(1.5)
+    assert attitudes.at(1.5) is None
+    assert not attitudes.carries(1.5)
+
+
+def test_it_is_not_carried_on_for_ever():
+    assert not turning(1.0, 7.0).tell(6.5)

@@ -1,0 +1,42 @@
+"""Ways that contradict the IMU are not believed, until they and a fix agree again."""
+
+from vwnav.estimation.odometry_trust import OdometryTrust
+
+
+def tell(trust: OdometryTrust, begin_s: float, seconds: float, agrees: bool) -> float:
+    """Ten ways a second; returns when the next one is due."""
+    for i in range(round(10 * seconds)):
+        trust.saw(begin_s + 0.1 * i, agrees)
+    return begin_s + seconds
+
+
+def test_ways_that_are_refused_are_lost_and_come_back_with_a_fix_only():
+    trust = OdometryTrust()
+    t_s = tell(trust, 0.0, 5.0, True)
+    t_s = tell(trust, t_s, 1.3, False)
+    assert trust.lost
+    t_s = tell(trust, t_s, 6.0, True)
+    assert trust.lost
+    trust.saw_fix()
+    t_s = tell(trust, t_s, 0.1, True)
+    assert not trust.lost
+
+
+def test_lost_again_they_have_to_agree_for_longer():
+    trust = OdometryTrust()
+    t_s = tell(trust, 0.0, 1.5, False)
+    trust.saw_fix()
+    t_s = tell(trust, t_s, 3.0, True)
+    assert not trust.lost
+    t_s = tell(trust, t_s, 1.5, False)
+    trust.saw_fix()
+    t_s = tell(trust, t_s, 10.0, True)
+    assert trust.lost
+    tell(trust, t_s, 12.0, True)
+    assert not trust.lost
+
+
+def test_after_a_gap_of_pictures_it_may_be_the_filter_that_is_wrong():
+    trust = OdometryTrust()
+    tell(trust, tell(trust, 0.0, 0.8, False) + 1.0, 1.0, False)
+    assert not trust.lost
