@@ -1,8 +1,9 @@
-"""Whatever comes late, twice, wrong or not at all: the truth is within 5 sigma."""
+"""Whatever comes late, twice, wrong or not at all: within 5 sigma, and every jump is counted."""
 
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -119,6 +120,12 @@ def stays_honest(seed: int, imu: bool, faults: list[Fault]) -> None:
         assert np.hypot(*estimate.velocity_ned_m_s[:2]) < ENVELOPE_M_S
         assert np.all(np.isfinite(estimate.quat_wxyz))
     assert np.linalg.eigvalsh(run.last.P)[0] > -1e-9
+    for before, after in pairwise(run.estimates):
+        assert after.reset_counter >= before.reset_counter
+        if after.reset_counter == before.reset_counter:
+            way_m = np.linalg.norm((after.position_ned_m - before.position_ned_m)[:2])
+            most_m = EkfConfig().jump_m + ENVELOPE_M_S * (after.t_s - before.t_s)
+            assert way_m < most_m, f"{way_m:.1f} m at {after.t_s} s that no reset says"
 
 
 CASES = {

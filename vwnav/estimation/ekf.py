@@ -165,7 +165,7 @@ class Ekf:
 
     def _begin(self, state: FilterState) -> None:
         step = partial(apply, context=self._context)
-        self._timeline = Timeline(state, step, self._config.history_s)
+        self._timeline = Timeline(state, step, self._config.history_s, self._config.jump_m)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
