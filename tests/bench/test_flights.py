@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from vwnav.bench.flights.campaign import Campaign, campaign_of
+from vwnav.bench.flights.campaign import Campaign, Sortie, campaign_of
 from vwnav.bench.flights.plots import save_plots
 from vwnav.bench.flights.score import FlightScore, distance_m
 from vwnav.bench.flights.summary import Figure, summarise, worst_first
@@ -20,15 +20,22 @@ from vwnav.cli.simulation import ROUTES
 from vwnav.errors import RouteError, VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.missions import load_route
+from vwnav.sim.config import Manners
 from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M
 
 CAMPAIGN = Campaign(route_ned_m=((60.0, 0.0, -50.0), (0.0, 80.0, -50.0)), sites=2)
 
 
-def flight(number: int, error_m: float = 0.3, wrong: tuple[str, ...] = ()) -> FlightScore:
+def px4(count: int) -> list[Sortie]:
+    return [Sortie("px4", number) for number in range(count)]
+
+
+def flight(
+    number: int, error_m: float = 0.3, wrong: tuple[str, ...] = (), manners: Manners = "px4"
+) -> FlightScore:
     return FlightScore(
-        number=number, site="1", seed=7, wind_m_s=8.0, wind_from_deg=90.0, flown_s=60.0,
-        way_m=240.0, wrong=wrong, errors_m=(error_m, 2.0 * error_m), nees=(1.0, 7.0),
+        manners=manners, number=number, site="1", seed=7, wind_m_s=8.0, wind_from_deg=90.0,
+        flown_s=60.0, way_m=240.0, wrong=wrong, errors_m=(error_m, 2.0 * error_m), nees=(1.0, 7.0),
         worst_m=3.0 * error_m, cross_m=(0.1, 0.2), touchdown_m=0.5, available=1.0, fixes=90,
         attempts=100, wrong_fixes=0, cpu_s=40.0,
     )  # fmt: skip
@@ -39,9 +46,11 @@ def figures(flights: list[FlightScore]) -> dict[str, Figure]:
 
 
 def test_a_flight_is_the_same_however_many_are_flown() -> None:
-    assert CAMPAIGN.scenario(3) == CAMPAIGN.scenario(3)
-    winds = {CAMPAIGN.scenario(k).setup.wind_from_deg for k in range(5)}
+    assert CAMPAIGN.scenario(Sortie("px4", 3)) == CAMPAIGN.scenario(Sortie("px4", 3))
+    winds = {CAMPAIGN.scenario(each).setup.wind_from_deg for each in px4(5)}
     assert len(winds) == 5
+    copter = CAMPAIGN.scenario(Sortie("copter", 3)).setup
+    assert replace(copter, manners="px4") == CAMPAIGN.scenario(Sortie("px4", 3)).setup
     assert [CAMPAIGN.site_of(k) for k in range(3)] == ["sim:1", "sim:2", "sim:1"]
 
 
@@ -94,10 +103,10 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers in the order in which they are flown, without flying."""
     numbers: list[int] = []
 
-    def fly(_: Campaign, number: int, recording: Path) -> FlightScore:
-        numbers.append(number)
+    def fly(_: Campaign, sortie: Sortie, recording: Path) -> FlightScore:
+        numbers.append(sortie.number)
         recording.write_text("recorded")
-        return flight(number, 0.1 * (number + 1))
+        return flight(sortie.number, 0.1 * (sortie.number + 1), manners=sortie.manners)
 
     monkeypatch.setattr(flights_flying, "fly_one", fly)
     monkeypatch.setattr(flights_flying, "_place", lambda site: None)
@@ -109,20 +118,28 @@ def quiet(what: str, done: int, total: int) -> None:
 
 
 def test_a_killed_run_goes_on_and_loses_half_a_line(flown: list[int], tmp_path: Path) -> None:
-    fly_campaign(CAMPAIGN, 2, 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+    fly_campaign(CAMPAIGN, px4(2), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
     with (tmp_path / FLIGHTS).open("a") as file:
         file.write('{"number": 2, "si')
-    flights = fly_campaign(CAMPAIGN, 4, 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+    flights = fly_campaign(CAMPAIGN, px4(4), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
     assert flown == [0, 1, 2, 3]
     assert flights == [replace(flight(k, 0.1 * (k + 1))) for k in range(4)]
     lines = (tmp_path / FLIGHTS).read_text().splitlines()
     assert [json.loads(line)["number"] for line in lines] == [0, 1, 2, 3]
 
 
+def test_a_folder_goes_on_in_the_other_manners(flown: list[int], tmp_path: Path) -> None:
+    fly_campaign(CAMPAIGN, px4(2), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+    both = [Sortie("px4", 1), Sortie("copter", 1)]
+    found = fly_campaign(CAMPAIGN, both, 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+    assert flown == [0, 1, 1]
+    assert [each.sortie for each in found] == both
+
+
 def test_only_the_worst_keep_their_recordings(flown: list[int], tmp_path: Path) -> None:
-    fly_campaign(CAMPAIGN, 5, 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+    fly_campaign(CAMPAIGN, px4(5), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
     kept = sorted(path.name for path in (tmp_path / "worst").iterdir())
-    assert kept == [f"flight-000{k}.mcap" for k in (2, 3, 4)]
+    assert kept == [f"px4-000{k}.mcap" for k in (2, 3, 4)]
 
 
 def test_a_folder_of_another_campaign_is_refused(tmp_path: Path) -> None:
@@ -144,8 +161,12 @@ def test_a_line_of_another_version_is_said(tmp_path: Path) -> None:
 
 def test_bad_input_leaves_no_folder(tmp_path: Path) -> None:
     (tmp_path / "far.txt").write_text("1,900,0,50\n")
-    for route in ("none.plan", "far.txt"):
-        words = ["bench", "flights", "--route", str(tmp_path / route), "-o", str(tmp_path / "out")]
+    for option, value in (
+        ("--route", str(tmp_path / "none.plan")),
+        ("--route", str(tmp_path / "far.txt")),
+        ("--manners", "px4,plane"),
+    ):
+        words = ["bench", "flights", option, value, "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(app, words)
         assert isinstance(done.exception, VwnavError)
         assert not (tmp_path / "out").exists()
@@ -153,7 +174,7 @@ def test_bad_input_leaves_no_folder(tmp_path: Path) -> None:
 
 def test_the_plots_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    paths = save_plots(tmp_path, [flight(0), flight(1, 0.5, ("home moved",))])
+    paths = save_plots(tmp_path, [flight(0), flight(1, 0.5, ("home moved",), "copter")])
     assert all(path.stat().st_size > 5000 for path in paths)
 
 
@@ -163,11 +184,11 @@ def test_a_flight_is_flown_scored_and_checked(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, [*words, "-o", str(tmp_path)])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
-    values = {each["name"]: each["value"] for each in found["figures"]}
+    values = {each["name"]: each["value"] for each in found["figures"]["px4"]}
     assert not found["wrong"]
     assert values["error, 95 %"] < 1.5
     assert values["available"] > 95.0
     checked = CliRunner().invoke(
-        app, ["replay", str(tmp_path / "worst" / "flight-0000.mcap"), "--check"]
+        app, ["replay", str(tmp_path / "worst" / "px4-0000.mcap"), "--check"]
     )
     assert checked.exit_code == 0, checked.output

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vwnav.errors import ConfigError
+
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import Campaign
     from vwnav.bench.flights.score import FlightScore
     from vwnav.bench.flights.summary import Figure
+    from vwnav.sim.config import Manners
 
 _DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 
@@ -20,13 +23,18 @@ def flights(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder; one that holds some flights goes on.")
     ],
-    runs: Annotated[int, typer.Option("--runs", min=1, help="Flights, those there included.")] = 8,
+    runs: Annotated[
+        int, typer.Option("--runs", min=1, help="Flights in each manner, those there included.")
+    ] = 8,
     route: Annotated[
         Path | None,
         typer.Option(help="Route about home, or first_flight.plan (of `make fly`), loop_3km.plan."),
     ] = None,
     wind_m_s: Annotated[float, typer.Option(min=0.0, max=15.0, help="Mean wind, gusty.")] = 8.0,
     sites: Annotated[int, typer.Option(min=1, max=999, help="Generated sites in turn.")] = 4,
+    manners: Annotated[
+        str, typer.Option(help="The simulated vehicle's: px4, copter or px4,copter.")
+    ] = "px4",
     seed: Annotated[int, typer.Option(help="Flight k of a seed is always the same.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
@@ -36,27 +44,30 @@ def flights(
     Every flight is held against the rules of every flight. Each leaves a line in flights.jsonl, so
     a run that was killed goes on where it was; the worst ones keep their recordings.
 
-    Example: vwnav bench flights --runs 100 --jobs 8 -o flights
+    Example: vwnav bench flights --runs 100 --manners px4,copter --jobs 8 -o flights
     """
     # Read when the libraries load: a flight is one core's work, in this process and its children.
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.figures import pyplot
+    from vwnav.bench.flights.campaign import Sortie
     from vwnav.bench.flights.plots import save_plots
     from vwnav.bench.flights.summary import summarise, worst_first
     from vwnav.cli.flights_flying import CampaignFolder, fly_campaign
     from vwnav.cli.screen import progress_bar, say
 
     pyplot()  # what is missing is said before anything is flown
+    flying_as = _manners(manners)
     campaign = _campaign(route, wind_m_s, sites, seed)
+    wanted = [Sortie(each, number) for number in range(runs) for each in flying_as]
     folder = CampaignFolder(output, campaign)
     with progress_bar() as progress:
-        flown = fly_campaign(campaign, runs, jobs, folder, progress)
-    figures = summarise(flown)
+        flown = fly_campaign(campaign, wanted, jobs, folder, progress)
+    figures = {each: summarise([f for f in flown if f.manners == each]) for each in flying_as}
     save_plots(output, flown)
     values = {"campaign": campaign.as_json(), "flights": runs} | {
-        "figures": [asdict(each) for each in figures],
-        "wrong": {each.number: each.wrong for each in flown if each.wrong},
-        "worst": [each.number for each in worst_first(flown)[:3]],
+        "figures": {name: [asdict(each) for each in found] for name, found in figures.items()},
+        "wrong": {str(each.sortie): each.wrong for each in flown if each.wrong},
+        "worst": [str(each.sortie) for each in worst_first(flown)[:3]],
     }
     (output / "summary.json").write_text(json.dumps(values, indent=1) + "\n")
     if as_json:
@@ -65,7 +76,18 @@ def flights(
         _print(campaign, flown, figures)
     for each in flown:
         for line in each.wrong:
-            say(f"flight {each.number}: {line}")
+            say(f"flight {each.sortie}: {line}")
+
+
+def _manners(text: str) -> "tuple[Manners, ...]":
+    from typing import get_args
+
+    from vwnav.sim.config import Manners
+
+    named = tuple(dict.fromkeys(text.split(",")))
+    if not set(named) <= set(get_args(Manners)):
+        raise ConfigError(f"--manners is px4, copter or px4,copter, not {text!r}")
+    return tuple(each for each in get_args(Manners) if each in named)
 
 
 def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":
@@ -84,19 +106,25 @@ def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Ca
     return campaign_of(route_ned_m, wind_m_s=wind_m_s, sites=sites, seed=seed)
 
 
-def _print(campaign: "Campaign", flown: "list[FlightScore]", figures: "list[Figure]") -> None:
+def _print(
+    campaign: "Campaign", flown: "list[FlightScore]", figures: "dict[Manners, list[Figure]]"
+) -> None:
     from vwnav.cli.screen import print_table
 
-    rows = []
-    for each in figures:
-        interval = "" if each.low is None else f"  [{each.low:.3g}, {each.high:.3g}]"
-        rows.append((each.name, f"{each.value:.4g} {each.unit}".strip() + interval))
-    wrong = sum(bool(each.wrong) for each in flown)
-    rows.append(("flights with something wrong", f"{wrong} of {len(flown)}"))
-    hours = sum(each.cpu_s for each in flown) / len(flown) / 3600.0
-    rows.append(("100 and 600 flights, one core", f"{100 * hours:.1f} h and {600 * hours:.0f} h"))
-    print_table(
-        f"{len(flown)} flights, {campaign.way_m:.0f} m, wind {campaign.wind_m_s:g} m/s, "
-        f"{campaign.sites} sites; 95 % intervals",
-        rows,
-    )
+    for manners, found in figures.items():
+        flights = [each for each in flown if each.manners == manners]
+        rows = []
+        for each in found:
+            interval = "" if each.low is None else f"  [{each.low:.3g}, {each.high:.3g}]"
+            rows.append((each.name, f"{each.value:.4g} {each.unit}".strip() + interval))
+        wrong = sum(bool(each.wrong) for each in flights)
+        rows.append(("flights with something wrong", f"{wrong} of {len(flights)}"))
+        hours = sum(each.cpu_s for each in flights) / len(flights) / 3600.0
+        rows.append(
+            ("100 and 600 flights, one core", f"{100 * hours:.1f} h and {600 * hours:.0f} h")
+        )
+        print_table(
+            f"{len(flights)} flights in the manners of {manners}, {campaign.way_m:.0f} m, "
+            f"wind {campaign.wind_m_s:g} m/s, {campaign.sites} sites; 95 % intervals",
+            rows,
+        )

@@ -3,7 +3,7 @@
 import json
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, fields
 from functools import cache
@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 
 from vwnav.assemble import choose_features
-from vwnav.bench.flights.campaign import Campaign
+from vwnav.bench.flights.campaign import Campaign, Sortie
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import fly
 from vwnav.bench.flights.score import FlightScore, score
@@ -74,54 +74,54 @@ class CampaignFolder:
             self._lines.write_text(whole)
         return [_score_of(line) for line in whole.splitlines()]
 
-    def recording(self, number: int) -> Path:
+    def recording(self, sortie: Sortie) -> Path:
         """Of a flight that has ended."""
-        return self.folder / RECORDINGS / f"flight-{number:04d}.mcap"
+        return self.folder / RECORDINGS / f"{sortie.manners}-{sortie.number:04d}.mcap"
 
-    def partial(self, number: int) -> Path:
+    def partial(self, sortie: Sortie) -> Path:
         """Where a flight records until it has ended."""
-        return self.recording(number).with_suffix(".mcap.part")
+        return self.recording(sortie).with_suffix(".mcap.part")
 
     def add(self, flown: FlightScore) -> None:
         """Append a flight; of all so far only the worst keep their recordings."""
         with self._lines.open("a") as file:
             file.write(json.dumps(asdict(flown)) + "\n")
         self.flights.append(flown)
-        self.partial(flown.number).replace(self.recording(flown.number))
+        self.partial(flown.sortie).replace(self.recording(flown.sortie))
         for each in worst_first(self.flights)[_WORST_KEPT:]:
-            self.recording(each.number).unlink(missing_ok=True)
+            self.recording(each.sortie).unlink(missing_ok=True)
 
 
 def fly_campaign(
     campaign: Campaign,
-    runs: int,
+    wanted: Sequence[Sortie],
     jobs: int,
     folder: CampaignFolder,
     progress: Callable[[str, int, int], None],
 ) -> list[FlightScore]:
-    """Fly what is missing of the first `runs` flights; all of them, in order."""
-    done = {each.number for each in folder.flights}
-    missing = [number for number in range(runs) if number not in done]
-    progress("flights", runs - len(missing), runs)
-    for site in sorted({campaign.site_of(number) for number in missing}):
+    """Fly what the folder lacks of the flights that are wanted; all of these, in their order."""
+    done = {each.sortie for each in folder.flights}
+    missing = [sortie for sortie in wanted if sortie not in done]
+    progress("flights", len(wanted) - len(missing), len(wanted))
+    for site in sorted({campaign.site_of(sortie.number) for sortie in missing}):
         _place(site)  # its map is drawn once, by this process
-    for flown in _fly_all(campaign, missing, jobs, folder):
+    for i, flown in enumerate(_fly_all(campaign, missing, jobs, folder), 1):
         folder.add(flown)
-        progress("flights", sum(each.number < runs for each in folder.flights), runs)
-    flights = [each for each in folder.flights if each.number < runs]
-    return sorted(flights, key=lambda each: each.number)
+        progress("flights", len(wanted) - len(missing) + i, len(wanted))
+    flown_of = {each.sortie: each for each in folder.flights}
+    return [flown_of[sortie] for sortie in wanted]
 
 
 def _fly_all(
-    campaign: Campaign, numbers: list[int], jobs: int, folder: CampaignFolder
+    campaign: Campaign, sorties: list[Sortie], jobs: int, folder: CampaignFolder
 ) -> Iterator[FlightScore]:
     """As they end."""
     if jobs == 1:
-        yield from (fly_one(campaign, number, folder.partial(number)) for number in numbers)
+        yield from (fly_one(campaign, sortie, folder.partial(sortie)) for sortie in sorties)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context) as pool:
-        flying = [pool.submit(fly_one, campaign, n, folder.partial(n)) for n in numbers]
+        flying = [pool.submit(fly_one, campaign, s, folder.partial(s)) for s in sorties]
         try:
             for each in as_completed(flying):
                 yield each.result()
@@ -129,13 +129,13 @@ def _fly_all(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def fly_one(campaign: Campaign, number: int, recording: Path) -> FlightScore:
+def fly_one(campaign: Campaign, sortie: Sortie, recording: Path) -> FlightScore:
     """Fly and score one, in whatever process; a recording of a run that was killed goes first."""
     cv2.setNumThreads(1)
     recording.unlink(missing_ok=True)
-    site, begin_s = campaign.site_of(number), time.process_time()
-    flown = fly(campaign.scenario(number), _place(site), recording)
-    return score(number, site, campaign.way_ne_m, flown, time.process_time() - begin_s)
+    site, begin_s = campaign.site_of(sortie.number), time.process_time()
+    flown = fly(campaign.scenario(sortie), _place(site), recording)
+    return score(sortie, site, campaign.way_ne_m, flown, time.process_time() - begin_s)
 
 
 @cache

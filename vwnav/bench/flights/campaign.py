@@ -1,7 +1,7 @@
 """Many flights of one route: where, in which wind and with which luck each is flown."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from vwnav import __version__
 from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.errors import RouteError
+from vwnav.sim.config import Manners
 from vwnav.sim.site import FIRST_TRAINING_SEED
 from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M, SITE_PREFIX
 from vwnav.types import Array
@@ -19,6 +20,16 @@ _SLOWEST_M_S = 2.0  # along the route, on average
 _LANDS_WITHIN_M = 3.0
 
 Place3 = tuple[float, float, float]
+
+
+class Sortie(NamedTuple):
+    """One flight of a campaign: those of one number differ in nothing but the autopilot."""
+
+    manners: Manners
+    number: int
+
+    def __str__(self) -> str:
+        return f"{self.manners} {self.number}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,17 +61,18 @@ class Campaign:
         """The site of a flight, numbered from 0, as commands name it."""
         return f"{SITE_PREFIX}{1 + number % self.sites}"
 
-    def scenario(self, number: int) -> Scenario:
+    def scenario(self, sortie: Sortie) -> Scenario:
         """A flight from the ground to the ground in which nothing breaks."""
-        rng = np.random.default_rng([self.seed, number])
+        rng = np.random.default_rng([self.seed, sortie.number])
         setup = Setup(
+            manners=sortie.manners,
             seed=int(rng.integers(1, 2**31)),
             route_ned_m=self.route_ned_m,
             wind_m_s=self.wind_m_s,
             wind_from_deg=float(rng.uniform(0.0, 360.0)),
         )
         return Scenario(
-            name=f"flight {number}",
+            name=f"flight {sortie}",
             setup=setup,
             breaks=(),
             limit_s=_GROUND_S + self.way_m / _SLOWEST_M_S,

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.bench.flights.campaign import Sortie
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Flown
@@ -13,6 +14,7 @@ from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.moments import flying, in_phases
 from vwnav.rules.temporal import inside
+from vwnav.sim.config import Manners
 from vwnav.sim.sites import SITE_PREFIX
 from vwnav.types import Array, MapFix, RejectReason
 
@@ -39,6 +41,7 @@ class FlightScore:
         cpu_s: processor time that it took.
     """
 
+    manners: Manners
     number: int
     site: str
     seed: int
@@ -58,8 +61,13 @@ class FlightScore:
     wrong_fixes: int
     cpu_s: float
 
+    @property
+    def sortie(self) -> Sortie:
+        """Which flight of its campaign."""
+        return Sortie(self.manners, self.number)
 
-def score(number: int, site: str, way_ne_m: Array, flown: Flown, cpu_s: float) -> FlightScore:
+
+def score(sortie: Sortie, site: str, way_ne_m: Array, flown: Flown, cpu_s: float) -> FlightScore:
     """Hold a flight against its truth; `way_ne_m` (n, 2) is the line that it was to fly."""
     log, setup = flight_log(flown), flown.scenario.setup
     since_s = min((fix.t_s for fix in log.fixes), default=math.inf)
@@ -72,7 +80,8 @@ def score(number: int, site: str, way_ne_m: Array, flown: Flown, cpu_s: float) -
     verdict = judge(flown)
     each_second = [i for i, _ in _thinned([each.t_s for each in sent])]
     return FlightScore(
-        number=number,
+        manners=sortie.manners,
+        number=sortie.number,
         site=site.removeprefix(SITE_PREFIX),
         seed=setup.seed,
         wind_m_s=setup.wind_m_s,
