@@ -260,7 +260,7 @@ class TelemetryState:
         self._handle_pressure("SCALED_PRESSURE", boot_s, fields["press_abs"], received_s)
 
     def _handle_highres_imu(self, fields: Fields, received_s: float) -> None:
-        sample = self._imu.highres(fields, self.clock, received_s, self._attitude)
+        sample = self._imu.highres(fields, self.clock, received_s)
         if sample is not None:
             self._queue.append(sample)
         if fields["abs_pressure"] is not None:
@@ -271,7 +271,7 @@ class TelemetryState:
     def _handle_raw_imu(self, fields: Fields, received_s: float) -> None:
         if self.kind is not AutopilotKind.ARDUPILOT:
             return  # on others its units are the sensor's own
-        sample = self._imu.raw(fields, self.clock, received_s, self._attitude)
+        sample = self._imu.raw(fields, self.clock, received_s)
         if sample is not None:
             self._queue.append(sample)
 

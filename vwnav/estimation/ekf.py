@@ -28,6 +28,7 @@ from vwnav.estimation.events import (
 from vwnav.estimation.fusion import apply
 from vwnav.estimation.gyro import GyroHistory
 from vwnav.estimation.imu import ImuHistory, is_sensible
+from vwnav.estimation.imu_trust import ImuTrust
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_trust import OdometryTrust
 from vwnav.estimation.output import estimate_of
@@ -56,6 +57,10 @@ _IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
 _DATE_DOUBT_S, _LEAN_DOUBT_RAD = 0.5, 0.15
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
+_IMU_USED = (
+    "the autopilot's IMU is {}: gravity {:.1f} m/s^2 from where its attitude has it; "
+    "check its orientation and calibration"
+)
 _TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
@@ -89,6 +94,7 @@ class Ekf:
         self._restarted_s = -math.inf
         self._newest_way: OdometryMotion | None = None
         self._trust = OdometryTrust()
+        self._imu_trust = ImuTrust()
         self._drag_s = -math.inf
 
     @property
@@ -209,12 +215,28 @@ class Ekf:
         self._gate.heard(sample.t_s)
         if not self._imu.believes(sample):
             return Innovation(Verdict.GATED)
+        if not self._feels_gravity(sample):
+            return Innovation(Verdict.DISTRUSTED)
         if not self._imu.add(sample):
             return Innovation(Verdict.TOO_LATE)
         if self._timeline is not None and sample.t_s >= self._drag_s + self._config.drag_interval_s:
             self._drag_s = sample.t_s
             self._insert(Drag(sample.t_s))
         return Innovation(Verdict.FUSED)
+
+    def _feels_gravity(self, sample: ImuSample) -> bool:
+        """Else nothing that it has told in the history counts, nor does what comes."""
+        if not self._attitudes.tell(sample.t_s):
+            return not self._imu_trust.lost
+        if self._imu_trust.saw(sample, self._attitudes.quat_at(sample.t_s)):
+            lost = self._imu_trust.lost
+            if lost:
+                self._imu.forget()
+                if self._timeline is not None:
+                    self._timeline.leave_out(Rank.DRAG)
+            used = "not used" if lost else "used again"
+            self._say(_IMU_USED.format(used, self._imu_trust.off_m_s2))
+        return not self._imu_trust.lost
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
         """Take the barometric height above the start, up positive."""

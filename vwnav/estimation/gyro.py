@@ -21,6 +21,7 @@ class GyroHistory:
         self._times_s: list[float] = []
         self._turned: list[Array] = []
         self._series: list[int] = []  # samples between silences share a number
+        self._first_series = 0
 
     @property
     def newest_s(self) -> float:
@@ -32,9 +33,16 @@ class GyroHistory:
         """(4,) the product up to the newest sample; there is one."""
         return self._turned[-1]
 
+    def forget(self) -> None:
+        """As if no sample had come."""
+        self._first_series = self._series[-1] + 1 if self._series else self._first_series
+        self._times_s.clear()
+        self._turned.clear()
+        self._series.clear()
+
     def begin(self, t_s: float) -> None:
         """Take a sample after a silence: how the body turned in that, nobody knows."""
-        series = self._series[-1] + 1 if self._series else 0
+        series = self._series[-1] + 1 if self._series else self._first_series
         turned = self._turned[-1] if self._turned else np.array([1.0, 0.0, 0.0, 0.0])
         self._append(t_s, series, turned)
 

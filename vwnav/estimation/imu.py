@@ -106,6 +106,7 @@ class ImuHistory:
         self._scatter = np.zeros(2)  # variance per axis of force and rates
         self._sudden: tuple[float, Array] | None = None  # the newest sample, believed or not
         self._doubted = np.zeros(2)  # variances that refused samples since the newest one add
+        self._series = 0  # of the first sample
 
     @property
     def heard(self) -> bool:
@@ -164,6 +165,15 @@ class ImuHistory:
             del self._times_s[:old], self._felt[:old]
         return True
 
+    def forget(self) -> None:
+        """As if no sample had come, of rates neither."""
+        self._series = self._felt[-1].series + 1 if self._felt else self._series
+        self._times_s.clear()
+        self._felt.clear()
+        self._sudden = None
+        self._doubted = np.zeros(2)
+        self._gyro.forget()
+
     def until(self, t_s: float) -> Felt | None:
         """All that was felt until `t_s`; None before the first sample and in a silence.
 
@@ -208,7 +218,7 @@ class ImuHistory:
         """Add a sample to the integrals, by the trapezoidal rule."""
         turned = self._gyro.newest
         if not self._felt:
-            return Felt(0, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
+            return Felt(self._series, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
         if span_s is None or not self._attitudes.tell(t_s):
             return Felt(zero.series + 1, zero.lasted_s, zero.pushed, turned, zero.shaken)

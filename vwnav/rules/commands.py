@@ -99,7 +99,7 @@ def _offboard_from_elsewhere(log: FlightLog) -> Breach | None:
     def from_ours(command: Command) -> bool:
         vehicle = log.vehicle_at(command.t_s)
         told = any(0.0 <= command.t_s - t_s <= _TAKES_BACK_S for t_s in words)
-        return told or vehicle is None or vehicle.mode in good
+        return told or vehicle is None or not vehicle.armed or vehicle.mode in good
 
     return always(_offboard_asked(log), from_ours, _asked)
 
@@ -199,8 +199,8 @@ COMMANDS = (
     ),
     Rule(
         "Offboard from our modes",
-        "Offboard is asked for only out of take-off or Hold, never out of another's mode unless it "
-        "is handed back.",
+        "Offboard is asked for only before arming, out of take-off or Hold, never out of another's "
+        "mode unless it is handed back.",
         ("vehicle", "commands"),
         _offboard_from_elsewhere,
     ),

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.bench.flights.world import LINK_LATENCY_S, World
+from vwnav.safety.flight_modes import AutopilotKind, mode_command
 from vwnav.sim.memory_link import LineState, Tap
-from vwnav.sim.px4.modes import NavState
+from vwnav.types import FlightMode
 
 _GARBAGE_BYTES = 60
 _GARBAGE_EVERY = 10  # packets: so often comes rubbish, and so often one is cut off
-_SET_MODE, _CUSTOM_MODE = 176, 1.0  # MAV_CMD_DO_SET_MODE, its flag
+_KINDS = {"px4": AutopilotKind.PX4, "copter": AutopilotKind.ARDUPILOT}
 _STATION = (255, 190)  # system and component of QGroundControl
 
 
@@ -110,14 +111,14 @@ class Replayed:
 class StationCommands:
     """A second ground station asks the autopilot for another mode."""
 
-    mode: NavState
+    mode: FlightMode
 
     def begin(self, world: World) -> None:
         """One command."""
         packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
-        command = mavlink.MAVLink_command_long_message(
-            1, 1, _SET_MODE, 0, _CUSTOM_MODE, self.mode.main, self.mode.sub, 0, 0, 0, 0
-        )
+        asked = mode_command(_KINDS[world.setup.manners], self.mode)
+        params = [*(value or 0.0 for value in asked.params), *(7 * [0.0])][:7]
+        command = mavlink.MAVLink_command_long_message(1, 1, asked.number, 0, *params)
         world.note(f"a second station asks for {self.mode.name}")
         world.autopilot_link.b.write(bytes(command.pack(packer)))
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from vwnav.bench.flights.world import LINK_LATENCY_S, World
 from vwnav.sim.memory_link import Tap

@@ -119,7 +119,7 @@ def _begin(fault: Fault, flight: LiveFlight) -> None:
             pilot.take_over()
         case link.StationCommands(mode):
             assert pilot is not None
-            pilot.ask(FlightMode[mode.name])
+            pilot.ask(mode)
         case _:
             fault.begin(_Spoiled(flight))  # type: ignore[arg-type]
 

@@ -14,7 +14,7 @@ from vwnav.bench.flights.table.common import (
     setup,
 )
 from vwnav.mission import Phase
-from vwnav.sim.px4.modes import NavState
+from vwnav.types import FlightMode
 
 CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
 
@@ -84,6 +84,6 @@ OTHERS = [
         ending=Ending.OTHERS,
         follows=(phase(1.0, "pilot flies"),),
     )
-    for mode in (NavState.HOLD, NavState.RETURN)
+    for mode in (FlightMode.HOLD, FlightMode.RETURN)
 ]
 LINK = [*CUTS, *SLOW, *DIRTY, *OTHERS]

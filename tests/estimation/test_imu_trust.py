@@ -1,0 +1,92 @@
+"""An IMU that does not feel gravity where the attitude has it, and what it had told before."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vwnav.bench.estimator_run import play
+from vwnav.bench.estimator_streams import Stream, sense
+from vwnav.bench.estimator_world import World, fly
+from vwnav.estimation.ekf import Ekf, EkfConfig, Start, Verdict
+from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
+from vwnav.types import Attitude, ImuSample
+
+PERIOD_S = 0.02
+QUARTER_ABOUT_FORWARD = rotation_from_euler(math.pi / 2, 0.0, 0.0)
+
+
+def listening() -> tuple[Ekf, list[str]]:
+    said: list[str] = []
+    ekf = Ekf(EkfConfig())
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=2.0, agl_m=0.15))
+    ekf.on_event(said.append)
+    return ekf, said
+
+
+def verdicts(ekf: Ekf, count: int, force, start: int = 0, roll_rad: float = 0.0) -> list[Verdict]:
+    """Of samples that feel `force`, each after the attitude of its moment."""
+    quat = quat_from_rotation(rotation_from_euler(roll_rad, 0.0, 0.0))
+    found = []
+    for i in range(start, start + count):
+        ekf.handle(Attitude(PERIOD_S * i, quat))
+        sample = ImuSample(PERIOD_S * i, np.asarray(force, dtype=float), np.zeros(3), PERIOD_S)
+        found.append(ekf.handle(sample).verdict)
+    return found
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, 9.8), (9.8, 0.0, 0.0), (0.0, 0.0, -30.0)])
+def test_an_imu_that_feels_gravity_elsewhere_is_not_used_and_it_is_said(force):
+    ekf, said = listening()
+    verdicts(ekf, 500, force)
+    assert set(verdicts(ekf, 50, force, start=500)) == {Verdict.DISTRUSTED}
+    assert len(said) == 1
+    assert "IMU is not used" in said[0]
+    assert np.hypot(*ekf.estimate(11.0).velocity_ned_m_s[:2]) < 1.0
+
+
+def test_leaning_and_braking_are_no_reason_to_refuse_it():
+    ekf, _ = listening()
+    leaning = rotation_from_euler(0.3, 0.0, 0.0).T @ [0.0, 0.0, -9.8]
+    assert set(verdicts(ekf, 500, leaning, roll_rad=0.3)) == {Verdict.FUSED}
+    ekf, _ = listening()
+    verdicts(ekf, 500, (0.0, 0.0, -9.8))
+    assert set(verdicts(ekf, 100, (6.0, 0.0, -9.8), start=500)) == {Verdict.FUSED}
+
+
+def test_an_imu_that_comes_right_is_used_again():
+    ekf, said = listening()
+    verdicts(ekf, 500, (0.0, 0.0, 9.8))
+    assert verdicts(ekf, 2000, (0.0, 0.0, -9.8), start=500)[-1] is Verdict.FUSED
+    assert "used again" in said[-1]
+
+
+def stream_of(seed: int) -> Stream:
+    world = World(seconds=30.0, imu_hz=50.0, leg_s=6.0)
+    rng = np.random.default_rng(seed)
+    return sense(world, fly(world, [rng])[0], rng)
+
+
+def turned(stream: Stream, from_s: float) -> Stream:
+    """The IMU is a quarter turn about forward off from then on."""
+    R = QUARTER_ABOUT_FORWARD.T
+
+    def other(seen):
+        if not isinstance(seen, ImuSample) or seen.t_s < from_s:
+            return seen
+        force, rates = R @ seen.specific_force_m_s2, R @ seen.rates_rad_s
+        return replace(seen, specific_force_m_s2=force, rates_rad_s=rates)
+
+    events = [replace(event, seen=other(event.seen)) for event in stream.events]
+    return replace(stream, events=events)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_it_told_before_it_was_found_out_is_taken_back(seed):
+    """Believed for half a second it left tilt and velocity wrong at small sigmas: 6.5 sigmas."""
+    run = play(turned(stream_of(seed), 15.0))
+    rows = run.rows
+    for t_s, error_m, P in zip(rows.t_s, rows.error_ne_m, rows.P, strict=True):
+        sigmas = math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
+        assert sigmas < (5.0 if t_s < 16.5 else 3.5), f"{sigmas:.1f} sigmas at {t_s} s"

@@ -1,0 +1,80 @@
+"""Whether the IMU feels gravity where the attitude has it.
+
+One that is mounted otherwise than the autopilot was told, or broken, tells of accelerations and
+turns that nobody flies. None of it is to be believed until it comes right.
+"""
+
+import math
+
+import numpy as np
+
+from vwnav.estimation.attitudes import GRAVITY_M_S2
+from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.types import Array, ImuSample
+
+_AT_REST_M_S2 = np.array([0.0, 0.0, -GRAVITY_M_S2])
+_MOST_M_S2 = 160.0  # 16 g: one absurd sample shall not count for minutes
+_SHORT_S, _LONG_S = 0.5, 10.0
+# From gravity, and from what rotors push with, on the short average: 50 degrees of lean are flown.
+_FOREIGN_M_S2, _UNPUSHED_M_S2 = 7.0, 5.0
+_FOREIGN_LONG_M_S2 = 3.0  # on the long one no aircraft accelerates so much
+_THRUST_M_S2 = (2.0, 40.0)  # of rotors, upward along the body's axis
+_LONGEST_S = 1.0  # of silence that a sample stands for
+
+
+class ImuTrust:
+    """Averages what the samples feel, in the body and as the attitude turns it into NED.
+
+    Attributes:
+        lost: none is to be believed.
+    """
+
+    def __init__(self) -> None:
+        self._body = _Average(_SHORT_S)
+        self._ned = _Average(_SHORT_S)
+        self._ned_long = _Average(_LONG_S)
+        self._newest_s = math.inf
+        self.lost = False
+
+    @property
+    def off_m_s2(self) -> float:
+        """How far from gravity it feels, on the shorter average."""
+        return self._ned.from_rest_m_s2
+
+    def saw(self, sample: ImuSample, quat_wxyz: Array) -> bool:
+        """Whether a sample, felt in an attitude (4,), has made a change of `lost`."""
+        span_s = min(max(sample.t_s - self._newest_s, 0.0), _LONGEST_S)
+        self._newest_s = sample.t_s
+        force = np.clip(sample.specific_force_m_s2, -_MOST_M_S2, _MOST_M_S2)
+        force_ned = rotation_from_quat(quat_wxyz) @ force
+        self._body.add(force, span_s)
+        self._ned.add(force_ned, span_s)
+        self._ned_long.add(force_ned, span_s)
+        unpushed = _from_thrust_m_s2(self._body.value) > _UNPUSHED_M_S2
+        foreign = unpushed and self.off_m_s2 > _FOREIGN_M_S2
+        if self.lost == (foreign or self._ned_long.from_rest_m_s2 > _FOREIGN_LONG_M_S2):
+            return False
+        self.lost = not self.lost
+        return True
+
+
+class _Average:
+    """Of a force (3,), m/s^2, exponentially forgotten; at rest at first."""
+
+    def __init__(self, over_s: float) -> None:
+        self.value: Array = _AT_REST_M_S2
+        self._over_s = over_s
+
+    def add(self, force: Array, span_s: float) -> None:
+        self.value = self.value - math.expm1(-span_s / self._over_s) * (force - self.value)
+
+    @property
+    def from_rest_m_s2(self) -> float:
+        return float(np.linalg.norm(self.value - _AT_REST_M_S2))
+
+
+def _from_thrust_m_s2(force_body: Array) -> float:
+    """How far a specific force (3,) is from what rotors alone push with."""
+    forward, right, down = force_body.tolist()
+    least, most = _THRUST_M_S2
+    return math.hypot(forward, right, down + min(max(-down, least), most))
