@@ -14,6 +14,8 @@ _AHEAD_S = 0.5  # a stamp from the future by so much is none of this clock
 _NEW_CLOCK = 3  # stamps in a row that agree with each other alone
 _LATE_S = 0.03  # a stamp is waited for or held back, or the clock has slipped
 _SLIPPED_FOR_S = 3.0  # nothing but late stamps for so long: it is the clock itself
+_WANDER = 20e-6  # by which two crystals may part from the line, a second
+_SAME_RATE = 3e-4  # another rate of late stamps is that of a queue that fills or drains
 _VERDICTS = 10  # on answers: a liar is right now and then
 _CONTRADICTION_S = 0.001
 _FRESH_S = 0.3  # stamps and an answer that came together speak of the same clock
@@ -33,10 +35,10 @@ class BootClock:
     been given before it was asked for: a lower bound. The truth is taken to be in the middle: both
     ways are equally fast at their best.
 
-    What is only late moves neither bound: a way that becomes longer in flight leaves the clock
-    where it was. One that has slipped (a simulator that falls behind for good) shows in bounds that
-    contradict each other or, where nobody answers, in stamps that are all late for seconds: what
-    came before is forgotten.
+    What is only late moves neither bound: while nothing else comes both are carried on, so that a
+    way that becomes longer in flight leaves the clock where it was. One that has slipped (a
+    simulator that falls behind for good) shows in bounds that contradict each other or, where
+    nobody answers, in stamps that are all late for seconds: what came before is forgotten.
 
     Attributes:
         restarts: how often the autopilot has started anew.
@@ -46,8 +48,7 @@ class BootClock:
         self.restarts = 0
         self._newest_boot_s = -math.inf
         self._drift = 0.0  # seconds by which ours gains on the autopilot's, a second
-        self._least_s = 0.0  # the least late stamp, as if it were the newest
-        self._offset_s = 0.0  # ours less the autopilot's, at the newest stamp
+        self._lower_s = self._upper_s = 0.0  # of how late the newest stamp is at least, and at most
         self._spent_s: deque[float] = deque(maxlen=_RECENT_TRIPS)
         self._strange: list[Point] = []
         self._forget()
@@ -66,6 +67,8 @@ class BootClock:
             self.restarts += boot_s < self._newest_boot_s
             self._forget()
         self._strange.clear()
+        if self._stamps:
+            self._carry_on(max(boot_s - self._newest_boot_s, 0.0))
         self._newest_boot_s = max(self._newest_boot_s, boot_s)
         self._add_stamp(boot_s, received_s - boot_s)
         return True
@@ -87,7 +90,8 @@ class BootClock:
         """The moment `boot_s` of the autopilot on this computer's clock; None before any news."""
         if not self._stamps:
             return None
-        return boot_s + self._offset_s + self._drift * (boot_s - self._newest_boot_s)
+        offset_s = 0.5 * (self._lower_s + self._upper_s)
+        return boot_s + offset_s + self._drift * (boot_s - self._newest_boot_s)
 
     def _forget(self) -> None:
         self._stamps = _Buckets()
@@ -102,20 +106,43 @@ class BootClock:
         assert expected_s is not None
         return boot_s < self._newest_boot_s - _REBOOT_S or expected_s > received_s + _AHEAD_S
 
+    def _carry_on(self, step_s: float) -> None:
+        """Both bounds, to a stamp that is newer by so much: what is old bounds less sharply."""
+        self._lower_s += (self._drift - _WANDER) * step_s
+        self._upper_s += (self._drift + _WANDER) * step_s
+
     def _add_stamp(self, boot_s: float, late_s: float) -> None:
         point = (boot_s, late_s)
         self._fresh.append(point)
-        if self._stamps and self._residual_s(point) > self._least_s + _LATE_S:
-            self._late.add(point, self._drift)
-            if self._late.heard_for_s > _SLIPPED_FOR_S and not self._asked_since(self._late[0][0]):
-                self._take_late_for_true()
+        _drop_before(self._answers, boot_s - _WINDOW_S)
+        if self._stamps and self._residual_s(point) > self._upper_s + _LATE_S:
+            self._add_late(point)
         else:
-            self._late = _Buckets()
+            if self._late:
+                self._end_lateness()
             if self._stamps.add(point, self._drift):
                 _drop_before(self._stamps, boot_s - _WINDOW_S)
                 self._drift = self._stamps.trusted_slope()
-        _drop_before(self._answers, boot_s - _WINDOW_S)
         self._fit()
+
+    def _add_late(self, point: Point) -> None:
+        if self._late.add(point, self._drift):
+            _drop_before(self._late, point[0] - _WINDOW_S)
+            slope = self._late.trusted_slope()
+            if self._late.heard_for_s > _TRUSTED_S and abs(slope - self._drift) < _SAME_RATE:
+                self._drift = slope
+        if self._late.heard_for_s > _SLIPPED_FOR_S and not self._asked_since(self._late[0][0]):
+            self._take_late_for_true()
+
+    def _end_lateness(self) -> None:
+        """What was carried on stands for what has grown too old meanwhile."""
+        self._late = _Buckets()
+        before_s = self._newest_boot_s - _BUCKET_S
+        _drop_before(self._stamps, self._newest_boot_s - _WINDOW_S)
+        if not self._stamps:
+            self._stamps.add((before_s, self._upper_s - self._drift * _BUCKET_S), self._drift)
+        if self._answers and self._honest:
+            self._answers.append((before_s, self._lower_s - self._drift * _BUCKET_S))
 
     def _asked_since(self, boot_s: float) -> bool:
         """Honest answers have come since: had the clock slipped, they would contradict the line."""
@@ -123,33 +150,35 @@ class BootClock:
 
     def _take_late_for_true(self) -> None:
         self._stamps, self._late = self._late, _Buckets()
-        self._answers.clear()
+        _drop_before(self._answers, self._stamps[0][0])
         self._drift = self._stamps.trusted_slope()
 
     def _fit(self) -> None:
         """The line's height at the newest stamp, between the two bounds."""
-        lower_s, upper_s = self._bounds_s()
+        if self._late:
+            lower_s, upper_s = self._bounds_s(self._late)
+            self._lower_s, self._upper_s = max(lower_s, self._lower_s), min(upper_s, self._upper_s)
+            if self._lower_s <= self._upper_s + _LATE_S:
+                self._upper_s = max(self._lower_s, self._upper_s)
+                return
+            self._take_late_for_true()  # it has slipped, too
+        lower_s, upper_s = self._bounds_s(self._stamps)
         if lower_s > upper_s + _CONTRADICTION_S:
             self._drift = self._stamps.slope()
-            lower_s, upper_s = self._bounds_s()
-        while lower_s > upper_s + _CONTRADICTION_S:  # it has slipped since the oldest
-            if len(self._stamps) > 1:
-                second_s = self._stamps[1][0]
-                _drop_before(self._stamps, second_s)
-                _drop_before(self._answers, second_s)
-                self._drift = self._stamps.slope()
-            elif self._late:
-                self._take_late_for_true()
-            else:
-                break
-            lower_s, upper_s = self._bounds_s()
-        self._offset_s, self._least_s = 0.5 * (lower_s + upper_s), upper_s
+            lower_s, upper_s = self._bounds_s(self._stamps)
+        while lower_s > upper_s + _CONTRADICTION_S and len(self._stamps) > 1:
+            second_s = self._stamps[1][0]  # it has slipped since the oldest
+            _drop_before(self._stamps, second_s)
+            _drop_before(self._answers, second_s)
+            self._drift = self._stamps.slope()
+            lower_s, upper_s = self._bounds_s(self._stamps)
+        self._lower_s, self._upper_s = lower_s if math.isfinite(lower_s) else upper_s, upper_s
 
-    def _bounds_s(self) -> tuple[float, float]:
-        """How late the newest stamp is at least, by the answers, and at most, by the stamps."""
-        upper_s = min(map(self._residual_s, self._stamps))
+    def _bounds_s(self, stamps: Iterable[Point]) -> tuple[float, float]:
+        """How late the newest stamp is at least, by answers if there are any, and at most."""
+        upper_s = min(map(self._residual_s, stamps))
         answers = self._answers if self._honest else ()
-        return max(map(self._residual_s, answers), default=upper_s), upper_s
+        return max(map(self._residual_s, answers), default=-math.inf), upper_s
 
     @property
     def _honest(self) -> bool:

@@ -278,10 +278,8 @@ class TelemetryState:
     def _handle_pressure(
         self, source: str, boot_s: float, pressure_hpa: float | None, received_s: float
     ) -> None:
-        t_s = self.clock.to_monotonic(boot_s)
+        t_s = self._dated(boot_s, received_s)
         if t_s is None or pressure_hpa is None or not is_pressure(pressure_hpa):
-            return
-        if not received_s - _OLDEST_S < t_s < received_s + _CLOCK_ERROR_S:
             return
         overtaken_by_s = self._pressure_boot_s.get(source, -math.inf) - boot_s
         if 0.0 <= overtaken_by_s < _OLDEST_S:
@@ -296,6 +294,13 @@ class TelemetryState:
             if self._stands(received_s):
                 self._queue.append(Stationary(t_s))
 
+    def _dated(self, boot_s: float, received_s: float) -> float | None:
+        """On our clock, by the autopilot's own; None where that cannot be."""
+        t_s = self.clock.to_monotonic(boot_s)
+        if t_s is None or not received_s - _OLDEST_S < t_s < received_s + _CLOCK_ERROR_S:
+            return None
+        return t_s
+
     def _stands(self, t_s: float) -> bool:
         """Known to be disarmed, and not falling."""
         heard = t_s - self._heartbeat_t_s < _LINK_LOST_S
@@ -305,9 +310,12 @@ class TelemetryState:
         distance_cm = fields["current_distance"]
         in_range = fields["min_distance"] <= distance_cm <= fields["max_distance"]
         # signal_quality: 0 unknown, 1 invalid, though PX4's simulator says 1 for good ones too.
+        t_s = self._dated(fields["time_boot_ms"] / 1e3, received_s)
+        if t_s is None or (self._range is not None and t_s <= self._range.t_s):
+            return  # a duplicate, or a newer one was faster
         if fields["orientation"] == _DOWNWARD and in_range and distance_cm > 0:
-            self._range = _Stamped(received_s, distance_cm / 100.0)
-            self._queue.append(Range(received_s, distance_cm / 100.0))
+            self._range = _Stamped(t_s, distance_cm / 100.0)
+            self._queue.append(Range(t_s, distance_cm / 100.0))
 
     def _handle_origin(self, fields: Fields, received_s: float) -> None:
         lat_deg, lon_deg = fields["latitude"] / 1e7, fields["longitude"] / 1e7
