@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vwnav.estimation.attitudes import AttitudeHistory
+from vwnav.estimation.attitudes import AttitudeHistory, yaw_of
 from vwnav.estimation.gyro import GyroHistory
 from vwnav.geometry.rotations import quat_from_vector
 from vwnav.types import Attitude
@@ -33,7 +33,8 @@ def off_rad(attitudes: AttitudeHistory, t_s: float) -> float:
 def test_beyond_the_newest_attitude_it_turns_as_the_gyro_says(t_s):
     attitudes = turning(1.0, 3.0)
     assert attitudes.tell(t_s)
-    assert attitudes.carries(t_s)
+    turned = quat_from_vector((t_s - 1.0) * RATE)
+    assert attitudes.carried_rad(t_s) == pytest.approx(yaw_of(turned), abs=0.02)
     assert off_rad(attitudes, t_s) < 1e-3
 
 
@@ -41,7 +42,7 @@ def test_without_the_gyro_nobody_tells():
     attitudes = turning(1.0, 1.0)
     assert not attitudes.tell(1.5)
     assert attitudes.at(1.5) is None
-    assert not attitudes.carries(1.5)
+    assert attitudes.carried_rad(1.5) == 0.0
 
 
 def test_it_is_not_carried_on_for_ever():

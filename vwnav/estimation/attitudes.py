@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from vwnav.estimation.gyro import GyroHistory
-from vwnav.geometry.rotations import quat_multiply
+from vwnav.geometry.rotations import quat_multiply, wrap_pi
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
@@ -103,7 +103,8 @@ class AttitudeHistory:
         """
         if not self._times_s:
             return np.array([1.0, 0.0, 0.0, 0.0])
-        carried = self._carried_over(t_s)
+        last = self._carried_from(t_s)
+        carried = None if last is None else self._carried(last, t_s)
         if carried is not None:
             return carried
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
@@ -119,12 +120,16 @@ class AttitudeHistory:
         quat = (1.0 - fraction) * quat0 + fraction * quat1
         return np.asarray(quat / math.sqrt(quat @ quat))
 
-    def carries(self, t_s: float) -> bool:
-        """Whether `quat_at` is the gyro's word, from the autopilot's last one on."""
-        return self._carried_over(t_s) is not None
+    def carried_rad(self, t_s: float) -> float:
+        """By how much the gyro has turned the heading of `quat_at` on from the autopilot's last."""
+        last = self._carried_from(t_s)
+        carried = None if last is None else self._carried(last, t_s)
+        if last is None or carried is None:
+            return 0.0
+        return wrap_pi(yaw_of(carried) - yaw_of(self._quats[last]))
 
-    def _carried_over(self, t_s: float) -> Array | None:
-        """Beyond the newest attitude, though not beyond the gyro, and in a gap."""
+    def _carried_from(self, t_s: float) -> int | None:
+        """Beyond the newest attitude, though not beyond the gyro, and in a gap: the one before."""
         after = bisect.bisect_right(self._times_s, t_s)
         if after == 0:
             return None
@@ -133,7 +138,7 @@ class AttitudeHistory:
             is_open = self._gyro.newest_s > before_s and t_s > before_s
         else:
             is_open = self._times_s[after] - before_s > self._max_gap_s
-        return self._carried(after - 1, t_s) if is_open else None
+        return after - 1 if is_open else None
 
     def _carried(self, i: int, t_s: float) -> Array | None:
         """The i-th attitude, turned on to `t_s` by the gyro."""

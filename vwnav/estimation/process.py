@@ -7,8 +7,8 @@ import numpy as np
 
 from vwnav.estimation.attitudes import GRAVITY_M_S2, level_axes, thrust_acceleration, yaw_of
 from vwnav.estimation.context import Context
-from vwnav.estimation.imu import Felt, Push, push_between
-from vwnav.estimation.states import EkfConfig, FilterState, States
+from vwnav.estimation.imu import Push, push_between
+from vwnav.estimation.states import EkfConfig, FilterState, Measured, States
 from vwnav.estimation.turning import conditioned, gyro_says
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
@@ -38,22 +38,23 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
     x, P = state.x, state.P
-    quat, felt = state.measured or _measured(state.t_s, context)
+    quat, felt, carried_rad = state.measured or _measured(state.t_s, context)
     told = context.attitudes.tell(state.t_s)
     for i in range(count):
         end_s = state.t_s + (i + 1) * dt_s
-        (quat0, felt0), (quat, felt) = (quat, felt), _measured(end_s, context)
+        quat0, felt0, carried0_rad = quat, felt, carried_rad
+        quat, felt, carried_rad = _measured(end_s, context)
         told0, told = told, context.attitudes.tell(end_s)
         both = told0 and told
         push = push_between(felt0, felt) if both else None
-        carried = push is not None and context.attitudes.carries(end_s)
-        span = _Span(dt_s, quat0, quat, push, both, carried)
+        span = _Span(dt_s, quat0, quat, push, both, carried_rad - carried0_rad)
         x, P = _step(x, P, span, context)
-    return replace(state, t_s=t_s, x=x, P=P, measured=(quat, felt))
+    return replace(state, t_s=t_s, x=x, P=P, measured=Measured(quat, felt, carried_rad))
 
 
-def _measured(t_s: float, context: Context) -> tuple[Array, Felt | None]:
-    return context.attitudes.quat_at(t_s), context.imu.until(t_s)
+def _measured(t_s: float, context: Context) -> Measured:
+    attitudes = context.attitudes
+    return Measured(attitudes.quat_at(t_s), context.imu.until(t_s), attitudes.carried_rad(t_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +62,7 @@ class _Span:
     """A step of `dt_s`: the autopilot's attitudes (4,) at its ends, and what the IMU felt in it.
 
     `told` is False where attitudes are missing: nobody knows where the thrust pushed then;
-    `carried` where the gyro alone has turned the attitude on.
+    `carried_rad` is by how much more the gyro alone has turned the heading on at its end.
     """
 
     dt_s: float
@@ -69,7 +70,7 @@ class _Span:
     quat1: Array
     push: Push | None
     told: bool = True
-    carried: bool = False
+    carried_rad: float = 0.0
 
     @property
     def quat(self) -> Array:
@@ -170,11 +171,10 @@ def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Arr
 def _tilt_turn(span: _Span) -> Array:
     """(2, 2) how the tilt error turns about the body: the autopilot's goes with it, mostly.
 
-    That of an attitude which the gyro carries on stays where it was, whichever way the body turns.
+    That of an attitude which the gyro carries on stays where it was, whichever way the body turns,
+    until the autopilot tells one again.
     """
-    if not span.carried:
-        return _LEVEL
-    return level_axes(yaw_of(span.quat1)).T @ level_axes(yaw_of(span.quat0))
+    return _LEVEL if span.carried_rad == 0.0 else level_axes(span.carried_rad).T
 
 
 def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Context) -> bool:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -180,14 +181,28 @@ class Dispute:
     covariance: Array
 
 
+class Measured(NamedTuple):
+    """What the autopilot tells of a moment.
+
+    Attributes:
+        quat_wxyz: (4,) its attitude.
+        felt: what its IMU had felt until then.
+        carried_rad: how far its gyro alone had turned the heading on, from its last attitude.
+    """
+
+    quat_wxyz: Array
+    felt: Felt | None
+    carried_rad: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
     """Everything the filter believes at `t_s`. Never changed in place.
 
     Attributes:
         x: (n,) see `States`, n its size. P: (n, n) its covariance.
-        measured: the autopilot's attitude (4,) and what its IMU had felt at `t_s`, as they were
-            known then: the next step goes on from just there. None before the first one.
+        measured: what the autopilot tells of `t_s`, as it was known then: the next step goes on
+            from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
         trusted: the last fix that agreed with one before it; the start until then.
         newest_height: time and height that the barometer told last, believed or not.
@@ -201,7 +216,7 @@ class FilterState:
     P: Array
     position_known: bool
     heading_known: bool
-    measured: tuple[Array, Felt | None] | None = None
+    measured: Measured | None = None
     anchor: Anchor | None = None
     exposure: Exposure | None = None
     t_last_fix_s: float | None = None
