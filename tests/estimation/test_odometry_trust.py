@@ -1,12 +1,21 @@
 """Ways that contradict the IMU are not believed, until they and a fix agree again."""
 
+import numpy as np
+
 from vwnav.estimation.odometry_trust import OdometryTrust
+from vwnav.estimation.states import FilterState, States
 
 
-def tell(trust: OdometryTrust, begin_s: float, seconds: float, agrees: bool) -> float:
+def tell(
+    trust: OdometryTrust, begin_s: float, seconds: float, agrees: bool, brakes_m_s2: float = 3.0
+) -> float:
     """Ten ways a second; returns when the next one is due."""
+    P = 0.3**2 * np.eye(States.SIZE)
     for i in range(round(10 * seconds)):
-        trust.saw(begin_s + 0.1 * i, agrees)
+        x = np.zeros(States.SIZE)
+        x[States.VELOCITY.start] = 8.0 - 0.1 * i * brakes_m_s2
+        state = FilterState(begin_s + 0.1 * i, x, P, position_known=True, heading_known=True)
+        trust.saw(agrees, state)
     return begin_s + seconds
 
 
@@ -33,6 +42,16 @@ def test_lost_again_they_have_to_agree_for_longer():
     t_s = tell(trust, t_s, 10.0, True)
     assert trust.lost
     tell(trust, t_s, 12.0, True)
+    assert not trust.lost
+
+
+def test_in_steady_flight_ways_of_another_moment_agree_and_that_proves_nothing():
+    trust = OdometryTrust()
+    t_s = tell(trust, 0.0, 1.5, False, brakes_m_s2=0.0)
+    trust.saw_fix()
+    t_s = tell(trust, t_s, 30.0, True, brakes_m_s2=0.0)
+    assert trust.lost
+    tell(trust, t_s, 4.0, True)
     assert not trust.lost
 
 

@@ -298,7 +298,7 @@ class Ekf:
         innovation = self._timeline.test(event) if self._trust.lost else self._insert(event)
         if innovation.verdict not in (Verdict.FUSED, Verdict.GATED):
             return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
-        if self._trust.saw(event.t_s, innovation.accepted):
+        if self._trust.saw(innovation.accepted, self._timeline.head):
             if self._trust.lost:
                 self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
             self._say(_CONTRADICTS if self._trust.lost else _AGREES)

@@ -3,7 +3,7 @@
 from vwnav.bench.flights.faults import computer
 from vwnav.bench.flights.scenario import Break, Ending, Scenario
 from vwnav.bench.flights.seen import down, mode, phase, said
-from vwnav.bench.flights.table.common import BREAKS_AT_S, flies_on, setup
+from vwnav.bench.flights.table.common import BREAKS_AT_S, HOME, flies_on, setup
 
 TAKEN_OVER = (mode(2.5, "HOLD"), mode(5.0, "LAND", "DESCEND"), down(60.0))
 
@@ -49,14 +49,15 @@ RAISES = [
         follows=(phase(8.0, "landing"), down(60.0)),
         lands_within_m=50.0,
     ),
-    # It knows its motion, not its place: stays, tries to find home, and lands.
+    # It knows its motion, not its place: stays, looks from higher up, returns by its motion alone.
     Scenario(
         name="every match raises for good",
         setup=setup(),
         breaks=(Break(fault=computer.MatchingRaises(), at_s=BREAKS_AT_S),),
         limit_s=150.0,
-        follows=(phase(40.0, "landing", "returning"), down(140.0)),
-        lands_within_m=60.0,
+        follows=(phase(40.0, "returning"), down(140.0)),
+        lands_within_m=10.0,
+        lands_at_ne_m=HOME,
     ),
     flies_on("every step of the link raises for 0.5 s", computer.StepRaises("link"), 0.5),
     flies_on("every picture raises for 2 s", computer.StepRaises("picture"), 2.0),
