@@ -18,6 +18,7 @@ _RATE_S = 0.1
 _RECOVERY_S = 3.0  # after something was broken
 _STEADY_S = 1.0  # between two changes of the reset counter
 _UNSEEN_JUMP_M = 0.05
+_FOUND_SHARE = 0.5  # of the sigma of before: a place that is found, be it where it was believed
 _COUNTERS = 256  # reset_counter is a byte
 _BEAT_S = 1.5  # 1 Hz and what a busy loop adds
 _GROUND_STATION = 6
@@ -94,9 +95,9 @@ def _renewed(log: FlightLog) -> list[tuple[Sent, Sent]]:
 
 
 def _counts_for_nothing(log: FlightLog) -> Breach | None:
-    """Another counter is another position, or the end of a pause."""
+    """Another counter is another position, one that is first known, or the end of a pause."""
     for a, b in _renewed(log):
-        if b.t_s - a.t_s > _PAUSE_S:
+        if b.t_s - a.t_s > _PAUSE_S or b.sigma_m < _FOUND_SHARE * a.sigma_m:
             continue
         if _moved_m(a, b) < _UNSEEN_JUMP_M:
             return Breach(b.t_s, f"counter {b.reset_counter} for a step of {_moved_m(a, b):.2f} m")
@@ -202,7 +203,7 @@ ESTIMATES = (
     ),
     Rule(
         "reset counter's cause",
-        "Another reset counter comes with another position, or after a pause.",
+        "Another reset counter comes with another position, a first known one, or after a pause.",
         ("vehicle", "estimates"),
         _counts_for_nothing,
         whole=True,
