@@ -20,11 +20,13 @@ FLOWN_IN_COPTER_MANNERS = {
     "link cut for 1 s on the route",
     "link cut for 10 s on the route",
     "link cut for 5 s on the route",
+    "IMU turns on its side in flight",
     "navigator killed",
     "navigator stopped for 20 s",
     "nothing breaks",
     "pictures gone for good at 50 m",
     "pilot takes over while on the route",
+    "round trip of 0.3 s on the route",
 }
 
 
