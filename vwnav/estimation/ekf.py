@@ -270,8 +270,20 @@ class Ekf:
         return innovation
 
     def handle_odometry(self, motion: OdometryMotion) -> Innovation:
-        """Take the motion since a keyframe, in NED as the autopilot's own heading has it."""
+        """Take the motion since a keyframe, in NED as the autopilot's own heading has it.
+
+        One of ways that mostly contradict the IMU is refused, and those before it too.
+        """
         self._note(motion)
+        if motion.t1_s > self._gyro.newest_s + _IMU_OF_NOW_S:
+            self._trust = OdometryTrust()  # nothing contradicts them any more
+        innovation = self._meet_way(motion)
+        if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
+            self._judge_ways(innovation.accepted)
+        return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
+
+    def _meet_way(self, motion: OdometryMotion) -> Innovation:
+        """Insert it, or only ask what would become of it while none is believed."""
         event = Displacement(self._shaken(motion))
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
@@ -287,22 +299,14 @@ class Ekf:
             return Innovation(Verdict.NO_ATTITUDE)
         if not self._anchored(event.motion):
             return Innovation(Verdict.NO_ANCHOR)
-        return self._judged(event)
+        return self._timeline.test(event) if self._trust.lost else self._insert(event)
 
-    def _judged(self, event: Displacement) -> Innovation:
-        """One of ways that mostly contradict the IMU is refused, and those before it too."""
+    def _judge_ways(self, agrees: bool) -> None:
         assert self._timeline is not None
-        if event.t_s > self._gyro.newest_s + _IMU_OF_NOW_S:
-            self._trust = OdometryTrust()  # nothing contradicts them any more
-            return self._insert(event)
-        innovation = self._timeline.test(event) if self._trust.lost else self._insert(event)
-        if innovation.verdict not in (Verdict.FUSED, Verdict.GATED):
-            return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
-        if self._trust.saw(innovation.accepted, self._timeline.head):
+        if self._trust.saw(agrees, self._timeline.head):
             if self._trust.lost:
                 self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
             self._say(_CONTRADICTS if self._trust.lost else _AGREES)
-        return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
 
     def _shaken(self, motion: OdometryMotion) -> OdometryMotion:
         """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
