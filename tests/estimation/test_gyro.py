@@ -33,8 +33,8 @@ def off_rad(attitudes: AttitudeHistory, t_s: float) -> float:
 def test_beyond_the_newest_attitude_it_turns_as_the_gyro_says(t_s):
     attitudes = turning(1.0, 3.0)
     assert attitudes.tell(t_s)
-    turned = quat_from_vector((t_s - 1.0) * RATE)
-    assert attitudes.carried_rad(t_s) == pytest.approx(yaw_of(turned), abs=0.02)
+    turned_rad = yaw_of(quat_from_vector(t_s * RATE)) - yaw_of(quat_from_vector(RATE))
+    assert attitudes.carried_rad(t_s) == pytest.approx(turned_rad, abs=1e-3)
     assert off_rad(attitudes, t_s) < 1e-3
 
 

@@ -119,9 +119,10 @@ def stand_in_garbage() -> Record:
             for data in (cut, noise, bytes(hurt)):
                 c.send_raw(data)
                 stranger.sendto(data, c.peer)
-        before = c.count["ATTITUDE"]
+        before, since_ms = c.count["ATTITUDE"], c.latest["ATTITUDE"].time_boot_ms
         c.sleep(2.0)
-        r["rate_hz"] = (c.count["ATTITUDE"] - before) / 2.0
+        ran_s = (c.latest["ATTITUDE"].time_boot_ms - since_ms) / 1e3  # by its own clock
+        r["rate_hz"] = (c.count["ATTITUDE"] - before) / ran_s
         r["armed"] = c.armed
         r["answer"] = c.command(512, 148)
         c.wait(
