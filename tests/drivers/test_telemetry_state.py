@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vwnav.drivers.telemetry_state import TelemetryState
 from vwnav.safety.flight_modes import AutopilotKind
 from vwnav.safety.mavlink_framing import packet_at
-from vwnav.types import FlightMode, ImuSample, VehicleState
+from vwnav.types import FlightMode, ImuSample, Range, VehicleState
 
 MAV = mavlink.MAVLink(None)
 UNDERSTOOD = {
@@ -278,3 +278,18 @@ def test_an_accepted_mode_is_believed_until_another_one_is_told_anew():
     telemetry.modes.expect(FlightMode.LAND, 12.3)
     beat(telemetry, offboard, 13.1)
     assert telemetry.state(13.2).mode is FlightMode.OFFBOARD
+
+
+def test_a_range_is_dated_by_its_own_stamp_however_late_it_comes():
+    telemetry = TelemetryState()
+    beat(telemetry, 0, 100.0)
+    names = ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed")
+    for i in range(50):
+        attitude = dict.fromkeys(names, 0.0) | {"time_boot_ms": 20 * i}
+        telemetry.handle("ATTITUDE", attitude, 100.0 + 0.02 * i)
+    fields = {"time_boot_ms": 700, "min_distance": 0, "max_distance": 10000, "orientation": 25}
+    for centimetres in (1200, 1300):  # the second is the same message once more
+        telemetry.handle("DISTANCE_SENSOR", fields | {"current_distance": centimetres}, 101.0)
+    ranges = [each for each in telemetry.take_measurements() if isinstance(each, Range)]
+    assert [each.distance_m for each in ranges] == [12.0]
+    assert ranges[0].t_s == pytest.approx(100.7, abs=0.01)

@@ -59,7 +59,15 @@ def test_an_imu_that_comes_right_is_used_again():
     ekf, said = listening()
     verdicts(ekf, 500, (0.0, 0.0, 9.8))
     assert verdicts(ekf, 2000, (0.0, 0.0, -9.8), start=500)[-1] is Verdict.FUSED
-    assert "used again" in said[-1]
+    assert "again: it is used" in said[-1]
+    assert len(said) == 2
+
+
+def test_at_the_bound_it_is_not_said_again_and_again():
+    ekf, said = listening()
+    for i in range(0, 3000, 30):  # 2.9 and 3.1 m/s^2 too little, in turns
+        verdicts(ekf, 30, (0.0, 0.0, -6.9 if i % 60 else -6.7), start=i)
+    assert sum("IMU" in each for each in said) == 1
 
 
 def stream_of(seed: int) -> Stream:

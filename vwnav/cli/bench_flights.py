@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vwnav.errors import ConfigError
+from vwnav.cli.manners import manners_of
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import Campaign
@@ -56,7 +56,7 @@ def flights(
     from vwnav.cli.screen import progress_bar, say
 
     pyplot()  # what is missing is said before anything is flown
-    flying_as = _manners(manners)
+    flying_as = tuple(dict.fromkeys(manners_of(each) for each in manners.split(",")))
     campaign = _campaign(route, wind_m_s, sites, seed)
     wanted = [Sortie(each, number) for number in range(runs) for each in flying_as]
     folder = CampaignFolder(output, campaign)
@@ -77,17 +77,6 @@ def flights(
     for each in flown:
         for line in each.wrong:
             say(f"flight {each.sortie}: {line}")
-
-
-def _manners(text: str) -> "tuple[Manners, ...]":
-    from typing import get_args
-
-    from vwnav.sim.config import Manners
-
-    named = tuple(dict.fromkeys(text.split(",")))
-    if not set(named) <= set(get_args(Manners)):
-        raise ConfigError(f"--manners is px4, copter or px4,copter, not {text!r}")
-    return tuple(each for each in get_args(Manners) if each in named)
 
 
 def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":

@@ -6,10 +6,11 @@ import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING
 
 import typer
 
+from vwnav.cli.manners import manners_of
 from vwnav.cli.screen import print_rows, say
 from vwnav.errors import ConfigError, VwnavError
 
@@ -77,7 +78,7 @@ def faults(
         return
     from vwnav.drivers.run_folder import make_run_folder
 
-    links, ways = _links(connection, truth, pilot), _manners(manners)
+    links, ways = _links(connection, truth, pilot), manners_of(manners)
     folder = make_run_folder(output, "faults")
     flown = _in_lockstep(rows, jobs, folder, ways) if links is None else _live(rows, links, folder)
     results = _collect(rows, flown, as_json, folder)
@@ -100,7 +101,7 @@ def hover(
 
     Example: vwnav flighttest hover -o hover
     """
-    _run_test("hover", _manners(manners), _links(connection, truth, pilot), as_json, output)
+    _run_test("hover", manners_of(manners), _links(connection, truth, pilot), as_json, output)
 
 
 @app.command()
@@ -116,7 +117,7 @@ def waypoints(
 
     Example: vwnav flighttest waypoints -o waypoints
     """
-    _run_test("waypoints", _manners(manners), _links(connection, truth, pilot), as_json, output)
+    _run_test("waypoints", manners_of(manners), _links(connection, truth, pilot), as_json, output)
 
 
 @app.command()
@@ -132,7 +133,7 @@ def failsafe(
 
     Example: vwnav flighttest failsafe --manners copter -o failsafe
     """
-    _run_test("failsafe", _manners(manners), _links(connection, truth, pilot), as_json, output)
+    _run_test("failsafe", manners_of(manners), _links(connection, truth, pilot), as_json, output)
 
 
 def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Links | None":
@@ -214,15 +215,6 @@ def _in_lockstep(
 
     lockstep_place()  # its map is drawn once, here
     return fly_rows(rows, lockstep_place, folder, jobs, manners)
-
-
-def _manners(text: str) -> "Manners":
-    from vwnav.sim.config import Manners
-
-    for each in get_args(Manners):
-        if each == text:
-            return cast("Manners", each)
-    raise ConfigError(f"--manners is {' or '.join(get_args(Manners))}, not {text!r}")
 
 
 def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[RowResult]":

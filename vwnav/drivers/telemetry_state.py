@@ -309,10 +309,10 @@ class TelemetryState:
     def _handle_distance(self, fields: Fields, received_s: float) -> None:
         distance_cm = fields["current_distance"]
         in_range = fields["min_distance"] <= distance_cm <= fields["max_distance"]
-        # signal_quality: 0 unknown, 1 invalid, though PX4's simulator says 1 for good ones too.
         t_s = self._dated(fields["time_boot_ms"] / 1e3, received_s)
         if t_s is None or (self._range is not None and t_s <= self._range.t_s):
             return  # a duplicate, or a newer one was faster
+        # signal_quality: 0 unknown, 1 invalid, though PX4's simulator says 1 for good ones too.
         if fields["orientation"] == _DOWNWARD and in_range and distance_cm > 0:
             self._range = _Stamped(t_s, distance_cm / 100.0)
             self._queue.append(Range(t_s, distance_cm / 100.0))

@@ -103,10 +103,9 @@ class AttitudeHistory:
         """
         if not self._times_s:
             return np.array([1.0, 0.0, 0.0, 0.0])
-        last = self._carried_from(t_s)
-        carried = None if last is None else self._carried(last, t_s)
+        carried = self._carried_over(t_s)
         if carried is not None:
-            return carried
+            return carried[1]
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
         if i == 0:
             return self._quats[0]
@@ -122,14 +121,11 @@ class AttitudeHistory:
 
     def carried_rad(self, t_s: float) -> float:
         """By how much the gyro has turned the heading of `quat_at` on from the autopilot's last."""
-        last = self._carried_from(t_s)
-        carried = None if last is None else self._carried(last, t_s)
-        if last is None or carried is None:
-            return 0.0
-        return wrap_pi(yaw_of(carried) - yaw_of(self._quats[last]))
+        carried = self._carried_over(t_s)
+        return 0.0 if carried is None else wrap_pi(yaw_of(carried[1]) - yaw_of(carried[0]))
 
-    def _carried_from(self, t_s: float) -> int | None:
-        """Beyond the newest attitude, though not beyond the gyro, and in a gap: the one before."""
+    def _carried_over(self, t_s: float) -> tuple[Array, Array] | None:
+        """The last attitude, and that turned on, beyond the newest one and in a gap."""
         after = bisect.bisect_right(self._times_s, t_s)
         if after == 0:
             return None
@@ -138,7 +134,8 @@ class AttitudeHistory:
             is_open = self._gyro.newest_s > before_s and t_s > before_s
         else:
             is_open = self._times_s[after] - before_s > self._max_gap_s
-        return after - 1 if is_open else None
+        carried = self._carried(after - 1, t_s) if is_open else None
+        return None if carried is None else (self._quats[after - 1], carried)
 
     def _carried(self, i: int, t_s: float) -> Array | None:
         """The i-th attitude, turned on to `t_s` by the gyro."""

@@ -57,10 +57,11 @@ _IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
 _DATE_DOUBT_S, _LEAN_DOUBT_RAD = 0.5, 0.15
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
-_IMU_USED = (
-    "the autopilot's IMU is {}: gravity {:.1f} m/s^2 from where its attitude has it; "
+_IMU_LOST = (
+    "the autopilot's IMU is not used: gravity {:.1f} m/s^2 from where its attitude has it; "
     "check its orientation and calibration"
 )
+_IMU_AGAIN = "the autopilot's IMU feels gravity where its attitude has it again: it is used"
 _TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
@@ -228,14 +229,14 @@ class Ekf:
         """Else nothing that it has told in the history counts, nor does what comes."""
         if not self._attitudes.tell(sample.t_s):
             return not self._imu_trust.lost
-        if self._imu_trust.saw(sample, self._attitudes.quat_at(sample.t_s)):
-            lost = self._imu_trust.lost
-            if lost:
-                self._imu.forget()
-                if self._timeline is not None:
-                    self._timeline.leave_out(Rank.DRAG)
-            used = "not used" if lost else "used again"
-            self._say(_IMU_USED.format(used, self._imu_trust.off_m_s2))
+        changed = self._imu_trust.saw(sample, self._attitudes.quat_at(sample.t_s))
+        if changed and self._imu_trust.lost:
+            self._imu.forget()
+            if self._timeline is not None:
+                self._timeline.leave_out(Rank.DRAG)
+            self._say(_IMU_LOST.format(self._imu_trust.off_m_s2))
+        elif changed:
+            self._say(_IMU_AGAIN)
         return not self._imu_trust.lost
 
     def handle_height(self, t_s: float, height_m: float) -> Innovation:
@@ -275,8 +276,6 @@ class Ekf:
         One of ways that mostly contradict the IMU is refused, and those before it too.
         """
         self._note(motion)
-        if motion.t1_s > self._gyro.newest_s + _IMU_OF_NOW_S:
-            self._trust = OdometryTrust()  # nothing contradicts them any more
         innovation = self._meet_way(motion)
         if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
             self._judge_ways(innovation.accepted)
@@ -299,6 +298,8 @@ class Ekf:
             return Innovation(Verdict.NO_ATTITUDE)
         if not self._anchored(event.motion):
             return Innovation(Verdict.NO_ANCHOR)
+        if event.t_s > self._gyro.newest_s + _IMU_OF_NOW_S:
+            self._trust = OdometryTrust()  # nothing contradicts them any more
         return self._timeline.test(event) if self._trust.lost else self._insert(event)
 
     def _judge_ways(self, agrees: bool) -> None:

@@ -18,6 +18,7 @@ _SHORT_S, _LONG_S = 0.5, 10.0
 # From gravity, and from what rotors push with, on the short average: 50 degrees of lean are flown.
 _FOREIGN_M_S2, _UNPUSHED_M_S2 = 7.0, 5.0
 _FOREIGN_LONG_M_S2 = 3.0  # on the long one no aircraft accelerates so much
+_AGAIN = 0.5  # of these bounds: nearer to them it is not believed again
 _THRUST_M_S2 = (2.0, 40.0)  # of rotors, upward along the body's axis
 _LONGEST_S = 1.0  # of silence that a sample stands for
 
@@ -50,9 +51,10 @@ class ImuTrust:
         self._body.add(force, span_s)
         self._ned.add(force_ned, span_s)
         self._ned_long.add(force_ned, span_s)
-        unpushed = _from_thrust_m_s2(self._body.value) > _UNPUSHED_M_S2
-        foreign = unpushed and self.off_m_s2 > _FOREIGN_M_S2
-        if self.lost == (foreign or self._ned_long.from_rest_m_s2 > _FOREIGN_LONG_M_S2):
+        share = _AGAIN if self.lost else 1.0
+        unpushed = _from_thrust_m_s2(self._body.value) > share * _UNPUSHED_M_S2
+        foreign = unpushed and self.off_m_s2 > share * _FOREIGN_M_S2
+        if self.lost == (foreign or self._ned_long.from_rest_m_s2 > share * _FOREIGN_LONG_M_S2):
             return False
         self.lost = not self.lost
         return True

@@ -11,6 +11,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+
 from vwnav.estimation.states import FilterState, States
 from vwnav.types import Array
 
@@ -66,9 +68,9 @@ class OdometryTrust:
         window_s = self._agree_s if self.lost else _WINDOW_S
         if self._seen and t_s - self._seen[-1].t_s > _GAP_S:
             self._begin_anew()
-        velocity = States.VELOCITY.start, States.VELOCITY.start + 1
-        sigma_m_s = math.sqrt(max(state.P[i, i] for i in velocity))
-        self._seen.append(_Way(t_s, agrees, state.x[velocity[0] : velocity[1] + 1], sigma_m_s))
+        velocity_m_s, variance = state.x[States.VELOCITY], np.diag(state.P)[States.VELOCITY]
+        sigma_m_s = math.sqrt(float(np.max(variance[:2])))
+        self._seen.append(_Way(t_s, agrees, velocity_m_s[:2], sigma_m_s))
         self._begun_s = min(self._begun_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
             self._seen.popleft()
