@@ -49,6 +49,7 @@ class Setup:
         rc_on: a pilot holds a radio.
         gust_m_s: one sigma of the turbulence; None is a tenth of the wind.
         vehicle_rate: seconds of the vehicle's clock per second.
+        battery_drain_s: time in flight from full to empty.
         copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
@@ -67,6 +68,7 @@ class Setup:
     gust_m_s: float | None = None
     rc_on: bool = False
     vehicle_rate: float = 1.0
+    battery_drain_s: float = 1500.0
     picture_hz: float = 10.0
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()

@@ -101,6 +101,7 @@ class World:
             gust_m_s=setup.gust_m_s,
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on),
+            battery_drain_s=setup.battery_drain_s,
         )
         link = NotedLink(self.autopilot_link.a, self.clock, self.track)
         peer = Peer(link, Role.COMPANION)
