@@ -34,7 +34,7 @@ test-long: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m "long or not long"
 
 fuzz: .venv/.dev
-	$(BIN)/python -m pytest -m long tests/drivers/test_hostile_frames.py
+	$(BIN)/python -m pytest -m long tests/mavlink/test_hostile_frames.py
 
 # JOBS at a time; SEED draws another sample
 MUTANTS ?= 300

@@ -15,7 +15,7 @@ settings.register_profile(
 settings.load_profile("any_machine")
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of real data; the test is skipped where it is absent."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"

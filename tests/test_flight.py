@@ -8,9 +8,8 @@ from vehicles import FLYING
 
 from vwnav.flight import Flight
 from vwnav.guidance.controller import LimitsConfig
-from vwnav.mission import Crew, FlightConfig, Mission, Phase
+from vwnav.mission.mission import Crew, FlightConfig, Mission, Phase
 from vwnav.safety.check import Check
-from vwnav.safety.keepalive import GuardState, WatchdogReport
 from vwnav.safety.monitor import SafetyConfig
 from vwnav.types import (
     Estimate,
@@ -21,6 +20,7 @@ from vwnav.types import (
     VehicleState,
     VelocitySetpoint,
 )
+from vwnav.watchdog.keepalive import GuardState, WatchdogReport
 
 ROUTE = np.array([[60.0, 0.0, -50.0], [60.0, 60.0, -50.0]])
 DT_S = 0.1

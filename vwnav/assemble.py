@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.config import Config
-from vwnav.drivers.tape import About
 from vwnav.errors import ModelError
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig
@@ -16,6 +15,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.recording.tape import About
 from vwnav.types import FeatureExtractor, PointKind
 from vwnav.vision.features import load_features
 from vwnav.vision.localizer import Localizer

@@ -12,7 +12,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from vwnav.errors import ConfigError
 from vwnav.estimation.states import EkfConfig
 from vwnav.guidance.controller import LimitsConfig
-from vwnav.mission import FlightConfig
+from vwnav.mission.mission import FlightConfig
 from vwnav.pipeline import PipelineConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig

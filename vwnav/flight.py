@@ -9,13 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.departure import Departure
-from vwnav.flown_way import FlownWay
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
-from vwnav.home import Home
-from vwnav.landing import COMING_DOWN, Landing, LandingState
-from vwnav.mission import Crew, DeadMansHandle, FlightConfig, FlightEnd, Mission, Phase
-from vwnav.safety.keepalive import GuardState
+from vwnav.mission.departure import Departure
+from vwnav.mission.flown_way import FlownWay
+from vwnav.mission.home import Home
+from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
+from vwnav.mission.mission import Crew, DeadMansHandle, FlightConfig, FlightEnd, Mission, Phase
 from vwnav.safety.monitor import Action, Decision, Rank, SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
@@ -30,6 +29,7 @@ from vwnav.types import (
     VehicleState,
     VelocitySetpoint,
 )
+from vwnav.watchdog.keepalive import GuardState
 
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from vwnav.clock import Clock
 from vwnav.flight import GONE_S, Flight
-from vwnav.mission import ASKS, DeadMansHandle, FlightEnd, Phase
+from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard

@@ -5,8 +5,8 @@ from itertools import cycle
 import cv2
 import numpy as np
 
-from vwnav.bench.methods import FeatureSet, Method
-from vwnav.bench.scenes import MapPicture, Scene
+from vwnav.bench.features.methods import FeatureSet, Method
+from vwnav.bench.features.scenes import MapPicture, Scene
 from vwnav.types import Features
 
 

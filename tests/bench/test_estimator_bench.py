@@ -8,12 +8,12 @@ import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from vwnav.bench.estimator_record import load_stream, save_stream
-from vwnav.bench.estimator_run import play
-from vwnav.bench.estimator_scenarios import SCENARIOS, Metric, Scenario, fly_scenario, judge_outage
-from vwnav.bench.estimator_scores import chi_square_bounds, consistency
-from vwnav.bench.estimator_streams import sense
-from vwnav.bench.estimator_world import World, fly
+from vwnav.bench.estimator.record import load_stream, save_stream
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.scenarios import SCENARIOS, Metric, Scenario, fly_scenario, judge_outage
+from vwnav.bench.estimator.scores import chi_square_bounds, consistency
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.cli.main import app
 from vwnav.estimation.ekf import EkfConfig
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vwnav.drivers.recording import is_cut_off, read_recording
+from vwnav.recording.reader import is_cut_off, read_recording
 
 pytestmark = pytest.mark.long
 

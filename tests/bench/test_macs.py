@@ -3,7 +3,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from vwnav.bench.macs import GraphCost, graph_cost
+from vwnav.bench.features.macs import GraphCost, graph_cost
 
 
 def weight(name: str, *shape: int) -> onnx.TensorProto:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from vwnav.bench.estimator import as_json
-from vwnav.bench.estimator_run import Run, play
-from vwnav.bench.estimator_streams import sense
-from vwnav.bench.estimator_world import World, fly
-from vwnav.bench.rendered_errors import fix_errors, odometry_errors, parts, way_errors
-from vwnav.bench.rendered_flight import RENDERED_S, pictures, plan_flight
-from vwnav.bench.rendered_scenarios import Flown, judge_odometry, judge_rendered
+from vwnav.bench.estimator.benchmark import as_json
+from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
+from vwnav.bench.estimator.rendered_flight import RENDERED_S, pictures, plan_flight
+from vwnav.bench.estimator.rendered_scenarios import Flown, judge_odometry, judge_rendered
+from vwnav.bench.estimator.run import Run, play
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.cli.main import app
 from vwnav.cli.rendered_flying import fly_rendered
 from vwnav.estimation.ekf import NedFix

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from bench_scenes import features
 
-from vwnav.bench.repeatability import repeatability
-from vwnav.bench.scenes import MapPicture
+from vwnav.bench.features.repeatability import repeatability
+from vwnav.bench.features.scenes import MapPicture
 from vwnav.types import Features
 
 SIDE = 400

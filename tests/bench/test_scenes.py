@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from bench_scenes import ground
 
-from vwnav.bench.flight_scenes import Shot, flight_scenes
-from vwnav.bench.methods import FeatureSet, Method
-from vwnav.bench.pair_scenes import Registered, view_pairs
-from vwnav.bench.scenes import look_at, map_side, picture_side
-from vwnav.bench.scoring import Judge
+from vwnav.bench.features.flight_scenes import Shot, flight_scenes
+from vwnav.bench.features.methods import FeatureSet, Method
+from vwnav.bench.features.pair_scenes import Registered, view_pairs
+from vwnav.bench.features.scenes import look_at, map_side, picture_side
+from vwnav.bench.features.scoring import Judge
 from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.raster import array_source, local_georeference
+from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.vision.sift import SiftFeatures
 
 SIFT = FeatureSet("sift", SiftFeatures().extract, [Method("sift")])

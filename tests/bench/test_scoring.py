@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from bench_scenes import features, fixed, scene
 
-from vwnav.bench.methods import FeatureSet, Method
-from vwnav.bench.scenes import MapPicture
-from vwnav.bench.scoring import (
+from vwnav.bench.features.methods import FeatureSet, Method
+from vwnav.bench.features.scenes import MapPicture
+from vwnav.bench.features.scoring import (
     Judge,
     area_under_curve,
     map_features,

@@ -3,11 +3,11 @@ import time
 import numpy as np
 from bench_scenes import features, fixed, ground, scene
 
-from vwnav.bench.methods import OPENCV_SIFT, FeatureSet, Method
-from vwnav.bench.pictures import draw
-from vwnav.bench.scoring import Judge
-from vwnav.bench.thesis import thesis_rows
-from vwnav.bench.timing import measure
+from vwnav.bench.features.methods import OPENCV_SIFT, FeatureSet, Method
+from vwnav.bench.features.pictures import draw
+from vwnav.bench.features.scoring import Judge
+from vwnav.bench.features.thesis import thesis_rows
+from vwnav.bench.features.timing import measure
 
 PICTURE = ground(64, 64)[:, :, 0]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bench_scenes import ground
 
-from vwnav.bench.xfeat import load_xfeat, published_model
+from vwnav.bench.features.xfeat import load_xfeat, published_model
 from vwnav.errors import ConfigError
 
 installed = pytest.mark.skipif(

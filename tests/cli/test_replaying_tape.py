@@ -18,19 +18,19 @@ from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
-from vwnav.drivers.recorder import Recorder, plain
-from vwnav.drivers.recording import read_recording
-from vwnav.drivers.tape import About, PictureSeen, Tape, read_tape
 from vwnav.errors import MapError, SourceError
 from vwnav.estimation.ekf import Ekf, Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.maps.builder import BuildOptions, build_pack
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
-from vwnav.maps.raster import array_source, local_georeference
-from vwnav.mission import FlightEnd, Phase
+from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.recording.reader import read_recording
+from vwnav.recording.recorder import Recorder, plain
+from vwnav.recording.tape import About, PictureSeen, Tape, read_tape
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vwnav.bench.estimator_run import play
-from vwnav.bench.estimator_streams import Event, Stream, sense
-from vwnav.bench.estimator_world import World, fly
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.streams import Event, Stream, sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation.ekf import EkfConfig, NedFix
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 

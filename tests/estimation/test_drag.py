@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from vwnav.bench.estimator_run import Run, play
-from vwnav.bench.estimator_streams import sense
-from vwnav.bench.estimator_world import World, fly
+from vwnav.bench.estimator.run import Run, play
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation.ekf import NedFix
 from vwnav.estimation.states import States
 from vwnav.geometry.rotations import rotation_from_quat

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vwnav.bench.estimator_run import play
-from vwnav.bench.estimator_streams import Stream, sense
-from vwnav.bench.estimator_world import World, fly
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.streams import Stream, sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import States

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vwnav.bench.estimator_run import Run, accepted_wrong, play
-from vwnav.bench.estimator_scores import position_nees
-from vwnav.bench.estimator_streams import Stream, sense
-from vwnav.bench.estimator_world import World, fly
+from vwnav.bench.estimator.run import Run, accepted_wrong, play
+from vwnav.bench.estimator.scores import position_nees
+from vwnav.bench.estimator.streams import Stream, sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.states import States

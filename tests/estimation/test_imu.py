@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from scipy.spatial.transform import Rotation
 
-from vwnav.bench.estimator_run import play
-from vwnav.bench.estimator_scores import position_nees
-from vwnav.bench.estimator_streams import sense
-from vwnav.bench.estimator_world import World, fly
-from vwnav.drivers.telemetry_state import TelemetryState
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.scores import position_nees
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation.attitudes import AttitudeHistory
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
 from vwnav.estimation.gyro import GyroHistory
@@ -29,7 +28,8 @@ from vwnav.geometry.rotations import (
     rotation_from_euler,
     rotation_from_quat,
 )
-from vwnav.safety.mavlink_framing import packet_at
+from vwnav.mavlink.framing import packet_at
+from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
 from vwnav.types import Attitude, Estimate, ImuSample
 
 RATE = st.floats(-3.0, 3.0)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vwnav.drivers.tape import PictureSeen, read_tape
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
 from vwnav.estimation.inputs import Asked
+from vwnav.recording.tape import PictureSeen, read_tape
 from vwnav.types import Array, Estimate
 
 MOST_SIGMAS = 5.0

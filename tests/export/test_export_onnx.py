@@ -8,7 +8,7 @@ import torch
 from export import export_onnx, parity
 from models.extractor import Extractor
 from models.network import NETWORK_SIZES, FeatureNetwork
-from vwnav.bench.macs import graph_cost
+from vwnav.bench.features.macs import graph_cost
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 RELEASED = sorted(MODELS.glob("vwnav_*.onnx"))

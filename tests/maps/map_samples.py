@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.maps.builder import BuildOptions, build_pack
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.build.raster import array_source, level_georeference
 from vwnav.maps.picture import Mask
-from vwnav.maps.raster import array_source, level_georeference
 from vwnav.types import Features, Gray
 
 ZOOM = 18

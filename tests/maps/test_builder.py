@@ -11,11 +11,11 @@ from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 
 from vwnav.errors import MapError
 from vwnav.geometry.mercator import ground_resolution_m_per_px
-from vwnav.maps.builder import BuildOptions, build_pack, default_levels
+from vwnav.maps.build.builder import BuildOptions, build_pack, default_levels
+from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Picture, Window
-from vwnav.maps.raster import DrawnSource, array_source, level_georeference
 
 
 class Failing(SiftStub):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from map_samples import textured
 
-from vwnav.maps.collar import find_collar
+from vwnav.maps.build.collar import find_collar
 from vwnav.maps.picture import Picture, Window
 
 

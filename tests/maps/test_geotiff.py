@@ -18,8 +18,8 @@ from rasterio.warp import Resampling, reproject, transform_bounds
 
 from vwnav.errors import MapError
 from vwnav.geometry.mercator import mercator_px
-from vwnav.maps.builder import build_pack
-from vwnav.maps.geotiff import RasterFile, read_heights
+from vwnav.maps.build.builder import build_pack
+from vwnav.maps.build.geotiff import RasterFile, read_heights
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
 

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from map_samples import DotFinder, SiftStub, textured
 
-from vwnav.maps.keypoints import (
+from vwnav.maps.build.keypoints import (
     KEYPOINTS_PER_TILE,
     NODATA_RADIUS_PX,
     block_of,

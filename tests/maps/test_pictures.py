@@ -7,10 +7,10 @@ import pytest
 from map_samples import textured
 
 from vwnav.errors import MapError
-from vwnav.maps.builder import build_pack
+from vwnav.maps.build.builder import build_pack
+from vwnav.maps.build.pictures import corner_pictures, is_corner_table, read_corners
+from vwnav.maps.build.warp import PlacedRaster
 from vwnav.maps.pack import MapPack
-from vwnav.maps.pictures import corner_pictures, is_corner_table, read_corners
-from vwnav.maps.warp import PlacedRaster
 
 WILD = """Filename, Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_long
 "a.png",   60.403962,    22.460441,   60.402409,    22.464059

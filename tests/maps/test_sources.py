@@ -11,10 +11,10 @@ from rasterio.shutil import copy as copy_raster
 from test_geotiff import pack_of, worst_mark_error_px
 
 from vwnav.errors import MapError
-from vwnav.maps.builder import BuildOptions, build_pack
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.build.sources import default_options, open_sources
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
-from vwnav.maps.sources import default_options, open_sources
 
 
 def write_world_picture(folder: Path, suffix: str, world: str, *, prj: bool) -> Path:

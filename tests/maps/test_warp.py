@@ -7,14 +7,14 @@ from map_samples import textured
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.mercator import mercator_px
-from vwnav.maps.picture import Window
-from vwnav.maps.raster import (
+from vwnav.maps.build.raster import (
     array_source,
     corner_georeference,
     level_georeference,
     local_georeference,
 )
-from vwnav.maps.warp import PlacedRaster, render
+from vwnav.maps.build.warp import PlacedRaster, render
+from vwnav.maps.picture import Window
 
 ZOOM = 18
 

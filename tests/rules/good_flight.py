@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import (
     Answer,
     At,

@@ -7,9 +7,9 @@ from good_flight import good_flight
 from typer.testing import CliRunner
 
 from vwnav.cli.main import app
-from vwnav.drivers.recorded_flight_log import recorded_flight_log
-from vwnav.drivers.recorder import Recorder
 from vwnav.errors import SourceError
+from vwnav.recording.recorded_flight_log import recorded_flight_log
+from vwnav.recording.recorder import Recorder
 from vwnav.rules.rule import check
 from vwnav.rules.table import RULES
 

@@ -25,7 +25,7 @@ from good_flight import (
     with_setpoint,
 )
 
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import Answer, At, Beat, FlightLog, ParameterSet, Said
 from vwnav.rules.rule import Rule, check
 from vwnav.rules.table import RULES

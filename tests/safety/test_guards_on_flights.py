@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.safety.relay_guard import RelayedPosition, RelayGuard
 from vwnav.types import Estimate
+from vwnav.watchdog.relay_guard import RelayedPosition, RelayGuard
 
 mcap = pytest.importorskip("mcap.reader")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.safety.monitor import SafetyConfig
 from vwnav.safety.watches import PilotWatch
 from vwnav.types import FlightMode

@@ -91,7 +91,7 @@ class RealFlight:
             with contextlib.suppress(OSError):
                 words = (folder / "cmdline").read_bytes().split(b"\0")
                 parent = str(self.process.pid).encode()
-                ours = b"vwnav.safety.watchdog" in words and parent in words
+                ours = b"vwnav.watchdog" in words and parent in words
                 if ours and b"--spare" not in words:
                     return int(folder.name)
         raise AssertionError("there is no watchdog")

@@ -36,7 +36,7 @@ def next_frame(self):
 camera.SimulatedCamera.next_frame = next_frame
 """
 LINK_STEPS_FAIL = """
-import vwnav.drivers.autopilot as autopilot
+import vwnav.mavlink.autopilot as autopilot
 whole = autopilot.LinkedAutopilot.take_measurements
 def take_measurements(self):
     self.count = getattr(self, "count", 0) + 1

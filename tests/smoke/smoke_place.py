@@ -14,8 +14,8 @@ import pytest
 from vwnav.geometry.calibration import save_camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.builder import BuildOptions, build_pack
-from vwnav.maps.raster import array_source, local_georeference
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.sites import parse_site

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from smoke_place import FRAMES, read_run
 
-from vwnav.drivers.run_folder import COLUMNS
 from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.recording.run_folder import COLUMNS
 
 
 def read_rows(folder):

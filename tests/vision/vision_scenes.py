@@ -10,8 +10,8 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rectify import rectification
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.builder import BuildOptions, build_pack
-from vwnav.maps.raster import array_source, local_georeference
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.types import FeatureExtractor, Frame
 
 HOME = LocalFrame(47.0, 8.0, 400.0)

@@ -52,10 +52,10 @@ def features(
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from rich.console import Console
 
-    from vwnav.bench.features import bench_features, data_folder
-    from vwnav.bench.report import as_json as report_as_json
-    from vwnav.bench.report import tables
-    from vwnav.drivers.run_folder import make_run_folder
+    from vwnav.bench.features.report import as_json as report_as_json
+    from vwnav.bench.features.report import tables
+    from vwnav.bench.features.run import bench_features, data_folder
+    from vwnav.recording.run_folder import make_run_folder
 
     folder = None if output is None else make_run_folder(output, "bench")
     with progress_bar() as progress:
@@ -72,8 +72,8 @@ def features(
         for table in tables(report):
             console.print(table)
     if folder is not None:
-        from vwnav.bench.pictures import write_pictures
-        from vwnav.bench.plots import write_plot
+        from vwnav.bench.features.pictures import write_pictures
+        from vwnav.bench.features.plots import write_plot
 
         write_pictures(folder / "matches", report.samples)
         (folder / "report.json").write_text(json.dumps(values, indent=1))

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vwnav.bench.estimator_scenarios import Metric, Scenario
-    from vwnav.bench.rendered_scenarios import RenderedScenario
+    from vwnav.bench.estimator.rendered_scenarios import RenderedScenario
+    from vwnav.bench.estimator.scenarios import Metric, Scenario
     from vwnav.types import FeatureName
 
 _NOMINAL_S = 600.0
@@ -41,11 +41,11 @@ def estimator(
     ] = None,
 ) -> None:
     """How wrong the filter is, and how well it knows: RMSE, NEES, NIS, coverage, drift."""
-    from vwnav.bench.estimator import as_json, bench
-    from vwnav.bench.estimator_scenarios import Scenario
+    from vwnav.bench.estimator.benchmark import as_json, bench
+    from vwnav.bench.estimator.scenarios import Scenario
     from vwnav.cli.rendered_flying import bench_rendered
     from vwnav.cli.screen import LiveLine
-    from vwnav.drivers.run_folder import make_run_folder
+    from vwnav.recording.run_folder import make_run_folder
 
     scenarios, matching = _choose(scenario or [], seconds), _matching(features)
     if output is not None:
@@ -80,8 +80,8 @@ def _matching(features: str) -> "FeatureName":
 def _choose(names: list[str], seconds: float | None) -> "list[Scenario | RenderedScenario]":
     from dataclasses import replace
 
-    from vwnav.bench.estimator_scenarios import SCENARIOS, Scenario
-    from vwnav.bench.rendered_scenarios import RENDERED
+    from vwnav.bench.estimator.rendered_scenarios import RENDERED
+    from vwnav.bench.estimator.scenarios import SCENARIOS, Scenario
 
     known: dict[str, Scenario | RenderedScenario] = {s.name: s for s in SCENARIOS}
     for name in ("nominal", "nominal-imu"):

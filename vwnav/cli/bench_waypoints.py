@@ -48,7 +48,7 @@ def waypoints(
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.flights.waypoints import HEIGHTS_M, THESIS_M, measure, plan
     from vwnav.cli.screen import progress_bar
-    from vwnav.drivers.run_folder import make_run_folder, write_json
+    from vwnav.recording.run_folder import make_run_folder, write_json
     from vwnav.sim.sites import parse_site
 
     parse_site(site)

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from vwnav.cli.screen import say
-from vwnav.drivers.recorded_flight_log import recorded_flight_log
+from vwnav.recording.recorded_flight_log import recorded_flight_log
 from vwnav.rules.rule import Verdict, check
 from vwnav.rules.table import RULES
 

@@ -140,7 +140,7 @@ def _calibration(path: Path) -> Check:
 
 
 def _camera(video: str) -> Check:
-    from vwnav.drivers.cameras import open_source
+    from vwnav.cameras.sources import open_source
 
     source = open_source(video)
     try:
@@ -157,7 +157,7 @@ def _camera(video: str) -> Check:
 
 
 def _autopilot(url: str) -> list[Check]:
-    from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
+    from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
     from vwnav.safety.readiness import check_battery, check_parameters
     from vwnav.safety.safety_config import SafetyConfig
 

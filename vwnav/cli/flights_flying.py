@@ -20,8 +20,8 @@ from vwnav.bench.flights.score import FlightScore, score
 from vwnav.bench.flights.summary import worst_first
 from vwnav.cli.screen import say
 from vwnav.cli.simulation import map_pack_of
-from vwnav.drivers.run_folder import write_json
 from vwnav.errors import VwnavError
+from vwnav.recording.run_folder import write_json
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import parse_site
 

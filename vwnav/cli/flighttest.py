@@ -76,7 +76,7 @@ def faults(
     if listed:
         _show_list(rows, as_json)
         return
-    from vwnav.drivers.run_folder import make_run_folder
+    from vwnav.recording.run_folder import make_run_folder
 
     links, ways = _links(connection, truth, pilot), manners_of(manners)
     folder = make_run_folder(output, "faults")
@@ -157,7 +157,7 @@ def _run_test(
     from vwnav.bench.flights.thesis.report import fly_test
     from vwnav.bench.flights.thesis.tests import TESTS, in_manners
     from vwnav.cli.lockstep_place import lockstep_place
-    from vwnav.drivers.run_folder import make_run_folder
+    from vwnav.recording.run_folder import make_run_folder
 
     if links is None:
         folder = make_run_folder(output, name)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from vwnav.assemble import about_run, assemble, choose_features
+from vwnav.cameras.sources import open_source
 from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.fly import FlyOptions
 from vwnav.cli.map import parse_lat_lon
@@ -27,9 +28,6 @@ from vwnav.cli.simulation import (
 )
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import Config, load_config, save_config
-from vwnav.drivers.cameras import open_source
-from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
-from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import ConfigError, LinkError, PreflightError, VwnavError
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
@@ -39,20 +37,22 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.missions import LocalWaypoint, load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
-from vwnav.mission import Crew, Mission
+from vwnav.mavlink.links import parse_link
+from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
+from vwnav.mission.mission import Crew, Mission
 from vwnav.pace import PacedClock
+from vwnav.recording.run_folder import make_run_folder
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.safety.links import parse_link
 from vwnav.safety.readiness import Equipment, check_flight
-from vwnav.safety.watchdog import WatchdogProcess, start_watchdog
 from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
 from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
+from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 FIRST_STATE_S = 5.0

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 
-from vwnav.drivers.image_folder import read_picture
-from vwnav.drivers.metadata_table import read_metadata_table
-from vwnav.drivers.picture_metadata import PictureMetadata, read_picture_metadata
+from vwnav.cameras.image_folder import read_picture
+from vwnav.cameras.metadata_table import read_metadata_table
+from vwnav.cameras.picture_metadata import PictureMetadata, read_picture_metadata
 from vwnav.errors import ConfigError, SourceError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from vwnav.maps.builder import BuildOptions
+    from vwnav.maps.build.builder import BuildOptions
+    from vwnav.maps.build.raster import RasterSource
     from vwnav.maps.coverage import RouteCoverage
     from vwnav.maps.heights import HeightGrid
     from vwnav.maps.pack import MapPack
-    from vwnav.maps.raster import RasterSource
     from vwnav.types import Array
 
 app = typer.Typer(no_args_is_help=True, help="Make a map pack, describe it, check it.")
@@ -61,9 +61,9 @@ def build(
     Example: vwnav map build field.tif -o field.mbtiles --attribution "(c) survey office"
     """
     from vwnav.cli.screen import progress_bar
-    from vwnav.maps.builder import build_pack
+    from vwnav.maps.build.builder import build_pack
+    from vwnav.maps.build.sources import default_options, open_sources
     from vwnav.maps.pack import MapPack
-    from vwnav.maps.sources import default_options, open_sources
     from vwnav.vision.features import load_features
 
     zooms = _zooms(levels)
@@ -293,10 +293,10 @@ def _coverage_values(coverage: "RouteCoverage") -> dict[str, Any]:
 
 def _heights(path: Path, rasters: "list[RasterSource]") -> "HeightGrid":
     from vwnav.errors import MapError
-    from vwnav.maps.builder import sources_bounds
+    from vwnav.maps.build.builder import sources_bounds
 
     try:
-        from vwnav.maps.geotiff import read_heights
+        from vwnav.maps.build.geotiff import read_heights
     except ImportError as error:
         raise MapError(
             f"{path}: reading it needs rasterio; install it: pip install 'vwnav[maps]' ({error})"

@@ -10,22 +10,22 @@ import cv2
 import numpy as np
 
 from vwnav.assemble import assemble, choose_features
-from vwnav.bench.estimator_plots import save_error_plot
-from vwnav.bench.estimator_run import START_SIGMA_M, Run, against
-from vwnav.bench.estimator_scenarios import Metric
-from vwnav.bench.estimator_streams import Event, Stream
-from vwnav.bench.rendered_clock import HeardEkf
-from vwnav.bench.rendered_errors import with_errors
-from vwnav.bench.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
-from vwnav.bench.rendered_scenarios import Flown, RenderedScenario
+from vwnav.bench.estimator.plots import save_error_plot
+from vwnav.bench.estimator.rendered_clock import HeardEkf
+from vwnav.bench.estimator.rendered_errors import with_errors
+from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
+from vwnav.bench.estimator.rendered_scenarios import Flown, RenderedScenario
+from vwnav.bench.estimator.run import START_SIGMA_M, Run, against
+from vwnav.bench.estimator.scenarios import Metric
+from vwnav.bench.estimator.streams import Event, Stream
 from vwnav.cli.screen import say
 from vwnav.cli.simulation import map_pack_of
 from vwnav.config import Config
-from vwnav.drivers.track_picture import TrackPicture
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline, StepResult
+from vwnav.recording.track_picture import TrackPicture
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.processor import LateExecutor, Processor
 from vwnav.sim.renderer import default_camera

@@ -29,20 +29,20 @@ from vwnav.cli.flying import (
 )
 from vwnav.cli.screen import say
 from vwnav.clock import WallClock
-from vwnav.drivers.mavsdk_autopilot import MavsdkAutopilot
-from vwnav.drivers.run_folder import make_run_folder
 from vwnav.errors import VwnavError
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
+from vwnav.recording.run_folder import make_run_folder
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.safety.keepalive import WatchdogReport
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.succession import start_after
 from vwnav.types import Array
+from vwnav.watchdog.keepalive import WatchdogReport
 
 _REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
 

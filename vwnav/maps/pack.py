@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vwnav.errors import ModelError
 from vwnav.geometry.mercator import TILE_PX, mercator_px
-from vwnav.maps.keypoints import block_of, block_tiles, extract_block
+from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
 from vwnav.maps.packfile import (
     DAMAGE,
     FeatureSetInfo,

@@ -3,7 +3,7 @@
 import math
 from itertools import pairwise
 
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import At, Command, FlightLog, Moment, Said, Setpoint, Stage
 from vwnav.rules.moments import NOT_OURS, in_modes, phase_begins, steered, touch_down_s
 from vwnav.rules.rule import Rule

@@ -2,7 +2,7 @@
 
 import math
 
-from vwnav.mission import ASKS, Phase
+from vwnav.mission.mission import ASKS, Phase
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.temporal import Span, inside, spans_where
 from vwnav.types import FlightMode, Order

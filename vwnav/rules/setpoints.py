@@ -2,7 +2,7 @@
 
 import math
 
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import FlightLog, Setpoint
 from vwnav.rules.moments import in_phases, taken
 from vwnav.rules.rule import Rule

@@ -1,6 +1,6 @@
 """A link in memory: bytes that arrive late, are lost or cut off, by a simulated clock.
 
-Both ends are what `vwnav.safety.links.Link` asks for, so that the watchdog, the navigator's driver
+Both ends are what `vwnav.mavlink.links.Link` asks for, so that the watchdog, the navigator's driver
 and the simulated vehicle talk over it as they do over UDP or a serial line.
 """
 

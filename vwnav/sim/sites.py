@@ -7,8 +7,8 @@ import numpy as np
 
 from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.build.raster import DrawnSource, local_georeference
 from vwnav.maps.picture import Picture, Window
-from vwnav.maps.raster import DrawnSource, local_georeference
 from vwnav.sim.site import Site
 
 SITE_PREFIX = "sim:"

@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Ending, Flown
 from vwnav.bench.flights.track import Track, Truth
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog
 from vwnav.rules.rule import check

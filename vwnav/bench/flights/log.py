@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from vwnav.bench.flights.navigator import Navigator
 from vwnav.bench.flights.scenario import Flown
 from vwnav.config import Config
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.pipeline import StepResult
 from vwnav.rules.flight_log import (
     At,

@@ -9,21 +9,20 @@ import numpy as np
 from vwnav.assemble import about_run, assemble_with
 from vwnav.bench.flights.place import Place
 from vwnav.config import Config
-from vwnav.drivers.autopilot import LinkedAutopilot
-from vwnav.drivers.flight_recorder import FlightRecorder
-from vwnav.drivers.pymavlink_port import PymavlinkPort
-from vwnav.drivers.recorder import Recorder
 from vwnav.estimation.ekf import Start
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.mission import Crew, Mission, Phase
+from vwnav.mavlink.autopilot import LinkedAutopilot
+from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
+from vwnav.mission.mission import Crew, Mission, Phase
 from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
+from vwnav.recording.flight_recorder import FlightRecorder
+from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.safety.keepalive import KeepAlive
 from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lockstep_camera import LockstepCamera
@@ -38,6 +37,7 @@ from vwnav.types import (
     VehicleState,
     VelocitySetpoint,
 )
+from vwnav.watchdog.keepalive import KeepAlive
 
 _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air

@@ -19,7 +19,7 @@ from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Track
 from vwnav.bench.flights.world import World
-from vwnav.mission import FlightEnd, Phase
+from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.rules.temporal import Span
 
 # Through these all that is sent must stay as steady as ever.

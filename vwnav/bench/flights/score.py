@@ -9,7 +9,7 @@ from vwnav.bench.flights.campaign import Sortie
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Flown
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.moments import flying, in_phases

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from vwnav.config import Config
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
 from vwnav.types import FlightMode
 

@@ -4,7 +4,7 @@ import threading
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from vwnav.drivers.recorder import Recorder
+from vwnav.recording.recorder import Recorder
 
 
 class StalledRecorder(Recorder):

@@ -6,9 +6,9 @@ import numpy as np
 
 from vwnav.bench.flights.navigator import Navigator
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.safety.watchdog_loop import Resume
 from vwnav.succession import start_after
 from vwnav.types import Array
+from vwnav.watchdog.loop import Resume
 
 _LINK_S = 0.8  # from the watchdog's word until the link is up and the vehicle's state is known
 

@@ -15,7 +15,7 @@ from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import Ending, Flown, Scenario, fly
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.resampling import interval
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.types import FeatureName, MapFix, Rejected, RejectReason
 
 HEIGHTS_M = (25.0, 50.0)

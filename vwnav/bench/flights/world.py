@@ -19,9 +19,8 @@ from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import Event, Heard, Track, Truth
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.mission import Mission, Phase
+from vwnav.mission.mission import Mission, Phase
 from vwnav.rules.flight_log import At
-from vwnav.safety.watchdog_loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
@@ -35,6 +34,7 @@ from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site
 from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Array, Estimate
+from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.bench.flights.world import LINK_LATENCY_S, World
-from vwnav.safety.flight_modes import AutopilotKind, mode_command
+from vwnav.mavlink.modes import AutopilotKind, mode_command
 from vwnav.sim.memory_link import LineState, Tap
 from vwnav.types import FlightMode
 

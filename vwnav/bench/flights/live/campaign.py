@@ -16,7 +16,7 @@ from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Ending, Scenario
 from vwnav.bench.flights.table import TABLE, family_of
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.types import FlightMode
 
 ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"

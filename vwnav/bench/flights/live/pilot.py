@@ -6,8 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from vwnav.safety.flight_modes import AutopilotKind, mode_command
-from vwnav.safety.links import open_link, parse_link
+from vwnav.mavlink.links import open_link, parse_link
+from vwnav.mavlink.modes import AutopilotKind, mode_command
 from vwnav.types import FlightMode
 
 _PERIOD_S = 0.05  # of the sticks

@@ -8,8 +8,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from vwnav.safety.links import LinkAddress, UdpLink, open_link, parse_link
-from vwnav.safety.mavlink_framing import Framer, Packet
+from vwnav.mavlink.framing import Framer, Packet
+from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.sim.memory_link import MemoryLink
 
 _IDLE_S = 0.001

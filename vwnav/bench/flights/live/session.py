@@ -20,8 +20,8 @@ from vwnav.bench.flights.live.relay import Relay
 from vwnav.bench.flights.track import Event, Track, Truth
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
-from vwnav.mission import Phase
-from vwnav.safety.flight_modes import AutopilotKind, flight_mode
+from vwnav.mavlink.modes import AutopilotKind, flight_mode
+from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
 from vwnav.sim.site import Site
 from vwnav.sim.sites import DEFAULT_SEED

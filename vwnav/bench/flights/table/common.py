@@ -4,7 +4,7 @@ from vwnav.bench.flights.faults.fault import Fault
 from vwnav.bench.flights.scenario import Break, Ending, Scenario
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.config import Config
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.pipeline import PipelineConfig
 
 HOME = (0.0, 0.0)

@@ -13,7 +13,7 @@ from vwnav.bench.flights.table.common import (
     flies_on,
     setup,
 )
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.types import FlightMode
 
 CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)

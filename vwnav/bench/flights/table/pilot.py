@@ -5,7 +5,7 @@ from vwnav.bench.flights.scenario import Break, Ending, Scenario
 from vwnav.bench.flights.seen import phase
 from vwnav.bench.flights.setup import AirStart
 from vwnav.bench.flights.table.common import CLIMB, DESCEND, RETURN, ROUTE, setup
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.types import FlightMode
 
 TAKES = [

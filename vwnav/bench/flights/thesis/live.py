@@ -21,7 +21,7 @@ from vwnav.bench.flights.thesis.tests import (
 )
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.types import Array, FlightMode
 
 _ROUTE_S, _DOWN_S, _PERSON_S = 150.0, 240.0, 60.0

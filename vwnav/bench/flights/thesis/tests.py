@@ -15,7 +15,7 @@ from vwnav.bench.flights.faults.aircraft import (
 from vwnav.bench.flights.scenario import Break, Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.config import Config
-from vwnav.mission import FlightConfig, Phase
+from vwnav.mission.mission import FlightConfig, Phase
 from vwnav.sim.config import Manners
 
 HOLD_S = 30.0

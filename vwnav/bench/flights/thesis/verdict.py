@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample, columns
 from vwnav.bench.flights.thesis.tests import HOLD_S, FlightTest
-from vwnav.mission import Phase
+from vwnav.mission.mission import Phase
 from vwnav.types import Array
 
 POSITION_M, YAW_DEG = 0.2, 2.0  # the thesis, 6.2: with GPS

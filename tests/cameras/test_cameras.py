@@ -1,0 +1,246 @@
+"""Pictures from files, folders and live sources."""
+
+import http.server
+import itertools
+import re
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from vwnav.cameras.image_folder import ImageFolder
+from vwnav.cameras.live import RealTimeSource
+from vwnav.cameras.sources import open_source
+from vwnav.cameras.video_file import VideoFile
+from vwnav.errors import SourceError
+
+
+def picture(number: int, width: int = 160) -> np.ndarray:
+    """A smooth picture whose brightness tells its number."""
+    image = np.zeros((120, width, 3), np.uint8)
+    image[:] = 10 + 5 * number
+    image[20:40, 20:40] = 255 - 5 * number
+    return image
+
+
+def write_video(path, fourcc: str, count: int = 30, fps: float = 20.0) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), fps, (160, 120))
+    assert writer.isOpened()
+    for number in range(count):
+        noise = np.random.default_rng(number).integers(0, 30, (120, 160, 3), np.uint8)
+        writer.write(picture(number) + noise)
+    writer.release()
+
+
+def frames_of(source) -> list:
+    return list(iter(source.next_frame, None))
+
+
+def frames_before_error(source, words: str) -> list:
+    """All that comes before a SourceError, which has to match and to be one line."""
+    frames = []
+    try:
+        while True:
+            frames.append(source.next_frame())
+    except SourceError as error:
+        said = str(error)
+    assert re.search(words, said)
+    assert "\n" not in said
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("name", "fourcc"), [("a.mp4", "mp4v"), ("a.avi", "MJPG"), ("a.mkv", "mp4v")]
+)
+def test_a_video_is_read_whole_with_its_own_times(tmp_path, name, fourcc):
+    write_video(tmp_path / name, fourcc)
+    source = open_source(str(tmp_path / name))
+    frames = frames_of(source)
+    source.close()
+    assert [f.index for f in frames] == list(range(30))
+    assert [f.t_s for f in frames] == pytest.approx([i / 20.0 for i in range(30)], abs=1e-3)
+    assert frames[7].image.shape == (120, 160, 3)
+    assert abs(float(frames[7].image[100, 100].mean()) - 60.0) < 5.0
+
+
+@pytest.mark.parametrize(("name", "fourcc"), [("a.avi", "MJPG"), ("a.mkv", "mp4v")])
+def test_a_video_that_ends_in_a_picture_gives_the_good_ones_then_one_clear_line(
+    tmp_path, name, fourcc
+):
+    write_video(tmp_path / name, fourcc)
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: len(whole) // 2])
+    frames = frames_before_error(VideoFile(tmp_path / name), "ends in the middle of picture")
+    assert 5 < len(frames) < 20
+    for number, frame in enumerate(frames):
+        assert float(frame.image[80:, 80:].mean()) == pytest.approx(24.5 + 5 * number, abs=3.0)
+
+
+def test_an_mp4_cut_anywhere_is_refused_in_one_line(tmp_path):
+    write_video(tmp_path / "whole.mp4", "mp4v")
+    whole = (tmp_path / "whole.mp4").read_bytes()
+    for share in (0.02, 0.3, 0.9, 0.999):
+        (tmp_path / "cut.mp4").write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(SourceError, match="not a video that can be opened: the file ends"):
+            open_source(str(tmp_path / "cut.mp4"))
+
+
+def with_index_in_front(whole: bytes) -> bytes:
+    """An MP4 with `moov` before `mdat`, as phones and downloads have it; offsets shifted."""
+    boxes, at = {}, 0
+    while at < len(whole):
+        length = int.from_bytes(whole[at : at + 4], "big")
+        boxes[whole[at + 4 : at + 8]] = whole[at : at + length]
+        at += length
+    moov = bytearray(boxes[b"moov"])
+    place = moov.index(b"stco")
+    for i in range(int.from_bytes(moov[place + 8 : place + 12], "big")):
+        entry = slice(place + 12 + 4 * i, place + 16 + 4 * i)
+        moov[entry] = (int.from_bytes(moov[entry], "big") + len(moov)).to_bytes(4, "big")
+    rest = b"".join(box for kind, box in boxes.items() if kind not in (b"ftyp", b"moov"))
+    return boxes[b"ftyp"] + bytes(moov) + rest
+
+
+def test_a_cut_mp4_whose_index_is_in_front_gives_the_good_pictures_first(tmp_path):
+    path = tmp_path / "a.mp4"
+    write_video(path, "mp4v")
+    front = with_index_in_front(path.read_bytes())
+    path.write_bytes(front)
+    assert len(frames_of(open_source(str(path)))) == 30
+    path.write_bytes(front[: int(len(front) * 0.7)])
+    words = r"ends in the middle of picture \d+ of 30"
+    assert 5 < len(frames_before_error(open_source(str(path)), words)) < 28
+
+
+def test_what_is_no_video_or_not_there_says_so(tmp_path):
+    (tmp_path / "a.mp4").write_text("no video")
+    with pytest.raises(SourceError, match="unknown format, or damaged"):
+        open_source(str(tmp_path / "a.mp4"))
+    with pytest.raises(SourceError, match="no pictures at"):
+        open_source(str(tmp_path / "absent.mp4"))
+
+
+def test_a_folder_is_read_in_natural_order_at_its_rate(tmp_path):
+    for number in (10, 9, 1):
+        cv2.imwrite(str(tmp_path / f"f{number}.png"), picture(number))
+    (tmp_path / "notes.txt").write_text("not a picture")
+    frames = frames_of(open_source(str(tmp_path), fps=4.0))
+    assert [int(f.image[100, 100, 0]) for f in frames] == [15, 55, 60]
+    assert [f.t_s for f in frames] == [0.0, 0.25, 0.5]
+
+
+def with_exif_date(jpeg: bytes, date: str) -> bytes:
+    """A JPEG with an Exif block of one tag, DateTimeOriginal."""
+    text = date.encode() + b"\0"
+    entry = b"\x03\x90\x02\x00" + len(text).to_bytes(4, "little") + (26).to_bytes(4, "little")
+    tiff = b"II*\0\x08\0\0\0\x01\0" + entry + b"\0\0\0\0" + text
+    block = b"Exif\0\0" + tiff
+    return jpeg[:2] + b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block + jpeg[2:]
+
+
+def test_times_come_from_exif_where_all_pictures_have_them(tmp_path):
+    jpeg = cv2.imencode(".jpg", picture(1))[1].tobytes()
+    for number, second in enumerate((58, 59, 62)):
+        date = f"2026:06:01 10:{second // 60:02d}:{second % 60:02d}"
+        (tmp_path / f"{number}.jpg").write_bytes(with_exif_date(jpeg, date))
+    assert [f.t_s for f in frames_of(ImageFolder(tmp_path, 1.0))] == [0.0, 1.0, 4.0]
+    (tmp_path / "3.jpg").write_bytes(jpeg)
+    assert [f.t_s for f in frames_of(ImageFolder(tmp_path, 1.0))] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_broken_picture_is_named(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"")
+    with pytest.raises(SourceError, match=r"a\.jpg is not a picture"):
+        ImageFolder(tmp_path, 1.0).next_frame()
+
+
+def test_an_empty_folder_is_refused(tmp_path):
+    with pytest.raises(SourceError, match="holds no picture"):
+        open_source(str(tmp_path))
+
+
+class SteadyGrabber:
+    """A camera of 200 pictures a second that may break."""
+
+    def __init__(self, count: int) -> None:
+        self.numbers, self.closed = iter(range(count)), False
+
+    def grab(self):
+        time.sleep(0.005)
+        number = next(self.numbers, None)
+        return None if number is None else (float(number), picture(number % 40))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
+    grabber = SteadyGrabber(1000)
+    source = RealTimeSource(grabber)
+    first = source.next_frame()
+    time.sleep(0.2)
+    second = source.next_frame()
+    assert second.index - first.index > 10
+    assert source.dropped == second.index - first.index - 1
+    source.close()
+    assert grabber.closed
+    assert source.next_frame() is None
+
+
+def test_a_camera_that_stops_is_an_error_after_its_last_picture():
+    source = RealTimeSource(SteadyGrabber(1))
+    assert source.next_frame().index == 0
+    with pytest.raises(SourceError, match="no pictures any more"):
+        source.next_frame()
+
+
+def test_a_camera_that_hangs_is_an_error_in_time():
+    class Hanging(SteadyGrabber):
+        def grab(self):
+            time.sleep(0.6)
+
+    source = RealTimeSource(Hanging(1), timeout_s=0.2)
+    with pytest.raises(SourceError, match="no pictures any more"):
+        source.next_frame()
+
+
+class MjpegHandler(http.server.BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
+        self.end_headers()
+        for number in itertools.count():
+            jpeg = cv2.imencode(".jpg", picture(number % 40))[1].tobytes()
+            head = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+            try:
+                self.wfile.write(head.encode() + jpeg + b"\r\n")
+            except OSError:
+                return
+            time.sleep(0.02)
+
+    def log_message(self, *_):
+        pass
+
+
+def test_a_network_stream_is_stamped_on_the_monotonic_clock():
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), MjpegHandler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    source = open_source(f"http://127.0.0.1:{server.server_port}/video.mjpg")
+    frames = [source.next_frame() for _ in range(5)]
+    assert frames[4].image.shape == (120, 160, 3)
+    assert 0.0 < time.monotonic() - frames[4].t_s < 1.0
+    assert all(a.t_s < b.t_s for a, b in itertools.pairwise(frames))
+    source.close()
+    server.shutdown()
+
+
+def test_a_stream_nobody_sends_is_an_error():
+    with pytest.raises(SourceError, match="cannot open the stream"):
+        open_source("http://127.0.0.1:9/none")
+
+
+def test_without_picamera2_it_says_how_to_get_it():
+    with pytest.raises(SourceError, match="apt install python3-picamera2"):
+        open_source("picamera2:640x480@30")

@@ -1,0 +1,88 @@
+"""The run folder: rows as they happen, whole files or none."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from vwnav.errors import VwnavError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.pipeline import StepResult
+from vwnav.recording.run_folder import COLUMNS, TrajectoryWriter, make_run_folder, write_json
+from vwnav.types import Estimate, MapFix, Rejected, RejectReason
+
+HOME = LocalFrame(60.4, 22.5, 0.0)
+
+
+def step(t_s, estimate=None, outcome=None):
+    nothing = Rejected(t_s, RejectReason.NOT_TRIED)
+    return StepResult(t_s, nothing, outcome or nothing, estimate)
+
+
+def estimate():
+    return Estimate(
+        t_s=0.0,
+        position_ned_m=np.array([1.0, 2.0, -50.0]),
+        velocity_ned_m_s=np.array([3.0, 4.0, 5.0]),
+        covariance=np.diag([1.0, 4.0, 9.0, 1.0, 1.0, 1.0]),
+        quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
+        sigma_yaw_rad=0.1,
+        agl_m=50.0,
+        sigma_agl_m=1.0,
+        t_last_fix_s=None,
+        reset_counter=0,
+    )
+
+
+def rows_of(folder, steps):
+    writer = TrajectoryWriter(folder / "trajectory.csv", HOME, steps[0].t_s)
+    for each in steps:
+        writer.write(each)
+    writer.close()
+    with (folder / "trajectory.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_time_counts_from_the_first_picture_and_the_unknown_is_empty(tmp_path):
+    first, second = rows_of(tmp_path, [step(100.0), step(100.5)])
+    assert (first["t_s"], second["t_s"]) == ("0.0000", "0.5000")
+    assert {value for name, value in first.items() if name != "t_s"} == {""}
+    assert list(first) == COLUMNS
+
+
+def test_an_estimate_fills_its_columns(tmp_path):
+    (row,) = rows_of(tmp_path, [step(0.0, estimate())])
+    values = [float(row[n]) for n in ("north_m", "down_m", "vd_m_s", "sigma_e_m")]
+    assert values == [1.0, -50.0, 5.0, 2.0]
+    lat, lon, _ = HOME.to_geodetic(np.array([1.0, 2.0, -50.0]))
+    assert float(row["lat_deg"]) == pytest.approx(float(lat), abs=1e-8)
+    assert float(row["lon_deg"]) == pytest.approx(float(lon), abs=1e-8)
+
+
+def test_a_fix_and_a_rejection_say_so(tmp_path):
+    fix = MapFix(0.0, 60.5, 22.6, np.eye(2), 0.5, 0.1, None, None, "nadir", "sift")
+    rejected = Rejected(0.1, RejectReason.FEW_INLIERS, "", "learned")
+    rows = rows_of(tmp_path, [step(0.0, outcome=fix), step(0.1, outcome=rejected)])
+    assert [r["fix_status"] for r in rows] == ["fix", "few_inliers"]
+    assert [r["features"] for r in rows] == ["sift", "learned"]
+    assert rows[1]["fix_lat_deg"] == ""
+
+
+def test_a_killed_run_keeps_its_rows_under_another_name(tmp_path):
+    writer = TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
+    writer.write(step(0.0))
+    assert not (tmp_path / "trajectory.csv").exists()
+    assert len((tmp_path / "trajectory.csv.part").read_text().splitlines()) == 2
+    writer.close()
+
+
+def test_a_folder_with_a_run_is_refused(tmp_path):
+    (tmp_path / "trajectory.csv").touch()
+    with pytest.raises(VwnavError, match="-o"):
+        make_run_folder(tmp_path, "fly")
+
+
+def test_json_never_holds_a_nan(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "run.json", {"x": float("nan")})
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,257 @@
+"""The sequence of the dead-man, without processes: silence, zero velocity, Hold, Land."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.types import FlightMode
+from vwnav.watchdog.dead_man import Action, DeadMan, VehicleView
+from vwnav.watchdog.keepalive import Beat, GuardState
+
+OFFBOARD = VehicleView(FlightMode.OFFBOARD, True, True)
+
+
+def beating(mode: FlightMode = FlightMode.OFFBOARD, engaged: bool = True) -> DeadMan:
+    guard = DeadMan()
+    guard.handle_vehicle(VehicleView(mode, True, True))
+    guard.handle_beat(Beat(engaged, 1, 100), 0.0)
+    return guard
+
+
+def run(guard: DeadMan, start_s: float, end_s: float) -> list[tuple[float, Action]]:
+    done = []
+    for i in range(int(start_s * 50), int(end_s * 50)):
+        action = guard.step(i / 50)
+        if action is Action.HOLD:
+            guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, guard.vehicle.position_ok))
+        elif action is Action.LAND:
+            guard.handle_vehicle(VehicleView(FlightMode.LAND, True, guard.vehicle.position_ok))
+        if action is not None:
+            done.append((i / 50, action))
+    return done
+
+
+def test_silence_leads_to_zero_velocity_then_hold_then_land_then_quiet():
+    done = run(beating(), 0.0, 20.0)
+    kinds = list(dict.fromkeys(action for _, action in done))
+    assert kinds == [Action.ZERO_VELOCITY, Action.HOLD, Action.LAND]
+    assert 0.5 < done[0][0] < 0.6
+    assert [t for t, a in done if a is Action.HOLD] == [pytest.approx(1.54, abs=0.03)]
+    assert done[-1] == (pytest.approx(4.04, abs=0.03), Action.LAND)
+
+
+def test_a_beating_navigator_is_left_alone():
+    guard = beating()
+    for i in range(100):
+        guard.handle_beat(Beat(True, i, 100), i * 0.1)
+        assert guard.step(i * 0.1 + 0.05) is None
+
+
+@given(st.sampled_from(FlightMode), st.booleans(), st.booleans())
+def test_nothing_is_done_for_a_navigator_that_does_not_claim_the_aircraft(mode, armed, position):
+    guard = beating(engaged=False)
+    guard.handle_vehicle(VehicleView(mode, armed, position))
+    assert run(guard, 0.0, 5.0) == []
+
+
+@given(st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION]), st.floats(0, 8))
+def test_whoever_else_takes_the_aircraft_keeps_it(mode, when_s):
+    guard = beating()
+    run(guard, 0.0, when_s)
+    guard.handle_vehicle(VehicleView(mode, True, True))
+    assert run(guard, when_s, when_s + 10.0) == []
+
+
+def test_a_pilot_who_chose_hold_is_not_landed_under():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, True))
+    assert run(guard, 0.0, 10.0) == []
+
+
+def test_a_takeoff_without_navigator_is_held_and_landed():
+    done = run(beating(FlightMode.TAKEOFF), 0.0, 10.0)
+    assert [action for _, action in done] == [Action.HOLD, Action.LAND]
+
+
+def test_a_hold_that_the_navigator_asked_for_ends_in_a_landing():
+    done = run(beating(FlightMode.HOLD), 0.0, 10.0)
+    assert [action for _, action in done] == [Action.LAND]
+
+
+def test_without_a_position_it_lands_at_once():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, True, False))
+    assert Action.HOLD not in [action for _, action in run(guard, 0.0, 3.0)]
+    assert guard.state is GuardState.LANDING
+
+
+def test_a_refused_hold_becomes_a_landing():
+    guard = beating()
+    actions = {guard.step(i / 50) for i in range(78)}
+    assert Action.HOLD in actions
+    guard.handle_answer(False, 1.6)
+    assert guard.step(1.6) is Action.LAND
+
+
+def test_a_command_without_effect_is_repeated_twice_a_second():
+    guard = beating()
+    holds = [i / 50 for i in range(200) if guard.step(i / 50) is Action.HOLD]
+    assert holds == pytest.approx([1.54, 2.04, 2.54, 3.04, 3.54], abs=0.05)
+
+
+def test_a_late_beat_does_not_regain_the_aircraft_but_a_new_claim_does():
+    guard = beating()
+    run(guard, 0.0, 1.0)
+    guard.handle_beat(Beat(True, 2, 100), 1.0)
+    assert guard.has_taken_over
+    guard.handle_beat(Beat(False, 3, 101), 1.0)
+    assert guard.has_taken_over
+    guard.handle_beat(Beat(True, 4, 101), 1.0)
+    assert guard.state is GuardState.RELAY
+
+
+def test_on_the_ground_silence_means_nothing():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, False, True))
+    assert run(guard, 0.0, 5.0) == []
+
+
+def in_mode(guard: DeadMan, mode: FlightMode, armed: bool = True, landed: bool = False) -> None:
+    guard.handle_vehicle(VehicleView(mode, armed, True, landed))
+
+
+def test_a_navigator_that_ends_is_braked_for_at_once():
+    guard = beating()
+    guard.handle_end()
+    done = run(guard, 0.0, 20.0)
+    assert done[0] == (0.0, Action.ZERO_VELOCITY)
+    assert list(dict.fromkeys(a for _, a in done))[1:] == [Action.HOLD, Action.LAND]
+
+
+def test_a_word_of_ending_ends_no_guard():
+    guard = beating()
+    guard.handle_beat(Beat(False, 2, 100, ended=True), 0.1)
+    assert not guard.is_handed_over
+    assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
+
+
+def test_after_its_end_nobody_beats_or_claims():
+    guard = beating()
+    guard.handle_end()
+    run(guard, 0.0, 1.5)
+    guard.handle_beat(Beat(True, 9, 999), 1.5)
+    assert guard.state is GuardState.HOLDING
+    assert guard.has_taken_over
+
+
+def test_an_aircraft_in_offboard_cannot_be_disclaimed():
+    guard = beating()
+    guard.handle_beat(Beat(False, 2, 100), 0.1)
+    assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
+
+
+def test_nor_one_in_the_landing_that_was_asked_for():
+    guard = beating(FlightMode.LAND)
+    guard.handle_beat(Beat(False, 2, 100), 0.1)
+    guard.handle_end()
+    assert run(guard, 0.1, 3.0) == []
+    assert not guard.is_handed_over
+    in_mode(guard, FlightMode.HOLD)  # a person's
+    assert run(guard, 3.0, 9.0) == []
+    assert guard.is_handed_over
+
+
+def test_an_aircraft_that_somebody_else_took_can():
+    guard = beating()
+    in_mode(guard, FlightMode.MANUAL)
+    guard.handle_beat(Beat(False, 2, 100), 0.1)
+    in_mode(guard, FlightMode.OFFBOARD)
+    guard.handle_end()
+    assert run(guard, 0.1, 10.0) == []
+    assert guard.is_handed_over
+
+
+def test_a_landing_that_is_under_way_is_watched_to_its_end():
+    guard = beating(FlightMode.LAND)
+    guard.handle_end()
+    assert run(guard, 0.0, 3.0) == []
+    assert not guard.is_handed_over
+    in_mode(guard, FlightMode.OFFBOARD)  # PX4 goes back by itself when setpoints return
+    assert run(guard, 3.0, 4.0) == [(3.0, Action.LAND)]
+
+
+@pytest.mark.parametrize("mode", FlightMode)
+def test_once_it_is_down_nothing_is_commanded_whatever_mode_follows(mode):
+    guard = beating()
+    run(guard, 0.0, 5.0)
+    in_mode(guard, FlightMode.LAND, landed=True)
+    assert run(guard, 5.0, 6.0) == []
+    in_mode(guard, mode)
+    assert run(guard, 6.0, 8.0) == []
+
+
+@pytest.mark.parametrize("mode", FlightMode)
+def test_at_the_moment_of_disarming_nothing_is_commanded(mode):
+    guard = beating()
+    run(guard, 0.0, 5.0)
+    in_mode(guard, mode, armed=False)
+    assert run(guard, 5.0, 8.0) == []
+
+
+def test_a_hold_after_the_landing_began_is_somebody_elses():
+    guard = beating()
+    run(guard, 0.0, 5.0)
+    in_mode(guard, FlightMode.HOLD)
+    assert run(guard, 5.0, 9.0) == []
+    assert guard.state is GuardState.STOOD_DOWN
+
+
+def test_a_descend_of_the_autopilots_own_that_ends_is_landed_again():
+    guard = beating()
+    run(guard, 0.0, 2.0)
+    in_mode(guard, FlightMode.DESCEND)
+    run(guard, 2.0, 5.0)
+    in_mode(guard, FlightMode.HOLD)
+    assert Action.LAND in [action for _, action in run(guard, 5.0, 6.0)]
+
+
+def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
+    guard = beating()
+    guard.handle_hold_asked(0.0)
+    guard.handle_end()
+    in_mode(guard, FlightMode.HOLD)
+    assert Action.LAND in [action for _, action in run(guard, 0.0, 10.0)]
+
+
+PERSONS = {FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION, FlightMode.UNKNOWN}
+EVENT = st.tuples(
+    st.sampled_from(FlightMode),
+    st.sampled_from([True, True, True, False]),  # armed
+    st.sampled_from([False, False, False, True]),  # landed
+    st.sampled_from(["engaged", "idle", "silent", "silent", "claims", "ends"]),
+    st.sampled_from([0.02, 0.3, 0.6, 2.0]),  # for how long
+)
+
+
+@given(st.lists(EVENT, max_size=25))
+def test_whatever_happens_nobody_is_commanded_against_and_nobody_is_left_alone(events):
+    guard, t_s, epoch = DeadMan(), 0.0, 100
+    for mode, armed, landed, navigator, seconds in events:
+        in_mode(guard, mode, armed, landed)
+        epoch += navigator == "claims"
+        for _ in range(round(seconds / 0.02)):
+            t_s += 0.02
+            if navigator in ("engaged", "idle", "claims"):
+                guard.handle_beat(Beat(navigator != "idle", 1, epoch), t_s)
+            elif navigator == "ends":
+                guard.handle_end()
+            action = guard.step(t_s)
+            assert action is None or (armed and not landed and mode not in PERSONS)
+    if guard.navigator_ended or guard.state is not GuardState.RELAY:
+        return
+    in_mode(guard, FlightMode.OFFBOARD)
+    guard.handle_beat(Beat(True, 1, epoch), t_s)
+    guard.handle_end()
+    done = [action for _, action in run(guard, t_s, t_s + 5.0)]
+    assert done[0] is Action.ZERO_VELOCITY
+    assert done[-1] is Action.LAND

@@ -1,0 +1,127 @@
+"""Whatever ends the navigator, the watchdog brakes, holds and lands; with real processes."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from link_peer import PX4_LAND, free_port, is_still, wait_for
+from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight
+
+from vwnav.errors import LinkError
+from vwnav.watchdog import process as watchdog_process
+from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
+from vwnav.watchdog.launch import start_watchdog
+
+# The bounds of flight are 0.3 s after an end and 0.6 s after a stop (see the trials); a loaded
+# machine that runs the tests may take longer to run the watchdog at all.
+SLACK_S = 0.15
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGUSR1, signal.SIGINT])
+def test_a_navigator_that_ends_in_any_way_is_braked_for_at_once_and_landed(number):
+    with flight() as flying:
+        assert flying.first_still_s(flying.signal(number)) < 0.3 + SLACK_S
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+        assert flying.watchdog_lives()
+
+
+def test_a_navigator_that_sleeps_and_wakes_up_neither_flies_nor_tells_a_place():
+    with flight() as flying:
+        assert flying.first_still_s(flying.signal(signal.SIGSTOP)) < 0.6 + SLACK_S
+        time.sleep(3.0)
+        woken_s = flying.signal(signal.SIGCONT)
+        time.sleep(2.0)
+        assert flying.peer.of(ESTIMATE, woken_s) == []
+        assert all(is_still(s) for s in flying.peer.of(SETPOINT, woken_s))
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+
+
+def test_a_service_that_stops_the_watchdog_too_gets_the_aircraft_landed_first():
+    with flight() as flying:
+        os.kill(flying.watchdog, signal.SIGTERM)
+        assert flying.first_still_s(flying.signal(signal.SIGTERM)) < 0.3 + SLACK_S
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+        assert flying.watchdog_lives()
+
+
+def test_after_the_navigators_end_a_successor_gives_estimates_and_never_flies(tmp_path):
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes)]) as flying:
+        wait_for(lambda: notes.exists() and notes.read_text() == "started\n")
+        killed_s = flying.signal(signal.SIGKILL)
+        wait_for(lambda: [m for m in flying.peer.of(ESTIMATE, killed_s) if m.reset_counter == 1])
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+        assert all(is_still(s) for s in flying.peer.of(SETPOINT, killed_s + 0.1))
+    wait_for(lambda: notes.read_text().splitlines()[-1] == "ended")
+    resume = json.loads(notes.read_text().splitlines()[1])
+    assert resume["position"]["position_ned_m"][0] > 2.0
+    assert resume["velocity_ne_m_s"][0] == pytest.approx(8.0, abs=1.5)
+
+
+def test_a_successor_that_dies_is_started_again_a_few_times(tmp_path):
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes), "dies"]) as flying:
+        wait_for(lambda: notes.exists())
+        flying.signal(signal.SIGKILL)
+        wait_for(lambda: notes.read_text().count("position_ned_m") == 2, 15.0)
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_end_of_a_process_that_is_no_parent_is_seen_too(told, monkeypatch):
+    """Where the system cannot tell, it is asked."""
+    if not told:
+        monkeypatch.delattr(watchdog_process.os, "pidfd_open")
+    with subprocess.Popen(["sleep", "60"]) as other:
+        watch = watchdog_process.ParentWatch(other.pid)
+        assert (watch.fd is not None) is told
+        assert not watch.has_ended(1.0)
+        other.kill()
+        other.wait()
+        assert watch.has_ended(2.0)
+        watch.close()
+    gone = watchdog_process.ParentWatch(other.pid)
+    assert gone.has_ended(1.0)
+
+
+def test_a_watchdog_that_is_stopped_is_not_called_running():
+    with start_watchdog(f"udpin://127.0.0.1:{free_port()}") as watchdog:
+        watchdog.keepalive.beat(False)
+        time.sleep(0.2)
+        assert watchdog.is_running()
+        watchdog.process.send_signal(signal.SIGSTOP)
+        watchdog.keepalive.beat(False)
+        time.sleep(2.2)
+        assert not watchdog.is_running()
+        watchdog.process.send_signal(signal.SIGCONT)
+
+
+def test_a_navigator_started_again_gets_no_second_watchdog_while_the_first_one_lands():
+    with flight() as flying:
+        flying.signal(signal.SIGKILL)
+        with pytest.raises(LinkError, match="another watchdog"):
+            start_watchdog(flying.url)
+    start_watchdog(flying.url).close()
+
+
+def test_two_that_call_the_same_autopilot_do_not_share_it():
+    url = f"udpout://127.0.0.1:{free_port()}"
+    with start_watchdog(url), pytest.raises(LinkError, match="another watchdog"):
+        start_watchdog(url)
+
+
+def test_a_loop_that_slept_does_not_blame_the_watchdog():
+    clock = [0.0]
+    with contextlib.closing(UdpChannel(0, listens=True)) as watchdog:
+        keepalive = KeepAlive(UdpChannel(watchdog.port, listens=False), lambda: clock[0])
+        clock[0] = 60.0
+        assert keepalive.silence_s == 0.0
+        keepalive.beat(True)
+        clock[0] = 60.4
+        assert keepalive.silence_s == pytest.approx(0.4)
+        keepalive.close()

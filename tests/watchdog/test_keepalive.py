@@ -1,0 +1,155 @@
+"""The datagrams between the control loop and the watchdog."""
+
+from collections import deque
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.errors import LinkError
+from vwnav.watchdog.keepalive import Beat, GuardState, KeepAlive, UdpChannel, WatchdogReport
+
+BEATS = st.builds(
+    Beat,
+    st.booleans(),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**64 - 1),
+    st.text("abc xyz", max_size=16),
+    st.booleans(),
+)
+REPORTS = st.builds(
+    WatchdogReport,
+    st.sampled_from(GuardState),
+    st.integers(0, 2**32 - 1),
+    st.floats(0.0, 1e6, width=32),
+    st.booleans(),
+)
+
+
+@given(BEATS)
+def test_a_beat_arrives_as_it_was_sent(beat):
+    assert Beat.unpack(beat.pack()) == beat
+
+
+@given(REPORTS)
+def test_a_report_arrives_as_it_was_sent(report):
+    assert WatchdogReport.unpack(report.pack()) == report
+
+
+@given(st.binary(max_size=60))
+def test_what_is_no_datagram_of_ours_is_none(data):
+    assert Beat.unpack(data) is None
+    assert WatchdogReport.unpack(data) is None
+
+
+def test_another_length_or_beginning_is_none():
+    beat = Beat(True, 1, 2, "on route").pack()
+    report = WatchdogReport(GuardState.RELAY, 1, 0.5).pack()
+    for unpack, data in ((Beat.unpack, beat), (WatchdogReport.unpack, report)):
+        assert unpack(data) is not None
+        assert unpack(data[:-1]) is None
+        assert unpack(data + b"\0") is None
+        assert unpack(b"X" + data[1:]) is None
+
+
+def test_what_does_not_fit_into_a_beat_is_cut():
+    beat = Beat.unpack(Beat(False, 2**32 + 5, 1, "waiting für a fix for long").pack())
+    assert beat == Beat(False, 5, 1, "waiting f?r a fi")
+
+
+class Channel:
+    """Notes what is sent; answers what it is told to."""
+
+    def __init__(self) -> None:
+        self.sent: list[Beat | None] = []
+        self.answers: deque[bytes] = deque()
+        self.closed = False
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(Beat.unpack(data))
+
+    def receive(self) -> bytes:
+        return self.answers.popleft() if self.answers else b""
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def alive():
+    now = [100.0]
+    channel = Channel()
+    return KeepAlive(channel, lambda: now[0]), channel, now
+
+
+def test_beats_are_counted_and_their_claim_grows_only_by_rejoining(alive):
+    keepalive, channel, now = alive
+    keepalive.beat(True, "climbing")
+    keepalive.beat(False)
+    now[0] = 99.0  # whatever the clock does
+    keepalive.rejoin()
+    keepalive.beat(True)
+    first, second, third = channel.sent
+    assert (first.sequence, second.sequence, third.sequence) == (1, 2, 3)
+    assert (first.engaged, first.phase, second.engaged) == (True, "climbing", False)
+    assert second.epoch == first.epoch == 100 * 10**9
+    assert third.epoch == first.epoch + 1
+
+
+def test_another_process_later_has_a_newer_claim(alive):
+    keepalive, channel, now = alive
+    keepalive.beat(True)
+    now[0] = 101.0
+    KeepAlive(channel, lambda: now[0]).beat(True)
+    assert channel.sent[1].epoch == 101 * 10**9
+
+
+def test_silence_counts_from_the_first_beat_that_was_not_answered(alive):
+    keepalive, channel, now = alive
+    assert keepalive.silence_s == 0.0
+    assert keepalive.report is None
+    now[0] = 105.0
+    keepalive.beat(True)
+    now[0] = 107.0
+    keepalive.beat(True)
+    assert keepalive.silence_s == 2.0
+    channel.answers.append(b"noise")
+    assert keepalive.silence_s == 2.0
+    report = WatchdogReport(GuardState.HOLDING, 2, 0.5, False)
+    channel.answers.append(report.pack())
+    assert keepalive.silence_s == 0.0
+    assert keepalive.report == report
+
+
+def test_the_last_word_is_that_it_ends(alive):
+    keepalive, channel, _ = alive
+    keepalive.beat(True)
+    keepalive.close()
+    assert channel.sent[-1] == Beat(False, 2, channel.sent[0].epoch, "ended", ended=True)
+    assert channel.closed
+
+
+def test_the_watchdogs_end_answers_whoever_spoke_last_and_a_taken_port_is_said():
+    listening = UdpChannel(0, listens=True)
+    listening.send(b"to nobody yet")
+    assert listening.receive() == b""
+    one, other = (UdpChannel(listening.port, listens=False) for _ in range(2))
+    for each in (one, other):
+        each.send(b"beat")
+        assert listening.receive() == b"beat"
+        listening.send(b"report")
+        assert each.receive() == b"report"
+    assert one.receive() == b""
+    with pytest.raises(LinkError, match=f"port {listening.port} of this machine"):
+        UdpChannel(listening.port, listens=True)
+    for each in (one, other, listening):
+        assert each.fileno() >= 0
+        each.close()
+    assert listening.fileno() == -1
+
+
+def test_a_beat_whose_phase_is_no_text_is_a_beat():
+    data = Beat(True, 1, 2, "on route").pack().replace(b"route", b"\xff\xfe\xfd\xfc\xfb")
+    beat = Beat.unpack(data)
+    assert (beat.engaged, beat.sequence, beat.epoch) == (True, 1, 2)
+    assert beat.phase.startswith("on ")

@@ -1,0 +1,388 @@
+"""The watchdog over links in memory, step by step, with a clock that the test owns."""
+
+import math
+from collections import deque
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from link_peer import COPTER_GUIDED, COPTER_LAND, IN_AIR, PX4_LAND, PX4_OFFBOARD, PX4_POSITION
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from vwnav.watchdog.keepalive import GuardState, KeepAlive
+from vwnav.watchdog.loop import Resume, Watchdog, WatchdogConfig, WatchdogLinks
+
+AUTOPILOT = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+NAVIGATOR = mavlink.MAVLink(None, srcSystem=7, srcComponent=191)
+PX4, COPTER = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+TICK_S = 0.02
+
+
+class Memory:
+    """One end of a link, or of the beats."""
+
+    def __init__(self) -> None:
+        self.arriving: deque[bytes] = deque()
+        self.written: list[bytes] = []
+        self.closed, self.room = False, True
+
+    def fileno(self) -> int:
+        return -1
+
+    def read(self) -> bytes:
+        return self.arriving.popleft() if self.arriving else b""
+
+    def has_room(self) -> bool:
+        return self.room
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    receive, send = read, write
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Stand:
+    """A watchdog, an autopilot that says what it is told to say, and a navigator."""
+
+    def __init__(self, kind: int = PX4, successor=None) -> None:
+        self.t_s, self.kind = 100.0, kind
+        self.autopilot, self.navigator, self.observer = Memory(), Memory(), Memory()
+        self.beats, self.loop = Memory(), Memory()
+        self.loop.arriving, self.loop.written = self.beats.written, self.beats.arriving
+        self.beats.written = self.loop.arriving = deque()
+        self.keepalive = KeepAlive(self.loop, lambda: self.t_s)
+        links = WatchdogLinks(self.autopilot, self.navigator, self.observer, self.beats)
+        self.watchdog = Watchdog(links, WatchdogConfig(), successor)
+        self.mode = PX4_OFFBOARD if kind == PX4 else COPTER_GUIDED
+        self.armed, self.landed, self.beating, self.engaged = True, False, True, True
+        self._heard = 0
+        self.speaks = True
+
+    def say(self, message) -> None:
+        self.autopilot.arriving.append(bytes(message.pack(AUTOPILOT)))
+
+    def send(self, message) -> None:
+        self.navigator.arriving.append(bytes(message.pack(NAVIGATOR)))
+
+    def run(self, seconds: float, each=lambda stand: None) -> list:
+        """What reaches the autopilot meanwhile; `each` is called before every step."""
+        start = len(self.autopilot.written)
+        for i in range(round(seconds / TICK_S)):
+            self.t_s += TICK_S
+            if i % 10 == 0 and self.speaks:
+                self._speak()
+            if self.beating:
+                self.keepalive.beat(self.engaged, "on route")
+            each(self)
+            self.watchdog.step(self.t_s)
+            self._obey()
+        return parsed(self.autopilot.written[start:])
+
+    def _speak(self) -> None:
+        mode = 1 | (128 if self.armed else 0)
+        self.say(mavlink.MAVLink_heartbeat_message(2, self.kind, mode, self.mode, 4, 3))
+        state = 1 if self.landed else IN_AIR
+        self.say(mavlink.MAVLink_extended_sys_state_message(0, state))
+
+    def _obey(self) -> None:
+        news, self._heard = self.autopilot.written[self._heard :], len(self.autopilot.written)
+        for message in parsed(news):
+            if message.get_type() == "COMMAND_LONG" and message.command == 176:
+                px4 = int(message.param2) << 16 | int(message.param3) << 24
+                self.mode = px4 if self.kind == PX4 else int(message.param2)
+
+
+def parsed(packets) -> list:
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    return [m for p in packets for m in parser.parse_buffer(p) or []]
+
+
+def names(messages) -> list[str]:
+    return [m.get_type() for m in messages]
+
+
+def setpoint(north_m_s: float):
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 7, 1, 1, 2503, 0, 0, 0, north_m_s, *[0] * 7
+    )
+
+
+def estimate(t_s: float, north_m: float = 0.0, counter: int = 0, sigma_m: float = 0.5):
+    usec = int(t_s * 1e6)
+    place, covariance = (north_m, 0.0, -50.0, 0.0, 0.0, 0.0), [sigma_m**2] * 21
+    return mavlink.MAVLink_vision_position_estimate_message(usec, *place, covariance, counter)
+
+
+def land(kind: int):
+    numbers = (4.0, 6.0) if kind == PX4 else (float(COPTER_LAND), 0.0)
+    return mavlink.MAVLink_command_long_message(7, 1, 176, 0, 1.0, *numbers, *[0.0] * 4)
+
+
+def engaged(kind: int = PX4, successor=None) -> Stand:
+    stand = Stand(kind, successor)
+    stand.run(1.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
+    return stand
+
+
+def test_it_hands_on_both_ways():
+    stand = engaged()
+    passed = stand.run(0.1, lambda s: s.send(setpoint(3.0)))
+    assert [m.vx for m in passed] == [3.0] * 5
+    assert set(names(parsed(stand.navigator.written))) == {"HEARTBEAT", "EXTENDED_SYS_STATE"}
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+def test_silence_ends_in_a_landing_and_the_word_of_ending_changes_nothing_of_it(kind):
+    stand = engaged(kind)
+    stand.beating = False
+    stand.keepalive.close()
+    sent = stand.run(6.0)
+    assert names(sent)[0] == "SET_POSITION_TARGET_LOCAL_NED"
+    assert [m for m in sent if m.get_type() == "COMMAND_LONG"][-1].param2 == land(kind).param2
+    assert not stand.watchdog.finished
+    stand.armed = False
+    stand.run(1.0)
+    assert stand.watchdog.finished
+
+
+def test_it_leaves_when_the_navigator_has_ended_and_a_person_flies():
+    stand = engaged()
+    stand.mode = PX4_POSITION
+    stand.run(0.4)
+    stand.keepalive.close()
+    stand.beating = False
+    assert stand.run(1.0) == []
+    assert stand.watchdog.finished
+
+
+def test_it_does_not_leave_on_the_word_of_a_heartbeat_from_before_the_end():
+    stand = Stand()
+    stand.armed = False
+    stand.run(1.0)
+    stand.armed = True
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.watchdog.step(stand.t_s)
+    assert not stand.watchdog.finished
+    stand.run(1.0)
+    assert not stand.watchdog.finished
+
+
+def test_it_leaves_at_once_where_no_autopilot_was_ever_heard():
+    stand = Stand()
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.watchdog.step(stand.t_s)
+    assert stand.watchdog.finished
+
+
+def test_nobody_that_never_engaged_is_landed():
+    stand = Stand()
+    stand.engaged = False
+    stand.run(1.0)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    assert stand.run(1.0) == []
+    assert stand.watchdog.finished
+
+
+def test_good_estimates_go_on_after_a_takeover_and_setpoints_do_not():
+    stand = engaged()
+    stand.beating = False
+
+    def flies_on(s: Stand) -> None:
+        s.send(setpoint(3.0))
+        s.send(estimate(s.t_s, 8.0 * s.t_s))
+
+    stand.run(1.0, flies_on)
+    assert stand.watchdog.state is GuardState.BRAKING
+    passed = names(m for m in stand.run(0.4, flies_on) if not getattr(m, "vx", 0.0))
+    assert passed.count("VISION_POSITION_ESTIMATE") == 20
+
+
+def test_a_navigator_that_slept_for_20_s_streams_nothing_into_the_autopilot():
+    stand = engaged()
+    stand.beating = False
+    stand.run(20.0)
+    stand.beating = True
+    passed = stand.run(10.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
+    assert "VISION_POSITION_ESTIMATE" not in names(passed)
+    assert not stand.keepalive.report.relays_estimates
+    passed = stand.run(2.0, lambda s: s.send(estimate(s.t_s, 3.0, counter=1)))
+    assert names(passed).count("VISION_POSITION_ESTIMATE") > 70
+    assert stand.keepalive.report.relays_estimates
+
+
+def test_after_a_cut_of_the_link_an_estimate_has_to_come_as_a_new_one():
+    stand = engaged()
+    stand.speaks = False
+    passed = stand.run(5.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
+    assert 40 < names(passed).count("VISION_POSITION_ESTIMATE") < 70  # 1.2 s of 5 s
+    stand.speaks = True
+    passed = stand.run(3.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
+    assert "VISION_POSITION_ESTIMATE" not in names(passed)
+    assert "VISION_POSITION_ESTIMATE" in names(
+        stand.run(1.0, lambda s: s.send(estimate(s.t_s, 3.0, counter=1)))
+    )
+
+
+def test_an_observer_may_not_tell_the_autopilot_where_it_is():
+    stand = engaged()
+    for message in (estimate(stand.t_s), setpoint(9.0), land(PX4)):
+        stand.observer.arriving.append(bytes(message.pack(NAVIGATOR)))
+    assert stand.run(0.1) == []
+
+
+def test_rtl_on_arducopter_passes_from_a_navigator_that_lost_the_aircraft():
+    stand = engaged(COPTER)
+    stand.beating = False
+    stand.run(0.8)
+    rtl = mavlink.MAVLink_command_long_message(7, 1, 176, 0, 1.0, 6.0, *[0.0] * 5)
+    stand.send(rtl)
+    passed = [m for m in stand.run(0.1) if m.get_type() == "COMMAND_LONG"]
+    assert [m.param2 for m in passed] == [6.0]
+    stand.run(3.0)
+    assert stand.watchdog.state is GuardState.STOOD_DOWN
+
+
+def test_after_touch_down_no_second_land_is_asked_for():
+    stand = engaged()
+    stand.beating = False
+    stand.run(5.0)
+    assert stand.mode == PX4_LAND
+    stand.landed = True
+    stand.run(0.4)
+    stand.mode = (4 << 16) | (3 << 24)  # PX4 goes to Hold before it disarms
+    assert stand.run(2.0) == []
+    stand.armed = False
+    assert stand.run(1.0) == []
+
+
+def test_a_full_link_keeps_the_newest_and_the_land_goes_first():
+    stand = engaged()
+    stand.autopilot.room = False
+    stand.run(3.0, lambda s: s.send(setpoint(s.t_s)))
+    stand.send(land(PX4))
+    stand.run(0.1, lambda s: s.send(setpoint(s.t_s)))
+    stand.autopilot.room = True
+    sent = stand.run(TICK_S)
+    assert names(sent) == ["COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED"]
+    assert sent[1].vx == pytest.approx(stand.t_s, abs=0.03)
+
+
+class Second:
+    """A successor that notes when it is needed."""
+
+    def __init__(self) -> None:
+        self.steps: list[Resume | None] = []
+        self.closed = False
+
+    def step(self, resume, t_s) -> None:
+        self.steps.append(resume)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_successor_is_kept_ready_and_woken_with_the_last_good_estimate():
+    second = Second()
+    stand = engaged(successor=second)
+    stand.say(mavlink.MAVLink_gps_global_origin_message(411000000, 290000000, 40000))
+    stand.run(0.5, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s, sigma_m=0.7)))
+    assert second.steps[-1] is None
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(TICK_S)
+    resume = second.steps[-1]
+    assert resume.position.t_s == pytest.approx(stand.t_s, abs=0.03)
+    assert resume.position.position_ned_m[0] == pytest.approx(8.0 * stand.t_s, abs=0.4)
+    assert resume.position.sigma_m == pytest.approx(0.7)
+    assert resume.velocity_ne_m_s == pytest.approx((8.0, 0.0), abs=0.1)
+    assert resume.origin.lat_deg == pytest.approx(41.1)
+
+
+def test_the_successor_gives_estimates_and_never_flies():
+    stand = engaged(successor=Second())
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(2.0)
+
+    def succeeds(s: Stand) -> None:
+        s.send(estimate(s.t_s, 3.0, counter=1))
+        for message in (setpoint(5.0), mavlink.MAVLink_set_mode_message(7, 1, PX4_OFFBOARD)):
+            s.send(message)
+
+    passed = stand.run(5.0, succeeds)
+    assert names(passed).count("VISION_POSITION_ESTIMATE") > 200
+    assert {m.vx for m in passed if m.get_type().startswith("SET_POSITION")} <= {0.0}
+    assert "SET_MODE" not in names(passed)
+    assert stand.mode == PX4_LAND
+
+
+def test_with_a_successor_it_stays_while_a_person_flies_on_its_estimates():
+    second = Second()
+    stand = engaged(successor=second)
+    stand.mode = PX4_POSITION
+    stand.run(0.4)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(5.0)
+    assert not stand.watchdog.finished
+    assert second.steps[-1] is not None
+    stand.armed = False
+    stand.run(0.5)
+    assert stand.watchdog.finished
+    stand.watchdog.close()
+    assert second.closed
+
+
+VALUES = st.floats(width=32) | st.just(math.nan)
+HOSTILE = st.one_of(
+    st.binary(max_size=300),
+    st.builds(lambda x: bytes(setpoint(x).pack(NAVIGATOR)), VALUES),
+    st.builds(lambda x, t: bytes(estimate(abs(t), x).pack(NAVIGATOR)), VALUES, st.floats(0, 1e9)),
+    st.builds(
+        lambda number, p: bytes(
+            mavlink.MAVLink_command_long_message(7, 1, number, 0, *[p] * 7).pack(NAVIGATOR)
+        ),
+        st.integers(0, 65535),
+        VALUES,
+    ),
+    st.builds(
+        lambda mode, armed: bytes(
+            mavlink.MAVLink_heartbeat_message(2, 12, armed, mode, 4, 3).pack(AUTOPILOT)
+        ),
+        st.integers(0, 2**32 - 1),
+        st.sampled_from([1, 129]),
+    ),
+)
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(["autopilot", "navigator", "observer", "beats"]), HOSTILE))
+)
+def test_nothing_that_arrives_can_stop_it(traffic):
+    stand = engaged()
+    for end, data in traffic:
+        getattr(stand, end).arriving.append(data)
+        stand.t_s += TICK_S
+        stand.watchdog.step(stand.t_s)
+    stand.beating = False
+    stand.mode = PX4_OFFBOARD
+    stand.run(1.0)
+
+
+def test_an_autopilot_that_was_switched_off_is_not_waited_for():
+    stand = engaged()
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    for _ in range(59):
+        stand.t_s += 1.0
+        stand.watchdog.step(stand.t_s)
+        assert not stand.watchdog.finished
+    stand.t_s += 2.0
+    stand.watchdog.step(stand.t_s)
+    assert stand.watchdog.finished

@@ -1,0 +1,49 @@
+"""What comes by on the link and is not meant for the watchdog, or means nothing."""
+
+import pytest
+from link_peer import PX4_LAND, PX4_POSITION
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from test_loop import TICK_S, Second, Stand, engaged
+
+from vwnav.watchdog.keepalive import GuardState
+
+OTHER = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
+
+
+@pytest.mark.parametrize("mode", [PX4_POSITION, PX4_LAND])
+def test_what_another_aircraft_flies_is_no_reason_to_leave_ours(mode):
+    """Seen: its heartbeat, disarmed or in a pilot's mode, made the watchdog stand down."""
+
+    def overheard(stand: Stand) -> None:
+        for message in (
+            mavlink.MAVLink_heartbeat_message(2, stand.kind, 1, mode, 4, 3),
+            mavlink.MAVLink_extended_sys_state_message(0, 1),
+            mavlink.MAVLink_command_ack_message(176, 2),
+        ):
+            stand.autopilot.arriving.append(bytes(message.pack(OTHER)))
+
+    stand = engaged()
+    stand.beating = False
+    sent = stand.run(6.0, overheard)
+    assert stand.watchdog.state is GuardState.LANDING
+    assert {m.target_system for m in sent if m.get_type() != "HEARTBEAT"} == {7}
+    assert stand.mode == PX4_LAND
+
+
+def test_an_origin_that_is_nowhere_is_not_handed_to_a_successor():
+    second = Second()
+    stand = engaged(successor=second)
+    stand.say(mavlink.MAVLink_gps_global_origin_message(910000000, 290000000, 40000))
+    stand.run(0.1)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(TICK_S)
+    assert second.steps[-1].origin is None
+
+
+def test_a_report_that_is_none_is_no_end_of_the_control_loop():
+    stand = engaged()
+    good = stand.keepalive.report
+    stand.loop.arriving.append(b"VWR2\xff" + good.pack()[5:])
+    stand.keepalive.beat(True)
+    assert stand.keepalive.report == good

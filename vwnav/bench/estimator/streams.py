@@ -1,0 +1,283 @@
+"""What the sensors say of a flight, late and wrong as `World` has it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vwnav.bench.estimator.world import DT_S, G_M_S2, Truth, World, ground_m
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.inputs import Measurement
+from vwnav.geometry.rotations import rotation_from_quat, rotation_from_vector, wrap_pi
+from vwnav.types import Array, Attitude, Height, ImuSample, OdometryMotion
+
+LEAST_FIX_AGL_M = 15.0
+LEAST_ODOMETRY_AGL_M = 1.5
+WRONG_IN_A_ROW = 10
+_ATTITUDE_LATE_S = 0.01
+_IMU_LATE_S = 0.012
+_HEIGHT_LATE_S = 0.03
+_ODOMETRY_LATE_S = 0.04
+_TILT_DRIFT_S = 20.0
+_HANDED_AGL_M = 40.0  # odometry is scaled by whatever AGL it is handed; the filter undoes it
+_KEYFRAME_WAY = 0.35  # in AGL, then the keyframe is replaced
+_KEYFRAME_CLIMB = 0.12
+_KEYFRAME_TURN_RAD = 0.14
+_MAP_WAVES = 24
+_MAP_LENGTH_M = 50.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Event:
+    """Something that reaches the filter. `error_m`: how wrong a fix is, tilt left aside."""
+
+    arrival_s: float
+    seen: Measurement
+    error_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The map's terrain heights: of another datum, and not quite right."""
+
+    world: World
+    offset_m: float
+    phases: tuple[float, float]
+
+    def __call__(self, north_m: float, east_m: float) -> float:
+        """Height of the ground."""
+        a, b = self.phases
+        wave = math.cos(north_m / 60.0 + a) * math.cos(east_m / 60.0 + b)
+        true_m = float(ground_m(np.array(north_m), np.array(east_m), self.world))
+        return true_m + self.offset_m + 2.0 * self.world.table_error_m * wave
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """All that a filter is told of one flight.
+
+    Attributes:
+        measured_yaw_rad: (n,) heading as the autopilot has it, at the truth's times.
+        measured_quats: (n, 4) its attitude; None where only its heading is kept.
+        ground: the map's terrain table.
+    """
+
+    truth: Truth
+    events: list[Event]
+    measured_yaw_rad: Array
+    ground: Table | None = None
+    measured_quats: Array | None = None
+
+
+def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
+    """The streams of one flight."""
+    errors = _AttitudeErrors(world, truth, rng)
+    events = [
+        *_attitudes(truth, errors),
+        *_heights(world, truth, rng),
+        *_odometry(world, truth, errors, rng),
+        *_fixes(world, truth, errors, rng),
+    ]
+    if world.imu_hz > 0.0:
+        events += _imu(world, truth, rng)
+    events.sort(key=lambda event: event.arrival_s)
+    measured = truth.yaw_rad + errors.yaw
+    table = _table(world, rng) if world.table else None
+    return Stream(truth, events, measured, table, errors.quats)
+
+
+class _AttitudeErrors:
+    """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true; tilt turns with the body."""
+
+    def __init__(self, world: World, truth: Truth, rng: np.random.Generator) -> None:
+        n = len(truth.t_s)
+        keep = math.exp(-DT_S / _TILT_DRIFT_S)
+        drive = math.radians(world.tilt_drift_deg) * math.sqrt(1.0 - keep**2)
+        bias = math.radians(world.tilt_bias_deg) * rng.normal(size=2)
+        walk = _first_order(keep, drive * rng.normal(size=(n, 2)))
+        white = math.radians(world.tilt_noise_deg) * rng.normal(size=(n, 2))
+        # Correlated over some 20 ms, as a filter's output is.
+        white = (white + np.roll(white, 1, 0) + np.roll(white, 2, 0)) / math.sqrt(3.0)
+        body = bias + walk + white
+        c, s = np.cos(truth.yaw_rad), np.sin(truth.yaw_rad)
+        self.tilt_ne = np.stack(
+            [c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1]], axis=1
+        )
+        steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
+        self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)
+        self.yaw = self.yaw + math.radians(world.yaw_step_deg) * (truth.t_s >= world.yaw_step_s)
+        tilted = _multiply(_small_quats(self.tilt_ne), truth.quat_wxyz)
+        turn = np.zeros((n, 4))
+        turn[:, 0], turn[:, 3] = np.cos(self.yaw / 2.0), np.sin(self.yaw / 2.0)
+        self.quats = _multiply(turn, tilted)
+        w, x, y, z = tilted.T
+        self.map_yaw = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def nadir_shift(self) -> Array:
+        """(n, 2) where the ground point that seems to be below lies, per AGL."""
+        return np.stack([-self.tilt_ne[:, 1], self.tilt_ne[:, 0]], axis=1)
+
+
+def _first_order(keep: float, drive: Array) -> Array:
+    out = np.zeros_like(drive)
+    for i in range(1, len(drive)):
+        out[i] = keep * out[i - 1] + drive[i]
+    return out
+
+
+def _small_quats(tilt_ne: Array) -> Array:
+    half = 0.5 * np.hypot(tilt_ne[:, 0], tilt_ne[:, 1])
+    quats = np.zeros((len(tilt_ne), 4))
+    quats[:, 0] = np.cos(half)
+    quats[:, 1:3] = 0.5 * np.sinc(half / math.pi)[:, None] * tilt_ne
+    return quats
+
+
+def _multiply(a: Array, b: Array) -> Array:
+    """Hamilton products (n, 4)."""
+    w0, v0, w1, v1 = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    scalar = w0 * w1 - np.sum(v0 * v1, axis=1, keepdims=True)
+    return np.concatenate([scalar, w0 * v1 + w1 * v0 + np.cross(v0, v1)], axis=1)
+
+
+def _attitudes(truth: Truth, errors: _AttitudeErrors) -> list[Event]:
+    times = truth.t_s.tolist()
+    return [
+        Event(times[i] + _ATTITUDE_LATE_S, Attitude(times[i], errors.quats[i]))
+        for i in range(0, len(times), 2)
+    ]
+
+
+def _imu(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
+    acceleration = np.gradient(truth.velocity_ned_m_s, truth.t_s, axis=0)
+    bias = world.imu_bias_m_s2 * rng.normal(size=3)
+    rate_bias = math.radians(world.gyro_bias_deg_s) * rng.normal(size=3)
+    rates = _rates(truth)
+    events = []
+    for i in range(0, len(truth.t_s), round(1.0 / world.imu_hz / DT_S)):
+        R_ned_body = rotation_from_quat(truth.quat_wxyz[i])
+        force = R_ned_body.T @ (acceleration[i] - [0.0, 0.0, G_M_S2])
+        force += bias + world.imu_noise_m_s2 * rng.normal(size=3)
+        rate = rates[i] + rate_bias + math.radians(world.gyro_noise_deg_s) * rng.normal(size=3)
+        t_s = float(truth.t_s[i])
+        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, rate)))
+    return events
+
+
+def _rates(truth: Truth) -> Array:
+    """(n, 3) body rates, rad/s."""
+    conjugate = truth.quat_wxyz * [1.0, -1.0, -1.0, -1.0]
+    steps = _multiply(conjugate[:-1], truth.quat_wxyz[1:])
+    between = 2.0 * np.sign(steps[:, :1]) * steps[:, 1:] / DT_S
+    return np.vstack([between[:1], 0.5 * (between[:-1] + between[1:]), between[-1:]])
+
+
+def _heights(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
+    which = range(0, len(truth.t_s), 10)
+    drift_m = world.baro_drift_m * rng.choice([-1.0, 1.0]) * truth.t_s / truth.t_s[-1]
+    heights = (
+        drift_m - truth.position_ned_m[:, 2] + world.baro_noise_m * rng.normal(size=len(drift_m))
+    )
+    return [
+        Event(float(truth.t_s[i]) + _HEIGHT_LATE_S, Height(float(truth.t_s[i]), float(heights[i])))
+        for i in which
+    ]
+
+
+def _odometry(
+    world: World, truth: Truth, errors: _AttitudeErrors, rng: np.random.Generator
+) -> list[Event]:
+    """Ways from keyframes that are replaced as the view changes; the first picture is one."""
+    events: list[Event] = []
+    sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])
+    covariance = np.diag(2.0 * sigma**2) * _HANDED_AGL_M**2
+    sigma_yaw_rad = math.sqrt(2.0) * world.odometry_yaw_rad
+    shift = world.tilt_in_odometry * errors.nadir_shift
+    key, key_noise, key_turn, key_yaw = None, np.zeros(3), np.eye(3), 0.0
+    for i in range(0, len(truth.t_s), round(1.0 / world.odometry_hz / DT_S)):
+        if truth.agl_m[i] < LEAST_ODOMETRY_AGL_M:
+            key = None
+            continue
+        if key is not None:
+            way = (truth.position_ned_m[i] - truth.position_ned_m[key]) / truth.agl_m[key]
+            seen = key_turn @ way + sigma * rng.normal(size=3) + key_noise
+            seen[:2] += shift[i] - shift[key]
+            # Of attitudes that share their tilt error, as the map's heading is.
+            turned_rad = wrap_pi(float(errors.map_yaw[i] - errors.map_yaw[key]))
+            increment_rad = turned_rad + world.odometry_yaw_rad * float(rng.normal()) + key_yaw
+            motion = OdometryMotion(
+                float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
+                increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
+            )  # fmt: skip
+            events.append(Event(motion.t1_s + _ODOMETRY_LATE_S, motion))
+            moved = math.hypot(way[0], way[1]) > _KEYFRAME_WAY or abs(way[2]) > _KEYFRAME_CLIMB
+            if not (moved or abs(turned_rad) > _KEYFRAME_TURN_RAD):
+                continue
+        key, key_noise = i, sigma * rng.normal(size=3)
+        key_yaw = world.odometry_yaw_rad * float(rng.normal())
+        turn = rotation_from_vector([0.0, 0.0, errors.yaw[key]])
+        key_turn = turn @ rotation_from_vector([*errors.tilt_ne[key], 0.0])
+    return events
+
+
+def _fixes(
+    world: World, truth: Truth, errors: _AttitudeErrors, rng: np.random.Generator
+) -> list[Event]:
+    events: list[Event] = []
+    map_error = world.map_error_m * _waves(truth, 2, rng)
+    map_turn_rad = math.radians(world.map_turn_deg) * _waves(truth, 1, rng)[:, 0]
+    map_scale = world.map_scale * _waves(truth, 1, rng)[:, 0]
+    wrong_left, wrong_m = 0, np.zeros(2)
+    starts = sorted(world.wrong_runs_s, reverse=True)
+    covariance = np.eye(2) * (world.fix_sigma_m**2 + world.map_error_m**2)
+    for i in range(0, len(truth.t_s), round(1.0 / world.fix_hz / DT_S)):
+        t_s, agl_m = float(truth.t_s[i]), float(truth.agl_m[i])
+        noise = rng.normal(size=4)
+        late_s = rng.uniform(*world.fix_latency_s)
+        random_wrong = rng.random() < world.wrong_share
+        offset = _offset(rng)
+        if agl_m < LEAST_FIX_AGL_M or any(a <= t_s < b for a, b in world.outages_s):
+            continue
+        error = world.fix_sigma_m * noise[:2] + map_error[i]
+        if starts and t_s >= starts[-1]:
+            starts.pop()
+            wrong_left, wrong_m = WRONG_IN_A_ROW, offset
+        if wrong_left > 0:
+            wrong_left -= 1
+            error = error + wrong_m
+        elif random_wrong:
+            error = error + offset
+        yaw_sigma_rad = math.radians(world.fix_yaw_deg)
+        fix = NedFix(
+            t_s=t_s,
+            position_ne_m=truth.position_ned_m[i, :2] + agl_m * errors.nadir_shift[i] + error,
+            covariance_ne_m2=covariance,
+            yaw_rad=float(errors.map_yaw[i] + map_turn_rad[i] + yaw_sigma_rad * noise[2]),
+            sigma_yaw_rad=yaw_sigma_rad,
+            agl_m=agl_m * (1.0 + float(map_scale[i]) + world.fix_agl_ratio * float(noise[3])),
+            sigma_agl_m=world.fix_agl_ratio * agl_m,
+            sigma_map_m=world.map_error_m,
+        )
+        events.append(Event(t_s + late_s, fix, float(np.hypot(*error))))
+    return events
+
+
+def _offset(rng: np.random.Generator) -> Array:
+    """10 to 200 m in any direction."""
+    angle, far_m = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(10.0, 200.0)
+    return far_m * np.array([math.cos(angle), math.sin(angle)])
+
+
+def _waves(truth: Truth, count: int, rng: np.random.Generator) -> Array:
+    """(n, count) errors of unit size of the map below: waves of random length, some 50 m."""
+    waves = rng.normal(size=(_MAP_WAVES, 2)) / _MAP_LENGTH_M
+    phases = rng.uniform(0.0, 2.0 * math.pi, (count, _MAP_WAVES))
+    along = truth.position_ned_m[:, :2] @ waves.T
+    size = math.sqrt(2.0 / _MAP_WAVES)
+    return np.stack([size * np.sum(np.cos(along + p), axis=1) for p in phases], axis=1)
+
+
+def _table(world: World, rng: np.random.Generator) -> Table:
+    phases = rng.uniform(0.0, 2.0 * math.pi, 2).tolist()
+    return Table(world, world.table_offset_m * float(rng.normal()), (phases[0], phases[1]))

@@ -1,0 +1,233 @@
+"""Live cameras and streams: a thread takes every picture, the newest one is handed out."""
+
+import importlib
+import threading
+import time
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.cameras.video_file import quieten_decoder
+from vwnav.errors import SourceError
+from vwnav.types import Frame
+
+_NO_PICTURE_TIMEOUT_S = 5.0
+_STOP_TIMEOUT_S = 2.0
+_OPEN_TIMEOUT_MS = 5000
+_DRIVER_STAMP_LIMIT_S = 1.0
+_EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us
+
+
+class Grabber(Protocol):
+    """A camera as the grabbing thread sees it."""
+
+    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """(exposure time on the monotonic clock, picture), waiting for it; None when it failed."""
+        ...
+
+    def close(self) -> None:
+        """Give the camera back; called from the grabbing thread."""
+        ...
+
+
+class RealTimeSource:
+    """A `FrameSource` that never queues: a picture not fetched in time is replaced by the next.
+
+    Attributes:
+        dropped: pictures that were replaced before anybody fetched them.
+    """
+
+    def __init__(self, grabber: Grabber, timeout_s: float = _NO_PICTURE_TIMEOUT_S) -> None:
+        self._grabber = grabber
+        self._timeout_s = timeout_s
+        self._newest: Frame | None = None
+        self._count = 0
+        self._closed = False
+        self._failed = False
+        self._arrived = threading.Condition()
+        self.dropped = 0
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    def next_frame(self) -> Frame | None:
+        """The newest picture that was not handed out yet; waits for one. None once closed.
+
+        Raises:
+            SourceError: the camera delivers nothing any more.
+        """
+        with self._arrived:
+            self._arrived.wait_for(self._has_news, self._timeout_s)
+            if self._closed:
+                return None
+            frame, self._newest = self._newest, None
+            if frame is None:
+                raise SourceError(
+                    "the camera delivers no pictures any more: check its cable, and that no other "
+                    "program uses it"
+                )
+            return frame
+
+    def close(self) -> None:
+        """Stop grabbing and give the camera back."""
+        with self._arrived:
+            self._closed = True
+            self._arrived.notify_all()
+        self._thread.join(_STOP_TIMEOUT_S)
+
+    def _has_news(self) -> bool:
+        return self._newest is not None or self._closed or self._failed
+
+    def _run(self) -> None:
+        try:
+            while not self._closed:
+                grabbed = self._grabber.grab()
+                if grabbed is None:
+                    break
+                self._hand_over(*grabbed)
+        finally:
+            self._grabber.close()
+            with self._arrived:
+                self._failed = True
+                self._arrived.notify_all()
+
+    def _hand_over(self, t_s: float, image: NDArray[np.uint8]) -> None:
+        with self._arrived:
+            self.dropped += self._newest is not None
+            self._newest = Frame(t_s, image, self._count)
+            self._count += 1
+            self._arrived.notify_all()
+
+
+class V4l2Grabber:
+    """A USB or CSI camera by Video4Linux: MJPEG 1920x1080 unless it cannot.
+
+    Raises:
+        SourceError: it cannot be opened.
+    """
+
+    def __init__(
+        self, device: str, fps: float, width_px: int = 1920, height_px: int = 1080
+    ) -> None:
+        quieten_decoder()
+        self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
+        if not self._video.isOpened():
+            raise SourceError(
+                f"cannot open the camera {device}: is it plugged in, free, and are you in the "
+                "group video?"
+            )
+        self._video.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+        self._video.set(cv2.CAP_PROP_FRAME_WIDTH, width_px)
+        self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, height_px)
+        self._video.set(cv2.CAP_PROP_FPS, fps)
+        self._video.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        self._period_s = 1.0 / fps
+
+    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """The next picture."""
+        if not self._video.grab():
+            return None
+        arrival_s = time.monotonic()
+        stamp_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        good, image = self._video.retrieve()
+        if not good:
+            return None
+        return self._exposure_time(stamp_s, arrival_s), np.asarray(image, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Give the device back."""
+        self._video.release()
+
+    def _exposure_time(self, stamp_s: float, arrival_s: float) -> float:
+        """Middle of the exposure.
+
+        UVC cameras stamp the start of the transfer on the monotonic clock, which follows the end
+        of the exposure; without such a stamp a picture is one period old when it arrives.
+        """
+        if 0.0 <= arrival_s - stamp_s < _DRIVER_STAMP_LIMIT_S:
+            exposure_s = self._video.get(cv2.CAP_PROP_EXPOSURE) * _EXPOSURE_UNIT_S
+            return stamp_s - 0.5 * min(max(exposure_s, 0.0), self._period_s)
+        return arrival_s - self._period_s
+
+
+class StreamGrabber:
+    """A network stream (RTSP, HTTP); pictures are stamped at arrival less one period.
+
+    A stream has no clock of ours: its true latency (100 to 500 ms for RTSP) is for the camera's
+    set-up to keep small.
+
+    Raises:
+        SourceError: it cannot be opened.
+    """
+
+    def __init__(self, url: str) -> None:
+        quieten_decoder()
+        limits = [
+            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+            _OPEN_TIMEOUT_MS,
+            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+            _OPEN_TIMEOUT_MS,
+        ]
+        self._video = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
+        if not self._video.isOpened():
+            raise SourceError(f"cannot open the stream {url}: is the camera on and reachable?")
+        self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or 30.0)
+
+    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """The next picture."""
+        good, image = self._video.read()
+        if not good:
+            return None
+        return time.monotonic() - self._period_s, np.asarray(image, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._video.release()
+
+
+class PicameraGrabber:
+    """A Raspberry Pi camera by picamera2, which comes with the Pi's own operating system.
+
+    Raises:
+        SourceError: picamera2 is not there, or no camera is.
+    """
+
+    def __init__(self, width_px: int, height_px: int, fps: float) -> None:
+        self._camera = _open_picamera(width_px, height_px, fps)
+
+    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """The next picture."""
+        request = self._camera.capture_request()
+        try:
+            image = request.make_array("main")
+            metadata = request.get_metadata()
+        finally:
+            request.release()
+        # SensorTimestamp: start of the read-out, ns since boot, when the first row's exposure ends.
+        exposure_s = metadata["ExposureTime"] / 1e6
+        return metadata["SensorTimestamp"] / 1e9 - 0.5 * exposure_s, np.asarray(image, np.uint8)
+
+    def close(self) -> None:
+        """Give the camera back."""
+        self._camera.close()
+
+
+def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
+    try:
+        # Comes with the Pi's system, not from the package index: unknown to type checkers.
+        picamera2 = importlib.import_module("picamera2")
+    except ImportError as error:
+        raise SourceError(
+            "picamera2 is not installed: `sudo apt install python3-picamera2`, and make the "
+            "virtual environment with --system-site-packages"
+        ) from error
+    try:
+        camera = picamera2.Picamera2()
+        # picamera2 names formats back to front: "RGB888" is BGR in memory, as OpenCV has it.
+        main = {"size": (width_px, height_px), "format": "RGB888"}
+        camera.configure(camera.create_video_configuration(main, controls={"FrameRate": fps}))
+        camera.start()
+    except (RuntimeError, IndexError) as error:
+        raise SourceError(f"no Raspberry Pi camera: {error}; `rpicam-hello` shows why") from error
+    return camera

@@ -1,0 +1,89 @@
+"""A video file as a source of pictures, with the container's own time stamps."""
+
+import os
+from collections import deque
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vwnav.cameras.video_container import is_cut_off
+from vwnav.errors import SourceError
+from vwnav.types import Frame
+
+# A cut-off file may yield a half decoded last picture; with B-frames it is not the last in time.
+_HELD_BACK = 3
+# Containers that count pictures by duration are off by a few.
+_COUNT_TOLERANCE = 3
+
+
+def quieten_decoder() -> None:
+    """Keep OpenCV's and FFmpeg's own lines off stderr: what is wrong is said once, by us.
+
+    OpenCV reads the variable when it first uses FFmpeg; a value that is already set stays.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+
+
+class VideoFile:
+    """A `FrameSource` over a video file; `t_s` is the video's own time, from 0.
+
+    Raises:
+        SourceError: the file is no video that can be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._cut_off = is_cut_off(path)
+        quieten_decoder()
+        self._video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        if not self._video.isOpened():
+            why = "the file ends too early" if self._cut_off else "unknown format, or damaged"
+            raise SourceError(f"{path} is not a video that can be opened: {why}")
+        self._fps = self._video.get(cv2.CAP_PROP_FPS) or 30.0
+        self._expected = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
+        self._index = 0
+        self._last_t_s = -1.0
+        self._ahead: deque[Frame] = deque()
+
+    def next_frame(self) -> Frame | None:
+        """The next picture, None after the last.
+
+        Raises:
+            SourceError: the file ends in the middle of a picture; every picture before it has
+                been handed out.
+        """
+        wanted = 1 + (_HELD_BACK if self._cut_off else 0)
+        while len(self._ahead) < wanted:
+            frame = self._read()
+            if frame is None:
+                self._check_end()
+                return None
+            self._ahead.append(frame)
+        return self._ahead.popleft()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._video.release()
+
+    def _read(self) -> Frame | None:
+        good, image = self._video.read()
+        if not good:
+            return None
+        t_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        if t_s <= self._last_t_s:  # a container without time stamps, or with broken ones
+            t_s = self._last_t_s + 1.0 / self._fps
+        self._last_t_s, index = t_s, self._index
+        self._index += 1
+        return Frame(t_s, np.asarray(image, dtype=np.uint8), index)
+
+    def _check_end(self) -> None:
+        missing = self._expected - self._index
+        if self._cut_off or missing > _COUNT_TOLERANCE:
+            at = max(0, self._index - len(self._ahead))
+            of = f" of {self._expected}" if missing > 0 else ""
+            raise SourceError(
+                f"{self._path} ends in the middle of picture {at + 1}{of}: it is damaged, or its "
+                "recording or copy was not finished; copy it again or cut it before that picture"
+            )

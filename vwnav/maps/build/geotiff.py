@@ -1,0 +1,245 @@
+"""Any georeferenced raster that GDAL reads (workstation only: needs rasterio)."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rasterio
+import rasterio.errors
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.warp import transform as transform_crs
+from rasterio.windows import Window as RasterioWindow
+
+from vwnav.errors import MapError
+from vwnav.maps.build.collar import Collar, find_collar
+from vwnav.maps.build.raster import Bounds, Georeference
+from vwnav.maps.heights import HeightGrid
+from vwnav.maps.picture import Mask, Picture, Window
+from vwnav.types import Array
+
+_WGS84 = CRS.from_epsg(4326)
+_CACHE_MB = 256  # GDAL would take a twentieth of the memory
+_STRETCH_PERCENT = (1.0, 99.0)
+_STRETCH_SAMPLE_PX = 1024
+_HEIGHT_STEP_M = 10.0
+_HEIGHT_MAX_SIDE = 1024
+
+
+class RasterFile:
+    """A GeoTIFF, or a picture with a world file: any CRS, palette, 1, 3 or 4 bands, any depth."""
+
+    def __init__(self, path: Path, crs: str | None = None) -> None:
+        """Open a raster.
+
+        Args:
+            path: of the raster.
+            crs: used where the file names none, such as "EPSG:32643".
+
+        Raises:
+            MapError: it cannot be read, or nothing says where it lies.
+        """
+        if not path.is_file():
+            raise MapError(f"{path}: no such file")
+        try:
+            with warnings.catch_warnings():
+                # Said below, in one line with what to do about it.
+                warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+                self._dataset = rasterio.open(path)
+        except rasterio.errors.RasterioIOError as error:
+            raise MapError(f"{path}: not a raster that can be read ({_line(error)})") from error
+        self._path = path
+        self._crs = self._dataset.crs or _crs_beside(path) or _named_crs(crs)
+        self._check_georeference()
+        self._bands = _colour_bands(self._dataset)
+        self._palette = _palette(self._dataset)
+        self._stretch = self._stretch_limits()
+        self._collar = self._undeclared_collar()
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self._path.name
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._dataset.width, self._dataset.height
+
+    @property
+    def georeference(self) -> Georeference:
+        """Where its pixels lie."""
+        return Georeference(self._pixel_from_lat_lon, self._lat_lon_from_pixel)
+
+    def window(self, window: Window) -> Picture:
+        """Read a part of the raster as BGR with its mask.
+
+        Raises:
+            MapError: the file is damaged there.
+        """
+        picture = self._read(window)
+        if self._collar is None:
+            return picture
+        return Picture(picture.bgr, picture.mask & ~self._collar.at(picture.bgr, window))
+
+    def _pixel_from_lat_lon(self, lat_deg: Array, lon_deg: Array) -> tuple[Array, Array]:
+        x, y = transform_crs(_WGS84, self._crs, lon_deg.ravel(), lat_deg.ravel())
+        u, v = ~self._dataset.transform @ (np.array(x), np.array(y))
+        return u.reshape(lat_deg.shape), v.reshape(lat_deg.shape)
+
+    def _lat_lon_from_pixel(self, u: Array, v: Array) -> tuple[Array, Array]:
+        x, y = self._dataset.transform @ (u.ravel(), v.ravel())
+        lon, lat = transform_crs(self._crs, _WGS84, x, y)
+        return np.array(lat).reshape(u.shape), np.array(lon).reshape(u.shape)
+
+    def _read(self, window: Window) -> Picture:
+        h, w = window.shape
+        place = RasterioWindow(window.x0, window.y0, w, h)
+        try:
+            with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
+                values = self._dataset.read(self._bands, window=place)
+                mask = self._dataset.dataset_mask(window=place) > 0
+        except rasterio.errors.RasterioError as error:
+            raise MapError(f"{self._path}: damaged or cut off ({_line(error)})") from error
+        return self._coloured(values, mask)
+
+    def _coloured(self, values: NDArray[Any], mask: Mask) -> Picture:
+        if self._palette is not None:
+            rgba = self._palette[np.clip(values[0], 0, len(self._palette) - 1)]
+            return Picture(np.ascontiguousarray(rgba[..., 2::-1]), mask & (rgba[..., 3] > 0))
+        if self._stretch is not None:
+            low, high = (limit[:, None, None] for limit in self._stretch)
+            mask = mask & np.isfinite(values).all(axis=0)
+            finite = np.nan_to_num(values.astype(np.float32))
+            values = np.round((finite - low) / (high - low) * 255.0).clip(0, 255)
+        rgb = np.moveaxis(values.astype(np.uint8), 0, -1)
+        if rgb.shape[2] == 1:
+            rgb = np.repeat(rgb, 3, axis=2)
+        return Picture(np.ascontiguousarray(rgb[..., ::-1]), mask)
+
+    def _check_georeference(self) -> None:
+        if self._dataset.transform.is_identity or self._dataset.transform.is_degenerate:
+            raise MapError(
+                f"{self._path}: not georeferenced; give it a world file, list its corners in a "
+                "map.csv, or warp it with gdalwarp"
+            )
+        if self._crs is None:
+            raise MapError(f"{self._path}: names no coordinate system; say it with --crs EPSG:...")
+
+    def _stretch_limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+        """(low, high) of each band from a thinned reading, for rasters deeper than 8 bits."""
+        if self._dataset.dtypes[0] == "uint8":
+            return None
+        step = max(1, max(self.size_wh) // _STRETCH_SAMPLE_PX)
+        shape = (max(1, self._dataset.height // step), max(1, self._dataset.width // step))
+        try:
+            sample = self._dataset.read(self._bands, out_shape=(len(self._bands), *shape))
+            mask = self._dataset.dataset_mask(out_shape=shape) > 0
+        except rasterio.errors.RasterioError as error:
+            raise MapError(f"{self._path}: damaged or cut off ({_line(error)})") from error
+        values = sample[:, mask & np.isfinite(sample).all(axis=0)].astype(np.float32)
+        if not values.size:
+            raise MapError(f"{self._path}: holds no data")
+        low, high = np.percentile(values, _STRETCH_PERCENT, axis=1).astype(np.float32)
+        return low, np.maximum(high, low + 1e-6)
+
+    def _undeclared_collar(self) -> Collar | None:
+        """Black or white borders of a raster that declares no missing data at all."""
+        declared = any(flags != [MaskFlags.all_valid] for flags in self._dataset.mask_flag_enums)
+        if declared or (self._palette is not None and (self._palette[:, 3] == 0).any()):
+            return None
+        return find_collar(self._read, self.size_wh)
+
+
+def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
+    """Terrain heights under (south, west, north, east) from an elevation raster in metres.
+
+    Raises:
+        MapError: it cannot be read or does not cover the map at all.
+    """
+    south, west, north, east = bounds
+    rows, columns = (
+        int(np.clip(span * 111_000.0 / _HEIGHT_STEP_M, 2, _HEIGHT_MAX_SIDE))
+        for span in (north - south, (east - west) * np.cos(np.radians(north)))
+    )
+    lat, lon = np.meshgrid(
+        np.linspace(north, south, rows), np.linspace(west, east, columns), indexing="ij"
+    )
+    try:
+        with rasterio.open(path) as dataset:
+            heights = _heights_at(dataset, lat, lon)
+    except rasterio.errors.RasterioError as error:
+        raise MapError(
+            f"{path}: not an elevation raster that can be read ({_line(error)})"
+        ) from error
+    if not np.isfinite(heights).any():
+        raise MapError(f"{path}: has no heights under the map")
+    return HeightGrid(bounds, heights)
+
+
+def _heights_at(dataset: Any, lat: Array, lon: Array) -> NDArray[np.float32]:
+    if dataset.crs is None:
+        raise MapError(f"{dataset.name}: names no coordinate system")
+    x, y = transform_crs(_WGS84, dataset.crs, lon.ravel(), lat.ravel())
+    u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (np.array(x), np.array(y)))
+    x0, y0 = max(int(u.min()) - 2, 0), max(int(v.min()) - 2, 0)
+    x1 = min(int(u.max()) + 3, dataset.width)
+    y1 = min(int(v.max()) + 3, dataset.height)
+    if x0 >= x1 or y0 >= y1:
+        return np.full(lat.shape, np.nan, np.float32)
+    band = dataset.read(1, window=RasterioWindow(x0, y0, x1 - x0, y1 - y0), masked=True)
+    values = band.astype(np.float32).filled(np.nan)
+    at = (u - x0 - 0.5).astype(np.float32), (v - y0 - 0.5).astype(np.float32)
+    heights = cv2.remap(
+        values, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
+    )
+    return np.asarray(heights, np.float32)
+
+
+def _colour_bands(dataset: Any) -> list[int]:
+    """Numbers of the red, green and blue band, or of the one gray band."""
+    labels = list(dataset.colorinterp)
+    rgb = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    if all(label in labels for label in rgb):
+        return [labels.index(label) + 1 for label in rgb]
+    opaque = [i + 1 for i, label in enumerate(labels) if label != ColorInterp.alpha]
+    return opaque[:3] if len(opaque) >= 3 else opaque[:1]
+
+
+def _palette(dataset: Any) -> NDArray[np.uint8] | None:
+    """(n, 4) RGBA of a palette raster's indices."""
+    if dataset.colorinterp[0] != ColorInterp.palette:
+        return None
+    table = dataset.colormap(1)
+    palette = np.zeros((max(table) + 1, 4), np.uint8)
+    for index, rgba in table.items():
+        palette[index] = rgba
+    return palette
+
+
+def _crs_beside(path: Path) -> CRS | None:
+    """The coordinate system of a .prj file beside a picture, as ESRI's software writes it."""
+    for beside in (path.with_suffix(".prj"), path.with_suffix(".PRJ")):
+        if beside.is_file():
+            text = beside.read_text(encoding="utf-8", errors="replace")
+            try:
+                return CRS.from_wkt(text, morph_from_esri_dialect=True)
+            except rasterio.errors.CRSError as error:
+                raise MapError(f"{beside}: not a coordinate system ({_line(error)})") from error
+    return None
+
+
+def _named_crs(crs: str | None) -> CRS | None:
+    if crs is None:
+        return None
+    try:
+        return CRS.from_user_input(crs)
+    except rasterio.errors.CRSError as error:
+        raise MapError(f"--crs {crs}: not a coordinate system; say EPSG:32643 or such") from error
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,168 @@
+"""Pictures whose corners are listed in a table (`map.csv`)."""
+
+import csv
+import logging
+import math
+import re
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vwnav.errors import MapError
+from vwnav.maps.build.raster import Bounds, DrawnSource, corner_georeference
+from vwnav.maps.picture import Picture
+
+_LOG = logging.getLogger(__name__)
+_PICTURES_IN_MEMORY = 3
+
+_LATITUDE, _LONGITUDE = r"lat(itude)?", r"(lon(g|gitude)?|lng)"
+_TOP_LEFT, _BOTTOM_RIGHT = r"(topleft|upperleft|tl|ul|nw)", r"(bottomright|lowerright|br|lr|se)"
+_COLUMNS = {
+    "file": r"(file|filename|image|imagename|picture|photo|name|tile)",
+    "north": rf"({_TOP_LEFT}(corner)?{_LATITUDE}|{_LATITUDE}{_TOP_LEFT}|north|maxlat|latmax|top)",
+    "west": rf"({_TOP_LEFT}(corner)?{_LONGITUDE}|{_LONGITUDE}{_TOP_LEFT}|west|minlon|lonmin|left)",
+    "south": rf"({_BOTTOM_RIGHT}(corner)?{_LATITUDE}|{_LATITUDE}{_BOTTOM_RIGHT}"
+    r"|south|minlat|latmin|bottom)",
+    "east": rf"({_BOTTOM_RIGHT}(corner)?{_LONGITUDE}|{_LONGITUDE}{_BOTTOM_RIGHT}"
+    r"|east|maxlon|lonmax|right)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CornerRow:
+    """A line of the table: a picture's file name and its (south, west, north, east) in degrees."""
+
+    file: str
+    bounds: Bounds
+
+
+class PictureCache:
+    """Decoded pictures, the few that were used last."""
+
+    def __init__(self) -> None:
+        self._pictures: OrderedDict[Path, Picture] = OrderedDict()
+
+    def read(self, path: Path) -> Picture:
+        """A picture as BGR with its mask.
+
+        Raises:
+            MapError: it cannot be decoded.
+        """
+        if path in self._pictures:
+            self._pictures.move_to_end(path)
+            return self._pictures[path]
+        self._pictures[path] = _decoded(path)
+        while len(self._pictures) > _PICTURES_IN_MEMORY:
+            self._pictures.popitem(last=False)
+        return self._pictures[path]
+
+
+def corner_pictures(table: Path, listed: Sequence[Path] = ()) -> list[DrawnSource]:
+    """The pictures of a table, found beside it or among those listed.
+
+    Missing ones are passed over with a warning.
+
+    Raises:
+        MapError: the table makes no sense, or none of its pictures is there.
+    """
+    by_name = {path.name: path for path in listed}
+    cache = PictureCache()
+    found, missing = [], []
+    for row in read_corners(table):
+        path = by_name.get(Path(row.file).name, table.parent / row.file)
+        if path.is_file():
+            found.append(_corner_picture(path, row.bounds, cache))
+        else:
+            missing.append(row.file)
+    if not found:
+        raise MapError(f"{table}: none of its {len(missing)} pictures is there")
+    if missing:
+        _LOG.warning("%s: left out, not there: %s", table, ", ".join(missing))
+    return found
+
+
+def _corner_picture(path: Path, bounds: Bounds, cache: PictureCache) -> DrawnSource:
+    h, w = cache.read(path).mask.shape
+    georeference = corner_georeference(bounds, (w, h))
+    return DrawnSource(
+        path.name, (w, h), georeference, lambda window: cache.read(path).crop(window)
+    )
+
+
+def is_corner_table(path: Path) -> bool:
+    """Whether a CSV file has the columns of a corner table."""
+    try:
+        read_corners(path)
+    except MapError:
+        return False
+    return True
+
+
+def read_corners(table: Path) -> list[CornerRow]:
+    """Read a table of corner coordinates; spaces, quotes and the header's spelling are free.
+
+    Raises:
+        MapError: it cannot be read, or a column or number is missing or wrong, with its line.
+    """
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise MapError(f"{table}: cannot be read as text ({error})") from error
+    lines = text.splitlines()
+    delimiter = next((d for d in (";", "\t") if lines and d in lines[0]), ",")
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    header = next(reader, [])
+    columns = _columns(table, header)
+    return [
+        _corner_row(f"{table}, line {reader.line_num}", row, columns) for row in reader if any(row)
+    ]
+
+
+def _columns(table: Path, header: Sequence[str]) -> dict[str, int]:
+    spelt = [re.sub(r"[^a-z]", "", cell.lower()) for cell in header]
+    spelt = [re.sub(r"(deg|degrees)$", "", cell) for cell in spelt]
+    columns = {}
+    for column, pattern in _COLUMNS.items():
+        matches = [i for i, cell in enumerate(spelt) if re.fullmatch(pattern, cell)]
+        if not matches:
+            raise MapError(
+                f"{table}: no column for {column}; expected a header such as Filename, "
+                "Top_left_lat, Top_left_lon, Bottom_right_lat, Bottom_right_lon"
+            )
+        columns[column] = matches[0]
+    return columns
+
+
+def _corner_row(where: str, row: Sequence[str], columns: dict[str, int]) -> CornerRow:
+    cells = [cell.strip().strip("\"'").strip() for cell in row]
+    if len(cells) <= max(columns.values()):
+        raise MapError(f"{where}: has {len(cells)} columns of {max(columns.values()) + 1}")
+    try:
+        bounds = tuple(float(cells[columns[side]]) for side in ("south", "west", "north", "east"))
+    except ValueError as error:
+        raise MapError(f"{where}: a corner is no number ({error})") from error
+    south, west, north, east = bounds
+    if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 180.0):
+        raise MapError(f"{where}: the top left corner must lie north-west of the bottom right one")
+    if not cells[columns["file"]] or not all(map(math.isfinite, bounds)):
+        raise MapError(f"{where}: a file name or a corner is missing")
+    return CornerRow(cells[columns["file"]], (south, west, north, east))
+
+
+def _decoded(path: Path) -> Picture:
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None or image.dtype != np.uint8:
+        raise MapError(f"{path}: not a picture of 8 bits that can be read")
+    if image.ndim == 2:
+        image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    if image.shape[2] == 4:
+        return Picture(np.ascontiguousarray(image[..., :3]), image[..., 3] > 0)
+    return Picture(np.asarray(image, np.uint8), np.ones(image.shape[:2], np.bool_))

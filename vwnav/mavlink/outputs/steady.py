@@ -1,0 +1,72 @@
+"""What is sent to an autopilot steadily: estimates about its origin, setpoints by its compass."""
+
+import math
+from collections.abc import Callable
+
+from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
+from vwnav.mavlink.modes import AutopilotKind
+from vwnav.mavlink.outputs.vision_messages import velocity_target, vision_position, vision_speed
+from vwnav.mavlink.ports.port import Port
+from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
+from vwnav.types import Array, Estimate, VelocitySetpoint
+
+_ON_TIME_S = 0.005  # an estimate may leave so much before its turn
+
+
+class Outputs:
+    """Sends, and knows by how much the autopilot's compass differs from the estimate's heading.
+
+    Args:
+        clock: monotonic clock, in seconds.
+    """
+
+    def __init__(self, port: Port, telemetry: TelemetryState, clock: Callable[[], float]) -> None:
+        self._port = port
+        self._telemetry = telemetry
+        self._clock = clock
+        self._next_estimate_s = -math.inf
+        self._heading_bias_rad = 0.0
+        self._held_yaw_rad: float | None = None
+
+    def estimate(self, estimate: Estimate, rate_hz: float) -> None:
+        """Send an estimate, unless it comes before its turn or no origin is agreed upon."""
+        offset_ned_m = self._telemetry.origin_offset_ned_m
+        if offset_ned_m is None or not self._is_its_turn(rate_hz):
+            return
+        attitude = self._telemetry.attitude_near(estimate.t_s)
+        if attitude is not None:
+            bias_rad = _yaw(attitude.quat_wxyz) - _yaw(estimate.quat_wxyz)
+            self._heading_bias_rad = wrap_pi(bias_rad)
+        self._port.send("VISION_POSITION_ESTIMATE", vision_position(estimate, offset_ned_m))
+        if self._telemetry.kind is AutopilotKind.ARDUPILOT:  # PX4 does not handle it
+            self._port.send("VISION_SPEED_ESTIMATE", vision_speed(estimate))
+
+    def setpoint(self, setpoint: VelocitySetpoint) -> None:
+        """Send a velocity."""
+        yaw_rad = self._autopilot_yaw(setpoint.yaw_rad)
+        fields = velocity_target(setpoint, yaw_rad, self._clock(), self._port.system_id)
+        self._port.send("SET_POSITION_TARGET_LOCAL_NED", fields)
+
+    def release_heading(self) -> None:
+        """Forget the heading that was asked for last: the next one held is the present one."""
+        self._held_yaw_rad = None
+
+    def _is_its_turn(self, rate_hz: float) -> bool:
+        now_s, period_s = self._clock(), 1.0 / rate_hz
+        if now_s < self._next_estimate_s - _ON_TIME_S:
+            return False
+        self._next_estimate_s = max(self._next_estimate_s, now_s - period_s) + period_s
+        return True
+
+    def _autopilot_yaw(self, yaw_rad: float | None) -> float:
+        """A true heading in terms of the autopilot's compass; None holds the last one asked for."""
+        if yaw_rad is not None:
+            self._held_yaw_rad = wrap_pi(yaw_rad + self._heading_bias_rad)
+        elif self._held_yaw_rad is None:
+            attitude = self._telemetry.newest_attitude
+            self._held_yaw_rad = 0.0 if attitude is None else _yaw(attitude.quat_wxyz)
+        return self._held_yaw_rad
+
+
+def _yaw(quat_wxyz: Array) -> float:
+    return euler_from_rotation(rotation_from_quat(quat_wxyz))[2]

@@ -1,0 +1,94 @@
+"""Which mode the autopilot flies, and who chose it: a person, we, or a failsafe of its own."""
+
+import math
+from dataclasses import dataclass
+
+from vwnav.mavlink.modes import AutopilotKind, flight_mode
+from vwnav.mavlink.ports.port import Fields
+from vwnav.types import FlightMode
+
+_CRITICAL = 5  # MAV_STATE: ArduPilot flies a failsafe
+_UNDECIDED_S = 2.5  # so long PX4 may take to say who asked for a new mode: it does every 2 s
+_SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
+_EXPECTED_S = 3.0  # that the mode just commanded shows
+
+
+@dataclass(frozen=True, slots=True)
+class _Intent:
+    """PX4's CURRENT_MODE: what it flies, and what it was asked for."""
+
+    t_s: float
+    flown: FlightMode
+    asked: FlightMode
+
+
+@dataclass(frozen=True, slots=True)
+class _Commanded:
+    """A mode that the autopilot has accepted, while it flew the one `before`."""
+
+    t_s: float
+    mode: FlightMode
+    before: FlightMode
+
+
+class ModeTrack:
+    """Feed it HEARTBEAT and CURRENT_MODE of one autopilot."""
+
+    def __init__(self) -> None:
+        self._told = FlightMode.UNKNOWN
+        self._told_s = self._changed_s = -math.inf
+        self._intent: _Intent | None = None
+        self._commanded: _Commanded | None = None
+        self._critical = False
+
+    def handle_heartbeat(self, kind: AutopilotKind, fields: Fields, received_s: float) -> None:
+        """Take a HEARTBEAT in."""
+        self._critical = kind is AutopilotKind.ARDUPILOT and fields["system_status"] >= _CRITICAL
+        self._tell(flight_mode(kind, fields["custom_mode"]), received_s)
+
+    def handle_current_mode(self, kind: AutopilotKind, fields: Fields, received_s: float) -> None:
+        """Take a CURRENT_MODE in."""
+        self._tell(flight_mode(kind, fields["custom_mode"]), received_s)
+        asked = fields["intended_custom_mode"]  # 0: not known
+        if asked:
+            self._intent = _Intent(received_s, self._told, flight_mode(kind, asked))
+
+    def expect(self, mode: FlightMode, t_s: float) -> None:
+        """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
+        self._commanded = _Commanded(t_s, mode, self._told)
+
+    def mode(self, t_s: float) -> FlightMode:
+        """The one told last, but for one that was sent before the command just accepted.
+
+        Heartbeats come once a second, later from a busy machine: the old mode is believed again
+        only when it was told anew.
+        """
+        if self._commanded is None:
+            return self._told
+        commanded = self._commanded
+        told_again = self._told_s > commanded.t_s + _SETTLES_S
+        if self._told is not commanded.before or told_again or t_s - commanded.t_s > _EXPECTED_S:
+            self._commanded = None
+            return self._told
+        return commanded.mode
+
+    def intended(self, t_s: float) -> FlightMode:
+        """Which was asked for; PX4 says it a moment after the mode itself has changed.
+
+        UNKNOWN in that moment, and the flown mode where nothing is told of it.
+        """
+        mode, intent = self.mode(t_s), self._intent
+        if intent is None or mode is not self._told:
+            return mode
+        if intent.flown is mode and intent.t_s >= self._changed_s:
+            return intent.asked
+        return FlightMode.UNKNOWN if t_s - self._changed_s < _UNDECIDED_S else mode
+
+    def is_failsafe(self, t_s: float) -> bool:
+        """Whether the autopilot itself has chosen what it flies."""
+        return self._critical or self.intended(t_s) not in (self.mode(t_s), FlightMode.UNKNOWN)
+
+    def _tell(self, mode: FlightMode, received_s: float) -> None:
+        if mode is not self._told:
+            self._changed_s = received_s
+        self._told, self._told_s = mode, received_s

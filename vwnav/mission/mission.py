@@ -1,0 +1,111 @@
+"""What is to be flown, in which phases, how it may end, and who the mission speaks with."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from vwnav.mission.departure import DepartureConfig
+from vwnav.safety.check import Check
+from vwnav.types import Array, Navigation, VehicleState
+from vwnav.watchdog.keepalive import WatchdogReport
+
+ASKS = "a ground station asks for"  # as it is said and recorded
+
+
+@dataclass(frozen=True, slots=True)
+class FlightConfig(DepartureConfig):
+    """Times and heights of a mission."""
+
+    climb_m_s: float = 3.0
+    descend_m_s: float = 2.0
+    land_from_m: float = 5.0  # below this the autopilot's own landing takes over
+    first_fix_timeout_s: float = 20.0  # hovering at height without any fix
+    fixes_to_start: int = 3
+    takeoff_timeout_s: float = 40.0
+    hold_gain_per_s: float = 0.5
+    hold_speed_m_s: float = 1.5
+    ground_station_ids: tuple[int, ...] = (255,)  # MAVLink systems that may command it
+
+
+class Phase(Enum):
+    """Where the mission stands."""
+
+    GET_READY = "getting ready"
+    TAKEOFF = "taking off"
+    CLIMB = "climbing"
+    FIRST_FIX = "waiting for a fix"
+    ROUTE = "on route"
+    RETURN = "returning"
+    DESCEND = "descending"
+    LAND = "landing"
+    FAILSAFE = "autopilot's failsafe"
+    RELEASED = "pilot flies"
+    RESUME = "taking over again"
+    DONE = "done"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEnd:
+    """How the flight ended.
+
+    Attributes:
+        reason: None when the whole route was flown.
+        unsafe: it never began, because it was not safe to.
+    """
+
+    reason: str | None
+    unsafe: bool = False
+
+
+class DeadMansHandle(Protocol):
+    """What the mission needs of `vwnav.watchdog.keepalive.KeepAlive`."""
+
+    @property
+    def report(self) -> WatchdogReport | None:
+        """The watchdog's newest answer."""
+        ...
+
+    def beat(self, engaged: bool, phase: str) -> None:
+        """Say that the loop lives, and whether it steers."""
+        ...
+
+    def rejoin(self) -> None:
+        """Take the aircraft back from a watchdog that acts."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mission:
+    """What is to be flown.
+
+    Attributes:
+        route_ned_m: (n, 3) waypoints; the way back to above home is added.
+        about_home: the waypoints are counted from home, wherever that turns out to be; else from
+            the frame's origin.
+        home_ne_m: (2,) where the aircraft is thought to stand; None when nobody knows.
+        refuse: says why a route (n, 3) must not be flown, "" when it may; asked once home is known
+            if it was not before.
+    """
+
+    route_ned_m: Array
+    about_home: bool = False
+    home_ne_m: Array | None = None
+    refuse: Callable[[Array], str] = lambda _: ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crew:
+    """Who the mission speaks with.
+
+    Attributes:
+        say: receives one line per event.
+        show: receives the readiness list when what is missing changes.
+        checks: makes the readiness list.
+        arms: arms by itself; else a person does.
+    """
+
+    say: Callable[[str], None]
+    checks: Callable[[VehicleState, Navigation, float], tuple[Check, ...]]
+    show: Callable[[tuple[Check, ...]], None] = lambda _: None
+    arms: bool = True

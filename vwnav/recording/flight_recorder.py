@@ -1,0 +1,70 @@
+"""Which parts of a flight go into its recording, and how often."""
+
+from vwnav.pipeline import StepResult
+from vwnav.recording.recorder import Recorder
+from vwnav.recording.tape import About, Tape
+from vwnav.types import (
+    Estimate,
+    Frame,
+    MapFix,
+    Rejected,
+    RejectReason,
+    VehicleState,
+    VelocitySetpoint,
+)
+
+TICK_PERIOD_S = 0.2
+
+
+class FlightRecorder:
+    """The recording of a flight: everything that the filter is told, and the rest now and then.
+
+    Attributes:
+        tape: what the filter is told, from before its start: `Ekf.record(tape.input)`.
+    """
+
+    def __init__(self, recorder: Recorder, about: About) -> None:
+        self._recorder = recorder
+        self.tape = Tape(self._recorder, about)
+        self._next_tick_s = 0.0
+
+    def event(self, t_s: float, text: str) -> None:
+        """A change of phase, a decision, a warning."""
+        self._recorder.event(t_s, text)
+
+    def picture(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
+        """What a picture brought; to be called close behind its step."""
+        self.tape.picture(step, setpoint.yaw_rad if setpoint else None)
+        if was_tried(step.outcome):
+            self._recorder.outcome(step.outcome)
+
+    def frame(self, frame: Frame) -> None:
+        """The picture itself, if one is due."""
+        self._recorder.frame(frame)
+
+    def tick(
+        self,
+        t_s: float,
+        estimate: Estimate | None,
+        vehicle: VehicleState,
+        setpoint: VelocitySetpoint | None,
+    ) -> bool:
+        """The mission ticked; whether this tick is kept."""
+        if t_s < self._next_tick_s:
+            return False
+        self._next_tick_s = t_s + TICK_PERIOD_S
+        self._recorder.vehicle(vehicle)
+        if setpoint is not None:
+            self._recorder.setpoint(t_s, setpoint)
+        if estimate is not None:
+            self._recorder.estimate(estimate)
+        return True
+
+    def close(self) -> None:
+        """Write what is queued and finish the file."""
+        self._recorder.close()
+
+
+def was_tried(outcome: MapFix | Rejected) -> bool:
+    """Whether a picture was matched, with whatever result."""
+    return isinstance(outcome, MapFix) or outcome.reason is not RejectReason.NOT_TRIED

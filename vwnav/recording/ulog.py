@@ -1,0 +1,95 @@
+"""PX4's own logs (ULog), read with pyulog of the `eval` extra."""
+
+import contextlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vwnav.errors import SourceError
+from vwnav.recording.telemetry_files import TelemetryLog
+from vwnav.types import Height, ImuSample, Range
+
+_DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270, PX4's ROTATION_DOWNWARD_FACING
+_ARMED = 2  # vehicle_status.arming_state
+_TOPICS = [
+    "vehicle_attitude",
+    "vehicle_air_data",
+    "distance_sensor",
+    "vehicle_status",
+    "sensor_combined",
+]
+
+
+def read_ulog(path: Path) -> TelemetryLog:
+    """Attitude, barometric height, downward range, IMU and arming of a ULog.
+
+    Raises:
+        SourceError: pyulog is not installed, or the file is damaged.
+    """
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise SourceError(
+            "reading ULog needs pyulog: pip install 'vwnav[eval]', or give the telemetry as CSV"
+        ) from error
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
+            found = ULog(str(path), _TOPICS)
+    except Exception as error:  # pyulog raises whatever a damaged file leads it to
+        raise SourceError(f"{path} is not a ULog, or it is damaged: {error}") from error
+    topics = {data.name: data.data for data in reversed(found.data_list)}
+    log = TelemetryLog()
+    if "vehicle_attitude" in topics:
+        _add_attitudes(log, topics["vehicle_attitude"])
+    if "vehicle_air_data" in topics:
+        air = topics["vehicle_air_data"]
+        heights = air["baro_alt_meter"] - np.median(air["baro_alt_meter"][:20])
+        for t_s, height_m in _finite(air["timestamp"], heights):
+            log.add(Height(t_s, height_m))
+    if "distance_sensor" in topics:
+        _add_ranges(log, topics["distance_sensor"])
+    if "vehicle_status" in topics:
+        status = topics["vehicle_status"]
+        for t_s, state in _finite(status["timestamp"], status["arming_state"]):
+            log.add_armed(t_s, state == _ARMED)
+    if "sensor_combined" in topics:
+        _add_imu(log, topics["sensor_combined"])
+    if log.oldest_attitude is not None:
+        log.start_s = float(topics["vehicle_attitude"]["timestamp"][0]) / 1e6
+    return log
+
+
+def _add_attitudes(log: TelemetryLog, topic: Any) -> None:
+    quats = np.stack([topic[f"q[{i}]"] for i in range(4)], axis=1).astype(np.float64)
+    # The estimate belongs to the inertial sample it was made from.
+    stamps = topic.get("timestamp_sample", topic["timestamp"])
+    for t_us, quat in zip(stamps, quats, strict=True):
+        norm = float(np.linalg.norm(quat))
+        if np.isfinite(norm) and norm > 0.5:
+            log.add_attitude(float(t_us) / 1e6, quat / norm)
+
+
+def _add_imu(log: TelemetryLog, topic: Any) -> None:
+    names = [f"{what}[{i}]" for what in ("accelerometer_m_s2", "gyro_rad") for i in range(3)]
+    values = np.stack([topic[name] for name in names], axis=1).astype(np.float64)
+    for t_us, row in zip(topic["timestamp"].tolist(), values, strict=True):
+        if np.all(np.isfinite(row)):
+            log.add(ImuSample(t_us / 1e6, row[:3], row[3:]))
+
+
+def _add_ranges(log: TelemetryLog, topic: Any) -> None:
+    down = topic["orientation"] == _DOWNWARD
+    valid = (topic["current_distance"] >= topic["min_distance"]) & (topic["signal_quality"] != 0)
+    valid &= (topic["current_distance"] <= topic["max_distance"]) & down
+    for t_s, distance_m in _finite(topic["timestamp"][valid], topic["current_distance"][valid]):
+        log.add(Range(t_s, distance_m))
+
+
+def _finite(stamps_us: Any, values: Any) -> Iterator[tuple[float, float]]:
+    """Times in seconds with their values."""
+    for t_us, value in zip(stamps_us, values, strict=True):
+        if np.isfinite(value):
+            yield float(t_us) / 1e6, float(value)

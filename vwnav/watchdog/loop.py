@@ -1,0 +1,283 @@
+"""The watchdog between navigator and autopilot: relays, guards, and acts by `DeadMan`.
+
+`Watchdog.step` handles all that has arrived and never waits: `watchdog_process` calls it whenever
+something arrives, a simulation whenever its time advances.
+"""
+
+import logging
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from vwnav.mavlink.framing import Framer, Packet
+from vwnav.mavlink.links import Link
+from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
+from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass
+from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
+from vwnav.watchdog.outbox import Outbox
+from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
+from vwnav.watchdog.voice import AutopilotEar, Origin, Voice
+
+_log = logging.getLogger(__name__)
+_READS_IN_A_ROW = 32
+_CALL_PERIOD_S = 1.0
+_LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
+_SWITCHED_OFF_S = 60.0  # an autopilot that silent while nobody navigates
+_CUT_S = 1.2  # silence of the autopilot that estimates do not simply go on after
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchdogConfig:
+    """How it watches.
+
+    Attributes:
+        calls_first: the autopilot waits to be spoken to.
+        limit_s: longest time it goes on without the navigator.
+    """
+
+    calls_first: bool = False
+    limit_s: float = 900.0
+    dead_man: DeadManConfig = field(default_factory=DeadManConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class WatchdogLinks:
+    """The ways in and out: autopilot, navigator, who listens along, and the beats."""
+
+    autopilot: Link
+    navigator: Link
+    observer: Link
+    beats: Channel
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """What a successor of the navigator begins with.
+
+    Attributes:
+        position: the last good one that the autopilot was given, None when there was none.
+        velocity_ne_m_s: north and east at that time.
+        origin: of the position; None when the autopilot never told it.
+    """
+
+    position: RelayedPosition | None
+    velocity_ne_m_s: tuple[float, float]
+    origin: Origin | None
+
+
+class Successor(Protocol):
+    """A second navigator that gives the autopilot estimates when the first one has ended."""
+
+    def step(self, resume: Resume | None, t_s: float) -> None:
+        """Keep it ready; with `resume` it is needed, from now on."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+class Watchdog:
+    """One owner of leaving the aircraft: it stays until that is down or in other hands.
+
+    Args:
+        successor: takes the navigator's place for estimates alone.
+    """
+
+    def __init__(
+        self, links: WatchdogLinks, config: WatchdogConfig, successor: Successor | None = None
+    ) -> None:
+        self._links = links
+        self._config = config
+        self._successor = successor
+        self._from_navigator, self._from_observer = Framer(), Framer()
+        self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
+        self._guard = DeadMan(config.dead_man)
+        self._estimates = RelayGuard()
+        self._call_t_s = self._ended_t_s = -math.inf
+        self.finished = False
+
+    @property
+    def state(self) -> GuardState:
+        """What it does."""
+        return self._guard.state
+
+    @property
+    def is_acting(self) -> bool:
+        """It flies the aircraft, and should be stepped at 50 Hz or more."""
+        return self._guard.has_taken_over
+
+    def step(self, t_s: float) -> None:
+        """Hand on, watch and act; call it at 50 Hz or more until `finished`."""
+        before, had_it = self._guard.state, self._guard.has_taken_over
+        self._notice_cut(t_s)
+        self._relay_autopilot(t_s)
+        self._answer_beats(t_s)
+        self._guard.handle_vehicle(self._ear.vehicle(t_s))
+        action = self._guard.step(t_s)
+        if self._guard.has_taken_over and not had_it:
+            self._outbox.drop_handed_on()
+        self._relay_navigator(t_s)
+        self._relay_observer(t_s)
+        if action is not None:
+            self._outbox.put_own(self._voice.say(action, self._ear, t_s), t_s)
+        self._call(t_s)
+        self._outbox.flush(self._links.autopilot, t_s)
+        self._log_change(before, t_s)
+        self._follow_navigator(t_s)
+
+    def handle_navigator_end(self, t_s: float) -> None:
+        """The navigator's process has ended, in whatever way."""
+        if not self._guard.navigator_ended:
+            _log.warning("the navigator has ended")
+            self._guard.handle_end()
+            self._ended_t_s = t_s
+
+    def close(self) -> None:
+        """Give the ways back, and end the successor."""
+        if self._successor is not None:
+            self._successor.close()
+        for link in (self._links.autopilot, self._links.navigator, self._links.observer):
+            link.close()
+        self._links.beats.close()
+
+    def _relay_autopilot(self, t_s: float) -> None:
+        for _ in range(_READS_IN_A_ROW):
+            data = self._links.autopilot.read()
+            if not data:
+                return
+            self._links.navigator.write(data)
+            self._links.observer.write(data)
+            for answer in self._ear.listen(data, t_s):
+                self._guard.handle_answer(answer, t_s)
+
+    def _relay_navigator(self, t_s: float) -> None:
+        for _ in range(_READS_IN_A_ROW):
+            data = self._links.navigator.read()
+            if not data:
+                return
+            for packet in self._from_navigator.split(data):
+                if self._passes(packet, t_s):
+                    self._outbox.put(packet, t_s)
+
+    def _relay_observer(self, t_s: float) -> None:
+        """Somebody who listens along; may ask for messages, never for anything that flies."""
+        for _ in range(_READS_IN_A_ROW):
+            data = self._links.observer.read()
+            if not data:
+                return
+            for packet in self._from_observer.split(data):
+                if may_pass(packet, Rights.LISTENS, self._ear.kind):
+                    self._outbox.put(packet, t_s)
+
+    def _passes(self, packet: Packet, t_s: float) -> bool:
+        if not may_pass(packet, self._rights(), self._ear.kind):
+            return False
+        if packet.message_id == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
+            self._ear.handle_origin_sent(packet)
+        if asks_for_hold(packet, self._ear.kind):
+            self._guard.handle_hold_asked(t_s)
+        return packet.message_id not in ESTIMATES or self._is_good_estimate(packet, t_s)
+
+    def _rights(self) -> Rights:
+        """Of the navigator: a successor never flies, nor one whose aircraft somebody else has."""
+        if self._guard.navigator_ended or self._guard.state is GuardState.STOOD_DOWN:
+            return Rights.ESTIMATES
+        return Rights.GIVES_UP if self._guard.has_taken_over else Rights.FLIES
+
+    def _is_good_estimate(self, packet: Packet, t_s: float) -> bool:
+        message = decode(packet)
+        if message is None:
+            return False
+        was_good = self._estimates.lost_since_s is None
+        place = (message.x, message.y, message.z)
+        if packet.message_id == mavlink.MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE:
+            good = self._estimates.admit_velocity(RelayedVelocity(message.usec / 1e6, place), t_s)
+        else:
+            position = RelayedPosition(
+                message.usec / 1e6, place, _sigma_m(message.covariance), message.reset_counter
+            )
+            good = self._estimates.admit_position(position, t_s, self._ear.vehicle(t_s).armed)
+        if was_good != (is_good := self._estimates.lost_since_s is None):
+            _log.warning(
+                "estimates are %s",
+                "handed on again" if is_good else f"held back: {self._estimates.reason}",
+            )
+        return good
+
+    def _notice_cut(self, t_s: float) -> None:
+        """Before news are read: what was made while nothing came is not to be the first word."""
+        silent_s = t_s - self._ear.heard_t_s
+        if not self._ear.vehicle(t_s).armed or silent_s <= _CUT_S:
+            return
+        if self._estimates.lost_since_s is None:
+            _log.warning("estimates are held back: the autopilot is not heard")
+        self._estimates.lose("the autopilot was not heard", t_s)
+
+    def _answer_beats(self, t_s: float) -> None:
+        while data := self._links.beats.receive():
+            beat = Beat.unpack(data)
+            if beat is None:
+                continue
+            if beat.ended:
+                self.handle_navigator_end(t_s)
+                continue
+            self._guard.handle_beat(beat, t_s)
+            age_s = self._ear.heartbeat_age_s(t_s)
+            is_good = self._estimates.lost_since_s is None
+            report = WatchdogReport(self._guard.state, beat.sequence, age_s, is_good)
+            self._links.beats.send(report.pack())
+
+    def _call(self, t_s: float) -> None:
+        """Show ourselves to an autopilot that waits to be spoken to."""
+        is_heard = self._ear.heartbeat_age_s(t_s) <= _CALL_PERIOD_S
+        if self._config.calls_first and not is_heard and t_s - self._call_t_s >= _CALL_PERIOD_S:
+            self._call_t_s = t_s
+            self._outbox.put_own(self._voice.heartbeat(), t_s)
+
+    def _follow_navigator(self, t_s: float) -> None:
+        """Keep the successor ready, wake it when it is needed, and know when to leave."""
+        ended = self._guard.navigator_ended
+        self.finished = ended and self._may_leave(t_s)
+        if self._successor is None or self.finished or self._guard.last_beat is None:
+            return
+        needed = ended and self._ear.vehicle(t_s).armed
+        self._successor.step(self._resume() if needed else None, t_s)
+
+    def _may_leave(self, t_s: float) -> bool:
+        alone_s = t_s - self._ended_t_s
+        vehicle = self._ear.vehicle(t_s)
+        silent_s = min(alone_s, self._ear.heartbeat_age_s(t_s))
+        if alone_s > self._config.limit_s or silent_s > _SWITCHED_OFF_S:
+            return True
+        heard_since = self._ear.heartbeat_t_s > self._ended_t_s
+        was_heard = self._ear.heartbeat_t_s > -math.inf
+        if was_heard and not heard_since and alone_s < _LAST_WORD_S:
+            return False  # it may have been armed since it was last heard
+        if not vehicle.armed:
+            return True
+        return self._successor is None and self._guard.is_handed_over
+
+    def _resume(self) -> Resume:
+        guard = self._estimates
+        return Resume(guard.last, guard.velocity_ne_m_s, self._ear.origin)
+
+    def _log_change(self, before: GuardState, t_s: float) -> None:
+        state, beat = self._guard.state, self._guard.last_beat
+        if state is not before:
+            _log.warning(
+                "%s -> %s, mode %s, navigator silent for %.2f s (%s)",
+                before.name,
+                state.name,
+                self._guard.vehicle.mode.name,
+                self._guard.silence_s(t_s),
+                beat.phase if beat is not None else "",
+            )
+
+
+def _sigma_m(covariance: list[float]) -> float:
+    """Larger horizontal sigma of a row-major upper triangle (21 numbers) of x, y, z, ..."""
+    variance = max(covariance[0], covariance[6])
+    return math.sqrt(variance) if variance >= 0.0 else math.nan

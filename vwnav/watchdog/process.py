@@ -1,0 +1,232 @@
+"""The watchdog's process around `Watchdog`: ports, the navigator's process, signals, the clock."""
+
+import contextlib
+import logging
+import os
+import selectors
+import signal
+import socket
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import FrameType
+
+from vwnav.errors import LinkError
+from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
+from vwnav.pace import clock_of
+from vwnav.watchdog.keepalive import UdpChannel
+from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.successor import SuccessorProcess
+
+_log = logging.getLogger(__name__)
+_TICK_S = 0.02
+_ACTING_TICK_S = 0.005
+_PARENT_CHECK_S = 0.1
+_LATE_S = 0.01  # of its tick: simulated time waits for it then
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchdogOptions:
+    """How the process runs.
+
+    Attributes:
+        connection: URL of the autopilot's link.
+        navigator_port, keepalive_port, observer_port: UDP ports on 127.0.0.1; 0 lets the system
+            choose.
+        parent: process id of the navigator, whose end is noticed. None: only its silence is.
+        standby: command line of the successor; none when empty.
+        limit_s: longest time it goes on without the navigator.
+        clock_file: of a simulated time; empty for the wall's.
+    """
+
+    connection: str
+    navigator_port: int = 0
+    keepalive_port: int = 0
+    observer_port: int = 0
+    parent: int | None = None
+    standby: Sequence[str] = ()
+    limit_s: float = 900.0
+    clock_file: str = ""
+
+
+class ParentWatch:
+    """Whether a process has ended; readable at once when it does, where the system can tell.
+
+    Args:
+        pid: of any process, parent or not.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._is_parent = os.getppid() == pid
+        self._fd: int | None = None
+        self._check_t_s = 0.0
+        self._has_ended = False
+        with contextlib.suppress(AttributeError, OSError):  # not Linux, an old one, or gone
+            self._fd = os.pidfd_open(pid)
+
+    @property
+    def fd(self) -> int | None:
+        """To be waited for; None where only asking helps."""
+        return self._fd
+
+    def has_ended(self, t_s: float) -> bool:
+        """Whether it has; asks the system ten times a second."""
+        if not self._has_ended and t_s - self._check_t_s >= _PARENT_CHECK_S:
+            self._check_t_s = t_s
+            self._has_ended = not self._lives()
+        return self._has_ended
+
+    def handle_readable(self) -> None:
+        """Its descriptor became readable: it has ended."""
+        self._has_ended = True
+
+    def close(self) -> None:
+        """Give the descriptor back."""
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
+
+    def _lives(self) -> bool:
+        if self._is_parent:
+            return os.getppid() == self._pid
+        try:
+            os.kill(self._pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            return True
+        return True
+
+
+class WatchdogPorts:
+    """A `Watchdog` on real ports.
+
+    Raises:
+        LinkError: the link or a port cannot be opened.
+    """
+
+    def __init__(self, options: WatchdogOptions) -> None:
+        address = parse_link(options.connection)
+        self._claim = _claim(address)
+        self._clock = clock_of(options.clock_file)
+        self._navigator = _local_link(options.navigator_port)
+        self._observer = _local_link(options.observer_port)
+        self._beats = UdpChannel(options.keepalive_port, listens=True)
+        self._link = open_link(address)
+        links = WatchdogLinks(self._link, self._navigator, self._observer, self._beats)
+        config = WatchdogConfig(calls_first=address.kind != "udpin", limit_s=options.limit_s)
+        successor = None
+        if options.standby:
+            successor = SuccessorProcess(
+                options.standby,
+                f"udpout://127.0.0.1:{self._navigator.port}",
+                f"udpout://127.0.0.1:{self._observer.port}",
+            )
+        self._watchdog = Watchdog(links, config, successor)
+        self._parent = ParentWatch(options.parent) if options.parent is not None else None
+        self._told_to_end = False
+        self._link_fd = -1
+        self._selector = selectors.DefaultSelector()
+
+    @property
+    def ports(self) -> dict[str, int]:
+        """The ports taken, for the ready line."""
+        return {
+            "navigator_port": self._navigator.port,
+            "keepalive_port": self._beats.port,
+            "observer_port": self._observer.port,
+        }
+
+    def run(self) -> None:
+        """Relay and watch until there is nothing left to do.
+
+        A signal to end (a service that is stopped) is taken for the navigator's end: an aircraft
+        that flies is landed first.
+        """
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._handle_signal)
+        for link in (self._navigator, self._observer, self._beats):
+            self._selector.register(link, selectors.EVENT_READ)
+        if self._parent is not None and self._parent.fd is not None:
+            self._selector.register(self._parent.fd, selectors.EVENT_READ, "parent")
+        participant = self._clock.join("watchdog")
+        while not self._watchdog.finished:
+            self._follow_link()
+            participant.until(self._clock() + _TICK_S + _LATE_S)
+            self._wait()
+            now_s = self._clock()
+            if self._told_to_end or (self._parent is not None and self._parent.has_ended(now_s)):
+                self._watchdog.handle_navigator_end(now_s)
+            self._step(now_s)
+        participant.leave()
+
+    def close(self) -> None:
+        """Give the link and the ports back."""
+        self._selector.close()
+        self._watchdog.close()
+        if self._parent is not None:
+            self._parent.close()
+        if self._claim is not None:
+            self._claim.close()
+
+    def _step(self, now_s: float) -> None:
+        """One that fails is said, and the guard goes on: nobody else would land the aircraft."""
+        try:
+            self._watchdog.step(now_s)
+        except Exception:
+            _log.exception("a step of the watchdog failed")
+            time.sleep(_TICK_S)
+
+    def _wait(self) -> None:
+        """Until something arrives, or the next tick."""
+        tick_s = _ACTING_TICK_S if self._watchdog.is_acting else _TICK_S
+        for key, _ in self._selector.select(tick_s):
+            if key.data == "parent" and self._parent is not None:
+                self._selector.unregister(key.fd)  # stays readable
+                self._parent.handle_readable()
+
+    def _handle_signal(self, _: int, __: FrameType | None) -> None:
+        self._told_to_end = True
+
+    def _follow_link(self) -> None:
+        """Keep the selector on the link's present descriptor: a stream link may come and go."""
+        fd = self._link.fileno()
+        if fd == self._link_fd:
+            return
+        if self._link_fd >= 0:
+            self._selector.unregister(self._link_fd)
+        if fd >= 0:
+            self._selector.register(fd, selectors.EVENT_READ)
+        self._link_fd = fd
+
+
+def _claim(address: LinkAddress) -> socket.socket | None:
+    """Own the link on this machine, until the process ends; None where there is no such claim.
+
+    A navigator that is restarted while its first watchdog still lands the aircraft must not get a
+    second one beside it: on UDP and TCP calls nothing else would keep the two apart.
+
+    Raises:
+        LinkError: another watchdog owns it.
+    """
+    if sys.platform != "linux":
+        return None
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0vwnav watchdog of {address.port_name}")  # abstract: leaves no file behind
+    except OSError as error:
+        claim.close()
+        raise LinkError(
+            f"another watchdog has {address.port_name}: it guards the aircraft until that is "
+            "disarmed, and leaves then"
+        ) from error
+    return claim
+
+
+def _local_link(port: int) -> UdpLink:
+    try:
+        return UdpLink(LinkAddress("udpin", "127.0.0.1", port))
+    except OSError as error:
+        raise LinkError(f"cannot use port {port} of this machine: {error.strerror}") from error

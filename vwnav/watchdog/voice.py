@@ -1,0 +1,205 @@
+"""The watchdog's own ear and voice: the few MAVLink messages that it understands and speaks."""
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from vwnav.mavlink.framing import Framer, Packet, packet_at
+from vwnav.mavlink.modes import AutopilotKind, flight_mode, mode_command
+from vwnav.types import FlightMode
+from vwnav.watchdog.dead_man import Action, VehicleView
+
+_AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
+_OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2
+_HEARD = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+    mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+}
+_LANDED_MAX_AGE_S = 3.0  # of the last word of standing on the ground
+_POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
+# Ignore position, acceleration, yaw and yaw rate: velocity alone.
+_VELOCITY_ONLY = 0b110111000111
+_SILENT_HEARTBEAT_AGE_S = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the autopilot's local coordinates begin."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+
+class AutopilotEar:
+    """Follows the autopilot's heartbeat, estimator and answers among all that passes.
+
+    The first autopilot that is heard is the one: another aircraft's words on the same link, a
+    disarmed one's above all, are no reason to leave ours.
+    """
+
+    def __init__(self) -> None:
+        self.kind: AutopilotKind | None = None
+        self.system_id = 0
+        self.mavlink1 = False
+        self.heard_t_s = -math.inf
+        self.heartbeat_t_s = -math.inf
+        self.origin: Origin | None = None
+        self._vehicle = VehicleView()
+        self._landed_t_s = -math.inf
+        self._framer = Framer()
+        self._decoder = mavlink.MAVLink(None)
+
+    def vehicle(self, t_s: float) -> VehicleView:
+        """What is known of the autopilot."""
+        if self._vehicle.landed and t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
+            self._vehicle = replace(self._vehicle, landed=False)
+        return self._vehicle
+
+    def heartbeat_age_s(self, t_s: float) -> float:
+        """Time since the autopilot's last heartbeat."""
+        return min(t_s - self.heartbeat_t_s, _SILENT_HEARTBEAT_AGE_S)
+
+    def listen(self, data: bytes, t_s: float) -> list[bool]:
+        """Take bytes of the link in; returns the answers to the watchdog's own mode commands."""
+        answers: list[bool] = []
+        for packet in self._framer.split(data):
+            if not self._is_the_autopilots(packet):
+                continue
+            self.heard_t_s = t_s
+            message = self._decode(packet)
+            if message is None:
+                continue
+            match packet.message_id:
+                case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                    self._handle_heartbeat(message, packet, t_s)
+                case mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
+                    answers += self._own_answer(message)
+                case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
+                    self._handle_landed_state(message, t_s)
+                case mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
+                    self._handle_origin(message)
+                case _:
+                    self._handle_estimator(message)
+        return answers
+
+    def _is_the_autopilots(self, packet: Packet) -> bool:
+        if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id is None:
+            return False
+        if self.kind is None:
+            return bool(packet.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        return packet.system_id == self.system_id
+
+    def _decode(self, packet: Packet) -> Any | None:
+        if packet.message_id not in _HEARD:
+            return None
+        try:
+            return self._decoder.decode(bytearray(packet.data))
+        except mavlink.MAVError:
+            return None  # damaged on the way: the autopilot says it again soon
+
+    def _handle_heartbeat(self, message: Any, packet: Packet, t_s: float) -> None:
+        try:
+            self.kind = AutopilotKind(message.autopilot)
+        except ValueError:
+            return  # a gimbal or camera that uses the autopilot's component id
+        self.system_id = packet.system_id
+        self.mavlink1 = packet.data[0] == mavlink.PROTOCOL_MARKER_V1
+        self.heartbeat_t_s = t_s
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        mode = flight_mode(self.kind, message.custom_mode)
+        self._vehicle = replace(self._vehicle, mode=mode, armed=armed)
+
+    def _handle_estimator(self, message: Any) -> None:
+        # ESTIMATOR_STATUS (PX4) and EKF_STATUS_REPORT (ArduPilot) share these bits.
+        position_ok = bool(message.flags & _POSITION_FLAGS)
+        self._vehicle = replace(self._vehicle, position_ok=position_ok)
+
+    def _handle_landed_state(self, message: Any, t_s: float) -> None:
+        landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+        self._vehicle, self._landed_t_s = replace(self._vehicle, landed=landed), t_s
+
+    def handle_origin_sent(self, packet: Packet) -> None:
+        """An origin on its way to the autopilot: the next best where it never tells its own."""
+        if self.origin is None:
+            with contextlib.suppress(mavlink.MAVError):
+                self._handle_origin(self._decoder.decode(bytearray(packet.data)))
+
+    def _handle_origin(self, message: Any) -> None:
+        lat_deg, lon_deg = message.latitude / 1e7, message.longitude / 1e7
+        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+            return
+        self.origin = Origin(lat_deg, lon_deg, message.altitude / 1e3)
+
+    @staticmethod
+    def _own_answer(message: Any) -> Iterator[bool]:
+        if message.command != mavlink.MAV_CMD_DO_SET_MODE:
+            return
+        if getattr(message, "target_component", _OWN_COMPONENT) in (0, _OWN_COMPONENT):
+            yield message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+class Voice:
+    """Makes the watchdog's messages, as component ONBOARD_COMPUTER2 of the aircraft."""
+
+    def __init__(self) -> None:
+        self._encoder = mavlink.MAVLink(None, srcSystem=1, srcComponent=_OWN_COMPONENT)
+
+    def heartbeat(self) -> Packet:
+        """A companion computer is here."""
+        message = mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+            mavlink.MAV_AUTOPILOT_INVALID,
+            0,
+            0,
+            mavlink.MAV_STATE_ACTIVE,
+            3,
+        )
+        return _packet(message.pack(self._encoder))
+
+    def say(self, action: Action, ear: AutopilotEar, t_s: float) -> Packet:
+        """The message that does `action` on the autopilot that `ear` hears."""
+        self._encoder.srcSystem = ear.system_id or 1
+        match action:
+            case Action.ZERO_VELOCITY:
+                message = self._zero_velocity(ear.system_id, t_s)
+            case Action.HOLD:
+                message = self._mode(ear, FlightMode.HOLD)
+            case Action.LAND:
+                message = self._mode(ear, FlightMode.LAND)
+        return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
+
+    @staticmethod
+    def _zero_velocity(system_id: int, t_s: float) -> Any:
+        return mavlink.MAVLink_set_position_target_local_ned_message(
+            int(t_s * 1000.0) & 0xFFFFFFFF,
+            system_id,
+            _AUTOPILOT_COMPONENT,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            _VELOCITY_ONLY,
+            *[0.0] * 11,
+        )
+
+    @staticmethod
+    def _mode(ear: AutopilotEar, mode: FlightMode) -> Any:
+        assert ear.kind is not None  # nothing is asked of an autopilot that was never heard
+        command = mode_command(ear.kind, mode)
+        params = [p if p is not None else math.nan for p in command.params]
+        params += [0.0] * (7 - len(params))
+        return mavlink.MAVLink_command_long_message(
+            ear.system_id, _AUTOPILOT_COMPONENT, command.number, 0, *params
+        )
+
+
+def _packet(data: bytes) -> Packet:
+    packet = packet_at(bytes(data), 0)
+    assert packet is not None
+    return packet
