@@ -29,7 +29,7 @@ ALLOWED = {
     "mavlink": BASE | {"geometry"},
     "watchdog": BASE | {"mavlink", "safety"},
     "pipeline": BASE | {"geometry", "estimation"},
-    "mission": BASE | {"safety", "watchdog"},
+    "mission": BASE | {"guidance", "safety", "watchdog"},
     "flight": BASE | {"guidance", "safety", "watchdog", "mission"},
     "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
     "rules": BASE | {"safety", "mission"},

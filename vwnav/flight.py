@@ -7,22 +7,28 @@ and never waits. Safety may overrule each setpoint, and the pilot overrules ever
 import math
 from dataclasses import replace
 
-import numpy as np
-
-from vwnav.guidance.controller import LimitsConfig, RouteFollower
+from vwnav.guidance.controller import LimitsConfig
+from vwnav.mission.announcer import Announcer
 from vwnav.mission.departure import Departure
-from vwnav.mission.flown_way import FlownWay
-from vwnav.mission.home import Home
+from vwnav.mission.failsafe import Failsafe
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
-from vwnav.mission.mission import Crew, DeadMansHandle, FlightConfig, FlightEnd, Mission, Phase
-from vwnav.safety.monitor import Action, Decision, Rank, SafetyMonitor
-from vwnav.safety.recovery import Recovery, Wish
+from vwnav.mission.mission import (
+    Crew,
+    DeadMansHandle,
+    FlightConfig,
+    FlightEnd,
+    Mission,
+    Next,
+    Phase,
+)
+from vwnav.mission.route_phases import RoutePhases
+from vwnav.mission.steering import Steering
+from vwnav.safety.monitor import Action, Rank, SafetyMonitor
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import (
     Array,
     Autopilot,
     Estimate,
-    FlightMode,
     Navigation,
     Order,
     Request,
@@ -31,19 +37,10 @@ from vwnav.types import (
 )
 from vwnav.watchdog.keepalive import GuardState
 
-_STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
 _SLOW_PACE = 0.5
 _REJOIN_S = 1.0
-_DOING = {
-    Action.SLOW: "slower",
-    Action.HOLD: "holding",
-    Action.CLIMB: "climbing to where the map shows more",
-}
-# Phases of their own, which say it.
-_TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RELEASE})
 _CAME_DOWN = "the autopilot came down in a failsafe of its own"
-_MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 
 
 class Flight:
@@ -60,35 +57,28 @@ class Flight:
         safety: SafetyConfig,
     ) -> None:
         self._autopilot = autopilot
-        self._mission = mission
         self._keep_alive = keep_alive
         self._crew = crew
         self._config = config
-        self._limits = limits
-        self._safety_config = safety
         self._safety = SafetyMonitor(safety, limits.cruise_m_s)
         self._departure = Departure(autopilot, config, crew.arms, self._say, crew.show)
-        self._home = Home(mission.home_ne_m)
-        self._height_m = float(-mission.route_ned_m[0, 2])
-        self._follower: RouteFollower | None = None
-        self._hold_ne_m = np.zeros(2)
-        self._way = FlownWay()
+        height_m = float(-mission.route_ned_m[0, 2])
+        self._highest_m = min(height_m + safety.climb_most_m, safety.ceiling_m)
+        self._steering = Steering(autopilot, config, height_m)
+        self._route = RoutePhases(
+            autopilot, mission, self._steering, config, limits, self._safety.fly_within, self._say
+        )
         self._pace = 1.0
-        self._decided = (Action.NAVIGATE, Rank.NAVIGATION)
-        self._fixes = 0
-        self._before: Estimate | None = None
+        self._announcer = Announcer()
         self._phase_since_s: float | None = None
         self._offboard: Request | None = None
         self._landing: Landing | None = None
-        self._recovery: Recovery | None = None
-        self._phase_before_failsafe = Phase.GET_READY
-        self._lost_s: float | None = None
+        self._failsafe = Failsafe(autopilot, self._safety, self._steering, safety)
         self._phase_before_release = Phase.GET_READY
         self._handed_back = False
         self._trouble: str | None = None
         self._abort_reason: str | None = None
         self.phase = Phase.GET_READY
-        self.setpoint: VelocitySetpoint | None = None
         self.end: FlightEnd | None = None
 
     @property
@@ -100,7 +90,12 @@ class Flight:
     @property
     def home_ne_m(self) -> Array | None:
         """(2,) where the aircraft stood, as far as it is known."""
-        return self._home.place_ne_m
+        return self._route.home_ne_m
+
+    @property
+    def setpoint(self) -> VelocitySetpoint | None:
+        """What is flown now; None while we ask for nothing."""
+        return self._steering.setpoint
 
     def tick(self, t_s: float, navigation: Navigation) -> None:
         """Advance the mission; to be called at 10 Hz or more until `end` is set."""
@@ -110,7 +105,7 @@ class Flight:
         if self._phase_since_s is None:
             self._phase_since_s = t_s
         self._keep_alive.beat(self.engaged, self.phase.value)
-        self._note(navigation.estimate)
+        self._route.note(navigation.estimate, on_ground=self.phase is Phase.GET_READY)
         if self._abort_reason and self.phase not in (Phase.LAND, Phase.RELEASED, Phase.FAILSAFE):
             self._abort(t_s, vehicle)
         elif self.phase is Phase.GET_READY:
@@ -126,15 +121,7 @@ class Flight:
 
         For simulations that start where something is going to break.
         """
-        assert self._mission.home_ne_m is not None
-        self._home.take(self._mission.home_ne_m)
-        self._hold_ne_m = estimate.position_ned_m[:2].copy()
-        if phase is Phase.RETURN:
-            self._return(estimate.t_s, estimate)
-        elif phase is Phase.ROUTE:
-            route_ned_m = self._route_ned_m()
-            self._follower = RouteFollower(route_ned_m, self._limits)
-            self._safety.fly_within(route_ned_m, route_ned_m[-1, :2])
+        self._route.take_up(phase, estimate)
         self.phase, self._phase_since_s = phase, estimate.t_s
 
     def ride(self, t_s: float, reason: str) -> None:
@@ -173,7 +160,8 @@ class Flight:
         return t_s - (self._phase_since_s if self._phase_since_s is not None else t_s)
 
     def _finish(self, reason: str | None, unsafe: bool = False) -> None:
-        self.phase, self.setpoint = Phase.DONE, None
+        self._steering.stop()
+        self.phase = Phase.DONE
         self._keep_alive.beat(False, self.phase.value)
         self.end = FlightEnd(reason, unsafe)
 
@@ -185,29 +173,6 @@ class Flight:
             if vehicle.armed and not vehicle.in_air and self._departure.has_armed:
                 self._autopilot.disarm()
             self._finish(self._abort_reason)
-
-    def _note(self, estimate: Estimate | None) -> None:
-        """Count fixes. Before anybody knows where home is, the held point jumps along: it is here.
-
-        After that it is home, and a position that jumps shows how far from it the aircraft is.
-        """
-        if estimate is None:
-            return
-        before, self._before = self._before, estimate
-        if before is None:
-            return
-        if estimate.t_last_fix_s is not None and estimate.t_last_fix_s != before.t_last_fix_s:
-            self._fixes += 1
-        flown_m = (
-            0.5
-            * (estimate.velocity_ned_m_s + before.velocity_ned_m_s)[:2]
-            * (estimate.t_s - before.t_s)
-        )
-        if estimate.reset_counter != before.reset_counter and self._home.place_ne_m is None:
-            jump_m = (estimate.position_ned_m - before.position_ned_m)[:2] - flown_m
-            self._hold_ne_m = self._hold_ne_m + jump_m
-        if self.phase is not Phase.GET_READY:
-            self._home.flown(flown_m)
 
     # ---- on the ground
 
@@ -243,10 +208,10 @@ class Flight:
 
     def _overruled(self, t_s: float, navigation: Navigation, vehicle: VehicleState) -> bool:
         """True when safety, not the mission, decided this tick."""
-        if navigation.estimate is None:
-            self._lost_s = t_s
+        self._failsafe.note(navigation, t_s)
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
-        self._tell(decision)
+        if words := self._announcer.words(decision):
+            self._say(words)
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
             case Action.NAVIGATE | Action.SLOW:
@@ -263,39 +228,21 @@ class Flight:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False
-                self._steer(replace(_STILL, down_m_s=self._config.descend_m_s))
+                self._steering.straight_down(self._config.descend_m_s)
             case Action.HOLD:
-                self._steer(_STILL)
+                self._steering.still()
             case Action.CLIMB:
                 assert navigation.estimate is not None
-                self._steer(replace(_STILL, down_m_s=-self._searching_climb(navigation.estimate)))
+                self._steering.search_upwards(navigation.estimate, self._highest_m)
             case Action.RETURN:
                 if self.phase is Phase.RETURN:
                     return False
                 assert navigation.estimate is not None
                 self._trouble = decision.reason
                 self._say(decision.reason)
-                self._return(t_s, navigation.estimate, decision.rank is Rank.POSITION)
+                self._route.turn_home(navigation.estimate, decision.rank is Rank.POSITION)
+                self._enter(Phase.RETURN, t_s)
         return True
-
-    def _tell(self, decision: Decision) -> None:
-        """A decision that is another than the last one, in words."""
-        before, self._decided = self._decided, (decision.action, decision.rank)
-        if self._decided == before or decision.action in _TOLD_ELSEWHERE:
-            return
-        if decision.action is Action.NAVIGATE:
-            if before[0] not in _TOLD_ELSEWHERE:
-                self._say("all well again: going on")
-        else:
-            self._say(f"{decision.reason}: {_DOING[decision.action]}")
-
-    def _searching_climb(self, estimate: Estimate) -> float:
-        """Upward speed, to where the map shows more: no higher than is allowed."""
-        highest_m = min(
-            self._height_m + self._safety_config.climb_most_m, self._safety_config.ceiling_m
-        )
-        missing_m = highest_m + float(estimate.position_ned_m[2])
-        return float(np.clip(0.5 * missing_m, 0.0, self._config.climb_m_s))
 
     def _sighted(self, t_s: float, navigation: Navigation) -> Navigation:
         """Pictures count from the climb on: standing and lifting off there is little to see."""
@@ -312,42 +259,17 @@ class Flight:
         if self.phase in (Phase.ROUTE, Phase.RETURN):
             self._phase_before_release = self.phase
         self._trouble = self._trouble or reason
-        self.setpoint = None
+        self._steering.stop()
         self._say(reason)
         self._enter(Phase.RELEASED, t_s)
 
     def _yield(self, t_s: float, reason: str) -> None:
         """The autopilot flies a failsafe that may be ours to end, later."""
         self._autopilot.withdraw()
-        missed = self._lost_lately(t_s) or self._safety.gap_s > 0.0
-        explained = self._safety.battery_is_enough and missed
-        self._recovery = Recovery(self._safety_config, explained)
-        self._phase_before_failsafe = self.phase
-        self.setpoint = None
+        self._failsafe.begin(self.phase, t_s)
+        self._steering.stop()
         self._say(reason)
         self._enter(Phase.FAILSAFE, t_s)
-
-    def _recover(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
-        """What a failsafe of the autopilot lets us do."""
-        assert self._recovery is not None
-        decision = self._safety.step(navigation, vehicle, t_s)
-        if decision.action is Action.RELEASE and not self._recovery.has_asked:
-            self._release(t_s, decision.reason)
-            return
-        if navigation.estimate is None:
-            self._lost_s = t_s
-        gap_s = math.inf if self._lost_lately(t_s) else self._safety.gap_s
-        match self._recovery.step(vehicle, navigation.estimate, gap_s, t_s):
-            case Wish.GO_ON:
-                self._enter(self._phase_before_failsafe, t_s)
-            case Wish.STAY:
-                self._steer(_STILL)
-            case Wish.HOLD:
-                self._autopilot.hold()
-            case Wish.LAND:
-                self._begin_landing(t_s, vehicle, "the link or the estimate was lost for too long")
-            case Wish.WAIT:
-                pass
 
     def _resume(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
         """The pilot's side gives the aircraft back, in so many words: on where it was left."""
@@ -373,148 +295,30 @@ class Flight:
         else:
             self._release(t_s, f"the autopilot refused Offboard: {request.refused}")
 
-    def _lost_lately(self, t_s: float) -> bool:
-        memory_s = self._safety_config.gap_memory_s
-        return self._lost_s is not None and t_s - self._lost_s < memory_s
-
     # ---- the mission
 
     def _fly(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
-        match self.phase:
-            case Phase.TAKEOFF:
-                self._take_off(t_s, estimate, vehicle)
-            case Phase.RESUME:
-                self._take_again(t_s)
-            case Phase.CLIMB:
-                self._climb(t_s, estimate)
-            case Phase.FIRST_FIX:
-                self._wait_for_fix(t_s, estimate, vehicle)
-            case Phase.ROUTE | Phase.RETURN:
-                self._follow(t_s, estimate)
-            case Phase.DESCEND:
-                self._descend(t_s, estimate, vehicle)
+        if self.phase is Phase.RESUME:
+            self._take_again(t_s)
+            return
+        since_s = self._in_phase_s(t_s)
+        following = self._route.step(self.phase, since_s, estimate, vehicle, self._pace)
+        self._go_on(following, t_s, vehicle)
 
-    def _take_off(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
-        """The autopilot climbs by itself; then it is asked for Offboard."""
-        height_m = -float(estimate.position_ned_m[2])
-        if vehicle.mode is FlightMode.MANUAL and self._in_phase_s(t_s) > _MODE_SHOWS_S:
-            self._release(t_s, "the pilot took over")
-        elif not vehicle.armed:
-            if self._in_phase_s(t_s) > self._config.arming_shows_s:
+    def _go_on(self, following: Next | None, t_s: float, vehicle: VehicleState) -> None:
+        """Enter the phase that follows, if one does."""
+        match following:
+            case None:
+                pass
+            case Next(Phase.LAND, reason):
+                self._begin_landing(t_s, vehicle, reason)
+            case Next(Phase.RELEASED, str(reason)):
+                self._release(t_s, reason)
+            case Next(Phase.DONE, reason):
                 self._autopilot.withdraw()
-                self._finish("the aircraft was disarmed during take-off")
-        elif self._offboard is not None:
-            self._ask_for_offboard(t_s, vehicle)
-        elif height_m >= 0.85 * self._config.takeoff_height_m or self._hovers(vehicle, height_m):
-            self._hold_ne_m = estimate.position_ned_m[:2].copy()
-            self._offboard = self._autopilot.start_offboard()
-        elif self._in_phase_s(t_s) > self._config.takeoff_timeout_s:
-            self._begin_landing(t_s, vehicle, "the take-off did not reach its height")
-
-    def _ask_for_offboard(self, t_s: float, vehicle: VehicleState) -> None:
-        request = self._offboard
-        assert request is not None
-        if not request.done:
-            return
-        if request.refused is None:
-            self._enter(Phase.CLIMB, t_s)
-        else:
-            reason = f"the autopilot refused Offboard: {request.refused}"
-            self._begin_landing(t_s, vehicle, reason)
-
-    def _hovers(self, vehicle: VehicleState, height_m: float) -> bool:
-        """The autopilot's take-off is over, at what it takes for the height."""
-        return vehicle.mode is FlightMode.HOLD and height_m > 0.3 * self._config.takeoff_height_m
-
-    def _climb(self, t_s: float, estimate: Estimate) -> None:
-        """Straight up over the start, wherever that is."""
-        missing_m = self._height_m + float(estimate.position_ned_m[2])
-        if missing_m < 1.0:
-            self._enter(Phase.FIRST_FIX, t_s)
-        self._steer(self._hold(estimate, -min(self._config.climb_m_s, max(missing_m, 0.0) * 0.8)))
-
-    def _wait_for_fix(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
-        if self._fixes >= self._config.fixes_to_start:
-            self._begin_route(t_s, estimate, vehicle)
-        elif self._in_phase_s(t_s) > self._config.first_fix_timeout_s:
-            reason = "no fix above home: the map shows another place, or the camera does not work"
-            self._begin_landing(t_s, vehicle, reason)
-        else:
-            self._steer(self._hold(estimate, self._height_error(estimate)))
-
-    def _begin_route(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
-        """Now it is known where the aircraft stood, and with that where the route lies."""
-        self._settle_home(estimate)
-        route_ned_m = self._route_ned_m()
-        refused = self._mission.refuse(route_ned_m)
-        if refused:
-            self._begin_landing(t_s, vehicle, refused)
-            return
-        self._follower = RouteFollower(route_ned_m, self._limits)
-        self._safety.fly_within(route_ned_m, route_ned_m[-1, :2])
-        self._enter(Phase.ROUTE, t_s)
-        self._steer(self._hold(estimate, self._height_error(estimate)))
-
-    def _settle_home(self, estimate: Estimate) -> None:
-        told = self._home.settle(estimate)
-        if told:
-            self._say(told)
-
-    def _route_ned_m(self) -> Array:
-        """(n + 1, 3) the waypoints and the way back to above home."""
-        home_ne_m, route_ned_m = self._home.place_ne_m, self._mission.route_ned_m
-        assert home_ne_m is not None
-        if self._mission.about_home:
-            route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
-        return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
-
-    def _return(self, t_s: float, estimate: Estimate, as_flown: bool = False) -> None:
-        """Straight home, or `as_flown`: over ground where the map has matched."""
-        self._settle_home(estimate)
-        home_ne_m = self._home.place_ne_m
-        assert home_ne_m is not None
-        way_ned_m = np.array([[*home_ne_m, estimate.position_ned_m[2]]])
-        if as_flown:
-            way_ned_m = self._way.back_ned_m(estimate, home_ne_m)
-        self._follower = RouteFollower(way_ned_m, self._limits)
-        self._enter(Phase.RETURN, t_s)
-
-    def _follow(self, t_s: float, estimate: Estimate) -> None:
-        assert self._follower is not None
-        assert self._home.place_ne_m is not None
-        if self.phase is Phase.ROUTE:
-            self._way.note(estimate)
-        step = self._follower.step(estimate, self._pace)
-        self._steer(step.setpoint)
-        if step.done:
-            self._hold_ne_m = self._home.place_ne_m
-            self._enter(Phase.DESCEND, t_s)
-
-    def _descend(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
-        height_m = -float(estimate.position_ned_m[2])
-        if height_m < self._config.land_from_m:
-            self._begin_landing(t_s, vehicle, None)
-            return
-        self._steer(self._hold(estimate, self._config.descend_m_s))
-
-    def _hold(self, estimate: Estimate, down_m_s: float) -> VelocitySetpoint:
-        """Stay over the held point while moving vertically."""
-        wanted = (self._hold_ne_m - estimate.position_ned_m[:2]) * self._config.hold_gain_per_s
-        speed = float(np.hypot(*wanted))
-        wanted *= min(1.0, self._config.hold_speed_m_s / max(speed, 1e-9))
-        return VelocitySetpoint(float(wanted[0]), float(wanted[1]), down_m_s)
-
-    def _height_error(self, estimate: Estimate) -> float:
-        """Downward speed that brings the aircraft to the route's height."""
-        error_m = self._height_m + float(estimate.position_ned_m[2])
-        return float(np.clip(-error_m * 0.8, -self._config.climb_m_s, self._config.descend_m_s))
-
-    def _steer(self, setpoint: VelocitySetpoint) -> None:
-        values = (setpoint.north_m_s, setpoint.east_m_s, setpoint.down_m_s)
-        if not all(math.isfinite(v) for v in values):
-            raise ValueError(f"setpoint is not finite: {setpoint}")
-        self.setpoint = setpoint
-        self._autopilot.send_velocity(setpoint)
+                self._finish(reason)
+            case Next(phase):
+                self._enter(phase, t_s)
 
     # ---- down
 
@@ -523,7 +327,7 @@ class Flight:
         self._trouble = self._trouble or trouble
         if trouble:
             self._say(trouble)
-        self.setpoint = None
+        self._steering.stop()
         self._landing = Landing(self._autopilot, vehicle, t_s, self._say)
         self._enter(Phase.LAND, t_s)
 
@@ -535,7 +339,7 @@ class Flight:
         elif vehicle.silence_s > GONE_S:
             self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
-            self._recover(t_s, vehicle, navigation)
+            self._go_on(self._failsafe.step(vehicle, navigation, t_s), t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._handed_back:
             self._resume(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:
@@ -548,14 +352,7 @@ class Flight:
 
 # In the autopilot's own take-off too: if we die in it, nobody else would bring the aircraft down.
 _STEERING = frozenset(
-    {
-        Phase.TAKEOFF,
-        Phase.RESUME,
-        Phase.CLIMB,
-        Phase.FIRST_FIX,
-        Phase.ROUTE,
-        Phase.RETURN,
-        Phase.DESCEND,
-    }
+    {Phase.TAKEOFF, Phase.RESUME, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN}
+    | {Phase.DESCEND}
 )
 _OURS_NO_MORE = frozenset({Phase.LAND, Phase.FAILSAFE, Phase.RELEASED})

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from vwnav.mission.departure import DepartureConfig
 from vwnav.safety.check import Check
@@ -43,6 +43,13 @@ class Phase(Enum):
     RELEASED = "pilot flies"
     RESUME = "taking over again"
     DONE = "done"
+
+
+class Next(NamedTuple):
+    """The phase that follows, and why; on to LAND without a reason: the whole route was flown."""
+
+    phase: Phase
+    reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

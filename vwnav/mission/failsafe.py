@@ -1,0 +1,63 @@
+"""While the autopilot flies a failsafe of its own: when the mission goes on."""
+
+import math
+
+from vwnav.mission.mission import Next, Phase
+from vwnav.mission.steering import Steering
+from vwnav.safety.monitor import Action, SafetyMonitor
+from vwnav.safety.recovery import Recovery, Wish
+from vwnav.safety.safety_config import SafetyConfig
+from vwnav.types import Autopilot, Navigation, VehicleState
+
+_TOO_LONG = "the link or the estimate was lost for too long"
+
+
+class Failsafe:
+    """The autopilot's failsafe, one at a time, and whether the estimate was lost before it."""
+
+    def __init__(
+        self, autopilot: Autopilot, safety: SafetyMonitor, steering: Steering, config: SafetyConfig
+    ) -> None:
+        self._autopilot = autopilot
+        self._safety = safety
+        self._steering = steering
+        self._config = config
+        self._lost_s: float | None = None
+        self._before = Phase.GET_READY
+        self._recovery: Recovery | None = None
+
+    def note(self, navigation: Navigation, t_s: float) -> None:
+        """Remember that there was no estimate."""
+        if navigation.estimate is None:
+            self._lost_s = t_s
+
+    def begin(self, phase: Phase, t_s: float) -> None:
+        """It has begun, in that phase of the mission."""
+        missed = self._lost_lately(t_s) or self._safety.gap_s > 0.0
+        explained = self._safety.battery_is_enough and missed
+        self._recovery = Recovery(self._config, explained)
+        self._before = phase
+
+    def step(self, vehicle: VehicleState, navigation: Navigation, t_s: float) -> Next | None:
+        """What follows when it has ended; what may be asked for until then is asked for."""
+        assert self._recovery is not None
+        decision = self._safety.step(navigation, vehicle, t_s)
+        if decision.action is Action.RELEASE and not self._recovery.has_asked:
+            return Next(Phase.RELEASED, decision.reason)
+        self.note(navigation, t_s)
+        gap_s = math.inf if self._lost_lately(t_s) else self._safety.gap_s
+        match self._recovery.step(vehicle, navigation.estimate, gap_s, t_s):
+            case Wish.GO_ON:
+                return Next(self._before)
+            case Wish.STAY:
+                self._steering.still()
+            case Wish.HOLD:
+                self._autopilot.hold()
+            case Wish.LAND:
+                return Next(Phase.LAND, _TOO_LONG)
+            case Wish.WAIT:
+                pass
+        return None
+
+    def _lost_lately(self, t_s: float) -> bool:
+        return self._lost_s is not None and t_s - self._lost_s < self._config.gap_memory_s

@@ -1,0 +1,209 @@
+"""The phases that the mission itself flies: from the autopilot's take-off to above the landing."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from vwnav.guidance.controller import LimitsConfig, RouteFollower
+from vwnav.mission.flown_way import FlownWay
+from vwnav.mission.home import Home
+from vwnav.mission.mission import FlightConfig, Mission, Next, Phase
+from vwnav.mission.steering import Steering
+from vwnav.types import Array, Autopilot, Estimate, FlightMode, Request, VehicleState
+
+_MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
+_REACHED = 0.85  # of the height asked for: the autopilot's take-off is over
+
+
+class RoutePhases:
+    """Flies take-off, climb, first fix, route, return and descent.
+
+    Args:
+        fly_within: told the route (n, 3) and home (2,) once both are known.
+        say: receives one line per event.
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        mission: Mission,
+        steering: Steering,
+        config: FlightConfig,
+        limits: LimitsConfig,
+        fly_within: Callable[[Array, Array], None],
+        say: Callable[[str], None],
+    ) -> None:
+        self._autopilot = autopilot
+        self._mission = mission
+        self._steering = steering
+        self._config = config
+        self._limits = limits
+        self._fly_within = fly_within
+        self._say = say
+        self._home = Home(mission.home_ne_m)
+        self._follower: RouteFollower | None = None
+        self._way = FlownWay()
+        self._fixes = 0
+        self._before: Estimate | None = None
+        self._offboard: Request | None = None
+
+    @property
+    def home_ne_m(self) -> Array | None:
+        """(2,) where the aircraft stood, as far as it is known."""
+        return self._home.place_ne_m
+
+    def note(self, estimate: Estimate | None, on_ground: bool) -> None:
+        """Count fixes, and the way until home is known.
+
+        Before anybody knows where home is, the held place jumps along: it is here. After that it is
+        home, and a position that jumps shows how far from it the aircraft is.
+        """
+        if estimate is None:
+            return
+        before, self._before = self._before, estimate
+        if before is None:
+            return
+        if estimate.t_last_fix_s is not None and estimate.t_last_fix_s != before.t_last_fix_s:
+            self._fixes += 1
+        flown_m = (
+            0.5
+            * (estimate.velocity_ned_m_s + before.velocity_ned_m_s)[:2]
+            * (estimate.t_s - before.t_s)
+        )
+        if estimate.reset_counter != before.reset_counter and self._home.place_ne_m is None:
+            jump_m = (estimate.position_ned_m - before.position_ned_m)[:2] - flown_m
+            self._steering.held_ne_m = self._steering.held_ne_m + jump_m
+        if not on_ground:
+            self._home.flown(flown_m)
+
+    def take_up(self, phase: Phase, estimate: Estimate) -> None:
+        """Begin in the air with home given, as if it had flown there: `Flight.take_up`."""
+        assert self._mission.home_ne_m is not None
+        self._home.take(self._mission.home_ne_m)
+        self._steering.held_ne_m = estimate.position_ned_m[:2].copy()
+        if phase is Phase.RETURN:
+            self.turn_home(estimate)
+        elif phase is Phase.ROUTE:
+            self._follow_from_here(self._route_ned_m())
+
+    def turn_home(self, estimate: Estimate, as_flown: bool = False) -> None:
+        """Straight home, or `as_flown`: over ground where the map has matched."""
+        self._settle_home(estimate)
+        home_ne_m = self._home.place_ne_m
+        assert home_ne_m is not None
+        way_ned_m = np.array([[*home_ne_m, estimate.position_ned_m[2]]])
+        if as_flown:
+            way_ned_m = self._way.back_ned_m(estimate, home_ne_m)
+        self._follower = RouteFollower(way_ned_m, self._limits)
+
+    def step(
+        self, phase: Phase, since_s: float, estimate: Estimate, vehicle: VehicleState, pace: float
+    ) -> Next | None:
+        """Steer through a tick of a phase; what follows when it has ended.
+
+        Args:
+            phase: one of those above.
+            since_s: how long it has lasted.
+            estimate: what there is to fly on.
+            vehicle: what the autopilot tells.
+            pace: share of the route's speed.
+        """
+        match phase:
+            case Phase.TAKEOFF:
+                return self._take_off(since_s, estimate, vehicle)
+            case Phase.CLIMB:
+                return self._climb(estimate)
+            case Phase.FIRST_FIX:
+                return self._wait_for_fix(since_s, estimate)
+            case Phase.ROUTE | Phase.RETURN:
+                return self._follow(phase, estimate, pace)
+            case Phase.DESCEND:
+                return self._descend(estimate)
+        return None
+
+    def _take_off(self, since_s: float, estimate: Estimate, vehicle: VehicleState) -> Next | None:
+        """The autopilot climbs by itself; then it is asked for Offboard."""
+        height_m = -float(estimate.position_ned_m[2])
+        wanted_m = self._config.takeoff_height_m
+        if vehicle.mode is FlightMode.MANUAL and since_s > _MODE_SHOWS_S:
+            return Next(Phase.RELEASED, "the pilot took over")
+        if not vehicle.armed:
+            shown = since_s > self._config.arming_shows_s
+            reason = "the aircraft was disarmed during take-off"
+            return Next(Phase.DONE, reason) if shown else None
+        if self._offboard is not None:
+            return self._ask_for_offboard(self._offboard)
+        hovers = vehicle.mode is FlightMode.HOLD and height_m > 0.3 * wanted_m
+        if height_m >= _REACHED * wanted_m or hovers:
+            self._steering.held_ne_m = estimate.position_ned_m[:2].copy()
+            self._offboard = self._autopilot.start_offboard()
+        elif since_s > self._config.takeoff_timeout_s:
+            return Next(Phase.LAND, "the take-off did not reach its height")
+        return None
+
+    def _ask_for_offboard(self, request: Request) -> Next | None:
+        if not request.done:
+            return None
+        if request.refused is None:
+            return Next(Phase.CLIMB)
+        return Next(Phase.LAND, f"the autopilot refused Offboard: {request.refused}")
+
+    def _climb(self, estimate: Estimate) -> Next | None:
+        """Straight up over the start, wherever that is."""
+        self._steering.climb(estimate)
+        return Next(Phase.FIRST_FIX) if self._steering.missing_m(estimate) < 1.0 else None
+
+    def _wait_for_fix(self, since_s: float, estimate: Estimate) -> Next | None:
+        if self._fixes >= self._config.fixes_to_start:
+            return self._begin_route(estimate)
+        if since_s > self._config.first_fix_timeout_s:
+            reason = "no fix above home: the map shows another place, or the camera does not work"
+            return Next(Phase.LAND, reason)
+        self._steering.hold_at_height(estimate)
+        return None
+
+    def _begin_route(self, estimate: Estimate) -> Next:
+        """Now it is known where the aircraft stood, and with that where the route lies."""
+        self._settle_home(estimate)
+        route_ned_m = self._route_ned_m()
+        refused = self._mission.refuse(route_ned_m)
+        if refused:
+            return Next(Phase.LAND, refused)
+        self._follow_from_here(route_ned_m)
+        self._steering.hold_at_height(estimate)
+        return Next(Phase.ROUTE)
+
+    def _settle_home(self, estimate: Estimate) -> None:
+        told = self._home.settle(estimate)
+        if told:
+            self._say(told)
+
+    def _route_ned_m(self) -> Array:
+        """(n + 1, 3) the waypoints and the way back to above home."""
+        home_ne_m, route_ned_m = self._home.place_ne_m, self._mission.route_ned_m
+        assert home_ne_m is not None
+        if self._mission.about_home:
+            route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
+        return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
+
+    def _follow_from_here(self, route_ned_m: Array) -> None:
+        self._follower = RouteFollower(route_ned_m, self._limits)
+        self._fly_within(route_ned_m, route_ned_m[-1, :2])
+
+    def _follow(self, phase: Phase, estimate: Estimate, pace: float) -> Next | None:
+        assert self._follower is not None
+        assert self._home.place_ne_m is not None
+        if phase is Phase.ROUTE:
+            self._way.note(estimate)
+        step = self._follower.step(estimate, pace)
+        self._steering.steer(step.setpoint)
+        if not step.done:
+            return None
+        self._steering.held_ne_m = self._home.place_ne_m
+        return Next(Phase.DESCEND)
+
+    def _descend(self, estimate: Estimate) -> Next | None:
+        if -float(estimate.position_ned_m[2]) < self._config.land_from_m:
+            return Next(Phase.LAND)
+        self._steering.hold(estimate, self._config.descend_m_s)
+        return None
