@@ -11,15 +11,8 @@ from vwnav.guidance.controller import LimitsConfig
 from vwnav.mission.mission import Crew, FlightConfig, Mission, Phase
 from vwnav.safety.check import Check
 from vwnav.safety.monitor import SafetyConfig
-from vwnav.types import (
-    Estimate,
-    FlightMode,
-    Navigation,
-    Order,
-    Request,
-    VehicleState,
-    VelocitySetpoint,
-)
+from vwnav.types import Estimate, Navigation
+from vwnav.vehicle import FlightMode, Order, Request, VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import GuardState, WatchdogReport
 
 ROUTE = np.array([[60.0, 0.0, -50.0], [60.0, 60.0, -50.0]])

@@ -1,6 +1,6 @@
 """States of a vehicle that tests start from."""
 
-from vwnav.types import FlightMode, VehicleState
+from vwnav.vehicle import FlightMode, VehicleState
 
 FLYING = VehicleState(
     t_s=0.0,

@@ -25,16 +25,8 @@ from vwnav.mission.route_phases import RoutePhases
 from vwnav.mission.steering import Steering
 from vwnav.safety.monitor import Action, Rank, SafetyMonitor
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import (
-    Array,
-    Autopilot,
-    Estimate,
-    Navigation,
-    Order,
-    Request,
-    VehicleState,
-    VelocitySetpoint,
-)
+from vwnav.types import Array, Estimate, Navigation
+from vwnav.vehicle import Autopilot, Order, Request, VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import GuardState
 
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end

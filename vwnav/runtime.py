@@ -19,7 +19,6 @@ from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.types import (
-    Autopilot,
     Estimate,
     Frame,
     FrameSource,
@@ -28,8 +27,8 @@ from vwnav.types import (
     OdometryMotion,
     Rejected,
     RejectReason,
-    VehicleState,
 )
+from vwnav.vehicle import Autopilot, VehicleState
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,8 @@ from vwnav.bench.flights.track import Event, Track, Truth
 from vwnav.rules import flight_log
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import Sent
-from vwnav.types import FlightMode, Frame
+from vwnav.types import Frame
+from vwnav.vehicle import FlightMode
 
 PACKER = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "flying.md"

@@ -44,8 +44,8 @@ from vwnav.types import (
     Range,
     Rejected,
     RejectReason,
-    VelocitySetpoint,
 )
+from vwnav.vehicle import VelocitySetpoint
 
 HOME = LocalFrame(60.4, 22.5, 30.0)
 FLIGHT_TICKS = 60  # 3 s

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import settings
 
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.types import Array, Estimate, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import VelocitySetpoint
 
 # A machine busy with other work is no failure of a law.
 settings.register_profile("unhurried", deadline=None)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.guidance.controller import LimitsConfig, RouteFollower
-from vwnav.types import VelocitySetpoint
+from vwnav.vehicle import VelocitySetpoint
 
 LIMITS = LimitsConfig()
 # 803 m with a slight turn, right angles, a climb and an acute corner.

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from vwnav.guidance.hover import climb_straight, descend_to_land, hold_at
 from vwnav.guidance.limits import LimitsConfig
-from vwnav.types import VelocitySetpoint
+from vwnav.vehicle import VelocitySetpoint
 
 LIMITS = LimitsConfig()
 numbers = st.floats(allow_nan=True, allow_infinity=True)

@@ -15,7 +15,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
-from vwnav.types import Estimate, Request
+from vwnav.types import Estimate
+from vwnav.vehicle import Request
 
 HOME = (60.403, 22.461, 40.0)
 PX4, COPTER = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA

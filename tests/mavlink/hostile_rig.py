@@ -13,7 +13,8 @@ from vwnav.estimation.states import Start
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
-from vwnav.types import Estimate, Telemetry, VelocitySetpoint
+from vwnav.types import Estimate, Telemetry
+from vwnav.vehicle import VelocitySetpoint
 from vwnav.watchdog.keepalive import KeepAlive
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 

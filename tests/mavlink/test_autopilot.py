@@ -25,7 +25,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.types import Attitude, FlightMode, Height, ImuSample, Stationary, VelocitySetpoint
+from vwnav.types import Attitude, Height, ImuSample, Stationary
+from vwnav.vehicle import FlightMode, VelocitySetpoint
 
 
 @pytest.fixture

@@ -14,7 +14,8 @@ from autopilot_links import (
 )
 from pymavlink.dialects.v20 import all as mavlink
 
-from vwnav.types import FlightMode, ImuSample
+from vwnav.types import ImuSample
+from vwnav.vehicle import FlightMode
 
 
 @pytest.fixture

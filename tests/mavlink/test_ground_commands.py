@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
-from vwnav.types import Order
+from vwnav.vehicle import Order
 
 STATION, STRANGER = (255, 190), (77, 190)
 UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED

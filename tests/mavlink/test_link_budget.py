@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from vwnav.errors import LinkError
 from vwnav.mavlink.link_budget import bytes_per_s, plan_link
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.types import Attitude, VelocitySetpoint
+from vwnav.types import Attitude
+from vwnav.vehicle import VelocitySetpoint
 
 KINDS = st.sampled_from(AutopilotKind)
 

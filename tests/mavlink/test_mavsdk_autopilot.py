@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.errors import LinkError
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.types import Attitude, FlightMode, ImuSample, Order
+from vwnav.types import Attitude, ImuSample
+from vwnav.vehicle import FlightMode, Order
 
 
 @pytest.fixture(scope="module")

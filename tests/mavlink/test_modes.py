@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 
 from vwnav.mavlink.modes import AutopilotKind, flight_mode, mode_command
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 COMMANDED = [FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND]
 

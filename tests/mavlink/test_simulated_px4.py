@@ -12,7 +12,8 @@ from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import VehicleConfig, start_vehicle
-from vwnav.types import Estimate, FlightMode
+from vwnav.types import Estimate
+from vwnav.vehicle import FlightMode
 from vwnav.watchdog.launch import start_watchdog
 
 

@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
-from vwnav.types import FlightMode, ImuSample, Range, VehicleState
+from vwnav.types import ImuSample, Range
+from vwnav.vehicle import FlightMode, VehicleState
 
 MAV = mavlink.MAVLink(None)
 UNDERSTOOD = {

@@ -14,18 +14,8 @@ from vwnav.errors import SourceError, VwnavError
 from vwnav.recording.reader import RecordedFrames, is_cut_off, read_recording
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.telemetry_files import load_telemetry
-from vwnav.types import (
-    Attitude,
-    FlightMode,
-    Frame,
-    Height,
-    MapFix,
-    Rejected,
-    RejectReason,
-    Stationary,
-    VehicleState,
-    VelocitySetpoint,
-)
+from vwnav.types import Attitude, Frame, Height, MapFix, Rejected, RejectReason, Stationary
+from vwnav.vehicle import FlightMode, VehicleState, VelocitySetpoint
 
 IMAGE = np.full((120, 160), 90, np.uint8)
 

@@ -18,7 +18,7 @@ from vwnav.rules.flight_log import (
     Truth,
     Vehicle,
 )
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 NAVIGATOR, WATCHDOG = 191, 192
 ARM, TAKEOFF, SET_MODE, LAND = 400, 22, 176, 21

@@ -29,7 +29,7 @@ from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import Answer, At, Beat, FlightLog, ParameterSet, Said
 from vwnav.rules.rule import Rule, check
 from vwnav.rules.table import RULES
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 PILOT_S = 15.0
 NAN = math.nan

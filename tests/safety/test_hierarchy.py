@@ -8,7 +8,7 @@ import pytest
 from vwnav.safety.hierarchy import Action, Decision, Hierarchy, Rank
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
-from vwnav.types import FlightMode, Order
+from vwnav.vehicle import FlightMode, Order
 
 CONFIG = SafetyConfig()
 WELL = Situation()

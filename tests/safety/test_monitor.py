@@ -9,7 +9,8 @@ from vehicles import FLYING
 
 from vwnav.safety.hierarchy import as_markdown
 from vwnav.safety.monitor import Action, Decision, Rank, SafetyConfig, SafetyMonitor
-from vwnav.types import Estimate, FlightMode, Navigation, Order
+from vwnav.types import Estimate, Navigation
+from vwnav.vehicle import FlightMode, Order
 
 CONFIG = SafetyConfig()
 STEP_S = 0.1

@@ -11,7 +11,7 @@ import pytest
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.safety.monitor import SafetyConfig
 from vwnav.safety.watches import PilotWatch
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 DATA = Path(os.environ.get("VWNAV_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 HEARTBEAT, AUTOPILOT_COMPONENT = 0, 1

@@ -8,7 +8,8 @@ from vehicles import FLYING
 
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Estimate, FlightMode
+from vwnav.types import Estimate
+from vwnav.vehicle import FlightMode
 
 CONFIG = SafetyConfig()
 TICK_S = 0.1

@@ -12,7 +12,7 @@ from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.scenario import Flown, Scenario, fly
 from vwnav.bench.flights.table import TABLE
 from vwnav.cli.lockstep_place import lockstep_place
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 pytestmark = pytest.mark.long
 

@@ -12,7 +12,7 @@ from vwnav.sim.copter.modes import Mode
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 ARM, TAKEOFF, SET_MODE, SET_INTERVAL, REQUEST = 400, 22, 176, 511, 512
 NOTED = (0, 1, 32, 108, 193, 245)  # messages asked for by `ask_for`

@@ -8,7 +8,7 @@ from copter_bench import ARM, CopterBench
 from vwnav.errors import ConfigError
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.copter.modes import Mode
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 
 def speed(bench: CopterBench) -> float:

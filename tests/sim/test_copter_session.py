@@ -13,7 +13,7 @@ from test_vehicle_session import FLOAT, command_messages, data_messages
 from vwnav.sim.copter.streams import BUILDERS
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 PARAMETERS = [b"WPNAV_ACCEL", b"WPNAV_ACCEL_Z", b"EK3_ALT_M_NSE", b"VISO_POS_M_NSE", b"FLTMODE_CH"]
 

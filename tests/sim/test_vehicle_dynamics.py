@@ -17,7 +17,7 @@ from vwnav.sim.multirotor.controller import quat_of_euler
 from vwnav.sim.multirotor.sensors import Sensors, pressure_hpa
 from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.px4.modes import NavState
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 ANGLE = st.floats(-3.1, 3.1)
 CALM = (0.0, 0.0, 0.0)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 from vwnav.watchdog.dead_man import Action, DeadMan, VehicleView
 from vwnav.watchdog.keepalive import Beat, GuardState
 

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Packet, packet_at
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 from vwnav.watchdog.filter import Rights, may_pass
 
 MAV = mavlink.MAVLink(None, srcSystem=7, srcComponent=191)

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 from vwnav.watchdog.dead_man import Action, VehicleView
 from vwnav.watchdog.voice import AutopilotEar, Origin, Voice
 

@@ -22,7 +22,8 @@ from vwnav.recording.tape import About
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.sim.score import Score, summarise
 from vwnav.sim.truth import TruthReader
-from vwnav.types import Estimate, Frame, MapFix, Rejected, VehicleState
+from vwnav.types import Estimate, Frame, MapFix, Rejected
+from vwnav.vehicle import VehicleState
 
 _log = logging.getLogger(__name__)
 

@@ -51,7 +51,8 @@ from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
-from vwnav.types import Array, Autopilot, FrameSource, Navigation, VehicleState
+from vwnav.types import Array, FrameSource, Navigation
+from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none

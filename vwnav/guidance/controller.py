@@ -14,7 +14,8 @@ from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wr
 from vwnav.guidance.hover import vertical_speed_m_s
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.guidance.route_legs import Leg, legs_of, waypoint_speeds_m_s
-from vwnav.types import Array, Estimate, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import VelocitySetpoint
 
 __all__ = ["Guidance", "LimitsConfig", "RouteFollower"]
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from vwnav.guidance.limits import LimitsConfig
-from vwnav.types import Array, Estimate, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import VelocitySetpoint
 
 _HEIGHT_GAIN_PER_S = 0.8
 _ABSURD_M = 1e12

@@ -1,4 +1,4 @@
-"""The autopilot on a MAVLink link: PX4 and ArduCopter behind one face (`types.Autopilot`)."""
+"""The autopilot on a MAVLink link: PX4 and ArduCopter behind one face (`vehicle.Autopilot`)."""
 
 import logging
 import math
@@ -18,16 +18,8 @@ from vwnav.mavlink.preflight_parameters import check_parameters, parameter_names
 from vwnav.mavlink.procedures import NOT_HEARD, TAKEOFF_HEIGHT, Procedures
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
 from vwnav.mavlink.upkeep import OriginAgreement, StreamKeeper, Timesync
-from vwnav.types import (
-    Estimate,
-    Finding,
-    FlightMode,
-    Order,
-    Request,
-    Telemetry,
-    VehicleState,
-    VelocitySetpoint,
-)
+from vwnav.types import Estimate, Telemetry
+from vwnav.vehicle import Finding, FlightMode, Order, Request, VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
 _READ_AGAIN_S = 5.0
@@ -39,7 +31,7 @@ _PATIENCE_UNKNOWN_S = 0.6  # before a round trip has been seen
 
 
 class LinkedAutopilot:
-    """A `types.Autopilot` on any port. All methods may be called from any thread; none waits.
+    """A `vehicle.Autopilot` on any port. All methods may be called from any thread; none waits.
 
     Times are those of `clock`; use the same one for pictures. What is sent is sent once: a control
     loop that stops calling `send_velocity` lets the autopilot's own failsafe see it.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.mavlink.ports.port import Fields, Port, Sender
-from vwnav.types import Order
+from vwnav.vehicle import Order
 
 _HEARD_S = 5.0  # heartbeats come once a second
 _MOST_WAITING = 100  # of a flood the newest count

@@ -7,7 +7,7 @@ from vwnav.errors import LinkError
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.link_budget import bytes_per_s
 from vwnav.mavlink.ports.mavsdk_port import MavlinkPort
-from vwnav.types import Finding
+from vwnav.vehicle import Finding
 
 _FIRST_HEARTBEAT_S = 5.0
 _FINDINGS_WAIT_S = 5.0

@@ -8,7 +8,7 @@ Descend as UNKNOWN and ArduCopter's GUIDED as OFFBOARD only.
 from dataclasses import dataclass
 from enum import Enum
 
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 MAV_CMD_DO_SET_MODE = 176
 _CUSTOM_MODE_ENABLED = 1.0

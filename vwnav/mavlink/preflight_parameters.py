@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.types import Finding, Severity
+from vwnav.vehicle import Finding, Severity
 
 
 @dataclass(frozen=True, slots=True)

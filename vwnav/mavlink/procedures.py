@@ -7,7 +7,7 @@ from vwnav.mavlink.commands import CommandSender, Procedure
 from vwnav.mavlink.modes import AutopilotKind, Command, mode_command
 from vwnav.mavlink.parameters import ParameterTable
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
-from vwnav.types import FlightMode, VehicleState, VelocitySetpoint
+from vwnav.vehicle import FlightMode, VehicleState, VelocitySetpoint
 
 NOT_HEARD = "the autopilot is not heard"
 TAKEOFF_HEIGHT = "MIS_TAKEOFF_ALT"

@@ -10,7 +10,7 @@ from enum import Enum
 
 from vwnav.safety.check import Check
 from vwnav.safety.readiness import missing
-from vwnav.types import Autopilot, FlightMode, Request, VehicleState
+from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
 
 _PILOT_HAS_IT = Check(
     "pilot", "FAIL", "chose a mode flown with sticks: choose Hold (GUIDED on ArduCopter) to go on"

@@ -7,7 +7,8 @@ from vwnav.mission.steering import Steering
 from vwnav.safety.monitor import Action, SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Autopilot, Navigation, VehicleState
+from vwnav.types import Navigation
+from vwnav.vehicle import Autopilot, VehicleState
 
 _TOO_LONG = "the link or the estimate was lost for too long"
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from enum import Enum
 
-from vwnav.types import Autopilot, FlightMode, Request, VehicleState, VelocitySetpoint
+from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState, VelocitySetpoint
 
 COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
 _ASK_AGAIN_S = 1.0

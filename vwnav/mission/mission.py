@@ -7,7 +7,8 @@ from typing import NamedTuple, Protocol
 
 from vwnav.mission.departure import DepartureConfig
 from vwnav.safety.check import Check
-from vwnav.types import Array, Navigation, VehicleState
+from vwnav.types import Array, Navigation
+from vwnav.vehicle import VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
 
 ASKS = "a ground station asks for"  # as it is said and recorded

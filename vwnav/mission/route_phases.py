@@ -9,7 +9,8 @@ from vwnav.mission.flown_way import FlownWay
 from vwnav.mission.home import Home
 from vwnav.mission.mission import FlightConfig, Mission, Next, Phase
 from vwnav.mission.steering import Steering
-from vwnav.types import Array, Autopilot, Estimate, FlightMode, Request, VehicleState
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
 
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 _REACHED = 0.85  # of the height asked for: the autopilot's take-off is over

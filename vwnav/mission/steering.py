@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from vwnav.mission.mission import FlightConfig
-from vwnav.types import Array, Autopilot, Estimate, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import Autopilot, VelocitySetpoint
 
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 _HEIGHT_GAIN_PER_S = 0.8

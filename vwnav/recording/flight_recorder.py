@@ -3,15 +3,8 @@
 from vwnav.pipeline import StepResult
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.tape import About, Tape
-from vwnav.types import (
-    Estimate,
-    Frame,
-    MapFix,
-    Rejected,
-    RejectReason,
-    VehicleState,
-    VelocitySetpoint,
-)
+from vwnav.types import Estimate, Frame, MapFix, Rejected, RejectReason
+from vwnav.vehicle import VehicleState, VelocitySetpoint
 
 TICK_PERIOD_S = 0.2
 

@@ -27,7 +27,7 @@ from vwnav.rules.flight_log import (
 )
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _NOT_RECORDED = frozenset({"commands", "answers", "parameters_set", "beats", "beliefs", "homes"})
 _TOPICS = frozenset({VEHICLE_TOPIC, "/estimate", "/setpoint", "/event", "/fix", INPUT_TOPIC})

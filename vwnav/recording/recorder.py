@@ -27,7 +27,8 @@ from foxglove.messages import CompressedImage, Timestamp
 
 from vwnav.errors import VwnavError
 from vwnav.recording.reader import CAMERA_TOPIC, VEHICLE_TOPIC
-from vwnav.types import Estimate, Frame, MapFix, Rejected, VehicleState, VelocitySetpoint
+from vwnav.types import Estimate, Frame, MapFix, Rejected
+from vwnav.vehicle import VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
 _QUEUE_ITEMS = 10_000  # half a minute of all that is kept, in which the disk may stall

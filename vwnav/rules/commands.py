@@ -8,7 +8,7 @@ from vwnav.rules.moments import flying, handed_back, taken
 from vwnav.rules.rule import Rule
 from vwnav.rules.setpoints import NAVIGATOR, PILOT_S, WATCHDOG
 from vwnav.rules.temporal import Breach, after, always, never_while
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 TAKEOFF, LAND, SET_MODE, ARM = 22, 21, 176, 400
 _OF_CONTROL = frozenset({16, 17, 20, LAND, TAKEOFF, 92, SET_MODE, 192, 300, ARM})

@@ -10,7 +10,7 @@ from vwnav.mission.mission import FlightConfig, Phase
 from vwnav.rules.temporal import Span
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 Vector = tuple[float, float, float]  # north, east, down
 Level = tuple[float, float]  # north, east

@@ -18,7 +18,7 @@ from vwnav.rules.temporal import (
     within,
     without,
 )
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _OUT = {Phase.LAND, Phase.RELEASED, Phase.FAILSAFE}
 _NEXT: dict[Phase, set[Phase]] = {

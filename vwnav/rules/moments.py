@@ -5,7 +5,7 @@ import math
 from vwnav.mission.mission import ASKS, Phase
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.temporal import Span, inside, spans_where
-from vwnav.types import FlightMode, Order
+from vwnav.vehicle import FlightMode, Order
 
 _HOLE_S = 1.0  # of telemetry: in it the mode may have been any
 NOT_OURS = frozenset(FlightMode) - {FlightMode.OFFBOARD}

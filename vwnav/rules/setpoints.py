@@ -16,7 +16,7 @@ from vwnav.rules.temporal import (
     steady,
     without,
 )
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 NAVIGATOR, WATCHDOG = 191, 192  # MAV_COMP_ID_ONBOARD_COMPUTER and the second
 PILOT_S = 0.3  # from the pilot's mode to the last that is asked for

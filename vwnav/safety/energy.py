@@ -3,7 +3,8 @@
 import numpy as np
 
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Array, Estimate, VehicleState
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import VehicleState
 
 _LEAST_FLOWN_S = 30.0  # before that, and this much used, the consumption is not known
 _LEAST_USED_RATIO = 0.03

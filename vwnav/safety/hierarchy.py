@@ -13,7 +13,7 @@ from enum import Enum
 
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
-from vwnav.types import Order
+from vwnav.vehicle import Order
 
 
 class Rank(Enum):

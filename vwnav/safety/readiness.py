@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from vwnav.safety.check import Check
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Finding, Navigation, VehicleState
+from vwnav.types import Navigation
+from vwnav.vehicle import Finding, VehicleState
 
 _PICTURE_AGE_S = 1.0
 

@@ -10,7 +10,8 @@ from enum import Enum
 import numpy as np
 
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Estimate, FlightMode, VehicleState
+from vwnav.types import Estimate
+from vwnav.vehicle import FlightMode, VehicleState
 
 _AGREES_S = 1.0
 _AGREES_M = 3.0

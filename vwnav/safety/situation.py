@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from vwnav.types import FlightMode, Order
+from vwnav.vehicle import FlightMode, Order
 
 
 class BatteryLevel(IntEnum):

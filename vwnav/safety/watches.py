@@ -6,7 +6,8 @@ import numpy as np
 
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel
-from vwnav.types import Estimate, FlightMode, VehicleState
+from vwnav.types import Estimate
+from vwnav.vehicle import FlightMode, VehicleState
 
 # Modes in which nobody else has taken over, by how far we have got.
 _TAKING_OFF = frozenset({FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD})

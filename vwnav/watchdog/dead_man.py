@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 from vwnav.watchdog.keepalive import Beat, GuardState
 
 

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Packet
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
 ESTIMATES = {

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet, packet_at
 from vwnav.mavlink.modes import AutopilotKind, flight_mode, mode_command
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 from vwnav.watchdog.dead_man import Action, VehicleView
 
 _AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1

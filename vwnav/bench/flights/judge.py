@@ -14,7 +14,7 @@ from vwnav.rules.flight_log import FlightLog
 from vwnav.rules.rule import check
 from vwnav.rules.setpoints import PILOT_S
 from vwnav.rules.table import RULES
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _GOES_ON = {
     Phase.TAKEOFF: (Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE),

@@ -28,15 +28,8 @@ from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, Worker
-from vwnav.types import (
-    Estimate,
-    FeatureExtractor,
-    Frame,
-    Navigation,
-    Prior,
-    VehicleState,
-    VelocitySetpoint,
-)
+from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior
+from vwnav.vehicle import VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import KeepAlive
 
 _CAMERA_AGAIN_S = 1.0

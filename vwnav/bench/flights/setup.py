@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 # As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
 PARAMETERS: dict[Manners, tuple[tuple[str, float], ...]] = {

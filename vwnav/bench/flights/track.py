@@ -4,7 +4,8 @@ import bisect
 from dataclasses import dataclass, field, replace
 
 from vwnav.rules.flight_log import Answer, At, Beat, Command, ParameterSet, Sent, Setpoint
-from vwnav.types import Array, FlightMode
+from vwnav.types import Array
+from vwnav.vehicle import FlightMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,8 @@ from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.outputs.vision_messages import velocity_target, vision_position, vision_speed
 from vwnav.mavlink.ports.port import Port
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
-from vwnav.types import Array, Estimate, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import VelocitySetpoint
 
 _ON_TIME_S = 0.005  # an estimate may leave so much before its turn
 

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.types import Array, Estimate, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import VelocitySetpoint
 
 # Attitude is the autopilot's own: sent back with the variance of no knowledge at all, so that it
 # can never be fused as if it were independent.

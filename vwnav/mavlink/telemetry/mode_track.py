@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.mavlink.ports.port import Fields
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _CRITICAL = 5  # MAV_STATE: ArduPilot flies a failsafe
 _UNDECIDED_S = 2.5  # so long PX4 may take to say who asked for a new mode: it does every 2 s

@@ -23,15 +23,8 @@ from vwnav.mavlink.telemetry.boot_clock import BootClock
 from vwnav.mavlink.telemetry.imu_samples import ImuSamples
 from vwnav.mavlink.telemetry.mode_track import ModeTrack
 from vwnav.mavlink.telemetry.status_text import StatusTexts
-from vwnav.types import (
-    Array,
-    Attitude,
-    Height,
-    Range,
-    Stationary,
-    Telemetry,
-    VehicleState,
-)
+from vwnav.types import Array, Attitude, Height, Range, Stationary, Telemetry
+from vwnav.vehicle import VehicleState
 
 _ARMED_FLAG = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 _RC_RECEIVER, _PREARM = 0x10000, 0x10000000  # MAV_SYS_STATUS_SENSOR

@@ -22,7 +22,7 @@ from vwnav.sim.multirotor.sensors import Imu, Sensors
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.scripted_pilot import ScriptedPilot
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 STEP_S = 0.004
 _SLOW_EVERY = 5  # 50 Hz: modes, failsafes, barometer, compass, wind

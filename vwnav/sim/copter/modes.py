@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _CUSTOM, _GUIDED, _STABILISED, _MANUAL = 1, 8, 16, 64  # MAV_MODE_FLAG
 

@@ -2,7 +2,7 @@
 
 from enum import Enum
 
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 
 class NavState(Enum):

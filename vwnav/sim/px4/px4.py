@@ -23,7 +23,7 @@ from vwnav.sim.px4.modes import STATE_OF, NavState
 from vwnav.sim.px4.parameters import NO_GPS, Parameters
 from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
 from vwnav.sim.scripted_pilot import ScriptedPilot
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 STEP_S = 0.004
 _SLOW_EVERY = 5  # 50 Hz: commander, flight tasks, barometer, compass, wind

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from vwnav.bench.flights.world import LINK_LATENCY_S, World
 from vwnav.mavlink.modes import AutopilotKind, mode_command
 from vwnav.sim.memory_link import LineState, Tap
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _GARBAGE_BYTES = 60
 _GARBAGE_EVERY = 10  # packets: so often comes rubbish, and so often one is cut off

@@ -17,7 +17,7 @@ from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Ending, Scenario
 from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.mission.mission import Phase
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"
 _SPOILS_LINK = (

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.links import open_link, parse_link
 from vwnav.mavlink.modes import AutopilotKind, mode_command
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 _PERIOD_S = 0.05  # of the sticks
 _HEARTBEAT_S = 1.0

@@ -26,7 +26,8 @@ from vwnav.sim.config import Manners
 from vwnav.sim.site import Site
 from vwnav.sim.sites import DEFAULT_SEED
 from vwnav.sim.truth import TruthReader
-from vwnav.types import Array, FlightMode
+from vwnav.types import Array
+from vwnav.vehicle import FlightMode
 
 _LOOK_S = 0.05
 _TRUTH_S = 30.0

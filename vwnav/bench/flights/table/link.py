@@ -14,7 +14,7 @@ from vwnav.bench.flights.table.common import (
     setup,
 )
 from vwnav.mission.mission import Phase
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
 

@@ -6,7 +6,7 @@ from vwnav.bench.flights.seen import phase
 from vwnav.bench.flights.setup import AirStart
 from vwnav.bench.flights.table.common import CLIMB, DESCEND, RETURN, ROUTE, setup
 from vwnav.mission.mission import Phase
-from vwnav.types import FlightMode
+from vwnav.vehicle import FlightMode
 
 TAKES = [
     Scenario(

@@ -22,7 +22,8 @@ from vwnav.bench.flights.thesis.tests import (
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.mission.mission import Phase
-from vwnav.types import Array, FlightMode
+from vwnav.types import Array
+from vwnav.vehicle import FlightMode
 
 _ROUTE_S, _DOWN_S, _PERSON_S = 150.0, 240.0, 60.0
 _ISA_M, _ISA_POWER = 44330.8, 0.190263  # ISO 2533: height of a ratio of pressures

@@ -1,0 +1,200 @@
+"""What an aircraft tells, and what it is asked for: the seam to the autopilot."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, Protocol
+
+from vwnav.types import Array, Attitude, Estimate, Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class VelocitySetpoint:
+    """What the autopilot is asked to fly: NED velocity, and a heading (None holds the present)."""
+
+    north_m_s: float
+    east_m_s: float
+    down_m_s: float
+    yaw_rad: float | None = None
+
+
+class FlightMode(Enum):
+    """Flight modes that matter to a navigator, whatever the autopilot calls them."""
+
+    OFFBOARD = "offboard"  # PX4 Offboard, ArduPilot GUIDED: ours
+    TAKEOFF = "takeoff"
+    HOLD = "hold"
+    LAND = "land"
+    RETURN = "return"
+    DESCEND = "descend"
+    MISSION = "mission"
+    MANUAL = "manual"  # any mode flown with sticks: position, altitude, stabilised, acro
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """A snapshot of the autopilot's telemetry; ages are relative to `t_s`.
+
+    Attributes:
+        height_m: barometric height above the place where the link came up, up positive.
+        rangefinder_m: distance to the ground along the body's down axis.
+        local_position_ok: the autopilot's own filter has a horizontal position.
+        intended_mode: the mode that somebody asked for: in a failsafe PX4 flies another one. It is
+            `mode` where the autopilot cannot tell the two apart, and UNKNOWN for the moment between
+            a change of mode and PX4's word on who asked for it.
+        failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
+        silence_s: since anything of it came.
+        aiding: its filter predicts the position from what we send; None when it does not say.
+        ground_station: one has been heard within some seconds.
+        own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
+            when that is older than a second, or the two have not agreed upon an origin.
+    """
+
+    t_s: float
+    connected: bool
+    armed: bool
+    in_air: bool
+    mode: FlightMode
+    attitude: Attitude | None
+    height_m: float | None
+    height_t_s: float | None
+    rangefinder_m: float | None
+    battery_ratio: float | None
+    rc_available: bool
+    local_position_ok: bool
+    armable: bool
+    silence_s: float
+    intended_mode: FlightMode = FlightMode.UNKNOWN
+    failsafe: bool = False
+    aiding: bool | None = None
+    ground_station: bool = False
+    own_position_ned_m: Array | None = None
+
+
+class Order(Enum):
+    """What a ground station may ask of the mission."""
+
+    START = "the start"
+    PAUSE = "a pause"
+    GO_ON = "going on"
+    RETURN = "the way home"
+    LAND = "a landing"
+
+
+Severity = Literal["fail", "warn"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """A parameter of the autopilot that is not as it should be.
+
+    Attributes:
+        present: its value, None when the autopilot does not have it.
+        wanted: the value it should have, in words.
+        severity: "fail" when the aircraft cannot fly on vision with it.
+    """
+
+    parameter: str
+    present: float | None
+    wanted: str
+    why: str
+    severity: Severity
+
+
+@dataclass(slots=True)
+class Request:
+    """A command on its way to the autopilot; the link's `step` carries it on.
+
+    Attributes:
+        done: it has been answered, given up, or replaced by a newer one.
+        refused: why, once done; None when the autopilot has accepted it.
+    """
+
+    done: bool = False
+    refused: str | None = None
+
+
+class Autopilot(Protocol):
+    """The link as the flight loop sees it: thread-safe, and no call ever waits.
+
+    Commands are carried on by `step`; each returns a `Request` that says how it went. A new one
+    replaces the one under way.
+    """
+
+    def step(self, t_s: float) -> None:
+        """Keep the link up and carry commands on; to be called at 20 Hz or more."""
+        ...
+
+    def state(self) -> VehicleState:
+        """The newest telemetry."""
+        ...
+
+    def take_measurements(self) -> tuple[Telemetry, ...]:
+        """What was measured since the last call, in order of arrival, each once."""
+        ...
+
+    @property
+    def findings(self) -> tuple[Finding, ...] | None:
+        """Parameters that are not as they should be, worst first; None until they are read."""
+        ...
+
+    @property
+    def budget_refusal(self) -> str | None:
+        """Why the link cannot carry what a flight needs, None when it can."""
+        ...
+
+    def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
+        """Origin of the estimates to come; before the first of them."""
+        ...
+
+    def send_estimate(self, estimate: Estimate) -> None:
+        """Hand the estimate to the autopilot's filter."""
+        ...
+
+    def send_velocity(self, setpoint: VelocitySetpoint) -> None:
+        """Ask for a velocity, in Offboard."""
+        ...
+
+    def send_text(self, text: str) -> None:
+        """Tell the ground stations."""
+        ...
+
+    def take_orders(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:
+        """What ground stations ordered since the last call, and what was refused, in words."""
+        ...
+
+    def arm(self) -> Request:
+        """Start the motors."""
+        ...
+
+    def takeoff(self, height_m: float) -> Request:
+        """Climb to a height above home in the autopilot's own mode."""
+        ...
+
+    def start_offboard(self) -> Request:
+        """Take the steering: PX4 Offboard, ArduPilot GUIDED."""
+        ...
+
+    def hold(self) -> Request:
+        """Stop and hover in the autopilot's own mode."""
+        ...
+
+    def land(self) -> Request:
+        """Land here in the autopilot's own mode."""
+        ...
+
+    def return_home(self) -> Request:
+        """Return in the autopilot's own mode."""
+        ...
+
+    def disarm(self) -> Request:
+        """Stop the motors, on the ground."""
+        ...
+
+    def withdraw(self) -> None:
+        """Ask no more for what is under way: somebody else has the aircraft."""
+        ...
+
+    def close(self) -> None:
+        """End the link."""
+        ...
