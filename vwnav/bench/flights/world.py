@@ -72,6 +72,7 @@ class World:
         self.autopilot_link = MemoryLink(self.clock, rng, LINK_LATENCY_S)
         self._navigator_link = MemoryLink(self.clock, rng)
         self._observer_link = MemoryLink(self.clock, rng)
+        self._observer_link.cut(True)  # nobody listens
         self._beats = MemoryLink(self.clock, rng)
         self.core = self._vehicle(place)
         self.processor, self.costs = Processor(), Costs()
