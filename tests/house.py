@@ -174,11 +174,11 @@ def one_step() -> Entered:
     from vwnav.bench.flights.place import Place
     from vwnav.bench.flights.setup import Setup
     from vwnav.bench.flights.world import draw
-    from vwnav.cli.simulation import DEFAULT_SITE, map_pack_of
     from vwnav.config import Config
     from vwnav.estimation.ekf import Start
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack
+    from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
     from vwnav.pipeline import InlineExecutor
     from vwnav.sim.renderer import default_camera
     from vwnav.sim.sites import parse_site

@@ -42,10 +42,18 @@ ALLOWED = {
     "config": BASE | {"vision", "estimation", "guidance", "safety", "pipeline", "mission"},
     "assemble": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"},
+    "screen": BASE | {"safety"},
+    "onboard": BASE
+    | {"geometry", "maps", "estimation", "guidance", "safety", "mavlink", "watchdog", "pipeline"}
+    | {"mission", "flight", "runtime", "succession", "recording", "cameras", "sim", "config"}
+    | {"assemble", "screen"},
+    "offline": BASE
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
+    | {"config", "assemble", "screen"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
     | {"pipeline", "mission", "flight", "runtime", "rules", "succession", "recording", "cameras"}
-    | {"sim", "config", "assemble"},
+    | {"sim", "config", "assemble", "screen", "onboard"},
 }
 
 

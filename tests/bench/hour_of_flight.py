@@ -12,11 +12,11 @@ import signal
 import sys
 from pathlib import Path
 
+from vwnav.bench.flights.lockstep_place import lockstep_place
 from vwnav.bench.flights.scenario import Scenario, fly
 from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Heard
 from vwnav.bench.flights.world import World
-from vwnav.cli.lockstep_place import lockstep_place
 
 MINUTE_S = 60.0
 LAP_NED_M = ((60.0, -60.0, -50.0), (130.0, 0.0, -50.0), (50.0, 70.0, -50.0), (0.0, 0.0, -50.0))

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from vwnav.bench.flights import folder as flights_flying
 from vwnav.bench.flights.campaign import Campaign, Sortie, campaign_of
+from vwnav.bench.flights.folder import FLIGHTS, CampaignFolder, fly_campaign
 from vwnav.bench.flights.plots import save_plots
 from vwnav.bench.flights.score import FlightScore, distance_m
 from vwnav.bench.flights.summary import Figure, summarise, worst_first
 from vwnav.bench.resampling import interval
-from vwnav.cli import flights_flying
-from vwnav.cli.flights_flying import FLIGHTS, CampaignFolder, fly_campaign
 from vwnav.cli.main import app
-from vwnav.cli.simulation import ROUTES
 from vwnav.errors import RouteError, VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.missions import load_route
+from vwnav.onboard.simulation import ROUTES
 from vwnav.sim.config import Manners
 from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M
 

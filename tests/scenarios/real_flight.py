@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.flights.live.relay import Relay
-from vwnav.cli.simulation import free_ports
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.onboard.simulation import free_ports
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import VehicleConfig, start_vehicle
 

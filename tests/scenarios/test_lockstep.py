@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from vwnav.bench.flights.lockstep_place import lockstep_place
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Scenario, fly
 from vwnav.bench.flights.table.telemetry import MISSING
 from vwnav.bench.flights.world import World
-from vwnav.cli.lockstep_place import lockstep_place
 from vwnav.recording.recorded_flight_log import recorded_flight_log
 from vwnav.rules.rule import check
 from vwnav.rules.table import RULES

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from vwnav.bench.flights.judge import judge
+from vwnav.bench.flights.lockstep_place import lockstep_place
 from vwnav.bench.flights.scenario import Flown, Scenario, fly
 from vwnav.bench.flights.table import TABLE
-from vwnav.cli.lockstep_place import lockstep_place
 from vwnav.vehicle import FlightMode
 
 pytestmark = pytest.mark.long

@@ -12,7 +12,7 @@ import typer
 from vwnav.cli.bench_estimator import estimator
 from vwnav.cli.bench_flights import flights
 from vwnav.cli.bench_waypoints import waypoints
-from vwnav.cli.screen import print_table, progress_bar, say
+from vwnav.screen import print_table, progress_bar, say
 
 _WIDTH = 120
 

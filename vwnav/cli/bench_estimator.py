@@ -42,10 +42,10 @@ def estimator(
 ) -> None:
     """How wrong the filter is, and how well it knows: RMSE, NEES, NIS, coverage, drift."""
     from vwnav.bench.estimator.benchmark import as_json, bench
+    from vwnav.bench.estimator.rendered_run import bench_rendered
     from vwnav.bench.estimator.scenarios import Scenario
-    from vwnav.cli.rendered_flying import bench_rendered
-    from vwnav.cli.screen import LiveLine
     from vwnav.recording.run_folder import make_run_folder
+    from vwnav.screen import LiveLine
 
     scenarios, matching = _choose(scenario or [], seconds), _matching(features)
     if output is not None:
@@ -97,7 +97,7 @@ def _choose(names: list[str], seconds: float | None) -> "list[Scenario | Rendere
 
 
 def _print(name: str, runs: int, metrics: "list[Metric]") -> None:
-    from vwnav.cli.screen import print_table
+    from vwnav.screen import print_table
 
     rows = []
     for m in metrics:

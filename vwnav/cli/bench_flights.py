@@ -50,10 +50,10 @@ def flights(
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.figures import pyplot
     from vwnav.bench.flights.campaign import Sortie
+    from vwnav.bench.flights.folder import CampaignFolder, fly_campaign
     from vwnav.bench.flights.plots import save_plots
     from vwnav.bench.flights.summary import summarise, worst_first
-    from vwnav.cli.flights_flying import CampaignFolder, fly_campaign
-    from vwnav.cli.screen import progress_bar, say
+    from vwnav.screen import progress_bar, say
 
     pyplot()  # what is missing is said before anything is flown
     flying_as = tuple(dict.fromkeys(manners_of(each) for each in manners.split(",")))
@@ -81,9 +81,9 @@ def flights(
 
 def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":
     from vwnav.bench.flights.campaign import campaign_of
-    from vwnav.cli.simulation import DEFAULT_ROUTE, ROUTES
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.guidance.missions import load_route
+    from vwnav.onboard.simulation import DEFAULT_ROUTE, ROUTES
     from vwnav.sim.site import Site
 
     home = Site(1)
@@ -98,7 +98,7 @@ def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Ca
 def _print(
     campaign: "Campaign", flown: "list[FlightScore]", figures: "dict[Manners, list[Figure]]"
 ) -> None:
-    from vwnav.cli.screen import print_table
+    from vwnav.screen import print_table
 
     for manners, found in figures.items():
         flights = [each for each in flown if each.manners == manners]

@@ -47,8 +47,8 @@ def waypoints(
     # Read when the libraries load: a flight is one core's work.
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.flights.waypoints import HEIGHTS_M, THESIS_M, measure, plan
-    from vwnav.cli.screen import progress_bar
     from vwnav.recording.run_folder import make_run_folder, write_json
+    from vwnav.screen import progress_bar
     from vwnav.sim.sites import parse_site
 
     parse_site(site)
@@ -88,9 +88,9 @@ def _place(site: str, features: "FeatureName") -> "Place":
 
     from vwnav.assemble import choose_features
     from vwnav.bench.flights.place import Place
-    from vwnav.cli.screen import say
-    from vwnav.cli.simulation import map_pack_of
     from vwnav.errors import ModelError
+    from vwnav.onboard.simulation import map_pack_of
+    from vwnav.screen import say
     from vwnav.sim.renderer import default_camera
     from vwnav.sim.sites import parse_site
 

@@ -184,6 +184,6 @@ def _print(checks: list[Check], as_json: bool) -> None:
         return
     from rich.console import Console
 
-    from vwnav.cli.screen import check_table
+    from vwnav.screen import check_table
 
     Console().print(check_table(checks))

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from vwnav.cli.manners import manners_of
-from vwnav.cli.screen import print_rows, say
 from vwnav.errors import ConfigError, VwnavError
+from vwnav.screen import print_rows, say
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.live.session import Links
@@ -154,9 +154,9 @@ def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Lin
 def _run_test(
     name: str, manners: "Manners", links: "Links | None", as_json: bool, output: Path | None
 ) -> None:
+    from vwnav.bench.flights.lockstep_place import lockstep_place
     from vwnav.bench.flights.thesis.report import fly_test
     from vwnav.bench.flights.thesis.tests import TESTS, in_manners
-    from vwnav.cli.lockstep_place import lockstep_place
     from vwnav.recording.run_folder import make_run_folder
 
     if links is None:
@@ -210,8 +210,8 @@ def _show_list(rows: "Iterable[Scenario]", as_json: bool) -> None:
 def _in_lockstep(
     rows: "list[Scenario]", jobs: int, folder: Path, manners: "Manners"
 ) -> "Iterator[RowResult]":
+    from vwnav.bench.flights.lockstep_place import lockstep_place
     from vwnav.bench.flights.rows import fly_rows
-    from vwnav.cli.lockstep_place import lockstep_place
 
     lockstep_place()  # its map is drawn once, here
     return fly_rows(rows, lockstep_place, folder, jobs, manners)

@@ -1,55 +1,12 @@
 """`vwnav fly`: the flight itself, on a drone or in simulation."""
 
-import sys
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import get_args
 
 import typer
 
+from vwnav.onboard.options import FlyOptions
 from vwnav.sim.config import Manners
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlyOptions:
-    """The command line of `vwnav fly`."""
-
-    sim: bool
-    realtime: bool
-    arm: bool
-    standby: bool
-    features: str
-    map_source: str | None
-    route: Path | None
-    route_frame: str
-    camera: Path | None
-    video: str | None
-    connection: str | None
-    truth: str | None
-    home: str | None
-    home_sigma_m: float
-    manners: Manners
-    wind_m_s: float
-    seed: int
-    model: Path | None
-    config_path: Path | None
-    output: Path | None
-
-    @property
-    def arms(self) -> bool:
-        """A person arms a real aircraft; simulated ones hurt nobody."""
-        return self.arm or self.sim or self.truth is not None
-
-    def successor(self, folder: Path) -> list[str]:
-        """Command line of a second navigator for the same flight; see `vwnav.cli.successor`."""
-        flags = {"map_source": "--map", "config_path": "--config"}
-        words = [sys.executable, "-m", "vwnav", "fly", "--standby"]
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or value is None or field.name == "output":
-                continue  # flags are about the first navigator's part: arming, simulated time
-            words += [flags.get(field.name, "--" + field.name.replace("_", "-")), str(value)]
-        return [*words, "--output", str(folder / "successor")]
 
 
 def fly(
@@ -110,10 +67,10 @@ def fly(
     if route_frame not in ("local", "global"):
         raise typer.BadParameter(f"--route-frame is local or global, not {route_frame!r}")
     if standby:  # started by the watchdog
-        from vwnav.cli.successor import stand_by
+        from vwnav.onboard.successor import stand_by
 
         stand_by(options)
         return
-    from vwnav.cli.flying import fly_route
+    from vwnav.onboard.program import fly_route
 
     fly_route(options)

@@ -47,7 +47,7 @@ def localize(
 
     Example: vwnav localize pictures/ --map field.mbtiles --prior exif --json
     """
-    from vwnav.cli.localizing import LocalizeOptions, localize_images
+    from vwnav.offline.localize import LocalizeOptions, localize_images
 
     if (lat is None) != (lon is None):
         raise typer.BadParameter("--lat and --lon belong together")

@@ -60,10 +60,10 @@ def build(
 
     Example: vwnav map build field.tif -o field.mbtiles --attribution "(c) survey office"
     """
-    from vwnav.cli.screen import progress_bar
     from vwnav.maps.build.builder import build_pack
     from vwnav.maps.build.sources import default_options, open_sources
     from vwnav.maps.pack import MapPack
+    from vwnav.screen import progress_bar
     from vwnav.vision.features import load_features
 
     zooms = _zooms(levels)
@@ -148,7 +148,7 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
     import numpy as np
 
     from vwnav.errors import ConfigError, RouteError
-    from vwnav.geometry.geodesy import LocalFrame
+    from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
     from vwnav.guidance.missions import LocalWaypoint, load_route
 
     if route_frame not in ("local", "global"):
@@ -167,23 +167,6 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
         )
         places.append((float(lat_deg), float(lon_deg)))
     return np.array(places)
-
-
-def parse_lat_lon(text: str) -> tuple[float, float]:
-    """The LAT,LON of `--home`.
-
-    Raises:
-        ConfigError: not two numbers, or not on the globe.
-    """
-    from vwnav.errors import ConfigError
-
-    try:
-        lat_deg, lon_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigError(f"--home {text!r}: expected LAT,LON in degrees") from None
-    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
-        raise ConfigError(f"--home {text!r}: not on the globe")
-    return lat_deg, lon_deg
 
 
 def _names(features: str) -> list[str]:

@@ -41,21 +41,21 @@ def replay(
     vwnav replay runs/fly-1/flight.mcap --check
     """
     if check:
-        from vwnav.cli.checking import check_recording
+        from vwnav.offline.check import check_recording
 
         raise typer.Exit(check_recording(Path(source), truth))
     if map_path is None:
         raise typer.BadParameter("a map pack is needed to fly it again", param_hint="--map")
-    from vwnav.cli.replay_report import ReplayOptions
+    from vwnav.offline.report import ReplayOptions
 
     options = ReplayOptions(
         source, map_path, camera, hfov_deg, telemetry, features, model, config_path, output
     )
     if options.from_tape:
-        from vwnav.cli.replaying_tape import replay_tape
+        from vwnav.offline.replay_tape import replay_tape
 
         replay_tape(options)
     else:
-        from vwnav.cli.replaying import replay_source
+        from vwnav.offline.replay_pictures import replay_source
 
         replay_source(options)

@@ -6,6 +6,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vwnav.errors import ConfigError
 from vwnav.types import Array
 
 WGS84_A_M = 6378137.0
@@ -121,3 +122,18 @@ def horizontal_distance_m(
     east_m = prime_m * np.cos(middle) * np.radians(d_lon_deg)
     distance_m = np.hypot(north_m, east_m)
     return float(distance_m) if np.ndim(distance_m) == 0 else distance_m
+
+
+def parse_lat_lon(text: str) -> tuple[float, float]:
+    """The LAT,LON of `--home`.
+
+    Raises:
+        ConfigError: not two numbers, or not on the globe.
+    """
+    try:
+        lat_deg, lon_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigError(f"--home {text!r}: expected LAT,LON in degrees") from None
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
+        raise ConfigError(f"--home {text!r}: not on the globe")
+    return lat_deg, lon_deg

@@ -8,18 +8,18 @@ from pathlib import Path
 
 from vwnav import __version__
 from vwnav.assemble import Assembled
-from vwnav.cli.fly import FlyOptions
-from vwnav.cli.screen import LiveLine, print_table, say
 from vwnav.clock import Clock
 from vwnav.config import Config
 from vwnav.flight import Flight
 from vwnav.maps.pack import MapPack
+from vwnav.onboard.options import FlyOptions
 from vwnav.pipeline import Pipeline, StepResult
 from vwnav.recording.flight_recorder import FlightRecorder, was_tried
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
 from vwnav.recording.tape import About
 from vwnav.recording.track_picture import TrackPicture
+from vwnav.screen import LiveLine, print_table, say
 from vwnav.sim.score import Score, summarise
 from vwnav.sim.truth import TruthReader
 from vwnav.types import Estimate, Frame, MapFix, Rejected

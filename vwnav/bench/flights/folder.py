@@ -18,10 +18,10 @@ from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import fly
 from vwnav.bench.flights.score import FlightScore, score
 from vwnav.bench.flights.summary import worst_first
-from vwnav.cli.screen import say
-from vwnav.cli.simulation import map_pack_of
 from vwnav.errors import VwnavError
+from vwnav.onboard.simulation import map_pack_of
 from vwnav.recording.run_folder import write_json
+from vwnav.screen import say
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import parse_site
 

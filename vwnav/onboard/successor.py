@@ -16,29 +16,19 @@ from typing import Any
 import numpy as np
 
 from vwnav.assemble import Assembled, about_run, assemble
-from vwnav.cli.flight_record import FlightRecord
-from vwnav.cli.fly import FlyOptions
-from vwnav.cli.flying import (
-    FlightPlan,
-    draw_camera,
-    first_state,
-    mission_crew,
-    open_camera,
-    open_truth,
-    plan_flight,
-)
-from vwnav.cli.screen import say
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
 from vwnav.estimation.ekf import Start
-from vwnav.flight import Flight
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
+from vwnav.onboard.aboard import first_state, put_aboard
+from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.options import FlyOptions
+from vwnav.onboard.plan import FlightPlan, plan_flight
+from vwnav.onboard.record import FlightRecord
 from vwnav.recording.run_folder import make_run_folder
-from vwnav.runtime import FlightRuntime
-from vwnav.safety.camera_watch import CameraWatch
-from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.succession import start_after
 from vwnav.types import Array
@@ -140,20 +130,13 @@ def _succeed(
     vehicle = first_state(autopilot, clock)
     if resume.lat_lon_deg is not None:
         assembled.ekf.initialise(_start(plan, resume, resume.lat_lon_deg, vehicle.t_s))
-    camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
-    crew = mission_crew(autopilot, camera, plan, record, arms=False)
-    flight = Flight(
-        autopilot, plan.mission, _NoWatchdog(), crew, plan.config.flight, plan.config.limits,
-        plan.config.safety,
+    aboard = put_aboard(
+        plan, assembled, autopilot, _NoWatchdog(), record, arms=False,
+        first_counter=resume.reset_counter,
     )  # fmt: skip
-    flight.ride(vehicle.t_s, _REASON)
-    record.follow(flight, assembled.pipeline)
-    guard = EstimateGuard(plan.config.estimate, resume.reset_counter)
-    runtime = FlightRuntime(
-        assembled.pipeline, flight, autopilot, guard, _NoWatchdog(), camera, record
-    )
+    aboard.flight.ride(vehicle.t_s, _REASON)
     try:
-        runtime.run(source, clock)
+        aboard.runtime.run(source, clock)
     finally:
         record.close(options, assembled)
 

@@ -7,10 +7,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from vwnav.cli.screen import say
 from vwnav.recording.recorded_flight_log import recorded_flight_log
 from vwnav.rules.rule import Verdict, check
 from vwnav.rules.table import RULES
+from vwnav.screen import say
 
 _COLOURS = {"held": "green", "broken": "red", "not to be told": "dim"}
 _WIDTH = 140  # of a file, which has none of its own

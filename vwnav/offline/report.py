@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vwnav import __version__
-from vwnav.cli.screen import print_table
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import StepResult
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
 from vwnav.recording.tape import About
 from vwnav.recording.track_picture import TrackPicture
+from vwnav.screen import print_table
 from vwnav.types import MapFix, Rejected, RejectReason
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vwnav.cli.flying import is_same_link
+from vwnav.onboard.equipment import is_same_link
 
 
 @pytest.mark.parametrize(

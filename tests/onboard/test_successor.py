@@ -6,8 +6,9 @@ from pathlib import Path
 import typer
 from typer.testing import CliRunner
 
-from vwnav.cli import flying, successor
 from vwnav.cli.fly import fly
+from vwnav.onboard import program as flying
+from vwnav.onboard import successor
 
 ASKED = "--arm --map a.mbtiles --route r.plan --camera c.toml --video sim:x --truth udpin:0.0.0.0:2"
 HOME = ["--connection", "udpin://0.0.0.0:14540", "--home", "-33.9,18.4", "--config", "s.toml"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 
 from vwnav.bench.flights.place import Place
-from vwnav.cli.simulation import DEFAULT_SITE, map_pack_of
+from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import parse_site
 from vwnav.types import FeatureExtractor

@@ -18,14 +18,14 @@ from vwnav.bench.estimator.rendered_scenarios import Flown, RenderedScenario
 from vwnav.bench.estimator.run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator.scenarios import Metric
 from vwnav.bench.estimator.streams import Event, Stream
-from vwnav.cli.screen import say
-from vwnav.cli.simulation import map_pack_of
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
+from vwnav.onboard.simulation import map_pack_of
 from vwnav.pipeline import Pipeline, StepResult
 from vwnav.recording.track_picture import TrackPicture
+from vwnav.screen import say
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.processor import LateExecutor, Processor
 from vwnav.sim.renderer import default_camera

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from vwnav.cli.screen import progress_bar, say
 from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.screen import progress_bar, say
 from vwnav.sim.config import Manners, VehicleConfig
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer

@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from vehicles import FLYING
 
 from vwnav.assemble import Assembled, about_run, ground_of
-from vwnav.cli.flight_record import FlightRecord
 from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
@@ -27,6 +26,7 @@ from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import FeatureChoice, Pipeline
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
@@ -222,7 +222,7 @@ def test_not_only_the_rounded_rows_but_every_bit_of_the_estimates_comes_back(flo
 
 def test_the_ground_of_the_map_entered_the_filter(flown, pack_file, tmp_path, monkeypatch):
     """Or the check of the map would be idle: without it the trajectory is another."""
-    monkeypatch.setattr("vwnav.cli.replaying_tape.ground_of", lambda *_: None)
+    monkeypatch.setattr("vwnav.offline.replay_tape.ground_of", lambda *_: None)
     done = replay(flown / "flight.mcap", pack_file, tmp_path / "out")
     assert done.exit_code == 0
     assert "NOT identical" in done.stderr

@@ -1,0 +1,89 @@
+"""Mission and runtime put on board: the same for the navigator and for the one that succeeds it."""
+
+import time
+from dataclasses import dataclass
+
+from vwnav.assemble import Assembled
+from vwnav.clock import Clock
+from vwnav.flight import Flight
+from vwnav.mission.mission import Crew, DeadMansHandle
+from vwnav.onboard.plan import FlightPlan
+from vwnav.onboard.record import FlightRecord
+from vwnav.runtime import FlightRuntime
+from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.check import Check
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.safety.readiness import Equipment, check_flight
+from vwnav.screen import show_checks
+from vwnav.types import Navigation
+from vwnav.vehicle import Autopilot, VehicleState
+
+FIRST_STATE_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Aboard:
+    """The mission, and the threads that fly it."""
+
+    flight: Flight
+    runtime: FlightRuntime
+
+
+def put_aboard(
+    plan: FlightPlan,
+    assembled: Assembled,
+    autopilot: Autopilot,
+    keep_alive: DeadMansHandle,
+    record: FlightRecord,
+    arms: bool,
+    first_counter: int = 0,
+) -> Aboard:
+    """Build both.
+
+    Args:
+        plan: what is flown.
+        assembled: the pipeline.
+        autopilot: the link's driver.
+        keep_alive: the sign of life to the watchdog.
+        record: hears and keeps everything.
+        arms: whether it arms by itself.
+        first_counter: of resets, where it goes on for another navigator.
+    """
+    config = plan.config
+    camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
+    crew = _crew(autopilot, camera, plan, record, arms)
+    flight = Flight(
+        autopilot, plan.mission, keep_alive, crew, config.flight, config.limits, config.safety
+    )
+    record.follow(flight, assembled.pipeline)
+    guard = EstimateGuard(config.estimate, first_counter)
+    runtime = FlightRuntime(
+        assembled.pipeline, flight, autopilot, guard, keep_alive, camera, record
+    )
+    return Aboard(flight, runtime)
+
+
+def first_state(autopilot: Autopilot, clock: Clock) -> VehicleState:
+    """The vehicle once it has told where it is: on the ground, or flying already."""
+    until_s = time.monotonic() + FIRST_STATE_S
+    while time.monotonic() < until_s:
+        autopilot.step(clock())
+        state = autopilot.state()
+        if state.connected and state.attitude is not None:
+            break
+        time.sleep(0.02)
+    return autopilot.state()
+
+
+def _crew(
+    autopilot: Autopilot, camera: CameraWatch, plan: FlightPlan, record: FlightRecord, arms: bool
+) -> Crew:
+    """Who the mission speaks with: the record, the screen, and the readiness list."""
+
+    def checks(vehicle: VehicleState, navigation: Navigation, t_s: float) -> tuple[Check, ...]:
+        equipment = Equipment(
+            autopilot.findings, autopilot.budget_refusal, camera.picture_s, camera.trouble
+        )
+        return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
+
+    return Crew(record.event, checks, show_checks, arms)

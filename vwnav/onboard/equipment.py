@@ -1,0 +1,72 @@
+"""Camera and truth of a flight, as the options name them."""
+
+from contextlib import ExitStack
+
+from vwnav.cameras.sources import open_source
+from vwnav.clock import Clock
+from vwnav.errors import LinkError
+from vwnav.mavlink.links import parse_link
+from vwnav.onboard.options import FlyOptions
+from vwnav.onboard.plan import FlightPlan
+from vwnav.onboard.simulation import draw_site
+from vwnav.sim.camera_source import SimulatedCamera
+from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.sites import is_site, parse_site
+from vwnav.sim.truth import TruthReader
+from vwnav.types import FrameSource
+
+
+def open_truth(
+    url: str | None, link: str, observer_url: str, clock: Clock, stack: ExitStack
+) -> TruthReader | None:
+    """Ground truth of a simulator; through the watchdog where it comes on the autopilot's link."""
+    if url is None:
+        return None
+    if is_same_link(url, link):
+        url = observer_url
+    truth = TruthReader(url, clock=clock)
+    stack.callback(truth.close)
+    return truth
+
+
+def is_same_link(truth_url: str, link: str) -> bool:
+    """Whether the truth comes on the port of the autopilot's own link, which has one owner."""
+    scheme, _, rest = truth_url.partition(":")
+    try:
+        truth = parse_link(f"{scheme}://{rest.removeprefix('//')}")
+    except LinkError:
+        return False  # the reader of the truth says what is wrong with it
+    return truth.is_same_port(parse_link(link))
+
+
+def draw_camera(options: FlyOptions, plan: FlightPlan, stack: ExitStack) -> CameraRenderer | None:
+    """What a simulated camera is drawn with; None for a real one."""
+    video = str(options.video)
+    if not is_site(video):
+        return None
+    height_m = -float(plan.route_ned_m[0, 2])
+    return draw_site(video, plan.camera, plan.route_lat_lon_deg, height_m, options.seed, stack)
+
+
+def open_camera(
+    options: FlyOptions,
+    renderer: CameraRenderer | None,
+    truth: TruthReader | None,
+    clock: Clock,
+    stack: ExitStack,
+    flown_m: float = 0.0,
+) -> FrameSource:
+    """The camera, or one that is drawn from a simulator's truth.
+
+    `flown_m` is how high the vehicle flies already: its ground, which is drawn, lies so far below.
+    """
+    source: FrameSource
+    if renderer is None:
+        source = open_source(str(options.video))
+    else:
+        assert truth is not None
+        site = parse_site(str(options.video))
+        home = (site.home_lat_deg, site.home_lon_deg)
+        source = SimulatedCamera(renderer, truth, home, clock, flown_m)
+    stack.callback(source.close)
+    return source

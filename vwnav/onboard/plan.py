@@ -1,0 +1,114 @@
+"""All that is known of a flight before the link is opened: files read, route over the map."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vwnav.assemble import choose_features
+from vwnav.config import Config, load_config
+from vwnav.errors import PreflightError
+from vwnav.geometry.calibration import load_camera
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
+from vwnav.guidance.missions import LocalWaypoint, load_route
+from vwnav.maps.coverage import check_route
+from vwnav.maps.pack import MapPack
+from vwnav.mission.mission import Mission
+from vwnav.onboard.options import FlyOptions
+from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
+from vwnav.screen import say
+from vwnav.sim.renderer import default_camera
+from vwnav.sim.sites import is_site, parse_site
+from vwnav.types import Array
+
+DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightPlan:
+    """All that is known before the link is opened.
+
+    Attributes:
+        local_frame: NED origin of the run: home, on the ground, where that is known; else a
+            frame about the middle of the map, and nothing but a frame.
+        route_ned_m: (n, 3) waypoints.
+        home_known: False when the take-off may be anywhere on the map.
+        about_home: the waypoints are counted from home.
+    """
+
+    config: Config
+    pack: MapPack
+    camera: Camera
+    local_frame: LocalFrame
+    route_ned_m: Array
+    home_known: bool
+    about_home: bool
+
+    @property
+    def mission(self) -> Mission:
+        """What the flight is asked to do."""
+        return Mission(
+            self.route_ned_m,
+            about_home=self.about_home and not self.home_known,
+            home_ne_m=np.zeros(2) if self.home_known else None,
+            refuse=self.refuse,
+        )
+
+    def refuse(self, route_ned_m: Array) -> str:
+        """Why a route (n, 3) must not be flown: the map does not cover it; "" when it does."""
+        covered = check_route(self.pack, self._lat_lon_deg(route_ned_m))
+        return "" if covered.ok else covered.summary()
+
+    @property
+    def route_lat_lon_deg(self) -> Array:
+        """(n + 2, 2): from home over the waypoints and back, as far as it is known now."""
+        home = np.zeros((1, 3))
+        stops = [home, self.route_ned_m, home] if self.home_known else [self.route_ned_m]
+        return self._lat_lon_deg(np.vstack(stops))
+
+    def _lat_lon_deg(self, places_ned_m: Array) -> Array:
+        lat_deg, lon_deg, _ = self.local_frame.to_geodetic(places_ned_m)
+        return np.stack([lat_deg, lon_deg], axis=-1)
+
+
+def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
+    """All that is known before the link is opened.
+
+    Raises:
+        VwnavError: a file that cannot be used.
+        PreflightError: the map does not cover the route.
+    """
+    config = load_config(options.config_path)
+    assert options.route is not None
+    route = load_route(options.route, "global" if options.route_frame == "global" else "local")
+    camera = load_camera(options.camera) if options.camera else default_camera()
+    pack = stack.enter_context(MapPack.open(_map_path(options)))
+    home = parse_lat_lon(options.home) if options.home else route.home
+    if home is None and options.sim:
+        site = parse_site(options.video or DEFAULT_SITE)
+        home = (site.home_lat_deg, site.home_lon_deg)
+    home_lat, home_lon = home or _middle(pack)
+    local_frame = LocalFrame(home_lat, home_lon, pack.elevation_m(home_lat, home_lon) or 0.0)
+    route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M)
+    about_home = isinstance(route.waypoints[0], LocalWaypoint)
+    plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None, about_home)
+    if plan.home_known or not about_home:
+        covered = check_route(pack, plan.route_lat_lon_deg)
+        if not covered.ok:
+            raise PreflightError(covered.summary())
+    return plan
+
+
+def _map_path(options: FlyOptions) -> Path:
+    text = str(options.map_source)
+    if not is_site(text):
+        return Path(text)
+    primary, fallback = choose_features(options.features, options.model, say)
+    return map_pack_of(text, [primary, *([fallback] if fallback else [])])
+
+
+def _middle(pack: MapPack) -> tuple[float, float]:
+    south, west, north, east = pack.bounds
+    return (south + north) / 2.0, (west + east) / 2.0

@@ -1,0 +1,190 @@
+"""`vwnav fly` once its options are read: everything opened, flown, and closed again."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vwnav.assemble import about_run, assemble
+from vwnav.clock import AwaitedExecutor, Clock, WallClock
+from vwnav.config import save_config
+from vwnav.errors import ConfigError, PreflightError, VwnavError
+from vwnav.estimation.ekf import Start
+from vwnav.flight import Flight
+from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
+from vwnav.onboard.aboard import first_state, put_aboard
+from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.options import FlyOptions
+from vwnav.onboard.plan import FlightPlan, plan_flight
+from vwnav.onboard.record import FlightRecord
+from vwnav.onboard.simulation import (
+    DEFAULT_ROUTE,
+    DEFAULT_SITE,
+    start_embedded_vehicle,
+)
+from vwnav.pace import PacedClock
+from vwnav.recording.run_folder import make_run_folder
+from vwnav.screen import say
+from vwnav.sim.sites import is_site, parse_site
+from vwnav.sim.truth import TruthReader
+from vwnav.types import FrameSource
+from vwnav.vehicle import Autopilot, VehicleState
+from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
+
+DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
+FIRST_STATE_S = 5.0
+WORTH_SAYING_S = 10.0  # of simulated time that stood still
+MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it
+
+
+def fly_route(options: FlyOptions) -> None:
+    """Fly, and write the run folder.
+
+    Raises:
+        VwnavError: anything that kept the route from being flown to its end.
+        PreflightError: not safe to fly: the map does not cover the route.
+    """
+    cv2.setNumThreads(1)
+    options = _with_simulated_defaults(options)
+    with ExitStack() as stack:
+        plan = plan_flight(options, stack)
+        folder = make_run_folder(options.output, "fly")
+        save_config(plan.config, folder / "config.toml")
+        renderer = draw_camera(options, plan, stack)
+        link, truth_url = options.connection, options.truth
+        clock = _clock(options, stack)
+        if options.sim:
+            site = parse_site(options.video or DEFAULT_SITE)
+            link, truth_url = start_embedded_vehicle(
+                site, options.manners, options.wind_m_s, options.seed, clock, stack
+            )
+        assert link is not None
+        # An embedded simulation ends with its navigator: there is nothing left to succeed in.
+        successor = [] if options.sim else options.successor(folder)
+        watchdog = stack.enter_context(
+            start_watchdog(link, folder / "watchdog.log", successor, clock, say)
+        )
+        truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
+        source = open_camera(options, renderer, truth, clock, stack)
+        autopilot = MavsdkAutopilot(
+            watchdog.navigator_url, clock=clock, link_url=link,
+            ground_station_ids=plan.config.flight.ground_station_ids,
+        )  # fmt: skip
+        stack.callback(autopilot.close)
+        _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
+
+
+def _clock(options: FlyOptions, stack: ExitStack) -> Clock:
+    """A simulation's time waits for who is late, unless it is to be the wall's."""
+    if not options.sim or options.realtime:
+        return WallClock()
+    clock = PacedClock.create()
+    stack.callback(clock.remove)
+    stack.callback(lambda: _say_whom_time_waited_for(clock))
+    return clock
+
+
+def _say_whom_time_waited_for(clock: PacedClock) -> None:
+    held = sorted(clock.held_s().items(), key=lambda each: -each[1])
+    held_s = sum(each_s for _, each_s in held)
+    if held_s > WORTH_SAYING_S:
+        whom = ", ".join(f"{name} {each_s:.0f} s" for name, each_s in held if each_s >= 1.0)
+        say(f"this machine was too busy: simulated time waited {held_s:.0f} s for it ({whom})")
+
+
+def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
+    """`--sim` fills in what was not said; a real flight wants a calibrated camera."""
+    if options.sim:
+        return replace(
+            options,
+            map_source=options.map_source or options.video or DEFAULT_SITE,
+            route=options.route or DEFAULT_ROUTE,
+            video=options.video or DEFAULT_SITE,
+        )
+    if is_site(str(options.video)) and options.truth is None:
+        raise ConfigError("--video sim:SITE is drawn from ground truth: give its URL with --truth")
+    if not is_site(str(options.video)) and options.camera is None:
+        raise ConfigError("fly needs --camera: a flight wants a calibrated camera")
+    return options
+
+
+def _fly(
+    options: FlyOptions,
+    plan: FlightPlan,
+    folder: Path,
+    watchdog: WatchdogProcess,
+    autopilot: Autopilot,
+    source: FrameSource,
+    truth: TruthReader | None,
+    clock: Clock,
+    stack: ExitStack,
+) -> None:
+    pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+    executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
+    assembled = assemble(
+        plan.pack, plan.camera, options.features, options.model, plan.local_frame, plan.config,
+        executor, say,
+    )  # fmt: skip
+    frame = plan.local_frame
+    autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
+    about = about_run(assembled, options.features, "nadir")
+    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
+    assembled.ekf.record(record.tape.input)
+    vehicle = first_state(autopilot, clock)
+    # Of one that flies nothing is known: the first fix begins.
+    if not (vehicle.armed and vehicle.in_air):
+        assembled.ekf.initialise(_start(options, plan, vehicle))
+    aboard = put_aboard(plan, assembled, autopilot, watchdog.keepalive, record, options.arms)
+    with _stopped_by_signals():
+        try:
+            if not options.arms:
+                _listen_for_enter(aboard.flight)
+            end = aboard.runtime.run(source, clock)
+        finally:
+            record.close(options, assembled)
+    if end.reason is not None:
+        error = PreflightError if end.unsafe else VwnavError
+        raise error(f"{end.reason} (record in {folder})")
+
+
+def _start(options: FlyOptions, plan: FlightPlan, vehicle: VehicleState) -> Start:
+    """On the ground, at home where that is known."""
+    return Start(
+        t_s=vehicle.t_s,
+        position_ned_m=np.zeros(3) if plan.home_known else None,
+        sigma_m=options.home_sigma_m,
+    )
+
+
+def _listen_for_enter(flight: Flight) -> None:
+    """A person at a terminal lets it arm; a service has nobody there."""
+    if not sys.stdin.isatty():
+        return
+
+    def listen() -> None:
+        while sys.stdin.readline():
+            flight.go()
+
+    threading.Thread(target=listen, name="keyboard", daemon=True).start()
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """A service that is stopped, or a terminal that is closed, lands as Ctrl-C does."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {each: signal.signal(each, interrupt) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
