@@ -29,7 +29,8 @@ ALLOWED = {
     "safety": BASE,
     "mavlink": BASE | {"geometry"},
     "watchdog": BASE | {"mavlink", "safety"},
-    "pipeline": BASE | {"geometry", "estimation"},
+    "feature_choice": BASE,
+    "pipeline": BASE | {"geometry", "estimation", "feature_choice"},
     "mission": BASE | {"guidance", "safety", "watchdog"},
     "flight": BASE | {"guidance", "safety", "watchdog", "mission"},
     "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
@@ -41,7 +42,8 @@ ALLOWED = {
     "sim": BASE | {"geometry", "maps"},
     "config": BASE | {"vision", "estimation", "guidance", "safety", "pipeline", "mission"},
     "assemble": BASE
-    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"},
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"}
+    | {"feature_choice"},
     "screen": BASE | {"safety"},
     "onboard": BASE
     | {"geometry", "maps", "estimation", "guidance", "safety", "mavlink", "watchdog", "pipeline"}

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
+from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.pipeline import (
-    FeatureChoice,
     InlineExecutor,
     Pipeline,
     PipelineConfig,

@@ -11,10 +11,11 @@ from vwnav.config import Config
 from vwnav.errors import ModelError
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig
+from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.pipeline import Pipeline
 from vwnav.recording.tape import About
 from vwnav.types import FeatureExtractor, PointKind
 from vwnav.vision.features import load_features

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from vwnav.estimation.ekf import Ekf, NedFix, Start
 from vwnav.estimation.events import Exposed
 from vwnav.estimation.updates import Verdict
+from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.types import (
@@ -48,14 +49,12 @@ AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class PipelineConfig:
-    """How often the map is asked, and when SIFT stands in for the learned features."""
+class PipelineConfig(FeatureChoiceConfig):
+    """How often the map is asked, and for how long."""
 
     fix_interval_s: float = 0.2  # a picture is matched to the map this often
     search_interval_s: float = 1.0  # the same while the position is unknown: a search is slow
     max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
-    fallback_after: int = 8  # rejections in a row before the fallback is tried
-    primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
     doubt_after: int = (
         25  # attempts in a row without a fix; then, and every so many, look twice as far
     )
@@ -71,18 +70,6 @@ class StepResult:
     motion: OdometryMotion | Rejected
     outcome: MapFix | Rejected
     estimate: Estimate | None
-
-
-class Localizing(Protocol):
-    """What the pipeline needs of `vwnav.vision.localizer.Localizer`."""
-
-    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
-        """Where a picture was taken."""
-        ...
-
-    def give_up(self) -> None:
-        """Let the call that is running in another thread end soon."""
-        ...
 
 
 class Tracking(Protocol):
@@ -110,57 +97,6 @@ class InlineExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-class FeatureChoice:
-    """Which localizer comes next: the primary, or the fallback while the primary fails."""
-
-    def __init__(
-        self,
-        primary: Localizing,
-        fallback: Localizing | None,
-        config: PipelineConfig,
-        say: Callable[[str], None],
-    ) -> None:
-        self._primary = primary
-        self._fallback = fallback
-        self._config = config
-        self._say = say
-        self._failures = 0
-        self._on_fallback = False
-        self._fallback_attempts = 0
-        self._broken: set[str] = set()  # reasons that were said
-
-    def next(self) -> Localizing:
-        """The localizer to try now."""
-        if not self._on_fallback or self._fallback is None:
-            return self._primary
-        self._fallback_attempts += 1
-        if self._fallback_attempts % self._config.primary_retry_every == 0:
-            return self._primary
-        return self._fallback
-
-    def broke(self, used: Localizing, error: Exception) -> None:
-        """A localizer raised: a model that fails at run time. The fallback stands in at once."""
-        reason = f"{type(error).__name__}: {error}"
-        stands_in = used is self._primary and self._fallback is not None
-        if reason not in self._broken:
-            self._broken.add(reason)
-            self._say(f"map matching failed ({reason})" + (": SIFT stands in" if stands_in else ""))
-        if stands_in and not self._on_fallback:
-            self._on_fallback, self._fallback_attempts = True, 0
-
-    def report(self, used: Localizing, succeeded: bool) -> None:
-        """Learn from an attempt: enough failures switch to the fallback, one success back."""
-        if used is not self._primary or self._fallback is None:
-            return
-        self._failures = 0 if succeeded else self._failures + 1
-        if succeeded and self._on_fallback:
-            self._on_fallback = False
-            self._say("learned features work again")
-        elif not self._on_fallback and self._failures >= self._config.fallback_after:
-            self._on_fallback, self._fallback_attempts = True, 0
-            self._say(f"no fix from learned features in {self._failures} attempts: SIFT stands in")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.states import States
-from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 USUAL = World(seconds=90.0)
@@ -119,9 +119,9 @@ def test_a_hundred_fixes_of_one_place_do_not_take_away_what_they_share():
         ekf = _flying(config)
         for i in range(1, 101):
             t = 1.0 + 0.2 * i
-            ekf.handle_attitude(Attitude(t, LEVEL))
-            ekf.handle_height(t, 50.0)
-            ekf.handle_fix(
+            ekf.handle(Attitude(t, LEVEL))
+            ekf.handle(Height(t, 50.0))
+            ekf.handle(
                 NedFix(
                     t_s=t, position_ne_m=np.zeros(2), covariance_ne_m2=0.1 * np.eye(2),
                     yaw_rad=0.0, sigma_yaw_rad=0.005, agl_m=50.0, sigma_agl_m=0.5,
@@ -171,10 +171,10 @@ def test_an_accelerometer_bias_is_found():
     ekf = _flying()
     for i in range(1, 2000):
         t = 1.0 + 0.01 * i
-        ekf.handle_attitude(Attitude(t, LEVEL))
-        ekf.handle_imu(ImuSample(t, np.array([0.0, 0.0, -9.80665 + 0.2]), np.zeros(3)))
+        ekf.handle(Attitude(t, LEVEL))
+        ekf.handle(ImuSample(t, np.array([0.0, 0.0, -9.80665 + 0.2]), np.zeros(3)))
         if i % 10 == 0:
-            ekf.handle_height(t, 50.0)
+            ekf.handle(Height(t, 50.0))
     assert ekf.state.x[States.ACCELEROMETER_BIAS][2] == pytest.approx(0.2, abs=0.05)
 
 
@@ -185,9 +185,9 @@ def test_nothing_grows_that_should_not_in_a_million_steps():
     cov = np.eye(3) * 0.03**2
     for i in range(1, 500_001):
         t = 1.0 + 0.1 * i
-        ekf.handle_attitude(Attitude(t, LEVEL))
-        ekf.handle_height(t, 50.0)
-        ekf.handle_odometry(OdometryMotion(1.1, t, np.zeros(3), cov, 0.0, 0.003, 50.0, 99))
+        ekf.handle(Attitude(t, LEVEL))
+        ekf.handle(Height(t, 50.0))
+        ekf.handle(OdometryMotion(1.1, t, np.zeros(3), cov, 0.0, 0.003, 50.0, 99))
     P = ekf.state.P
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0.0
@@ -208,13 +208,13 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_agl_m
     for k in range(400):
         t_s = 0.05 * k
         down_m = -20.0 + t_s
-        ekf.handle_attitude(Attitude(t_s, lean))
-        ekf.handle_height(t_s, -down_m)
+        ekf.handle(Attitude(t_s, lean))
+        ekf.handle(Height(t_s, -down_m))
         place = {"position_ne_m": np.zeros(2), "covariance_ne_m2": 0.25 * np.eye(2)}
-        ekf.handle_fix(NedFix(t_s=t_s, agl_m=-down_m, sigma_agl_m=0.1, **place))
+        ekf.handle(NedFix(t_s=t_s, agl_m=-down_m, sigma_agl_m=0.1, **place))
     for k in range(60):
-        ekf.handle_attitude(Attitude(20.0 + 0.05 * k, LEVEL))
-        ekf.handle_height(20.0 + 0.05 * k, -0.1)
+        ekf.handle(Attitude(20.0 + 0.05 * k, LEVEL))
+        ekf.handle(Height(20.0 + 0.05 * k, -0.1))
     apart_m = np.hypot(*ekf.estimate(23.0).position_ned_m[:2])
     assert (apart_m > 1.5) == blown_away
     assert (apart_m < 0.8) != blown_away
@@ -240,16 +240,16 @@ def test_a_long_way_without_fixes_is_the_sum_of_its_pieces():
     ekf, rng = Ekf(EkfConfig().without_telemetry()), np.random.default_rng(1)
     above = np.array([0.0, 0.0, -50.0])
     ekf.initialise(Start(t_s=0.0, position_ned_m=above, agl_m=50.0, sigma_velocity_m_s=15.0))
-    ekf.handle_attitude(Attitude(0.0, LEVEL))
+    ekf.handle(Attitude(0.0, LEVEL))
     place = {"position_ne_m": np.zeros(2), "covariance_ne_m2": 0.01 * np.eye(2)}
-    ekf.handle_fix(NedFix(t_s=0.0, yaw_rad=0.0, sigma_yaw_rad=0.01, **place))
+    ekf.handle(NedFix(t_s=0.0, yaw_rad=0.0, sigma_yaw_rad=0.01, **place))
     sums = {0.0: np.zeros(3)}
     for i in range(1, 601):
         t_s, t0_s = i / 15.0, (i - 1) // 30 * 2.0
         seen = np.array([12.0 * (t_s - t0_s), 0.0, 0.0]) + rng.normal(size=3) * [0.05, 0.05, 0.0]
         cov = 0.05**2 * np.eye(3)
-        ekf.handle_attitude(Attitude(t_s, LEVEL))
-        ekf.handle_odometry(OdometryMotion(t0_s, t_s, seen, cov, 0.0, 0.01, 50.0, 99))
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(OdometryMotion(t0_s, t_s, seen, cov, 0.0, 0.01, 50.0, 99))
         sums[t_s] = sums[t0_s] + seen
     found = ekf.estimate(t_s)
     assert math.sqrt(found.covariance[1, 1]) > 5.0
@@ -300,8 +300,8 @@ def test_on_a_linear_problem_it_is_the_kalman_filter():
     """A fix on a resting aircraft: position and variance of the textbook's scalar update."""
     ekf = Ekf(EkfConfig(map_sigma_m=1e-6))
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=2.0))
-    ekf.handle_attitude(Attitude(0.0, LEVEL))
-    ekf.handle_fix(NedFix(t_s=0.0, position_ne_m=np.array([1.0, 0.0]), covariance_ne_m2=np.eye(2)))
+    ekf.handle(Attitude(0.0, LEVEL))
+    ekf.handle(NedFix(t_s=0.0, position_ne_m=np.array([1.0, 0.0]), covariance_ne_m2=np.eye(2)))
     found = ekf.estimate(0.0)
     gain = 4.0 / (4.0 + 1.0)
     assert found.position_ned_m[0] == pytest.approx(gain, abs=1e-3)
@@ -319,15 +319,15 @@ def test_no_measurement_whatever_breaks_it(values, kind):
     with np.errstate(all="ignore"):
         match kind:
             case 0:
-                ekf.handle_fix(NedFix(t_s=c, position_ne_m=a, covariance_ne_m2=np.eye(2) * d))
+                ekf.handle(NedFix(t_s=c, position_ne_m=a, covariance_ne_m2=np.eye(2) * d))
             case 1:
-                ekf.handle_odometry(OdometryMotion(c, d, b, np.eye(3), d, c, values[5], 5))
+                ekf.handle(OdometryMotion(c, d, b, np.eye(3), d, c, values[5], 5))
             case 2:
-                ekf.handle_height(c, d)
+                ekf.handle(Height(c, d))
             case 3:
-                ekf.handle_attitude(Attitude(c, np.array(values[:4])))
+                ekf.handle(Attitude(c, np.array(values[:4])))
             case 4:
-                ekf.handle_rangefinder(c, d)
+                ekf.handle(Range(c, d))
     found = ekf.estimate(1.2)
     assert np.all(np.isfinite(found.position_ned_m))
     assert np.linalg.eigvalsh(found.covariance)[0] > -1e-9
@@ -336,7 +336,7 @@ def test_no_measurement_whatever_breaks_it(values, kind):
 
 @pytest.mark.parametrize("distance_m", [0.0, -3.0, 1e6, 1e200, np.inf, np.nan])
 def test_a_distance_that_cannot_be_is_refused(distance_m):
-    assert _flying().handle_rangefinder(1.1, distance_m).verdict is Verdict.NOT_FINITE
+    assert _flying().handle(Range(1.1, distance_m)).verdict is Verdict.NOT_FINITE
 
 
 def _flying(config: EkfConfig | None = None) -> Ekf:
@@ -344,6 +344,6 @@ def _flying(config: EkfConfig | None = None) -> Ekf:
     start = np.array([0.0, 0.0, -50.0])
     ekf.initialise(Start(t_s=0.0, position_ned_m=start, sigma_m=2.0, agl_m=50.0))
     for i in range(6):
-        ekf.handle_attitude(Attitude(0.2 * i, LEVEL))
-        ekf.handle_height(0.2 * i, 50.0)
+        ekf.handle(Attitude(0.2 * i, LEVEL))
+        ekf.handle(Height(0.2 * i, 50.0))
     return ekf

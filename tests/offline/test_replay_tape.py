@@ -19,6 +19,7 @@ from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.errors import MapError, SourceError
 from vwnav.estimation.ekf import Ekf, Start
+from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.maps.build.builder import BuildOptions, build_pack
@@ -27,7 +28,7 @@ from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.record import FlightRecord
-from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.pipeline import Pipeline
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.tape import About, PictureSeen, Tape, read_tape
@@ -312,7 +313,7 @@ def test_a_recording_older_than_a_setting_replays_with_its_default(pack_file, tm
 def test_an_input_that_breaks_the_filter_ends_its_replay_no_more_than_the_flight(
     flown, pack_file, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(Ekf, "handle_odometry", lambda *_: 1 / 0)
+    monkeypatch.setattr(Ekf, "_handle_odometry", lambda *_: 1 / 0)
     done = replay(flown / "flight.mcap", pack_file, tmp_path / "out")
     assert done.exit_code == 0, done.output
     assert "the filter broke on an input" in done.stderr

@@ -183,3 +183,11 @@ def level_axes(yaw_rad: float) -> Array:
     """(2, 2) the body's level forward and right, north and east, as columns."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([[c, -s], [s, c]])
+
+
+def is_rotation(attitude: Attitude) -> bool:
+    """Whether it has a time, and a quaternion of about unit length."""
+    quat = np.asarray(attitude.quat_wxyz)
+    if not math.isfinite(attitude.t_s) or quat.shape != (4,) or not np.all(np.isfinite(quat)):
+        return False
+    return 0.5 < float(np.linalg.norm(quat)) < 2.0

@@ -6,13 +6,10 @@ Read `states.py` first (what is estimated, with all noises), then `process.py` (
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
 from vwnav.estimation.attitude_gate import AttitudeGate
-from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory
+from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
 from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
@@ -30,11 +27,11 @@ from vwnav.estimation.gyro import GyroHistory
 from vwnav.estimation.imu import ImuHistory, is_sensible
 from vwnav.estimation.imu_trust import ImuTrust
 from vwnav.estimation.inputs import Asked, Input, Measurement
-from vwnav.estimation.odometry_trust import OdometryTrust
+from vwnav.estimation.odometry_trust import OdometryTrust, of_doubtful_date, possible, shaken
 from vwnav.estimation.output import estimate_of
 from vwnav.estimation.process import predict
 from vwnav.estimation.restart import begun_anew, outside
-from vwnav.estimation.states import EkfConfig, FilterState, Start, States, first_state
+from vwnav.estimation.states import EkfConfig, FilterState, Start, first_state
 from vwnav.estimation.timeline import Timeline
 from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.types import (
@@ -51,17 +48,8 @@ __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 
 _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
-_NOISE_M = 0.5  # of odometry's ways
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
-_DATE_DOUBT_S, _LEAN_DOUBT_RAD = 0.5, 0.15
-_CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
-_AGREES = "the pictures' ways agree with the IMU again"
-_IMU_LOST = (
-    "the autopilot's IMU is not used: gravity {:.1f} m/s^2 from where its attitude has it; "
-    "check its orientation and calibration"
-)
-_IMU_AGAIN = "the autopilot's IMU feels gravity where its attitude has it again: it is used"
 _TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
@@ -178,22 +166,20 @@ class Ekf:
         """Take a measurement of any kind."""
         match seen:
             case Attitude():
-                return self.handle_attitude(seen)
+                return self._handle_attitude(seen)
             case ImuSample():
-                return self.handle_imu(seen)
+                return self._handle_imu(seen)
             case OdometryMotion():
-                return self.handle_odometry(seen)
+                return self._handle_odometry(seen)
             case NedFix():
-                return self.handle_fix(seen)
+                return self._handle_fix(seen)
             case _:
-                return self._handle(seen)
+                return self._handle_event(seen)
 
-    def handle_attitude(self, attitude: Attitude) -> Innovation:
+    def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
         self._note(attitude)
-        quat = np.asarray(attitude.quat_wxyz)
-        finite = math.isfinite(attitude.t_s) and quat.shape == (4,) and np.all(np.isfinite(quat))
-        if not finite or not 0.5 < float(np.linalg.norm(quat)) < 2.0:
+        if not is_rotation(attitude):
             return Innovation(Verdict.NOT_FINITE)
         if self._timeline is not None and self._ahead(attitude.t_s):
             return Innovation(Verdict.AHEAD)
@@ -202,7 +188,7 @@ class Ekf:
             return Innovation(Verdict.FUSED)
         return Innovation(self._gate.take(attitude))
 
-    def handle_imu(self, sample: ImuSample) -> Innovation:
+    def _handle_imu(self, sample: ImuSample) -> Innovation:
         """Take a sample of the IMU, in order of time and after the attitude of its moment.
 
         While samples come, they move the estimate between measurements, instead of the attitude's
@@ -229,29 +215,15 @@ class Ekf:
         """Else nothing that it has told in the history counts, nor does what comes."""
         if not self._attitudes.tell(sample.t_s):
             return not self._imu_trust.lost
-        changed = self._imu_trust.saw(sample, self._attitudes.quat_at(sample.t_s))
-        if changed and self._imu_trust.lost:
-            self._imu.forget()
-            if self._timeline is not None:
-                self._timeline.leave_out(Rank.DRAG)
-            self._say(_IMU_LOST.format(self._imu_trust.off_m_s2))
-        elif changed:
-            self._say(_IMU_AGAIN)
+        if self._imu_trust.saw(sample, self._attitudes.quat_at(sample.t_s)):
+            if self._imu_trust.lost:
+                self._imu.forget()
+                if self._timeline is not None:
+                    self._timeline.leave_out(Rank.DRAG)
+            self._say(self._imu_trust.words)
         return not self._imu_trust.lost
 
-    def handle_height(self, t_s: float, height_m: float) -> Innovation:
-        """Take the barometric height above the start, up positive."""
-        return self._handle(Height(t_s, height_m))
-
-    def handle_rangefinder(self, t_s: float, distance_m: float) -> Innovation:
-        """Take the distance to the ground along the body's down axis."""
-        return self._handle(Range(t_s, distance_m))
-
-    def handle_stationary(self, t_s: float) -> Innovation:
-        """Take that the aircraft stands on the ground."""
-        return self._handle(Stationary(t_s))
-
-    def handle_fix(self, fix: NedFix) -> Innovation:
+    def _handle_fix(self, fix: NedFix) -> Innovation:
         """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
 
         One that is older than the history meets the clone of its picture's pose, if it was told
@@ -262,7 +234,7 @@ class Ekf:
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if self._trust.lost:
-            fix = _of_doubtful_date(fix, self._timeline.head)
+            fix = of_doubtful_date(fix, self._timeline.head)
         # At the beginning of the history: a picture taken since may have been cloned in its place.
         oldest_s = self._timeline.oldest_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
@@ -270,7 +242,7 @@ class Ekf:
             self._trust.saw_fix()
         return innovation
 
-    def handle_odometry(self, motion: OdometryMotion) -> Innovation:
+    def _handle_odometry(self, motion: OdometryMotion) -> Innovation:
         """Take the motion since a keyframe, in NED as the autopilot's own heading has it.
 
         One of ways that mostly contradict the IMU is refused, and those before it too.
@@ -283,17 +255,17 @@ class Ekf:
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:
         """Insert it, or only ask what would become of it while none is believed."""
-        event = Displacement(self._shaken(motion))
+        event = Displacement(shaken(motion, self._gyro, self._config))
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
-        if not self._possible(motion):
+        if not possible(motion, self._timeline.head, self._config):
             return Innovation(Verdict.IMPOSSIBLE)
         before, self._newest_way = self._newest_way, motion
         if not self._timeline.keyframe_known(motion.t0_s) and motion.t0_s < self._timeline.oldest_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Innovation(Verdict.NO_ANCHOR)
-            event = Displacement(self._shaken(between(before, motion)))
+            event = Displacement(shaken(between(before, motion), self._gyro, self._config))
         if not self._seen_upright(event.motion):
             return Innovation(Verdict.NO_ATTITUDE)
         if not self._anchored(event.motion):
@@ -307,14 +279,7 @@ class Ekf:
         if self._trust.saw(agrees, self._timeline.head):
             if self._trust.lost:
                 self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
-            self._say(_CONTRADICTS if self._trust.lost else _AGREES)
-
-    def _shaken(self, motion: OdometryMotion) -> OdometryMotion:
-        """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
-        rates = [self._gyro.rate_rad_s(t_s) for t_s in (motion.t0_s, motion.t1_s)]
-        off_m = self._config.picture_date_s * motion.agl_m * math.hypot(*rates)
-        unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
-        return replace(motion, covariance_ned_m2=motion.covariance_ned_m2 + unsure_m2)
+            self._say(self._trust.words)
 
     def _anchored(self, motion: OdometryMotion) -> bool:
         """Whether its keyframe is cloned, from now on if not before."""
@@ -325,13 +290,6 @@ class Ekf:
         covariance = share * motion.covariance_ned_m2
         sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
         return self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
-
-    def _possible(self, motion: OdometryMotion) -> bool:
-        """Whether an aircraft flies that far in that time, at the height that is believed."""
-        assert self._timeline is not None
-        scale = max(self._timeline.head.agl_m, 0.0) / motion.agl_m
-        way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
-        return way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s)
 
     def _seen_upright(self, motion: OdometryMotion) -> bool:
         """Whether attitudes that are believed tell how its pictures were turned to the ground."""
@@ -365,7 +323,7 @@ class Ekf:
         if self._tape is not None:
             self._tape(seen)
 
-    def _handle(self, event: Height | Range | Stationary | Exposed) -> Innovation:
+    def _handle_event(self, event: Height | Range | Stationary | Exposed) -> Innovation:
         self._note(event)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
@@ -404,14 +362,3 @@ class Ekf:
         if attitude_s is not None:
             newest_s = max(newest_s, attitude_s)
         return t_s > newest_s + self._config.ahead_s
-
-
-def _of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
-    """Of a picture whose ways contradict the IMU: it may be from another moment than it says.
-
-    The aircraft was elsewhere then, and leaned otherwise.
-    """
-    flown_m = _DATE_DOUBT_S * state.x[States.VELOCITY][:2]
-    leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
-    doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
-    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)

@@ -21,6 +21,11 @@ _FOREIGN_LONG_M_S2 = 3.0  # on the long one no aircraft accelerates so much
 _AGAIN = 0.5  # of these bounds: nearer to them it is not believed again
 _THRUST_M_S2 = (2.0, 40.0)  # of rotors, upward along the body's axis
 _LONGEST_S = 1.0  # of silence that a sample stands for
+_LOST = (
+    "the autopilot's IMU is not used: gravity {:.1f} m/s^2 from where its attitude has it; "
+    "check its orientation and calibration"
+)
+_AGREES = "the autopilot's IMU feels gravity where its attitude has it again: it is used"
 
 
 class ImuTrust:
@@ -41,6 +46,11 @@ class ImuTrust:
     def off_m_s2(self) -> float:
         """How far from gravity it feels, on the shorter average."""
         return self._ned.from_rest_m_s2
+
+    @property
+    def words(self) -> str:
+        """What a change has come to."""
+        return _LOST.format(self.off_m_s2) if self.lost else _AGREES
 
     def saw(self, sample: ImuSample, quat_wxyz: Array) -> bool:
         """Whether a sample, felt in an attitude (4,), has made a change of `lost`."""

@@ -9,12 +9,15 @@ pictures that are dated wrongly agree as long as it flies steadily.
 import bisect
 import math
 from collections import deque
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.states import FilterState, States
-from vwnav.types import Array
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.gyro import GyroHistory
+from vwnav.estimation.states import EkfConfig, FilterState, States
+from vwnav.types import Array, OdometryMotion
 
 _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
@@ -25,6 +28,10 @@ _TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
 _DATE_OFF_S = 0.5  # ... in the time by which pictures may be dated wrongly
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
+_NOISE_M = 0.5  # of a way
+_LEAN_DOUBT_RAD = 0.15
+_CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
+_AGREES = "the pictures' ways agree with the IMU again"
 
 
 class _Way(NamedTuple):
@@ -56,6 +63,11 @@ class OdometryTrust:
     def saw_fix(self) -> None:
         """A map fix was where the aircraft is believed: its pictures are of here, and upright."""
         self._fixed = True
+
+    @property
+    def words(self) -> str:
+        """What a change has come to."""
+        return _CONTRADICTS if self.lost else _AGREES
 
     def saw(self, agrees: bool, state: FilterState) -> bool:
         """Whether a way has made a change of `lost`.
@@ -102,3 +114,29 @@ class OdometryTrust:
     def _begin_anew(self) -> None:
         self._seen.clear()
         self._begun_s = math.inf
+
+
+def shaken(motion: OdometryMotion, gyro: GyroHistory, config: EkfConfig) -> OdometryMotion:
+    """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
+    rates = [gyro.rate_rad_s(t_s) for t_s in (motion.t0_s, motion.t1_s)]
+    off_m = config.picture_date_s * motion.agl_m * math.hypot(*rates)
+    unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
+    return replace(motion, covariance_ned_m2=motion.covariance_ned_m2 + unsure_m2)
+
+
+def possible(motion: OdometryMotion, state: FilterState, config: EkfConfig) -> bool:
+    """Whether an aircraft flies that far in that time, at the height that is believed."""
+    scale = max(state.agl_m, 0.0) / motion.agl_m
+    way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
+    return way_m < _NOISE_M + config.most_speed_m_s * (motion.t1_s - motion.t0_s)
+
+
+def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
+    """Of a picture whose ways contradict the IMU: it may be from another moment than it says.
+
+    The aircraft was elsewhere then, and leaned otherwise.
+    """
+    flown_m = _DATE_OFF_S * state.x[States.VELOCITY][:2]
+    leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
+    doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
+    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
