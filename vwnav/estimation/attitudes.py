@@ -10,6 +10,7 @@ from vwnav.geometry.rotations import quat_multiply, wrap_pi
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
+_TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 MAX_GAP_S = 0.25  # neighbours farther apart are not interpolated between
 _TURN_ON_S = 0.1  # an attitude is carried on for so long after the newest one
 _KNOWN_AHEAD_S = 0.04  # for so long it is known well enough for a picture
@@ -76,6 +77,12 @@ class AttitudeHistory:
     def __contains__(self, t_s: float) -> bool:
         i = bisect.bisect_left(self._times_s, t_s)
         return i < len(self._times_s) and self._times_s[i] == t_s
+
+    def turned_unseen_rad(self, t_s: float) -> float:
+        """How far it may have turned by then with neither attitude nor gyro to tell."""
+        if self.newest_s is None or self.tell(t_s):
+            return 0.0
+        return _TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
     def tell(self, t_s: float) -> bool:
         """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""

@@ -34,15 +34,7 @@ from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import EkfConfig, FilterState, Start, first_state
 from vwnav.estimation.timeline import Timeline
 from vwnav.estimation.updates import Innovation, Verdict
-from vwnav.types import (
-    Attitude,
-    Estimate,
-    Height,
-    ImuSample,
-    OdometryMotion,
-    Range,
-    Stationary,
-)
+from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 
@@ -50,7 +42,6 @@ _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
-_TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 
 
 class Ekf:
@@ -294,9 +285,8 @@ class Ekf:
     def _seen_upright(self, motion: OdometryMotion) -> bool:
         """Whether attitudes that are believed tell how its pictures were turned to the ground."""
         assert self._timeline is not None
-        if self._gate.refused(motion.t1_s) or self._gate.refused(motion.t0_s):
-            return False
-        if self._attitudes.at(motion.t1_s) is None:
+        refused = self._gate.refused(motion.t1_s) or self._gate.refused(motion.t0_s)
+        if refused or self._attitudes.at(motion.t1_s) is None:
             return False
         known = self._timeline.keyframe_known(motion.t0_s)
         return known or self._attitudes.at(motion.t0_s) is not None
@@ -314,9 +304,7 @@ class Ekf:
         if self._attitudes.newest_s is None:
             return None
         state = predict(self._timeline.head, t_s, self._context)
-        unseen_s = max(state.t_s - self._attitudes.newest_s - MAX_GAP_S, 0.0)
-        told = self._attitudes.tell(state.t_s)
-        turned_rad = 0.0 if told else _TURNING_RAD_S * unseen_s
+        turned_rad = self._attitudes.turned_unseen_rad(state.t_s)
         return estimate_of(state, self._attitudes.quat_at(state.t_s), turned_rad)
 
     def _note(self, seen: Input) -> None:
@@ -355,10 +343,7 @@ class Ekf:
         return None
 
     def _ahead(self, t_s: float) -> bool:
-        newest_s = self._asked_s
-        if self._timeline is not None:
-            newest_s = max(newest_s, self._timeline.head.t_s)
         attitude_s = self._attitudes.newest_s
-        if attitude_s is not None:
-            newest_s = max(newest_s, attitude_s)
-        return t_s > newest_s + self._config.ahead_s
+        known_s = [self._asked_s] + ([] if attitude_s is None else [attitude_s])
+        known_s += [] if self._timeline is None else [self._timeline.head.t_s]
+        return t_s > max(known_s) + self._config.ahead_s

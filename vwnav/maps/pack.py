@@ -3,12 +3,9 @@
 import logging
 import re
 import threading
-from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +13,7 @@ from numpy.typing import NDArray
 from vwnav.errors import ModelError
 from vwnav.geometry.mercator import TILE_PX, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
+from vwnav.maps.lru import Lru
 from vwnav.maps.packfile import (
     DAMAGE,
     FeatureSetInfo,
@@ -39,9 +37,6 @@ _CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
 MAX_WINDOW_PX = 64_000_000
 MAX_KEYPOINTS = 20_000
 
-Key = TypeVar("Key")
-Value = TypeVar("Value")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapFeatures:
@@ -57,28 +52,6 @@ class MapFeatures:
     zoom: int
     origin_px: NDArray[np.int64]
     features: Features
-
-
-class _Lru(Generic[Key, Value]):
-    """The values used last, at most `size` of them."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._values: OrderedDict[Key, Value] = OrderedDict()
-
-    def __contains__(self, key: Key) -> bool:
-        return key in self._values
-
-    def get(self, key: Key, make: Callable[[], Value]) -> Value:
-        if key not in self._values:
-            self.put(key, make())
-        self._values.move_to_end(key)
-        return self._values[key]
-
-    def put(self, key: Key, value: Value) -> None:
-        self._values[key] = value
-        while len(self._values) > self._size:
-            self._values.popitem(last=False)
 
 
 class MapPack:
@@ -121,8 +94,8 @@ class MapPack:
         self.feature_sets = description.feature_sets
         self.georeference_sigma_m = description.georeference_sigma_m
         self.sources, self.created_utc = description.sources, description.created_utc
-        self._pictures: _Lru[Tile, Picture | None] = _Lru(_CACHED_PICTURES)
-        self._features: _Lru[tuple[str, Tile], Features | None] = _Lru(_CACHED_FEATURES)
+        self._pictures: Lru[Tile, Picture | None] = Lru(_CACHED_PICTURES)
+        self._features: Lru[tuple[str, Tile], Features | None] = Lru(_CACHED_FEATURES)
         self._warned: set[object] = set()
 
     @classmethod

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator
 from dataclasses import replace
 
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.mavlink.commands import CommandSender, Procedure
+from vwnav.mavlink.commands import CommandSender, CurrentRequest, Procedure
 from vwnav.mavlink.ground_commands import GroundCommands
 from vwnav.mavlink.link_budget import LinkBudget, plan_link
 from vwnav.mavlink.modes import AutopilotKind
@@ -66,7 +66,7 @@ class LinkedAutopilot:
         )
         self._budget: LinkBudget | None = None
         self._streams: StreamKeeper | None = None
-        self._requested: tuple[Request, Procedure] | None = None
+        self._request = CurrentRequest()
         self._origin: Generator[None, None, None] | None = None
         self._reading: Generator[None, None, None] | None = None
         self._read_s = -math.inf
@@ -132,7 +132,7 @@ class LinkedAutopilot:
                 self._budget = plan_link(self._telemetry.kind, self._capacity_bytes_s)
                 self._streams = StreamKeeper(self._commands, self._budget)
             self._streams.step(t_s)
-            self._resume_request()
+            self._request.resume()
             self._procedures.step()
             if self._origin is not None and _is_over(self._origin):
                 self._origin = None
@@ -219,12 +219,12 @@ class LinkedAutopilot:
     def withdraw(self) -> None:
         """Ask no more for what is under way: somebody else has the aircraft."""
         with self._lock:
-            self._end_request("withdrawn")
+            self._request.end("withdrawn")
 
     def close(self) -> None:
         """Give the link back, and the owner's parameters."""
         with self._lock:
-            self._end_request("the link was closed")
+            self._request.end("the link was closed")
             self._procedures.close()
         self._port.close()
 
@@ -254,33 +254,10 @@ class LinkedAutopilot:
 
     def _begin(self, procedure: Procedure) -> Request:
         with self._lock:
-            self._end_request("replaced by a newer command")
             if self._telemetry.kind is None:
+                self._request.end("replaced by a newer command")
                 return Request(done=True, refused=NOT_HEARD)
-            request = Request()
-            self._requested = (request, procedure)
-            self._resume_request()  # the first message leaves at once
-            return request
-
-    def _end_request(self, refused: str) -> None:
-        if self._requested is None:
-            return
-        (request, procedure), self._requested = self._requested, None
-        procedure.close()
-        request.refused, request.done = refused, True
-
-    def _resume_request(self) -> None:
-        if self._requested is None:
-            return
-        request, procedure = self._requested
-        try:
-            next(procedure)
-        except StopIteration as end:
-            self._requested = None
-            request.refused, request.done = end.value, True
-        except BaseException:
-            self._end_request("it failed on our side")
-            raise
+            return self._request.begin(procedure)
 
     def _begin_anew(self) -> None:
         """The autopilot has restarted: it has forgotten rates and origin."""

@@ -10,6 +10,7 @@ from typing import Any
 
 from vwnav.mavlink.modes import Command
 from vwnav.mavlink.ports.port import Fields, Send
+from vwnav.vehicle import Request
 
 Procedure = Generator[None, None, str | None]
 
@@ -135,3 +136,40 @@ def _in_words(result: int | None) -> str | None:
     if result is None:
         return f"no answer to {_TRIES} tries"
     return _RESULTS.get(result, f"refused with code {result}")
+
+
+class CurrentRequest:
+    """What was asked for last: a procedure under way, or none."""
+
+    def __init__(self) -> None:
+        self._under_way: tuple[Request, Procedure] | None = None
+
+    def begin(self, procedure: Procedure) -> Request:
+        """In place of the one before; the first message leaves at once."""
+        self.end("replaced by a newer command")
+        request = Request()
+        self._under_way = (request, procedure)
+        self.resume()
+        return request
+
+    def end(self, refused: str) -> None:
+        """Leave it, for that reason."""
+        if self._under_way is None:
+            return
+        (request, procedure), self._under_way = self._under_way, None
+        procedure.close()
+        request.refused, request.done = refused, True
+
+    def resume(self) -> None:
+        """Carry it on; whatever it raises ends it."""
+        if self._under_way is None:
+            return
+        request, procedure = self._under_way
+        try:
+            next(procedure)
+        except StopIteration as end:
+            self._under_way = None
+            request.refused, request.done = end.value, True
+        except BaseException:
+            self.end("it failed on our side")
+            raise

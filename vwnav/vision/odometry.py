@@ -28,7 +28,15 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
-from vwnav.vision.ground_motion import Motion, MotionPrior, Sightings, fit_motion
+from vwnav.vision.ground_motion import (
+    Motion,
+    MotionPrior,
+    Sightings,
+    centre_way,
+    fit_motion,
+    off_plane,
+    tilt_share,
+)
 from vwnav.vision.tracking import (
     Points,
     find_corners,
@@ -253,8 +261,8 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        share = 0.0 if self._alone else _tilt_share(motion, prior)
-        return self._accept(keyframe, view, _off_plane(motion, count / stats.matches), count, share)
+        share = 0.0 if self._alone else tilt_share(motion, prior)
+        return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, share)
 
     def _prior(self, keyframe: _View, view: _View) -> MotionPrior:
         c = self._config
@@ -275,7 +283,7 @@ class Odometry:
         agl_m = keyframe.view.agl_m
         if self._alone:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
-            way, covariance = _centre_way(motion, *axes)
+            way, covariance = centre_way(motion, *axes)
             view = self._turned(view, heading1_rad)
         else:
             way, covariance = motion.way, motion.covariance[:3, :3]
@@ -323,55 +331,6 @@ def _heading(R_ned_camera: Array, camera: Camera) -> float:
     return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
 
 
-def _tilt_share(motion: Motion, prior: MotionPrior) -> float:
-    """How much of a change of tilt error, which the prior says is none, the fit takes for motion.
-
-    With true tilts p and a prior of mean zero and information L, the fit's mean is off by
-    -Cov L p (the posterior of a linear model); of that, the way's part along the tilt.
-    """
-    covariance = motion.covariance
-    along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
-    return min(float(along) / prior.tilt_increment_rad**2, 1.0)
-
-
-def _off_plane(motion: Motion, share: float) -> Motion:
-    """The motion, less sure where only a share of the tracks lies on its plane.
-
-    Roofs and crowns of trees move on planes of their own: which of them was taken for the ground,
-    and how much the rest pulls at it, the inliers' own scatter does not tell.
-    """
-    return replace(motion, covariance=motion.covariance / share**2)
-
-
 def _plausible(motion: Motion, config: OdometryConfig) -> bool:
     sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
     return sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM
-
-
-def _centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
-    """Way (3,) of the ground point in the picture's centre, with its covariance (3, 3).
-
-    Tilting moves it as flying does. It stays on the ground, which is turned to be level; the third
-    component is how much shorter the way from the camera to that point became.
-
-    Args:
-        motion: since the keyframe.
-        axis0: (3,) optical axis in NED of the keyframe.
-        axis1: (3,) the same of the picture, both as their attitudes have it.
-    """
-    parameters = np.concatenate([motion.way, motion.turn_rad, motion.slope])
-    way = _centre(parameters, axis0, axis1)
-    J = np.empty((3, 8))
-    for i, step in enumerate(1e-6 * np.eye(8)):
-        J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
-    return way, J @ motion.covariance @ J.T
-
-
-def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:
-    t, normal = parameters[:3], np.array([parameters[6], parameters[7], 1.0])
-    axis = rotation_from_vector(parameters[3:6]) @ axis1
-    range0 = 1.0 / (normal @ axis0)
-    range1 = (1.0 - normal @ t) / (normal @ axis)
-    along = t + range1 * axis - range0 * axis0
-    level = rotation_from_vector(np.cross(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0]))
-    return np.array([*(level @ along)[:2], range0 - range1])
