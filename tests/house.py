@@ -183,7 +183,7 @@ def one_step() -> Entered:
     from vwnav.sim.renderer import default_camera
     from vwnav.sim.sites import parse_site
     from vwnav.types import Attitude, Frame, Height, MapFix, OdometryMotion
-    from vwnav.vision.features import load_features
+    from vwnav.vision.features.load import load_features
 
     sift = load_features("sift")
     site, pack = parse_site(DEFAULT_SITE), map_pack_of(DEFAULT_SITE, [sift])

@@ -18,9 +18,9 @@ from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline
 from vwnav.recording.tape import About
 from vwnav.types import FeatureExtractor, PointKind
-from vwnav.vision.features import load_features
+from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
-from vwnav.vision.odometry import Odometry
+from vwnav.vision.odometry.odometry import Odometry
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from vwnav.pipeline import PipelineConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vision.localizer import LocalizerConfig
-from vwnav.vision.odometry import OdometryConfig
+from vwnav.vision.odometry.odometry import OdometryConfig
 
 
 class Config(BaseSettings):

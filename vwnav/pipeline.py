@@ -73,7 +73,7 @@ class StepResult:
 
 
 class Tracking(Protocol):
-    """What the pipeline needs of `vwnav.vision.odometry.Odometry`."""
+    """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
 
     def counted_attitude(self, t_s: float) -> Attitude:
         """Of a video alone: level, with the heading counted from its pictures."""

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from vwnav.estimation.attitudes import AttitudeHistory, yaw_of
-from vwnav.estimation.gyro import GyroHistory
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, yaw_of
+from vwnav.estimation.inertial.gyro import GyroHistory
 from vwnav.geometry.rotations import quat_from_vector
 from vwnav.types import Attitude
 

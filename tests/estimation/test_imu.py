@@ -17,10 +17,10 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import World, fly
-from vwnav.estimation.attitudes import AttitudeHistory
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
-from vwnav.estimation.gyro import GyroHistory
-from vwnav.estimation.imu import ImuHistory, push_between
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.gyro import GyroHistory
+from vwnav.estimation.inertial.imu import ImuHistory, push_between
 from vwnav.estimation.states import States
 from vwnav.geometry.rotations import (
     euler_from_rotation,

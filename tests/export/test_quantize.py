@@ -5,7 +5,7 @@ import pytest
 from export import parity, quantize, verify
 from export.export_onnx import ExportError
 from export.pictures import read_grey, training_pictures
-from vwnav.vision.learned import LearnedFeatures
+from vwnav.vision.features.learned import LearnedFeatures
 
 
 @pytest.fixture(scope="module")

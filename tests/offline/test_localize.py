@@ -26,7 +26,7 @@ PLACE = ("--lat", "47.0", "--lon", "8.0", "--sigma-m", "30", "--yaw-deg", "0", "
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a map and pictures of it: two good ones and a black one."""
-    from vwnav.vision.features import load_features
+    from vwnav.vision.features.load import load_features
 
     folder = tmp_path_factory.mktemp("localize")
     ground = texture(0, 700)

@@ -19,7 +19,7 @@ from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.sites import parse_site
-from vwnav.vision.features import load_features
+from vwnav.vision.features.load import load_features
 
 ROOT = Path(__file__).resolve().parents[2]
 AGL_M, SPEED_M_S, FPS, FRAMES, HEADING_RAD = 60.0, 8.0, 10.0, 40, 0.4

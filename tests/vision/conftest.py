@@ -5,7 +5,7 @@ from vision_scenes import ground_pack, texture
 
 from vwnav.maps.pack import MapPack
 from vwnav.types import FeatureExtractor
-from vwnav.vision.features import load_features
+from vwnav.vision.features.load import load_features
 
 # Other work shares the cores: how long an example takes says nothing.
 settings.register_profile("no deadline", deadline=None)

@@ -8,8 +8,8 @@ from vision_scenes import texture
 
 from vwnav.errors import ConfigError
 from vwnav.types import FeatureExtractor
-from vwnav.vision.features import load_features
-from vwnav.vision.sift import SiftFeatures
+from vwnav.vision.features.load import load_features
+from vwnav.vision.features.sift import SiftFeatures
 
 SCENE = texture(3, 480)
 

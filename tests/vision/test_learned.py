@@ -5,7 +5,7 @@ import pytest
 from vision_scenes import texture
 
 from vwnav.errors import ModelError
-from vwnav.vision.learned import BORDER_PX, LearnedFeatures, released_model
+from vwnav.vision.features.learned import BORDER_PX, LearnedFeatures, released_model
 
 SCENE = texture(5, 300)
 

@@ -85,7 +85,7 @@ def _temperature() -> Iterator[Check]:
 def _learned_model() -> Check:
     import numpy as np
 
-    from vwnav.vision.features import load_features
+    from vwnav.vision.features.load import load_features
 
     try:
         extractor = load_features("learned")

@@ -64,7 +64,7 @@ def build(
     from vwnav.maps.build.sources import default_options, open_sources
     from vwnav.maps.pack import MapPack
     from vwnav.screen import progress_bar
-    from vwnav.vision.features import load_features
+    from vwnav.vision.features.load import load_features
 
     zooms = _zooms(levels)
     extractors = [load_features(feature, model) for feature in _names(features)]

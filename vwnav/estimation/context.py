@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from vwnav.estimation.attitudes import AttitudeHistory
-from vwnav.estimation.imu import ImuHistory
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.states import EkfConfig
 
 # Height of the ground in metres at (north, east) about the origin, None where it is not known.

@@ -8,8 +8,6 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-from vwnav.estimation.attitude_gate import AttitudeGate
-from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
 from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
@@ -23,9 +21,11 @@ from vwnav.estimation.events import (
     between,
 )
 from vwnav.estimation.fusion import apply
-from vwnav.estimation.gyro import GyroHistory
-from vwnav.estimation.imu import ImuHistory, is_sensible
-from vwnav.estimation.imu_trust import ImuTrust
+from vwnav.estimation.inertial.attitude_gate import AttitudeGate
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
+from vwnav.estimation.inertial.gyro import GyroHistory
+from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
+from vwnav.estimation.inertial.imu_trust import ImuTrust
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_trust import OdometryTrust, of_doubtful_date, possible, shaken
 from vwnav.estimation.output import estimate_of

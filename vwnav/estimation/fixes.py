@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.consensus import agreeing, convinces, remember
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
@@ -15,10 +14,13 @@ from vwnav.estimation.updates import (
     Innovation,
     Measurement,
     Verdict,
+    agreeing,
+    convinces,
     correct,
     freed,
     fuse,
     innovate,
+    remember,
 )
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array

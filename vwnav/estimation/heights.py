@@ -5,17 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory, down_axis
-from vwnav.estimation.consensus import convinces, remember
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
 from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,
     Measurement,
     Verdict,
+    convinces,
     correct,
     freed,
     fuse,
+    remember,
 )
 from vwnav.types import Array, Height, Range
 

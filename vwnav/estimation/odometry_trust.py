@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vwnav.estimation.events import NedFix
-from vwnav.estimation.gyro import GyroHistory
+from vwnav.estimation.inertial.gyro import GyroHistory
 from vwnav.estimation.states import EkfConfig, FilterState, States
 from vwnav.types import Array, OdometryMotion
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from vwnav.estimation.drag import wind_ne_m_s
+from vwnav.estimation.inertial.drag import wind_ne_m_s
 from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import (
     quat_from_rotation,

@@ -5,11 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import GRAVITY_M_S2, level_axes, thrust_acceleration, yaw_of
 from vwnav.estimation.context import Context
-from vwnav.estimation.imu import Push, push_between
+from vwnav.estimation.inertial.attitudes import (
+    GRAVITY_M_S2,
+    level_axes,
+    thrust_acceleration,
+    yaw_of,
+)
+from vwnav.estimation.inertial.imu import Push, push_between
+from vwnav.estimation.inertial.turning import conditioned, gyro_says
 from vwnav.estimation.states import EkfConfig, FilterState, Measured, States
-from vwnav.estimation.turning import conditioned, gyro_says
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.imu import Felt
+from vwnav.estimation.inertial.imu import Felt
 from vwnav.types import Array
 
 

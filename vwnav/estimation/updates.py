@@ -1,11 +1,14 @@
-"""The Kalman update: one function for every measurement, and what it says about it."""
+"""The Kalman update: one function for every measurement, and what it says about it.
+
+Measurements that the gates refuse may be right after all: enough of them must agree.
+"""
 
 from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
-from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.states import Dispute, FilterState, States
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
@@ -15,6 +18,7 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 
 _IDENTITY = np.eye(States.SIZE)
 _RIDGE = 1e-12
+_MOST_REMEMBERED = 64  # disputes
 _HEADINGS = (
     States.HEADING_BIAS.start,
     States.ANCHOR_HEADING_BIAS.start,
@@ -162,3 +166,41 @@ def freed(state: FilterState, index: int, sigma: float) -> FilterState:
     P[:, index] = 0.0
     P[index, index] = sigma**2
     return replace(state, P=P)
+
+
+def remember(
+    disputes: tuple[Dispute, ...], newest: Dispute, window_s: float
+) -> tuple[Dispute, ...]:
+    """The disputes of the last `window_s` with the newest one at the end."""
+    recent = [d for d in disputes if d.t_s >= newest.t_s - window_s]
+    return (*recent, newest)[-_MOST_REMEMBERED:]
+
+
+def agreeing(disputes: tuple[Dispute, ...], drift_per_s: float) -> tuple[Dispute, ...]:
+    """Those that want the same change as the newest one, itself included.
+
+    Two agree when their offsets differ by no more than their covariances, and the drift that the
+    prediction may have made between them, explain at 99.9 %.
+    """
+    newest = disputes[-1]
+    gate = CHI_SQUARE_GATE[len(newest.offset)]
+    unit = np.eye(len(newest.offset))
+    same = []
+    for d in disputes:
+        drift = drift_per_s * (newest.t_s - d.t_s)
+        spread = d.covariance + newest.covariance + drift**2 * unit
+        apart = newest.offset - d.offset
+        if apart @ np.linalg.solve(spread, apart) <= gate:
+            same.append(d)
+    return tuple(same)
+
+
+def convinces(disputes: tuple[Dispute, ...], drift_per_s: float, count: int, span_s: float) -> bool:
+    """Whether at least `count` over at least `span_s` agree, and at most a third does not."""
+    same = agreeing(disputes, drift_per_s)
+    recent = sum(d.t_s >= same[0].t_s for d in disputes)
+    return (
+        len(same) >= count
+        and same[-1].t_s - same[0].t_s >= span_s
+        and len(same) >= 2.0 / 3.0 * recent
+    )

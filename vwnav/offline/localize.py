@@ -17,7 +17,7 @@ from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 from vwnav.maps.pack import MapPack
 from vwnav.types import FeatureExtractor, Frame, MapFix, Prior, Rejected
-from vwnav.vision.features import load_features
+from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")

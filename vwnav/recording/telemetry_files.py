@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from vwnav.errors import SourceError
-from vwnav.estimation.attitudes import MAX_GAP_S
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler, rotation_from_quat
 from vwnav.recording.attitude_track import AttitudeTrack
 from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary, Telemetry

@@ -11,7 +11,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rectify import Rectification, rectification
 from vwnav.types import Array, FeatureExtractor, Features, Gray
-from vwnav.vision.checks import take
+from vwnav.vision.features.checks import take
 
 MAX_VIEW_PX = 1400
 EDGE_PX = 6.0  # keypoints nearer to the picture's edge see what is not in the picture

@@ -13,8 +13,8 @@ from vwnav.bench.estimator.run import Run
 from vwnav.bench.estimator.scores import SETTLED_S, rms
 from vwnav.bench.estimator.streams import Event
 from vwnav.bench.estimator.world import Truth
-from vwnav.estimation.attitudes import AttitudeHistory
 from vwnav.estimation.ekf import Innovation, NedFix
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.geometry.rotations import (
     euler_from_rotation,
     rotation_from_quat,

@@ -13,11 +13,11 @@ from vwnav.bench.features.xfeat import load_xfeat
 from vwnav.errors import VwnavError
 from vwnav.maps.codec import decode_features, encode_features
 from vwnav.types import Features, Gray
-from vwnav.vision.checks import no_features, take
-from vwnav.vision.learned import LearnedFeatures, released_model
+from vwnav.vision.features.checks import no_features, take
+from vwnav.vision.features.learned import LearnedFeatures, released_model
+from vwnav.vision.features.orb import OrbFeatures
+from vwnav.vision.features.sift import DESCRIPTOR_SIZE, SiftFeatures
 from vwnav.vision.matching import match
-from vwnav.vision.orb import OrbFeatures
-from vwnav.vision.sift import DESCRIPTOR_SIZE, SiftFeatures
 
 LOWE_RATIO = 0.9
 OPENCV_SIFT = "sift_turning"  # OpenCV's SIFT as its users call it: what times are compared with

@@ -12,7 +12,7 @@ from vwnav.bench.features.repeatability import KEYPOINTS, Repeatability, repeata
 from vwnav.bench.features.scenes import BLOCK_PX, EDGE_PX, MARGIN_PX, MapPicture, Mask, Scene
 from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
 from vwnav.types import Array, Features, Gray
-from vwnav.vision.checks import take
+from vwnav.vision.features.checks import take
 
 RIGHT_PX = 3.0  # a match nearer to the truth than this is an inlier
 FIT_PX = 5.0  # of the similarity: it does not follow tilt and relief

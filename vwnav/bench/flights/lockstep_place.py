@@ -12,7 +12,7 @@ from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import parse_site
 from vwnav.types import FeatureExtractor
-from vwnav.vision.features import load_features
+from vwnav.vision.features.load import load_features
 
 
 @cache

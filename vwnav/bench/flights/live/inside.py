@@ -49,7 +49,7 @@ def _break_camera(what: str, trigger: Path) -> None:
 
 
 def _break_model(trigger: Path) -> None:
-    from vwnav.vision.learned import LearnedFeatures
+    from vwnav.vision.features.learned import LearnedFeatures
 
     whole = LearnedFeatures.extract
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from vwnav.errors import ConfigError
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
-from vwnav.vision.orb import OrbFeatures
-from vwnav.vision.sift import SiftFeatures
+from vwnav.vision.features.orb import OrbFeatures
+from vwnav.vision.features.sift import SiftFeatures
 
 
 def load_features(
@@ -25,7 +25,7 @@ def load_features(
     match name:
         case "learned":
             # Here, so that SIFT flies on where onnxruntime itself is broken.
-            from vwnav.vision.learned import LearnedFeatures
+            from vwnav.vision.features.learned import LearnedFeatures
 
             return LearnedFeatures(model_path, threads=threads)
         case "sift":

@@ -28,7 +28,7 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
-from vwnav.vision.ground_motion import (
+from vwnav.vision.odometry.ground_motion import (
     Motion,
     MotionPrior,
     Sightings,
@@ -37,7 +37,7 @@ from vwnav.vision.ground_motion import (
     off_plane,
     tilt_share,
 )
-from vwnav.vision.tracking import (
+from vwnav.vision.odometry.tracking import (
     Points,
     find_corners,
     reduced_gray,

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.attitudes import GRAVITY_M_S2
 from vwnav.estimation.context import Context
-from vwnav.estimation.imu import push_between
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
+from vwnav.estimation.inertial.imu import push_between
 from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import rotation_from_quat

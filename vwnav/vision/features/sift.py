@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.types import Features, Gray
-from vwnav.vision.checks import check_gray, no_features
+from vwnav.vision.features.checks import check_gray, no_features
 
 DESCRIPTOR_SIZE = 128
 MIN_SIDE_PX = 16

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from vwnav.estimation.attitudes import GRAVITY_M_S2
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.estimation.attitudes import level_axes, yaw_of
-from vwnav.estimation.imu import Push
+from vwnav.estimation.inertial.attitudes import level_axes, yaw_of
+from vwnav.estimation.inertial.imu import Push
 from vwnav.estimation.states import EkfConfig, States
 from vwnav.estimation.updates import CHI_SQUARE_GATE
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply, vector_from_quat

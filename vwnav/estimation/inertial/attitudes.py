@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from vwnav.estimation.gyro import GyroHistory
+from vwnav.estimation.inertial.gyro import GyroHistory
 from vwnav.geometry.rotations import quat_multiply, wrap_pi
 from vwnav.types import Array, Attitude
 

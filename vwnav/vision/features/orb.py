@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from vwnav.types import Features, Gray
-from vwnav.vision.checks import check_gray, no_features
+from vwnav.vision.features.checks import check_gray, no_features
 
 DESCRIPTOR_SIZE = 32
 PATCH_PX = 31

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.estimation.attitudes import AttitudeHistory
-from vwnav.estimation.gyro import LONGEST_GAP_S, GyroHistory
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.gyro import LONGEST_GAP_S, GyroHistory
 from vwnav.geometry.rotations import (
     quat_conjugate,
     quat_multiply,

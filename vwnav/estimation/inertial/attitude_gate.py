@@ -9,8 +9,8 @@ wrong one among right ones never is.
 
 import math
 
-from vwnav.estimation.attitudes import MAX_GAP_S, AttitudeHistory
-from vwnav.estimation.imu import ImuHistory, push_between
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
+from vwnav.estimation.inertial.imu import ImuHistory, push_between
 from vwnav.estimation.updates import Verdict
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array, Attitude
