@@ -56,7 +56,7 @@ class EkfConfig:
     heading_slew_rad: float = math.radians(0.3)  # the same while a gyro tells: filters realign
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
-    baro_walk_m: float = 0.07  # per root second: 1.7 m in 10 minutes
+    baro_walk_m: float = 0.13  # per root second: 3.2 m in 10 minutes, as weather and warming do
     baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
     accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
