@@ -3,11 +3,12 @@
 # make test-long  the same and all that takes minutes: every scenario, the million filter steps
 # make fuzz  a million hostile MAVLink frames against what hears the link onboard
 # make mutants  how many of 300 mutants of vwnav/safety its tests kill; MUTANTS=all takes them all
+# make house how the house is built: what a step enters, import chains, sizes
 # make check lint and types
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv fly test test-long fuzz mutants check clean
+.PHONY: venv fly test test-long fuzz mutants house check clean
 
 venv: .venv/.onboard
 
@@ -42,6 +43,9 @@ SEED ?= 1
 JOBS ?= 1
 mutants: .venv/.dev
 	$(BIN)/python tests/mutants.py --count $(MUTANTS) --seed $(SEED) --jobs $(JOBS)
+
+house: .venv/.dev
+	$(BIN)/python tests/house.py
 
 check: .venv/.dev
 	$(BIN)/ruff format --check .
