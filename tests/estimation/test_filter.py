@@ -15,7 +15,7 @@ from vwnav.bench.estimator.world import World, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.states import States
-from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 USUAL = World(seconds=90.0)
@@ -120,7 +120,7 @@ def test_a_hundred_fixes_of_one_place_do_not_take_away_what_they_share():
         for i in range(1, 101):
             t = 1.0 + 0.2 * i
             ekf.handle_attitude(Attitude(t, LEVEL))
-            ekf.handle_height(t, 50.0)
+            ekf.handle(Height(t, 50.0))
             ekf.handle_fix(
                 NedFix(
                     t_s=t, position_ne_m=np.zeros(2), covariance_ne_m2=0.1 * np.eye(2),
@@ -174,7 +174,7 @@ def test_an_accelerometer_bias_is_found():
         ekf.handle_attitude(Attitude(t, LEVEL))
         ekf.handle_imu(ImuSample(t, np.array([0.0, 0.0, -9.80665 + 0.2]), np.zeros(3)))
         if i % 10 == 0:
-            ekf.handle_height(t, 50.0)
+            ekf.handle(Height(t, 50.0))
     assert ekf.state.x[States.ACCELEROMETER_BIAS][2] == pytest.approx(0.2, abs=0.05)
 
 
@@ -186,7 +186,7 @@ def test_nothing_grows_that_should_not_in_a_million_steps():
     for i in range(1, 500_001):
         t = 1.0 + 0.1 * i
         ekf.handle_attitude(Attitude(t, LEVEL))
-        ekf.handle_height(t, 50.0)
+        ekf.handle(Height(t, 50.0))
         ekf.handle_odometry(OdometryMotion(1.1, t, np.zeros(3), cov, 0.0, 0.003, 50.0, 99))
     P = ekf.state.P
     assert np.array_equal(P, P.T)
@@ -209,12 +209,12 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_agl_m
         t_s = 0.05 * k
         down_m = -20.0 + t_s
         ekf.handle_attitude(Attitude(t_s, lean))
-        ekf.handle_height(t_s, -down_m)
+        ekf.handle(Height(t_s, -down_m))
         place = {"position_ne_m": np.zeros(2), "covariance_ne_m2": 0.25 * np.eye(2)}
         ekf.handle_fix(NedFix(t_s=t_s, agl_m=-down_m, sigma_agl_m=0.1, **place))
     for k in range(60):
         ekf.handle_attitude(Attitude(20.0 + 0.05 * k, LEVEL))
-        ekf.handle_height(20.0 + 0.05 * k, -0.1)
+        ekf.handle(Height(20.0 + 0.05 * k, -0.1))
     apart_m = np.hypot(*ekf.estimate(23.0).position_ned_m[:2])
     assert (apart_m > 1.5) == blown_away
     assert (apart_m < 0.8) != blown_away
@@ -323,11 +323,11 @@ def test_no_measurement_whatever_breaks_it(values, kind):
             case 1:
                 ekf.handle_odometry(OdometryMotion(c, d, b, np.eye(3), d, c, values[5], 5))
             case 2:
-                ekf.handle_height(c, d)
+                ekf.handle(Height(c, d))
             case 3:
                 ekf.handle_attitude(Attitude(c, np.array(values[:4])))
             case 4:
-                ekf.handle_rangefinder(c, d)
+                ekf.handle(Range(c, d))
     found = ekf.estimate(1.2)
     assert np.all(np.isfinite(found.position_ned_m))
     assert np.linalg.eigvalsh(found.covariance)[0] > -1e-9
@@ -336,7 +336,7 @@ def test_no_measurement_whatever_breaks_it(values, kind):
 
 @pytest.mark.parametrize("distance_m", [0.0, -3.0, 1e6, 1e200, np.inf, np.nan])
 def test_a_distance_that_cannot_be_is_refused(distance_m):
-    assert _flying().handle_rangefinder(1.1, distance_m).verdict is Verdict.NOT_FINITE
+    assert _flying().handle(Range(1.1, distance_m)).verdict is Verdict.NOT_FINITE
 
 
 def _flying(config: EkfConfig | None = None) -> Ekf:
@@ -345,5 +345,5 @@ def _flying(config: EkfConfig | None = None) -> Ekf:
     ekf.initialise(Start(t_s=0.0, position_ned_m=start, sigma_m=2.0, agl_m=50.0))
     for i in range(6):
         ekf.handle_attitude(Attitude(0.2 * i, LEVEL))
-        ekf.handle_height(0.2 * i, 50.0)
+        ekf.handle(Height(0.2 * i, 50.0))
     return ekf

@@ -30,7 +30,7 @@ from vwnav.geometry.rotations import (
 )
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
-from vwnav.types import Attitude, Estimate, ImuSample
+from vwnav.types import Attitude, Estimate, Height, ImuSample, Stationary
 
 RATE = st.floats(-3.0, 3.0)
 AT_REST = np.array([0.0, 0.0, -9.80665])
@@ -51,9 +51,9 @@ def hover(ekf: Ekf, start_s: float, seconds: float, yaw, rates=(0.0, 0.0, 0.0), 
         quat = quat_from_rotation(rotation_from_euler(0.0, 0.0, yaw(t_s)))
         ekf.handle_attitude(Attitude(t_s, quat))
         ekf.handle_imu(ImuSample(t_s, AT_REST, np.array(rates)))
-        ekf.handle_height(t_s, 50.0)
+        ekf.handle(Height(t_s, 50.0))
         if on_ground:
-            ekf.handle_stationary(t_s)
+            ekf.handle(Stationary(t_s))
     return start_s + seconds
 
 
@@ -116,7 +116,7 @@ def test_a_heading_that_the_autopilot_resets_by_15_degrees_is_not_a_turn(imu, wr
         ekf.handle_attitude(Attitude(t_s, quat))
         if imu:
             ekf.handle_imu(ImuSample(t_s, AT_REST, np.zeros(3)))
-        ekf.handle_height(t_s + late_s, 50.0)
+        ekf.handle(Height(t_s + late_s, 50.0))
     assert abs(yaw_deg(ekf.estimate(t_s))) == pytest.approx(wrong_deg, abs=1.0)
 
 
@@ -210,9 +210,9 @@ def headings_deg(path):
             if isinstance(measured, ImuSample):
                 ekf.handle_imu(measured)
         if state.height_m is not None:
-            ekf.handle_height(state.height_t_s, state.height_m)
+            ekf.handle(Height(state.height_t_s, state.height_m))
         if not state.armed:
-            ekf.handle_stationary(t_s)
+            ekf.handle(Stationary(t_s))
         measured = replace(ekf.estimate(t_s), quat_wxyz=attitude.quat_wxyz)
         rows.append((t_s, yaw_deg(measured), yaw_deg(ekf.estimate(t_s))))
     return np.array(rows)

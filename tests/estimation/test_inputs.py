@@ -111,7 +111,7 @@ def flying(tape: list) -> Ekf:
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), agl_m=50.0))
     for i in range(6):
         ekf.handle_attitude(Attitude(0.2 * i, np.array([1.0, 0.0, 0.0, 0.0])))
-        ekf.handle_height(0.2 * i, 50.0)
+        ekf.handle(Height(0.2 * i, 50.0))
     return ekf
 
 

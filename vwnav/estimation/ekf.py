@@ -239,18 +239,6 @@ class Ekf:
             self._say(_IMU_AGAIN)
         return not self._imu_trust.lost
 
-    def handle_height(self, t_s: float, height_m: float) -> Innovation:
-        """Take the barometric height above the start, up positive."""
-        return self._handle(Height(t_s, height_m))
-
-    def handle_rangefinder(self, t_s: float, distance_m: float) -> Innovation:
-        """Take the distance to the ground along the body's down axis."""
-        return self._handle(Range(t_s, distance_m))
-
-    def handle_stationary(self, t_s: float) -> Innovation:
-        """Take that the aircraft stands on the ground."""
-        return self._handle(Stationary(t_s))
-
     def handle_fix(self, fix: NedFix) -> Innovation:
         """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
 
