@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.guidance.controller import LimitsConfig, RouteFollower
+from vwnav.guidance.controller import LimitsConfig, RouteFollower, vertical_speed_m_s
 from vwnav.mission.departure import Departure
 from vwnav.mission.flown_way import FlownWay
 from vwnav.mission.home import Home
@@ -263,7 +263,7 @@ class Flight:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False
-                self._steer(replace(_STILL, down_m_s=self._config.descend_m_s))
+                self._steer(replace(_STILL, down_m_s=self._limits.descend_m_s))
             case Action.HOLD:
                 self._steer(_STILL)
             case Action.CLIMB:
@@ -295,7 +295,7 @@ class Flight:
             self._height_m + self._safety_config.climb_most_m, self._safety_config.ceiling_m
         )
         missing_m = highest_m + float(estimate.position_ned_m[2])
-        return float(np.clip(0.5 * missing_m, 0.0, self._config.climb_m_s))
+        return float(np.clip(0.5 * missing_m, 0.0, self._limits.climb_m_s))
 
     def _sighted(self, t_s: float, navigation: Navigation) -> Navigation:
         """Pictures count from the climb on: standing and lifting off there is little to see."""
@@ -431,7 +431,8 @@ class Flight:
         missing_m = self._height_m + float(estimate.position_ned_m[2])
         if missing_m < 1.0:
             self._enter(Phase.FIRST_FIX, t_s)
-        self._steer(self._hold(estimate, -min(self._config.climb_m_s, max(missing_m, 0.0) * 0.8)))
+        down_m_s = vertical_speed_m_s(-max(missing_m, 0.0), 0.0, self._limits)
+        self._steer(self._hold(estimate, down_m_s))
 
     def _wait_for_fix(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         if self._fixes >= self._config.fixes_to_start:
@@ -495,7 +496,7 @@ class Flight:
         if height_m < self._config.land_from_m:
             self._begin_landing(t_s, vehicle, None)
             return
-        self._steer(self._hold(estimate, self._config.descend_m_s))
+        self._steer(self._hold(estimate, self._limits.descend_m_s))
 
     def _hold(self, estimate: Estimate, down_m_s: float) -> VelocitySetpoint:
         """Stay over the held point while moving vertically."""
@@ -506,8 +507,8 @@ class Flight:
 
     def _height_error(self, estimate: Estimate) -> float:
         """Downward speed that brings the aircraft to the route's height."""
-        error_m = self._height_m + float(estimate.position_ned_m[2])
-        return float(np.clip(-error_m * 0.8, -self._config.climb_m_s, self._config.descend_m_s))
+        error_m = -self._height_m - float(estimate.position_ned_m[2])
+        return vertical_speed_m_s(error_m, 0.0, self._limits)
 
     def _steer(self, setpoint: VelocitySetpoint) -> None:
         values = (setpoint.north_m_s, setpoint.east_m_s, setpoint.down_m_s)
