@@ -36,7 +36,7 @@ PICTURES = 48
 PICTURE_PX = 320  # the calibration keeps the activations of all pictures in memory
 
 
-class _Pictures(CalibrationDataReader):  # type: ignore[misc]
+class _Pictures(CalibrationDataReader):
     """Hands the pictures to the calibration, one by one."""
 
     def __init__(self, pictures: list[Image]) -> None:

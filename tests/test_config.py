@@ -29,8 +29,8 @@ def test_any_value_survives_the_file(tmp_path_factory, value):
     [
         ("[ekf]\nheigth_sigma_m = 1", "did you mean 'height_sigma_m'"),
         ("[pipelin]\nx = 1", "did you mean 'pipeline'"),
-        ("[flight]\nclimb_m_s = 'fast'", "flight.climb_m_s"),
-        ("[flight]\nclimb_m_s = nan", "flight.climb_m_s"),
+        ("[limits]\nclimb_m_s = 'fast'", "limits.climb_m_s"),
+        ("[limits]\nclimb_m_s = nan", "limits.climb_m_s"),
         ("[flight", "not TOML"),
     ],
 )
@@ -51,5 +51,5 @@ def test_a_missing_file_is_refused(tmp_path):
 
 
 def test_the_environment_does_not_change_settings(monkeypatch):
-    monkeypatch.setenv("FLIGHT", '{"climb_m_s": 99}')
-    assert Config().flight.climb_m_s != 99
+    monkeypatch.setenv("LIMITS", '{"climb_m_s": 99}')
+    assert Config().limits.climb_m_s != 99

@@ -3,6 +3,7 @@
 from dataclasses import asdict
 
 import pytest
+
 from tests.house import measure
 
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from house import circles_of, imports, module_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "vwnav"
@@ -87,6 +88,12 @@ def test_a_room_imports_only_the_rooms_below_it(path: Path):
     known = {p.stem for p in PACKAGE.glob("*.py")} | {p.name for p in PACKAGE.iterdir()}
     wrong = (imported_rooms(path) & known) - ALLOWED[room] - {room, "__init__", "__version__"}
     assert not wrong, f"{path.relative_to(ROOT)} may not import {sorted(wrong)}"
+
+
+def test_no_modules_import_each_other():
+    files = {module_name(path): path for path in PACKAGE.rglob("*.py")}
+    circles = circles_of(imports(files))
+    assert not circles
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.name))

@@ -101,7 +101,7 @@ def ground_mask(picture: Image) -> Image:
     """255 where a picture shows ground, 0 in the black corners that rotation left."""
     black = (picture.max(axis=2) < 4).astype(np.uint8)
     black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
-    return cv2.dilate(black, np.ones((7, 7), np.uint8)) * np.uint8(255) ^ np.uint8(255)
+    return np.where(cv2.dilate(black, np.ones((7, 7), np.uint8)) > 0, 0, 255).astype(np.uint8)
 
 
 def scene(
@@ -257,9 +257,10 @@ def landmarks(picture: Image) -> Landmarks:
     width = picture.shape[1]
     small, H_small_full = warps.shrunk(picture, max(1.0, width / OVERLAP_WIDTH_PX))
     sift = cv2.SIFT.create(LANDMARKS, contrastThreshold=0.02, enable_precise_upscale=True)
-    found, descriptors = sift.detectAndCompute(to_grey(small), None)
-    if descriptors is None:
-        descriptors = np.zeros((0, sift.descriptorSize()), np.float32)
+    found, told = sift.detectAndCompute(to_grey(small), None)
+    descriptors = np.zeros((0, sift.descriptorSize()), np.float32)
+    if told is not None:
+        descriptors = told.astype(np.float32, copy=False)
     points = np.array([keypoint.pt for keypoint in found], np.float64).reshape(-1, 2)
     uv = warps.warp_points(np.linalg.inv(H_small_full), points)
     return Landmarks(uv, descriptors, small.shape[1] / width, (width, picture.shape[0]))

@@ -6,13 +6,14 @@ batch.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-Image = NDArray[np.uint8]
+Image = NDArray[Any]  # uint8
 GREY_WEIGHTS_BGR = np.array([0.114, 0.587, 0.299])
 
 
@@ -58,8 +59,8 @@ def random_tone_curve(rng: np.random.Generator, change: float = 35.0) -> Image:
     values = knots + rng.normal(0.0, change, 6)
     if rng.random() < 0.05:
         values = 255 - values
-    curve = np.interp(np.arange(256), knots, values)
-    curve = cv2.GaussianBlur(curve.reshape(1, -1), (0, 0), 12).ravel()
+    bent = np.interp(np.arange(256), knots, values)
+    curve = cv2.GaussianBlur(bent.reshape(1, -1), (0, 0), 12).ravel()
     return np.clip(curve, 0, 255).astype(np.uint8)
 
 
@@ -68,7 +69,8 @@ def smooth_field(
 ) -> NDArray[np.float32]:
     """Draw a slowly changing factor over the picture, (size_px, size_px)."""
     coarse = rng.uniform(low, high, (3, 3)).astype(np.float32)
-    return cv2.resize(coarse, (size_px, size_px), interpolation=cv2.INTER_CUBIC)
+    field = cv2.resize(coarse, (size_px, size_px), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(field, np.float32)
 
 
 def shadow_field(rng: np.random.Generator, size_px: int) -> NDArray[np.float32]:
@@ -82,7 +84,7 @@ def shadow_field(rng: np.random.Generator, size_px: int) -> NDArray[np.float32]:
         cv2.fillConvexPoly(
             field, cv2.convexHull(corners.astype(np.int32)), float(rng.uniform(0.35, 0.8))
         )
-    return cv2.GaussianBlur(field, (0, 0), float(rng.uniform(0.5, 4.0)))
+    return np.asarray(cv2.GaussianBlur(field, (0, 0), float(rng.uniform(0.5, 4.0))), np.float32)
 
 
 def season(bgr: Image, grey: Image, rng: np.random.Generator) -> Image:
@@ -142,8 +144,8 @@ def recolour(grey: Image, rng: np.random.Generator) -> Image:
 
 def snow(grey: Image, rng: np.random.Generator) -> Image:
     """Cover smooth ground with white and leave edges, walls and trees to look out of it."""
-    rough = cv2.absdiff(grey, cv2.GaussianBlur(grey, (0, 0), 2.0)).astype(np.float32)
-    rough = cv2.GaussianBlur(rough, (0, 0), 1.5)
+    change = cv2.absdiff(grey, cv2.GaussianBlur(grey, (0, 0), 2.0)).astype(np.float32)
+    rough = cv2.GaussianBlur(change, (0, 0), 1.5)
     depth = rng.uniform(0.5, 0.95) / (1.0 + (rough / rng.uniform(3.0, 12.0)) ** 2)
     white = float(rng.uniform(190.0, 250.0))
     return (grey + depth * (white - grey)).clip(0, 255).astype(np.uint8)
@@ -176,8 +178,8 @@ def motion_blur(grey: Image, rng: np.random.Generator) -> Image:
     shift = 4  # fixed-point bits of cv2.line
     ends = [(round((4 + s * du) * 2**shift), round((4 + s * dv) * 2**shift)) for s in (-1, 1)]
     cv2.line(kernel, ends[0], ends[1], 1.0, 1, cv2.LINE_AA, shift)
-    kernel = cv2.GaussianBlur(kernel, (3, 3), 0.5)
-    return cv2.filter2D(grey, -1, kernel / kernel.sum())
+    soft = cv2.GaussianBlur(kernel, (3, 3), 0.5)
+    return cv2.filter2D(grey, -1, soft / soft.sum())
 
 
 def add_noise(grey: Image, rng: np.random.Generator) -> Image:
@@ -192,7 +194,9 @@ def add_noise(grey: Image, rng: np.random.Generator) -> Image:
 def compress(grey: Image, rng: np.random.Generator) -> Image:
     """Go through a JPEG file of quality 25 to 90."""
     _, code = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 90))])
-    return cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)
+    decoded = cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)
+    assert decoded is not None
+    return decoded
 
 
 def photograph(view: Image, rng: np.random.Generator, config: PhotometricConfig) -> Image:

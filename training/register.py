@@ -105,12 +105,12 @@ def offset_field(found: Displacements, size_wh: tuple[int, int]) -> NDArray[np.f
     cell = np.clip((found.uv / GRID_PX).astype(int), 0, [w - 1, h - 1])
     sums = np.zeros((h, w, 3))
     np.add.at(sums, (cell[:, 1], cell[:, 0]), np.c_[found.offset, np.ones(len(found.uv))])
-    spread = sum(
-        share * cv2.GaussianBlur(sums, (0, 0), width / GRID_PX, borderType=cv2.BORDER_CONSTANT)
-        for width, share in SMOOTHING_PX
-    )
-    field: NDArray[np.float32] = (spread[..., :2] / (spread[..., 2:] + 1e-9)).astype(np.float32)
-    return field
+    spread = np.zeros_like(sums)
+    for width, share in SMOOTHING_PX:
+        spread += share * cv2.GaussianBlur(
+            sums, (0, 0), width / GRID_PX, borderType=cv2.BORDER_CONSTANT
+        )
+    return (spread[..., :2] / (spread[..., 2:] + 1e-9)).astype(np.float32)
 
 
 def register_again(pair: Scene, extract: Extract) -> NDArray[np.float32] | None:

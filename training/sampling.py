@@ -95,14 +95,13 @@ def draw_views(scene: Scene, rng: np.random.Generator, config: SampleConfig) -> 
     ground1 = warps.view(scene.masks[j], H_j_view1, size)
     both0 = np.minimum(ground0, warps.view(ground1, H_1_0, size))
     both1 = np.minimum(ground1, warps.view(ground0, H_0_1, size))
+    solid0, solid1 = (np.where(both == 255, 255, 0).astype(np.uint8) for both in (both0, both1))
     return ViewPair(
         views=(
             warps.view(scene.pictures[i], H_i_view0, size),
             warps.view(scene.pictures[j], H_j_view1, size),
         ),
-        seen_by_both=tuple(
-            np.where(both == 255, 255, 0).astype(np.uint8) for both in (both0, both1)
-        ),
+        seen_by_both=(solid0, solid1),
         H_1_0=H_1_0,
     )
 

@@ -124,7 +124,8 @@ def training_pictures(folder: Path) -> list[Tensor]:
     paths = sorted(p for kind in ("single", "drone") for p in (folder / "train" / kind).glob("*/*"))
     paths = [p for p in paths if p.suffix.lower() in PICTURE_SUFFIXES]
     chosen = [paths[i] for i in np.linspace(0, len(paths) - 1, PICTURES).astype(int)]
-    pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[:SIDE_PX, :SIDE_PX] for path in chosen]
+    read = (cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in chosen)
+    pictures = [picture[:SIDE_PX, :SIDE_PX] for picture in read if picture is not None]
     whole = [p[: p.shape[0] // SIZE_MULTIPLE_PX * SIZE_MULTIPLE_PX] for p in pictures]
     whole = [p[:, : p.shape[1] // SIZE_MULTIPLE_PX * SIZE_MULTIPLE_PX] for p in whole]
     return [torch.from_numpy(p.astype(np.float32))[None, None] for p in whole if p.size]

@@ -4,15 +4,16 @@ Everything maps pixels with centres at integers. `H_b_a` takes points of picture
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[Any]
 Relief = NDArray[np.float32]  # (S / 4, S / 4, 2): displacement in pixels, on an even grid
 RELIEF_PX = 4  # pixels per node of a relief
-Image = NDArray[np.uint8]
+Image = NDArray[Any]  # uint8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,10 +160,11 @@ def random_relief(rng: np.random.Generator, size_px: int, sigma_px: float) -> Re
     height = cv2.resize(hills, (nodes, nodes), interpolation=cv2.INTER_CUBIC)
     houses = np.zeros((nodes, nodes), np.float32)
     for _ in range(rng.integers(0, 9)):
-        box = (rng.uniform(0, nodes, 2), rng.uniform(4.0, 20.0, 2), rng.uniform(0.0, 90.0))
-        corners = cv2.boxPoints(box).round().astype(np.int32)
+        centre, sides = rng.uniform(0, nodes, 2).tolist(), rng.uniform(4.0, 20.0, 2).tolist()
+        box = cv2.boxPoints((centre, sides, rng.uniform(0.0, 90.0)))
+        corners = box.round().astype(np.int32)
         cv2.fillConvexPoly(houses, corners, float(rng.uniform(0.5, 2.0)))
-    height += cv2.GaussianBlur(houses, (0, 0), 1.5)
+    height = height + cv2.GaussianBlur(houses, (0, 0), 1.5)
     angle, length_px = rng.uniform(0.0, 2 * np.pi), min(abs(rng.normal(0.0, sigma_px)), 5.0)
     along = length_px * np.array([np.cos(angle), np.sin(angle)])
     return (height[..., None] * along).astype(np.float32)
@@ -172,8 +174,7 @@ def relief_at(relief: Relief, points_uv: FloatArray, size_px: int) -> FloatArray
     """Interpolate a relief over a picture of `size_px` at points (h, w, 2)."""
     nodes = (points_uv + 0.5) * (relief.shape[0] / size_px) - 0.5  # half-pixel rule
     place = nodes.astype(np.float32)
-    found = cv2.remap(relief, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return found.astype(np.float64)
+    return _looked_up(relief, place).astype(np.float64)
 
 
 def bent(view1: Image, H_1_0: FloatArray, relief: Relief) -> Image:
@@ -187,4 +188,11 @@ def bent(view1: Image, H_1_0: FloatArray, relief: Relief) -> Image:
         offset = relief_at(relief, uv0, size)
     v, u = np.indices((size, size), np.float32)
     place = np.stack([u, v], axis=-1) - cv2.resize(offset.astype(np.float32), (size, size))
-    return cv2.remap(view1, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return _looked_up(view1, place)
+
+
+def _looked_up(source: NDArray[Any], place: Relief) -> NDArray[Any]:
+    """What stands in `source` at each of the places (h, w, 2), in between and beyond the rim."""
+    return cv2.remap(  # type: ignore[call-overload]  # its stubs do not know of a single map
+        source, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )

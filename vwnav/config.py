@@ -2,10 +2,10 @@
 
 import difflib
 import tomllib
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
 
+import tomli_w
 from pydantic import ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
@@ -69,21 +69,8 @@ def load_config(path: Path | None) -> Config:
 
 def save_config(config: Config, path: Path) -> None:
     """Write every setting as TOML that `load_config` reads."""
-    lines = ["# Every setting of this run; usable as --config."]
-    for name in Config.model_fields:
-        lines += ["", f"[{name}]"]
-        lines += [f"{key} = {_toml(value)}" for key, value in asdict(getattr(config, name)).items()]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    raise TypeError(f"no setting may be a {type(value).__name__}")
+    settings = tomli_w.dumps(config.model_dump())
+    path.write_text(f"# Every setting of this run; usable as --config.\n\n{settings}")
 
 
 def explain(error: ValidationError) -> str:

@@ -51,12 +51,11 @@ class Flight:
         self._autopilot = autopilot
         self._keep_alive = keep_alive
         self._crew = crew
-        self._config = config
         self._safety = SafetyMonitor(safety, limits.cruise_m_s)
         self._departure = Departure(autopilot, config, crew.arms, self._say, crew.show)
         height_m = float(-mission.route_ned_m[0, 2])
         self._highest_m = min(height_m + safety.climb_most_m, safety.ceiling_m)
-        self._steering = Steering(autopilot, config, height_m)
+        self._steering = Steering(autopilot, config, limits, height_m)
         self._route = RoutePhases(
             autopilot, mission, self._steering, config, limits, self._safety.fly_within, self._say
         )
@@ -220,7 +219,7 @@ class Flight:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False
-                self._steering.straight_down(self._config.descend_m_s)
+                self._steering.descend_blind()
             case Action.HOLD:
                 self._steering.still()
             case Action.CLIMB:

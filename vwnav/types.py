@@ -302,11 +302,6 @@ class Estimate:
     wind_ne_m_s: Array | None = None
 
     @property
-    def fix_age_s(self) -> float | None:
-        """Since the exposure of the last fix; None before the first."""
-        return None if self.t_last_fix_s is None else self.t_s - self.t_last_fix_s
-
-    @property
     def sigma_horizontal_m(self) -> float:
         """The larger semi-axis of the one-sigma ellipse."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from vwnav.cameras.picture_metadata import PictureMetadata, read_picture_metadata
 from vwnav.errors import SourceError
-
-Image = pytest.importorskip("PIL.Image")  # writes the files: a second opinion on EXIF
 
 XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description drone-dji:RelativeAltitude="+40.10"
  drone-dji:GimbalYawDegree="{yaw}" drone-dji:GimbalPitchDegree="{pitch}"

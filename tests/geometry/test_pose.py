@@ -4,17 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
-from vwnav.geometry.pose import (
-    PoseErrors,
-    pose_from_map_homography,
-    pose_from_rectified,
-    pose_without_attitude,
-)
+from vwnav.geometry.pose import PoseErrors, pose_from_rectified
 from vwnav.geometry.rectify import rectification
 from vwnav.geometry.rotations import (
     quat_from_rotation,
     rotation_from_euler,
-    vector_from_rotation,
     wrap_pi,
 )
 
@@ -30,6 +24,14 @@ def error_ne_m(pose, shot) -> np.ndarray:
 
 def turned(yaw_rad: float) -> np.ndarray:
     return rotation_from_euler(0.0, 0.0, yaw_rad)
+
+
+def exact_pose(shot, errors: PoseErrors):
+    """The pose out of exact matches and the true attitude."""
+    view = rectification(shot.camera.K, (640, 480), shot.R_ned_camera, shot.agl_m, 0.3)
+    uv_rect = transform_points(view.H_rect_frame, shot.uv)
+    H = estimate_homography(uv_rect, shot.map_px, 2.0, 0).H
+    return pose_from_rectified(H, view, uv_rect, shot.map_px, shot.px_per_m, errors)
 
 
 @given(seeds, st.floats(20.0, 200.0), st.floats(-0.3, 0.3), st.floats(0.8, 1.2))
@@ -59,31 +61,6 @@ def test_similarity_of_the_nadir_view_serves_as_well(shot_of, seed: int) -> None
     # A similarity cannot stretch north against east as the map does: 0.4 % of some 30 m here.
     assert np.linalg.norm(error_ne_m(pose, shot)) < 0.15
     assert pose.agl_m == pytest.approx(50.0, rel=2e-3)
-
-
-@given(seeds, st.floats(20.0, 200.0), st.floats(-3.0, 3.0))
-def test_picture_on_the_map_with_attitude_gives_the_pose(
-    shot_of, seed: int, agl_m: float, yaw_error_rad: float
-) -> None:
-    shot = shot_of(np.random.default_rng(seed), agl_m=agl_m)
-    H = estimate_homography(shot.uv, shot.map_px, 2.0, seed).H
-    R_assumed = turned(-yaw_error_rad) @ shot.R_ned_camera
-    pose = pose_from_map_homography(
-        H, shot.camera.K, R_assumed, shot.uv, shot.map_px, shot.px_per_m, EXACT
-    )
-    assert np.linalg.norm(error_ne_m(pose, shot)) < 0.02
-    assert wrap_pi(pose.yaw_correction_rad - yaw_error_rad) == pytest.approx(0.0, abs=1e-3)
-    assert pose.agl_m == pytest.approx(agl_m, rel=1e-3)
-
-
-@given(seeds, st.floats(20.0, 200.0))
-def test_picture_on_the_map_alone_gives_pose_and_attitude(shot_of, seed: int, agl_m: float) -> None:
-    shot = shot_of(np.random.default_rng(seed), agl_m=agl_m, tilt_rad=0.3)
-    H = estimate_homography(shot.uv, shot.map_px, 2.0, seed).H
-    pose = pose_without_attitude(H, shot.camera.K, shot.px_per_m)
-    assert np.linalg.norm(error_ne_m(pose, shot)) < 0.02 * agl_m / 20.0
-    assert pose.agl_m == pytest.approx(agl_m, rel=1e-3)
-    assert np.linalg.norm(vector_from_rotation(pose.R_ned_camera @ shot.R_ned_camera.T)) < 2e-3
 
 
 def noisy_pose(shot, rng: np.random.Generator, sigma_px: float, sigma_tilt_rad: float):
@@ -124,11 +101,8 @@ def test_tilt_error_counts_as_height_times_its_angle(
     shot_of, agl_m: float, sigma_tilt_rad: float
 ) -> None:
     shot = shot_of(np.random.default_rng(0), agl_m=agl_m)
-    H = estimate_homography(shot.uv, shot.map_px, 2.0, 0).H
     still, tilted = (
-        pose_from_map_homography(
-            H, shot.camera.K, shot.R_ned_camera, shot.uv, shot.map_px, shot.px_per_m, errors
-        ).covariance_ne_m2
+        exact_pose(shot, errors).covariance_ne_m2
         for errors in (EXACT, PoseErrors(sigma_px=0.5, sigma_tilt_rad=sigma_tilt_rad))
     )
     expected = (agl_m * sigma_tilt_rad) ** 2 * np.eye(2)
@@ -137,28 +111,9 @@ def test_tilt_error_counts_as_height_times_its_angle(
 
 def test_error_of_the_map_adds_to_the_covariance(shot_of) -> None:
     shot = shot_of(np.random.default_rng(0))
-    H = estimate_homography(shot.uv, shot.map_px, 2.0, 0).H
     errors = PoseErrors(sigma_px=1e-3, sigma_tilt_rad=0.0, sigma_georeference_m=1.5)
-    pose = pose_from_map_homography(
-        H, shot.camera.K, shot.R_ned_camera, shot.uv, shot.map_px, shot.px_per_m, errors
-    )
+    pose = exact_pose(shot, errors)
     np.testing.assert_allclose(pose.covariance_ne_m2, 2.25 * np.eye(2), atol=1e-3)
-
-
-def test_camera_that_looks_at_the_sky_has_no_pose(shot_of) -> None:
-    shot = shot_of(np.random.default_rng(0))
-    H = estimate_homography(shot.uv, shot.map_px, 2.0, 0).H
-    upside_down = rotation_from_euler(np.pi, 0.0, 0.0) @ shot.R_ned_camera
-    args = (shot.uv, shot.map_px, shot.px_per_m, EXACT)
-    assert pose_from_map_homography(H, shot.camera.K, upside_down, *args) is None
-
-
-@pytest.mark.parametrize(
-    "H", [np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag([1.0, -1.0, 1.0])]
-)
-def test_what_is_no_view_from_above_gives_no_free_pose(shot_of, H: np.ndarray) -> None:
-    shot = shot_of(np.random.default_rng(0))
-    assert pose_without_attitude(H, shot.camera.K, shot.px_per_m) is None
 
 
 def one_sided(shot_of, seed: int):

@@ -1,31 +1,28 @@
 """What a drone's camera writes into its pictures: EXIF (place, lens) and XMP (attitude, height).
 
-Sources: Exif 2.32 (CIPA DC-008) for the tags, TIFF 6.0 for their layout, DJI's `drone-dji` XMP
-name space. Files are hostile until read: every offset is checked, and what is out of bounds or of
-another type counts as absent.
+Sources: Exif 2.32 (CIPA DC-008) for the tags, DJI's `drone-dji` XMP name space. Files are hostile
+until read: what is damaged or of another type counts as absent.
 """
 
 import math
 import re
-import struct
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
+from typing import Any
+
+from PIL import ExifTags, Image
 
 from vwnav.errors import SourceError
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 
-MAX_BYTES = 1 << 20  # metadata stand at the start of the file
+MAX_BYTES = 1 << 20  # XMP stands at the start of the file
 FULL_FRAME_DIAGONAL_MM = 43.27  # 36 x 24 mm, what "35 mm equivalent" refers to
 WIDE_ASPECT = 1.6  # wider pictures are cut out of the height of a 4:3 or 3:2 sensor
 
-_TYPE_FORMATS = {1: "B", 3: "H", 4: "L", 5: "LL", 7: "B", 9: "l", 10: "ll", 11: "f", 12: "d"}
-_ASCII = 2
-_RATIONALS = (5, 10)
-_MAX_VALUES = 64
-
 # Tags of IFD0, the Exif IFD and the GPS IFD that matter here.
-_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _IMAGE_WIDTH, _PIXEL_X = 0x0100, 0xA002
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
 _FOCAL_PLANE_X, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
@@ -33,7 +30,7 @@ _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT = 1, 2, 3, 4, 5, 6
 _DIRECTION = 17
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}  # inch, centimetre, millimetre
 
-Value = tuple[float, ...] | str
+Tags = Mapping[int, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,11 +79,7 @@ def read_picture_metadata(path: Path, width_px: int, height_px: int) -> PictureM
             head = file.read(MAX_BYTES)
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror}") from error
-    exif: bytes = head if head[:4] in (b"II*\0", b"MM\0*") else b""
-    for payload in _app1_payloads(head):
-        if payload.startswith(b"Exif\0\0"):
-            exif = payload[6:]
-    tags, gps = _read_exif(exif)
+    tags, gps = _read_exif(path)
     xmp = _read_xmp(head)
     lat_deg, lon_deg = _position(gps, xmp)
     yaw_rad, roll_rad, pitch_rad = _attitude(gps, xmp)
@@ -102,71 +95,25 @@ def read_picture_metadata(path: Path, width_px: int, height_px: int) -> PictureM
     )
 
 
-def _app1_payloads(jpeg: bytes) -> Iterator[bytes]:
-    """The APP1 segments of a JPEG file, up to its first scan."""
-    position = 2
-    while jpeg[:2] == b"\xff\xd8" and position + 4 <= len(jpeg) and jpeg[position] == 0xFF:
-        marker = jpeg[position + 1]
-        if marker == 0xDA:
-            return
-        (length,) = struct.unpack_from(">H", jpeg, position + 2)
-        if marker == 0xE1:
-            yield jpeg[position + 4 : position + 2 + length]
-        position += 2 + max(2, length)
-
-
-def _read_exif(tiff: bytes) -> tuple[dict[int, Value], dict[int, Value]]:
+def _read_exif(path: Path) -> tuple[Tags, Tags]:
     """Tags of IFD0 with the Exif IFD, and tags of the GPS IFD."""
-    if len(tiff) < 8 or tiff[:4] not in (b"II*\0", b"MM\0*"):
+    try:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(path, formats=("JPEG", "TIFF")) as image,
+        ):
+            exif = image.getexif()
+            return dict(exif) | exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
+    except Exception:  # of a damaged file: Pillow names no class for all that it may raise
         return {}, {}
-    order = "<" if tiff[:2] == b"II" else ">"
-    (first,) = struct.unpack_from(order + "L", tiff, 4)
-    tags = _read_ifd(tiff, order, first)
-    gps = _read_ifd(tiff, order, _offset(tags, _GPS_IFD))
-    return tags | _read_ifd(tiff, order, _offset(tags, _EXIF_IFD)), gps
 
 
-def _offset(tags: Mapping[int, Value], tag: int) -> int:
-    value = _number(tags, tag)
-    return 0 if value is None else int(value)
-
-
-def _read_ifd(tiff: bytes, order: str, offset: int) -> dict[int, Value]:
-    if offset < 8 or offset + 2 > len(tiff):
-        return {}
-    (count,) = struct.unpack_from(order + "H", tiff, offset)
-    values: dict[int, Value] = {}
-    for start in range(offset + 2, min(offset + 2 + 12 * count, len(tiff) - 11), 12):
-        tag, kind, number = struct.unpack_from(order + "HHL", tiff, start)
-        value = _read_value(tiff, order, kind, number, start + 8)
-        if value is not None:
-            values[tag] = value
-    return values
-
-
-def _read_value(tiff: bytes, order: str, kind: int, number: int, field: int) -> Value | None:
-    """The value of an IFD entry: in its field of four bytes, or where the field points."""
-    layout = "B" if kind == _ASCII else _TYPE_FORMATS.get(kind)
-    if layout is None or not 0 < number <= _MAX_VALUES:
-        return None
-    size = number * struct.calcsize(order + layout)
-    if size > 4:
-        (field,) = struct.unpack_from(order + "L", tiff, field)
-    if field + size > len(tiff):
-        return None
-    raw = struct.unpack_from(order + layout * number, tiff, field)
-    if kind == _ASCII:
-        return bytes(raw).split(b"\0")[0].decode("ascii", "replace").strip()
-    if kind in _RATIONALS:
-        return tuple(a / b if b else math.nan for a, b in zip(raw[::2], raw[1::2], strict=True))
-    return tuple(float(value) for value in raw)
-
-
-def _number(tags: Mapping[int, Value], tag: int) -> float | None:
+def _number(tags: Tags, tag: int) -> float | None:
     value = tags.get(tag)
-    if value is None or isinstance(value, str) or not math.isfinite(value[0]):
+    first = value[0] if isinstance(value, tuple | bytes) and value else value
+    if not isinstance(first, Real) or not math.isfinite(first):
         return None
-    return value[0]
+    return float(first)
 
 
 _XMP_VALUE = re.compile(
@@ -179,9 +126,7 @@ def _read_xmp(head: bytes) -> dict[str, float]:
     return {name.decode(): float(text) for name, text in _XMP_VALUE.findall(head)}
 
 
-def _position(
-    gps: Mapping[int, Value], xmp: Mapping[str, float]
-) -> tuple[float | None, float | None]:
+def _position(gps: Tags, xmp: Mapping[str, float]) -> tuple[float | None, float | None]:
     lat_deg = _angle_deg(gps.get(_LAT), gps.get(_LAT_REF) == "S")
     lon_deg = _angle_deg(gps.get(_LON), gps.get(_LON_REF) == "W")
     if lat_deg is None or lon_deg is None:
@@ -195,23 +140,23 @@ def _position(
     return lat_deg, lon_deg
 
 
-def _angle_deg(value: Value | None, negative: bool) -> float | None:
-    if value is None or isinstance(value, str) or len(value) != 3:
+def _angle_deg(value: Any, negative: bool) -> float | None:
+    if not isinstance(value, tuple) or len(value) != 3:
         return None
-    angle_deg = value[0] + value[1] / 60.0 + value[2] / 3600.0
+    angle_deg = float(value[0] + value[1] / 60.0 + value[2] / 3600.0)
     if not math.isfinite(angle_deg):
         return None
     return -angle_deg if negative else angle_deg
 
 
-def _altitude(gps: Mapping[int, Value]) -> float | None:
+def _altitude(gps: Tags) -> float | None:
     altitude_m = _number(gps, _ALT)
     below_sea = _number(gps, _ALT_REF) == 1.0
     return -altitude_m if altitude_m is not None and below_sea else altitude_m
 
 
 def _attitude(
-    gps: Mapping[int, Value], xmp: Mapping[str, float]
+    gps: Tags, xmp: Mapping[str, float]
 ) -> tuple[float | None, float | None, float | None]:
     """Yaw, roll and pitch of the body that carries the camera looking down."""
     names = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
@@ -226,9 +171,7 @@ def _attitude(
     return body_yaw_rad, body_roll_rad, body_pitch_rad
 
 
-def _focal_ratio(
-    tags: Mapping[int, Value], xmp: Mapping[str, float], aspect: float
-) -> float | None:
+def _focal_ratio(tags: Tags, xmp: Mapping[str, float], aspect: float) -> float | None:
     """Focal length over picture width, from the best source there is."""
     width_px = _number(tags, _PIXEL_X) or _number(tags, _IMAGE_WIDTH)
     calibrated_px = xmp.get("CalibratedFocalLength")

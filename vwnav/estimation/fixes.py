@@ -27,7 +27,6 @@ from vwnav.types import Array
 
 _NE = slice(0, 2)
 _ANCHOR_NE = slice(States.ANCHOR_POSITION.start, States.ANCHOR_POSITION.start + 2)
-_DOWN = 2
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
 _MAP_TURN = States.MAP_TURN.start

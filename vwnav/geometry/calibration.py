@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import tomli_w
 
 from vwnav.errors import CalibrationError
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, CameraModel
@@ -67,8 +68,7 @@ def save_camera(camera: Camera, path: Path | str) -> None:
         case ".json":
             text = json.dumps(values, indent=2) + "\n"
         case ".toml":
-            # Numbers, lists of numbers and plain strings look the same in JSON and TOML.
-            text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+            text = tomli_w.dumps(values)
         case suffix:
             raise CalibrationError(f"{path}: cannot write {suffix!r}; use .json or .toml")
     try:

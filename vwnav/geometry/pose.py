@@ -56,21 +56,6 @@ class MapPose:
     sigma_agl_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FreePose:
-    """Camera over the map when no attitude was known: all of it out of the homography.
-
-    Attributes:
-        nadir_px: (2,) map pixel below the camera.
-        agl_m: height above the plane of the map.
-        R_ned_camera: (3, 3).
-    """
-
-    nadir_px: Array
-    agl_m: float
-    R_ned_camera: Array
-
-
 def pose_from_rectified(
     H_map_rect: Array,
     view: Rectification,
@@ -177,70 +162,6 @@ def _cross_sigmas(covariance: Array, turn_rad: float) -> tuple[float, float]:
         math.sqrt(float(rotation @ covariance @ rotation)),
         math.sqrt(float(scale @ covariance @ scale)),
     )
-
-
-def pose_from_map_homography(
-    H_map_frame: Array,
-    K: Array,
-    R_ned_camera: Array,
-    uv_frame: Array,
-    uv_map: Array,
-    px_per_m: tuple[float, float],
-    errors: PoseErrors,
-) -> MapPose | None:
-    """Pose of an undistorted picture that was fitted to the map directly.
-
-    Roll and pitch of `R_ned_camera` (3, 3) are trusted within `errors.sigma_tilt_rad`; its heading
-    is only the one that `yaw_correction_rad` refers to. Other arguments as `pose_from_rectified`,
-    with picture pixels in place of view pixels. `scale_ratio` is then the AGL in metres.
-    """
-    # A view with one metre of AGL and one metre per pixel, the nadir at its origin.
-    H_rect_frame = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ (
-        R_ned_camera @ np.linalg.inv(K)
-    )
-    rays_down = np.column_stack([uv_frame, np.ones(len(uv_frame))]) @ H_rect_frame[2]
-    if np.any(rays_down <= 0.0):
-        return None
-    H_map_rect = H_map_frame @ np.linalg.inv(H_rect_frame)
-    if abs(H_map_rect[2, 2]) < 1e-12:
-        return None
-    view = Rectification(H_rect_frame, (1, 1), 1.0, np.zeros(2), 1.0)
-    uv_rect = transform_points(H_rect_frame, uv_frame)
-    return pose_from_rectified(
-        H_map_rect / H_map_rect[2, 2], view, uv_rect, uv_map, px_per_m, errors
-    )
-
-
-def pose_without_attitude(
-    H_map_frame: Array, K: Array, px_per_m: tuple[float, float]
-) -> FreePose | None:
-    """Position, AGL and attitude out of the homography alone (Zhang 2000, section 3.1).
-
-    Weak in tilt, hence in position, when the field of view is small or the pairs are few: prefer
-    an attitude where there is one. None when the homography is not that of ground below a camera.
-    """
-    # Map pixels from metres north, east of the map pixel under the optical axis.
-    origin_px = transform_points(H_map_frame, K[:2, 2])[0]
-    H_map_ne = np.array([[0.0, px_per_m[0], 0.0], [-px_per_m[1], 0.0, 0.0], [0.0, 0.0, 1.0]])
-    H_map_ne[:2, 2] = origin_px
-    if not np.all(np.isfinite(H_map_ne)) or abs(np.linalg.det(H_map_frame)) < 1e-15:
-        return None
-    columns = np.linalg.inv(K) @ np.linalg.inv(H_map_frame) @ H_map_ne
-    # The origin is in front of the camera: third coordinate positive.
-    columns *= math.copysign(1.0, columns[2, 2])
-    scale = math.sqrt(float(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1])))
-    if not scale > 0.0:
-        return None
-    columns /= scale
-    U, _, Vt = np.linalg.svd(np.column_stack([columns[:, :2], np.cross(*columns.T[:2])]))
-    if np.linalg.det(U @ Vt) < 0.0:
-        return None
-    R_camera_ned = U @ Vt
-    camera_ned = -R_camera_ned.T @ columns[:, 2]
-    if camera_ned[2] >= 0.0:
-        return None
-    nadir_px = transform_points(H_map_ne, camera_ned[:2])[0]
-    return FreePose(nadir_px, float(-camera_ned[2]), R_camera_ned.T)
 
 
 def _covariance_ne_m2(

@@ -11,8 +11,6 @@ class LimitsConfig:
         cruise_m_s: speed along a leg.
         speed_max_m_s: horizontal, corrections included.
         climb_m_s, descend_m_s: vertical, both positive.
-        land_m_s: downward speed close to the ground.
-        land_below_m: height above ground from which `land_m_s` holds.
         acceleration_m_s2: of the horizontal setpoint, at most.
         braking_m_s2: deceleration planned before corners, acceleration along a leg.
         corner_change_m_s: change of velocity that a corner may ask for.
@@ -33,8 +31,6 @@ class LimitsConfig:
     speed_max_m_s: float = 10.0
     climb_m_s: float = 3.0
     descend_m_s: float = 2.0
-    land_m_s: float = 0.7
-    land_below_m: float = 10.0
     acceleration_m_s2: float = 2.5
     braking_m_s2: float = 1.2
     corner_change_m_s: float = 1.2

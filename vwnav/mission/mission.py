@@ -18,8 +18,6 @@ ASKS = "a ground station asks for"  # as it is said and recorded
 class FlightConfig(DepartureConfig):
     """Times and heights of a mission."""
 
-    climb_m_s: float = 3.0
-    descend_m_s: float = 2.0
     land_from_m: float = 5.0  # below this the autopilot's own landing takes over
     first_fix_timeout_s: float = 20.0  # hovering at height without any fix
     fixes_to_start: int = 3

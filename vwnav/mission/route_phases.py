@@ -206,5 +206,5 @@ class RoutePhases:
     def _descend(self, estimate: Estimate) -> Next | None:
         if -float(estimate.position_ned_m[2]) < self._config.land_from_m:
             return Next(Phase.LAND)
-        self._steering.hold(estimate, self._config.descend_m_s)
+        self._steering.descend(estimate)
         return None

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
+from vwnav.guidance.controller import LimitsConfig, vertical_speed_m_s
 from vwnav.mission.mission import FlightConfig
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Autopilot, VelocitySetpoint
 
 _STILL = VelocitySetpoint(0.0, 0.0, 0.0)
-_HEIGHT_GAIN_PER_S = 0.8
 
 
 class Steering:
@@ -20,10 +20,13 @@ class Steering:
         held_ne_m: (2,) the place that `hold` stays over.
     """
 
-    def __init__(self, autopilot: Autopilot, config: FlightConfig, height_m: float) -> None:
+    def __init__(
+        self, autopilot: Autopilot, config: FlightConfig, limits: LimitsConfig, height_m: float
+    ) -> None:
         """`height_m` is the route's, above the origin."""
         self._autopilot = autopilot
         self._config = config
+        self._limits = limits
         self._height_m = height_m
         self.setpoint: VelocitySetpoint | None = None
         self.held_ne_m: Array = np.zeros(2)
@@ -44,9 +47,9 @@ class Steering:
         """Ask for no motion."""
         self.steer(_STILL)
 
-    def straight_down(self, down_m_s: float) -> None:
-        """Ask for a vertical speed alone, down positive."""
-        self.steer(VelocitySetpoint(0.0, 0.0, down_m_s))
+    def descend_blind(self) -> None:
+        """Straight down: there is nothing to hold a place by."""
+        self.steer(VelocitySetpoint(0.0, 0.0, self._limits.descend_m_s))
 
     def stop(self) -> None:
         """Ask for nothing more."""
@@ -61,19 +64,22 @@ class Steering:
 
     def hold_at_height(self, estimate: Estimate) -> None:
         """Stay over the held place, at the route's height."""
-        error_m = self.missing_m(estimate)
-        low, high = -self._config.climb_m_s, self._config.descend_m_s
-        self.hold(estimate, float(np.clip(-error_m * _HEIGHT_GAIN_PER_S, low, high)))
+        self.hold(estimate, vertical_speed_m_s(-self.missing_m(estimate), 0.0, self._limits))
 
     def climb(self, estimate: Estimate) -> None:
         """Up to the route's height over the held place."""
-        up_m_s = max(self.missing_m(estimate), 0.0) * _HEIGHT_GAIN_PER_S
-        self.hold(estimate, -min(self._config.climb_m_s, up_m_s))
+        missing_m = max(self.missing_m(estimate), 0.0)
+        self.hold(estimate, vertical_speed_m_s(-missing_m, 0.0, self._limits))
 
     def search_upwards(self, estimate: Estimate, highest_m: float) -> None:
         """Straight up to where the map shows more, no higher than that above the origin."""
         missing_m = highest_m + float(estimate.position_ned_m[2])
-        self.straight_down(-float(np.clip(0.5 * missing_m, 0.0, self._config.climb_m_s)))
+        up_m_s = float(np.clip(0.5 * missing_m, 0.0, self._limits.climb_m_s))
+        self.steer(VelocitySetpoint(0.0, 0.0, -up_m_s))
+
+    def descend(self, estimate: Estimate) -> None:
+        """Down over the held place."""
+        self.hold(estimate, self._limits.descend_m_s)
 
     def missing_m(self, estimate: Estimate) -> float:
         """Height that is missing to the route's."""

@@ -31,7 +31,6 @@ from vwnav.types import Array, FeatureExtractor
 DEFAULT_SITE = "sim:default"
 ROUTES = Path(__file__).parents[1] / "sim" / "routes"
 DEFAULT_ROUTE = ROUTES / "first_flight.plan"
-TRUTH_TIMEOUT_S = 20.0
 
 
 def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:

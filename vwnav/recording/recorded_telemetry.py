@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from vwnav.recording.reader import CAMERA_TOPIC, VEHICLE_TOPIC, read_recording
-from vwnav.recording.telemetry_files import TelemetryLog
+from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, Range
 
 _TOPICS = frozenset({CAMERA_TOPIC, VEHICLE_TOPIC})

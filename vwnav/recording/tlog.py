@@ -14,7 +14,7 @@ from vwnav.errors import SourceError
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.mavlink.framing import MARKERS, Packet, packet_at
 from vwnav.mavlink.telemetry.barometer import BarometricHeight, hectopascal
-from vwnav.recording.telemetry_files import TelemetryLog
+from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, ImuSample, Range
 
 _STAMP_BYTES = 8

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vwnav.errors import SourceError
-from vwnav.recording.telemetry_files import TelemetryLog
+from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, ImuSample, Range
 
 _DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270, PX4's ROTATION_DOWNWARD_FACING

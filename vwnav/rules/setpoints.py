@@ -45,8 +45,8 @@ def _flown(setpoint: Setpoint) -> str:
 
 
 def _too_steep(log: FlightLog) -> Breach | None:
-    up = max(log.bounds.climb_m_s, log.bounds.flight.climb_m_s) + _SLACK_M_S
-    down = max(log.bounds.descend_m_s, log.bounds.flight.descend_m_s) + _SLACK_M_S
+    up = log.bounds.climb_m_s + _SLACK_M_S
+    down = log.bounds.descend_m_s + _SLACK_M_S
     return always(log.setpoints, lambda s: -up <= s.velocity_ned_m_s[2] <= down, _flown)
 
 

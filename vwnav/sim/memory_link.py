@@ -46,7 +46,6 @@ class Line:
         self._flying: list[tuple[float, int, bytes]] = []  # (arrival, number, packet)
         self._order = 0
         self._free_s = 0.0  # when the last bit written so far has left
-        self.carried_bytes = 0
 
     def put(self, packet: bytes) -> None:
         """Send one packet."""
@@ -65,7 +64,6 @@ class Line:
                 return
             self._free_s = now_s + waiting_s + _BITS_PER_BYTE * len(packet) / state.baud
             now_s = self._free_s
-        self.carried_bytes += len(packet)
         self._order += 1
         heapq.heappush(self._flying, (now_s + state.latency_s + delay_s, self._order, packet))
 

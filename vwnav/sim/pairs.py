@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from vwnav.sim.scenery.draft import HALF_EAST_M, HALF_NORTH_M
 from vwnav.sim.scenery.landscape import LookName
-from vwnav.sim.scenery.layout import HALF_EAST_M, HALF_NORTH_M
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
 
 _PAIRS_PER_SITE = 8

@@ -17,9 +17,6 @@ from vwnav.sim.scenery.noise import Window
 from vwnav.sim.scenery.objects import near, paint_objects
 from vwnav.sim.scenery.runway import paint_airfield
 
-GENERATOR_VERSION = (
-    1  # raise it whenever a seed would be drawn otherwise: cached tiles depend on it
-)
 FIRST_TRAINING_SEED = 1000  # sites from here on may be trained on; lower seeds are for flying
 _TILE_PX = 512
 _JPEG_BLOCK_PX = 16

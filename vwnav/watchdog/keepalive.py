@@ -186,7 +186,6 @@ class KeepAlive:
         self._sequence = 0
         self._epoch = 0
         self._report: WatchdogReport | None = None
-        self._unanswered_since_s: float | None = None
         self.rejoin()
 
     def beat(self, engaged: bool, phase: str = "") -> None:
@@ -199,8 +198,6 @@ class KeepAlive:
         """
         self._read_reports()
         self._sequence += 1
-        if self._unanswered_since_s is None:
-            self._unanswered_since_s = self._clock()
         self._channel.send(Beat(engaged, self._sequence, self._epoch, phase).pack())
 
     def rejoin(self) -> None:
@@ -213,16 +210,6 @@ class KeepAlive:
         self._read_reports()
         return self._report
 
-    @property
-    def silence_s(self) -> float:
-        """For how long the watchdog has left beats unanswered; 0 while nothing was asked of it.
-
-        A loop that slept has sent no beats: its own sleep does not count.
-        """
-        self._read_reports()
-        since_s = self._unanswered_since_s
-        return 0.0 if since_s is None else self._clock() - since_s
-
     def close(self) -> None:
         """Say that the navigator ends. A watchdog that hears the aircraft fly acts at once."""
         self._sequence += 1
@@ -233,4 +220,4 @@ class KeepAlive:
         while data := self._channel.receive():
             report = WatchdogReport.unpack(data)
             if report is not None:
-                self._report, self._unanswered_since_s = report, None
+                self._report = report

@@ -260,8 +260,3 @@ SCENARIOS = (
     ),
     Scenario("hill", replace(_SHORT, height_m=80.0, hill_m=40.0, table=True), judge_height),
 )
-
-
-def scenario_named(name: str) -> Scenario | None:
-    """By its name."""
-    return next((s for s in SCENARIOS if s.name == name), None)

@@ -1,11 +1,7 @@
 """What a row of the table waits for."""
 
-from collections.abc import Callable
-
 from vwnav.bench.flights.scenario import Follows
 from vwnav.bench.flights.track import Track
-
-Times = Callable[[Track, float], list[float]]
 
 
 def mode(within_s: float, *names: str) -> Follows:

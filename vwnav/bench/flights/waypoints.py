@@ -24,8 +24,6 @@ _HALF_NORTH_M, _HALF_EAST_M = 380.0, 560.0
 _WAYPOINTS = 8
 _USABLE_SIGMA_M = 8.0  # what stops a flight, as `SafetyConfig` has it
 
-Place2 = tuple[float, float]
-
 
 @dataclass(frozen=True, slots=True)
 class Seen:

@@ -13,7 +13,6 @@ _YAW_RATE_P = 0.2
 _RATE_LIMIT_RAD_S = 3.8  # MC_ROLLRATE_MAX 220 deg/s
 _YAW_RATE_LIMIT_RAD_S = 1.05  # MPC_YAWRAUTO_MAX 60 deg/s
 _INTEGRAL_LIMIT = 0.3
-_MARGIN_M_S2 = 0.3 * GRAVITY_M_S2  # horizontal thrust kept before vertical (MPC_THR_XY_MARG)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

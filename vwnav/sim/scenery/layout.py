@@ -1,19 +1,14 @@
 """Lays out a landscape from a seed: airfield, fields, roads, village, woods and water."""
 
-from dataclasses import dataclass, field
-
 import cv2
 import numpy as np
 
+from vwnav.sim.scenery.draft import HALF_EAST_M, HALF_NORTH_M, MARGIN_M, Draft
 from vwnav.sim.scenery.landscape import (
     Airfield,
-    Bend,
-    Building,
     Cell,
-    Ground,
     Land,
     Landscape,
-    Plant,
     Strip,
     Vehicle,
     clip_half_plane,
@@ -28,31 +23,6 @@ from vwnav.sim.scenery.looks import flight_look, map_look
 from vwnav.sim.scenery.planting import hedge, scatter, wood
 from vwnav.sim.scenery.settlement import farm, hangars, village
 from vwnav.types import Array
-
-HALF_NORTH_M = 600.0
-HALF_EAST_M = 800.0
-_MARGIN_M = 150.0  # drawn beyond the nominal site, so that windows at its rim are not bare
-
-
-@dataclass(slots=True)
-class Draft:
-    """A landscape in the making."""
-
-    seed: int
-    rng: np.random.Generator
-    ground: Ground = field(
-        default_factory=lambda: Ground(HALF_NORTH_M + _MARGIN_M, HALF_EAST_M + _MARGIN_M)
-    )
-    bend: Bend = field(init=False)
-    plots: list[tuple[Land, Array]] = field(default_factory=list)  # before bending
-    cells: list[Cell] = field(default_factory=list)
-    strips: list[Strip] = field(default_factory=list)
-    plants: list[Plant] = field(default_factory=list)
-    buildings: list[Building] = field(default_factory=list)
-    vehicles: list[Vehicle] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.bend = Bend.random(self.rng)
 
 
 def lay_out(seed: int) -> Landscape:
@@ -132,7 +102,7 @@ def _through_lines(draft: Draft, airfield: Airfield) -> tuple[Array, Array]:
 def _fields(draft: Draft, airfield: Airfield) -> None:
     """Halve the land until pieces are field-sized; some cuts become tracks or hedges."""
     rng = draft.rng
-    north, east = HALF_NORTH_M + _MARGIN_M, HALF_EAST_M + _MARGIN_M
+    north, east = HALF_NORTH_M + MARGIN_M, HALF_EAST_M + MARGIN_M
     whole = np.array([[-north, -east], [north, -east], [north, east], [-north, east]])
     turn = airfield.azimuth_rad + np.radians(rng.uniform(-14.0, 14.0))
     pending = [(whole, 0)]

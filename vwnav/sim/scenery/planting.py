@@ -1,15 +1,11 @@
 """Trees: woods, hedges and single ones."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from vwnav.sim.scenery.draft import Draft
 from vwnav.sim.scenery.drawing import offset_line
 from vwnav.sim.scenery.landscape import LookName, Plant, Species
 from vwnav.types import Array
-
-if TYPE_CHECKING:
-    from vwnav.sim.scenery.layout import Draft
 
 _SIZES: dict[Species, tuple[float, float]] = {
     "conifer": (1.6, 3.2),
@@ -18,7 +14,7 @@ _SIZES: dict[Species, tuple[float, float]] = {
 }
 
 
-def plant(draft: "Draft", north_m: float, east_m: float, species: Species) -> None:
+def plant(draft: Draft, north_m: float, east_m: float, species: Species) -> None:
     """Put one tree where the ground is free; one in twelve stands in one look only."""
     rng = draft.rng
     low, high = _SIZES[species]
@@ -33,7 +29,7 @@ def plant(draft: "Draft", north_m: float, east_m: float, species: Species) -> No
         draft.plants.append(Plant(north_m, east_m, radius, height, species, seed, looks))
 
 
-def hedge(draft: "Draft", line: Array, right_m: float, density: float) -> None:
+def hedge(draft: Draft, line: Array, right_m: float, density: float) -> None:
     """Bushes and trees along a line (n, 2), `density` 0 to 1."""
     rng = draft.rng
     path = offset_line(line, right_m)
@@ -51,7 +47,7 @@ def hedge(draft: "Draft", line: Array, right_m: float, density: float) -> None:
             plant(draft, float(n + shift[0]), float(e + shift[1]), species)
 
 
-def wood(draft: "Draft", polygon: Array) -> None:
+def wood(draft: Draft, polygon: Array) -> None:
     """A closed wood: jittered grid of trees with clearings."""
     rng = draft.rng
     share = float(rng.choice([0.1, 0.5, 0.85]))
@@ -69,7 +65,7 @@ def wood(draft: "Draft", polygon: Array) -> None:
         plant(draft, float(n), float(e), "conifer" if rng.uniform() < share else "broadleaf")
 
 
-def scatter(draft: "Draft", polygon: Array, count: int, species: tuple[Species, ...]) -> None:
+def scatter(draft: Draft, polygon: Array, count: int, species: tuple[Species, ...]) -> None:
     """Single plants anywhere in a polygon (n, 2)."""
     rng = draft.rng
     low, high = polygon.min(axis=0), polygon.max(axis=0)

@@ -1,9 +1,8 @@
 """Buildings and what stands about them: the airfield's hangars, a village, a farm."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from vwnav.sim.scenery.draft import Draft
 from vwnav.sim.scenery.landscape import (
     Airfield,
     Building,
@@ -19,13 +18,10 @@ from vwnav.sim.scenery.landscape import (
 from vwnav.sim.scenery.planting import hedge, scatter
 from vwnav.types import Array
 
-if TYPE_CHECKING:
-    from vwnav.sim.scenery.layout import Draft
-
 BOTH: tuple[LookName, ...] = ("map", "flight")
 
 
-def hangars(draft: "Draft", airfield: Airfield) -> None:
+def hangars(draft: Draft, airfield: Airfield) -> None:
     """Hangars and a clubhouse behind the apron, aircraft on it, cars beside it."""
     rng = draft.rng
     back = airfield.apron[2:4]  # far edge of the apron
@@ -50,7 +46,7 @@ def hangars(draft: "Draft", airfield: Airfield) -> None:
     _parked(draft, park, airfield.azimuth_rad)
 
 
-def village(draft: "Draft", road: Array) -> None:
+def village(draft: Draft, road: Array) -> None:
     """Plots with houses on both sides of a part of the road, and one side street."""
     rng = draft.rng
     inside = np.flatnonzero((np.abs(road) < np.array([560.0, 760.0])).all(axis=1))
@@ -78,7 +74,7 @@ def village(draft: "Draft", road: Array) -> None:
         _vehicle(draft, place, turn if side > 0 else turn + np.pi, kind, (look,))
 
 
-def farm(draft: "Draft") -> None:
+def farm(draft: Draft) -> None:
     """Two farmyards with barns somewhere in the fields."""
     rng = draft.rng
     made = 0
@@ -94,7 +90,7 @@ def farm(draft: "Draft") -> None:
             made += 1
 
 
-def _farmyard(draft: "Draft", centre: Array, turn_rad: float, yard: Array) -> None:
+def _farmyard(draft: Draft, centre: Array, turn_rad: float, yard: Array) -> None:
     rng = draft.rng
     draft.cells.append(Cell(yard, yard, yard, "yard", turn_rad, int(rng.integers(2**31))))
     for along, across, size, roof in (
@@ -114,7 +110,7 @@ def _farmyard(draft: "Draft", centre: Array, turn_rad: float, yard: Array) -> No
     scatter(draft, rectangle(centre, 90.0, 70.0, turn_rad), 14, ("broadleaf", "bush", "conifer"))
 
 
-def _plots(draft: "Draft", street: Array, sides: tuple[float, ...]) -> None:
+def _plots(draft: Draft, street: Array, sides: tuple[float, ...]) -> None:
     rng = draft.rng
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(street, axis=0), axis=1))])
     for side in sides:
@@ -129,7 +125,7 @@ def _plots(draft: "Draft", street: Array, sides: tuple[float, ...]) -> None:
 
 
 def _plot(
-    draft: "Draft", centre: Array, size: tuple[float, float], heading_rad: float, side: float
+    draft: Draft, centre: Array, size: tuple[float, float], heading_rad: float, side: float
 ) -> None:
     rng = draft.rng
     width, depth = size
@@ -159,7 +155,7 @@ def _plot(
 
 
 def _drive(
-    draft: "Draft",
+    draft: Draft,
     house: Array,
     centre: Array,
     heading_rad: float,
@@ -184,7 +180,7 @@ def _drive(
             _vehicle(draft, place, turn, "car", (look,))
 
 
-def _parked(draft: "Draft", park: Array, turn_rad: float) -> None:
+def _parked(draft: Draft, park: Array, turn_rad: float) -> None:
     rng = draft.rng
     centre = park.mean(axis=0)
     for row in (-9.0, 9.0):
@@ -197,7 +193,7 @@ def _parked(draft: "Draft", park: Array, turn_rad: float) -> None:
 
 
 def _building(
-    draft: "Draft",
+    draft: Draft,
     place: Array,
     size: tuple[float, float],
     turn_rad: float,
@@ -229,7 +225,7 @@ def _building(
 
 
 def _vehicle(
-    draft: "Draft", place: Array, turn_rad: float, kind: str, looks: tuple[LookName, ...]
+    draft: Draft, place: Array, turn_rad: float, kind: str, looks: tuple[LookName, ...]
 ) -> None:
     seed = int(draft.rng.integers(2**31))
     north, east = float(place[0]), float(place[1])
