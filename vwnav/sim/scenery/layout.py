@@ -13,9 +13,9 @@ from vwnav.sim.scenery.landscape import (
     Ground,
     Land,
     Landscape,
+    ParkedVehicle,
     Plant,
     Strip,
-    Vehicle,
     clip_half_plane,
     densified,
     inset,
@@ -49,7 +49,7 @@ class Draft:
     strips: list[Strip] = field(default_factory=list)
     plants: list[Plant] = field(default_factory=list)
     buildings: list[Building] = field(default_factory=list)
-    vehicles: list[Vehicle] = field(default_factory=list)
+    vehicles: list[ParkedVehicle] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.bend = Bend.random(self.rng)
@@ -230,7 +230,7 @@ def _bales(draft: Draft) -> None:
             for north, east in points[draft.ground.free(points)]:
                 if cv2.pointPolygonTest(cell.inner.astype(np.float32), (north, east), False) > 0:
                     seed = int(rng.integers(2**31))
-                    bale = Vehicle(north, east, cell.row_rad, "bale", seed, (look.name,))
+                    bale = ParkedVehicle(north, east, cell.row_rad, "bale", seed, (look.name,))
                     draft.vehicles.append(bale)
 
 
