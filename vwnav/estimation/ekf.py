@@ -18,11 +18,11 @@ from vwnav.estimation.events import (
     Displacement,
     Drag,
     Event,
+    EventRank,
     Exposed,
-    Keyframe,
     LateFix,
     NedFix,
-    Rank,
+    NewKeyframe,
     between,
 )
 from vwnav.estimation.fusion import apply
@@ -233,7 +233,7 @@ class Ekf:
         if changed and self._imu_trust.lost:
             self._imu.forget()
             if self._timeline is not None:
-                self._timeline.leave_out(Rank.DRAG)
+                self._timeline.leave_out(EventRank.DRAG)
             self._say(_IMU_LOST.format(self._imu_trust.off_m_s2))
         elif changed:
             self._say(_IMU_AGAIN)
@@ -306,7 +306,7 @@ class Ekf:
         assert self._timeline is not None
         if self._trust.saw(agrees, self._timeline.head):
             if self._trust.lost:
-                self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
+                self._timeline.leave_out(EventRank.ODOMETRY, EventRank.FIX)
             self._say(_CONTRADICTS if self._trust.lost else _AGREES)
 
     def _shaken(self, motion: OdometryMotion) -> OdometryMotion:
@@ -324,7 +324,7 @@ class Ekf:
         share = self._config.anchor_share
         covariance = share * motion.covariance_ned_m2
         sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
-        return self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
+        return self._timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
 
     def _possible(self, motion: OdometryMotion) -> bool:
         """Whether an aircraft flies that far in that time, at the height that is believed."""

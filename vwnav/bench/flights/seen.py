@@ -3,15 +3,15 @@
 from collections.abc import Callable
 
 from vwnav.bench.flights.scenario import Follows
-from vwnav.bench.flights.track import Track
+from vwnav.bench.flights.track import FlightTrace
 
-Times = Callable[[Track, float], list[float]]
+Times = Callable[[FlightTrace, float], list[float]]
 
 
 def mode(within_s: float, *names: str) -> Follows:
     """The vehicle flies one of these modes, as a navigator calls them: BRAKE is HOLD."""
 
-    def when(track: Track, begun_s: float) -> list[float]:
+    def when(track: FlightTrace, begun_s: float) -> list[float]:
         return [each.t_s - begun_s for each in track.truth if each.mode.name in names]
 
     return Follows(f"mode {' or '.join(names)}", within_s, when)
@@ -20,7 +20,7 @@ def mode(within_s: float, *names: str) -> Follows:
 def phase(within_s: float, *names: str) -> Follows:
     """The mission stands in one of these phases."""
 
-    def when(track: Track, _: float) -> list[float]:
+    def when(track: FlightTrace, _: float) -> list[float]:
         return [each.t_s for each in track.phases if each.text in names]
 
     return Follows(f"phase {' or '.join(names)}", within_s, when)
@@ -29,7 +29,7 @@ def phase(within_s: float, *names: str) -> Follows:
 def said(within_s: float, text: str) -> Follows:
     """The program says so."""
 
-    def when(track: Track, _: float) -> list[float]:
+    def when(track: FlightTrace, _: float) -> list[float]:
         return [each.t_s for each in track.events if text in each.text]
 
     return Follows(f"says {text!r}", within_s, when)
@@ -38,7 +38,7 @@ def said(within_s: float, text: str) -> Follows:
 def down(within_s: float) -> Follows:
     """On the ground, motors off."""
 
-    def when(track: Track, begun_s: float) -> list[float]:
+    def when(track: FlightTrace, begun_s: float) -> list[float]:
         return [each.t_s - begun_s for each in track.truth if not each.armed]
 
     return Follows("down", within_s, when)
