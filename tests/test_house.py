@@ -10,7 +10,7 @@ from tests.house import measure
 BOUNDS = {
     "step_files": 44,
     "step_functions": 268,
-    "step_crossings": 352,
+    "step_crossings": 353,
     "import_chain": 28,
     "files_in_a_folder": 14,
     "largest_file": 350,

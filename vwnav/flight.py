@@ -10,7 +10,7 @@ from dataclasses import replace
 from vwnav.guidance.controller import LimitsConfig
 from vwnav.mission.announcer import Announcer
 from vwnav.mission.departure import Departure
-from vwnav.mission.failsafe import Failsafe
+from vwnav.mission.failsafe import FailsafeRecovery
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
 from vwnav.mission.mission import (
     Crew,
@@ -64,7 +64,7 @@ class Flight:
         self._phase_since_s: float | None = None
         self._offboard: Request | None = None
         self._landing: Landing | None = None
-        self._failsafe = Failsafe(autopilot, self._safety, self._steering, safety)
+        self._failsafe = FailsafeRecovery(autopilot, self._safety, self._steering, safety)
         self._phase_before_release = Phase.GET_READY
         self._handed_back = False
         self._trouble: str | None = None

@@ -10,14 +10,20 @@ from typer.testing import CliRunner
 
 from vwnav.bench.estimator.record import load_stream, save_stream
 from vwnav.bench.estimator.run import play
-from vwnav.bench.estimator.scenarios import SCENARIOS, Metric, Scenario, fly_scenario, judge_outage
+from vwnav.bench.estimator.scenarios import (
+    SCENARIOS,
+    FilterScenario,
+    Metric,
+    fly_scenario,
+    judge_outage,
+)
 from vwnav.bench.estimator.scores import chi_square_bounds, consistency
 from vwnav.bench.estimator.streams import sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
 from vwnav.estimation.ekf import EkfConfig
 
-SHORT = World(seconds=40.0)
+SHORT = FilterWorld(seconds=40.0)
 
 
 @pytest.mark.parametrize(("dof", "runs"), [(1, 20), (2, 200), (3, 50)])
@@ -74,7 +80,7 @@ def test_a_recording_replays_bit_for_bit(tmp_path):
 
 def test_lambda_pulls_the_estimate_to_the_fixes():
     runs = [
-        fly_scenario(Scenario("x", SHORT, judge_outage, EkfConfig(visual_weight=w)), 1, 0)[0]
+        fly_scenario(FilterScenario("x", SHORT, judge_outage, EkfConfig(visual_weight=w)), 1, 0)[0]
         for w in (0.0, 1.0)
     ]
     residuals = [

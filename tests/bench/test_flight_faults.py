@@ -14,7 +14,7 @@ from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
 from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, rows_named
 from vwnav.bench.flights.table.manual import manual
-from vwnav.bench.flights.track import Event, Track, Truth
+from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.rules import flight_log
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import Sent
@@ -109,8 +109,8 @@ def test_the_documentation_has_the_table():
     assert manual() in DOCS.read_text(), told
 
 
-def a_track() -> Track:
-    track = Track()
+def a_track() -> FlightTrace:
+    track = FlightTrace()
     for i in range(20):
         t_s = 100.0 + i
         mode = FlightMode.OFFBOARD if i < 10 else FlightMode.LAND
@@ -118,8 +118,8 @@ def a_track() -> Track:
         track.truth.append(Truth(t_s, place, np.zeros(3), mode, i < 19, i == 19))
         believed = tuple((place + 0.3).tolist())
         track.heard.estimates.append(Sent(t_s, t_s, believed, (1.0, 0.0, 1.0), 0))
-    track.phases.append(Event(0.0, "on route"))
-    track.events.append(Event(9.0, "breaks: something"))
+    track.phases.append(LogLine(0.0, "on route"))
+    track.events.append(LogLine(9.0, "breaks: something"))
     return track
 
 
@@ -137,7 +137,7 @@ def test_a_failure_is_drawn_and_told_by_time(tmp_path):
 def test_an_error_of_the_map_is_no_error_of_the_estimate():
     sent = [Sent(1.0, 1.0, (0.3, 0.3, -50.0), (1.0, 0.0, 1.0), 0)]
     still = (0.0, 0.0, 0.0)
-    truth = [flight_log.Truth(t_s, (0.0, 0.0, -50.0), still) for t_s in (0.9, 1.1)]
+    truth = [flight_log.LoggedTruth(t_s, (0.0, 0.0, -50.0), still) for t_s in (0.9, 1.1)]
     log = flight_log.FlightLog(estimates=sent, truth=truth)
     assert estimate_sigmas(log)[0][1] == pytest.approx(np.hypot(0.3, 0.3))
     assert estimate_sigmas(replace(log, map_off_m=0.5))[0][1] == 0.0

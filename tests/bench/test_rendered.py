@@ -11,10 +11,10 @@ from vwnav.bench.estimator.benchmark import as_json
 from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
 from vwnav.bench.estimator.rendered_flight import RENDERED_S, pictures, plan_flight
 from vwnav.bench.estimator.rendered_run import fly_rendered
-from vwnav.bench.estimator.rendered_scenarios import Flown, judge_odometry, judge_rendered
+from vwnav.bench.estimator.rendered_scenarios import NavigatedFlight, judge_odometry, judge_rendered
 from vwnav.bench.estimator.run import Run, play
 from vwnav.bench.estimator.streams import sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
 from vwnav.estimation.ekf import NedFix
 from vwnav.sim.renderer import default_camera
@@ -32,7 +32,7 @@ def short_flight():
     return frames, navigated(frames)
 
 
-def navigated(frames, flight=None, most_fixes=0) -> Flown:
+def navigated(frames, flight=None, most_fixes=0) -> NavigatedFlight:
     flight = flight or plan_flight(0, 0, SECONDS)
     return fly_rendered(flight, frames, most_fixes, "sift", lambda _: None)
 
@@ -95,14 +95,14 @@ def test_fixes_are_late_and_end_when_there_were_enough(short_flight):
     assert sum(isinstance(o, MapFix) for o in few.outcomes) == 2
 
 
-def played(world: World) -> list[Run]:
+def played(world: FilterWorld) -> list[Run]:
     """Two flights of the fast benchmark, whole."""
     rngs = [np.random.default_rng(seed) for seed in range(2)]
     return [play(sense(world, t, rng)) for t, rng in zip(fly(world, rngs), rngs, strict=True)]
 
 
 def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
-    world = World(seconds=130.0, odometry_sigma=0.0015, fix_sigma_m=0.4, tilt_in_odometry=0.3)
+    world = FilterWorld(seconds=130.0, odometry_sigma=0.0015, fix_sigma_m=0.4, tilt_in_odometry=0.3)
     runs = played(world)
     found = odometry_errors([way_errors(run) for run in runs])
     fixes = [fix_errors(run) for run in runs]
@@ -116,8 +116,8 @@ def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
 
 
 def test_every_number_has_a_name_of_its_own():
-    world = World(seconds=60.0)
-    flown = [Flown(run, []) for run in played(world)]
+    world = FilterWorld(seconds=60.0)
+    flown = [NavigatedFlight(run, []) for run in played(world)]
     for judged in (judge_rendered(flown), judge_odometry(flown)):
         assert len(as_json(judged)) == len(judged)
 

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vwnav.bench.estimator.run import play
-from vwnav.bench.estimator.streams import Event, Stream, sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream, sense
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import EkfConfig, NedFix
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
@@ -33,7 +33,7 @@ class Fault:
     seconds: float
     seed: int
 
-    def strikes(self, event: Event, lasting: bool) -> bool:
+    def strikes(self, event: MeasurementEvent, lasting: bool) -> bool:
         after_s = event.arrival_s - self.at_s
         return isinstance(event.seen, self.sensors) and 0.0 <= after_s < (
             self.seconds if lasting else 1e9
@@ -51,13 +51,13 @@ FAULTS = st.builds(
 
 
 @cache
-def world_stream(seed: int, imu: bool) -> Stream:
-    world = World(seconds=SECONDS, imu_hz=50.0 if imu else 0.0, leg_s=6.0)
+def world_stream(seed: int, imu: bool) -> MeasurementStream:
+    world = FilterWorld(seconds=SECONDS, imu_hz=50.0 if imu else 0.0, leg_s=6.0)
     rng = np.random.default_rng(seed)
     return sense(world, fly(world, [rng])[0], rng)
 
 
-def with_fault(events: list[Event], fault: Fault) -> list[Event]:
+def with_fault(events: list[MeasurementEvent], fault: Fault) -> list[MeasurementEvent]:
     rng = np.random.default_rng(fault.seed)
     match fault.kind:
         case "gap":
@@ -102,7 +102,7 @@ def wrong(seen, rng: np.random.Generator, factor: float):
             return replace(seen, position_ne_m=seen.position_ne_m + off)
 
 
-def broken(stream: Stream, faults: list[Fault]) -> Stream:
+def broken(stream: MeasurementStream, faults: list[Fault]) -> MeasurementStream:
     events = stream.events
     for fault in faults:
         events = with_fault(events, fault)

@@ -12,7 +12,7 @@ from pymavlink import mavutil
 
 from vwnav.bench.estimator.run import Run, play
 from vwnav.bench.estimator.streams import sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import NedFix
 from vwnav.estimation.states import States
 from vwnav.geometry.rotations import rotation_from_quat
@@ -22,9 +22,9 @@ SEEN_S, BLIND_S = 60.0, 40.0
 RECORDINGS = Path(__file__).resolve().parents[3] / "shared" / "data" / "mavlink"
 
 
-def goes_blind(seed: int, imu_hz: float = 100.0) -> tuple[World, Run]:
+def goes_blind(seed: int, imu_hz: float = 100.0) -> tuple[FilterWorld, Run]:
     """A minute of flight with pictures, then without, in wind with gusts."""
-    world = World(seconds=SEEN_S + BLIND_S, imu_hz=imu_hz, hover_share=0.3)
+    world = FilterWorld(seconds=SEEN_S + BLIND_S, imu_hz=imu_hz, hover_share=0.3)
     rng = np.random.default_rng(seed)
     stream = sense(world, fly(world, [rng])[0], rng)
     events = [

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vwnav.bench.estimator.run import play
-from vwnav.bench.estimator.streams import Stream, sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.streams import MeasurementStream, sense
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.restart import begun_anew, outside
 from vwnav.estimation.states import States
@@ -103,7 +103,7 @@ def test_a_runaway_is_said_and_counted():
     assert np.hypot(*found.velocity_ned_m_s[:2]) < 2.5
 
 
-def stream_of(world: World, seed: int) -> Stream:
+def stream_of(world: FilterWorld, seed: int) -> MeasurementStream:
     rng = np.random.default_rng(seed)
     return sense(world, fly(world, [rng])[0], rng)
 
@@ -111,7 +111,7 @@ def stream_of(world: World, seed: int) -> Stream:
 @pytest.mark.parametrize("imu_hz", [0.0, 50.0])
 def test_pressure_wrong_for_most_of_a_second_does_not_move_the_height_with_it(imu_hz):
     """6 m for 0.7 s: it was followed by all of it, at a climb of 9.4 m/s."""
-    stream = stream_of(World(seconds=30.0, imu_hz=imu_hz), 2)
+    stream = stream_of(FilterWorld(seconds=30.0, imu_hz=imu_hz), 2)
     events = [
         replace(event, seen=Height(event.seen.t_s, event.seen.height_m + 6.0))
         if isinstance(event.seen, Height) and 20.0 < event.seen.t_s < 20.7

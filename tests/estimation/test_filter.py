@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 
 from vwnav.bench.estimator.run import Run, accepted_wrong, play
 from vwnav.bench.estimator.scores import position_nees
-from vwnav.bench.estimator.streams import Stream, sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.streams import MeasurementStream, sense
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation import fusion
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.states import States
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-USUAL = World(seconds=90.0)
+USUAL = FilterWorld(seconds=90.0)
 
 
-def stream_of(world: World, seed: int) -> Stream:
+def stream_of(world: FilterWorld, seed: int) -> MeasurementStream:
     rng = np.random.default_rng(seed)
     return sense(world, fly(world, [rng])[0], rng)
 
@@ -226,7 +226,7 @@ def test_wind_that_takes_hold_at_take_off_does_not_turn_the_heading(monkeypatch,
     measure = fusion._displacement
     if not held:
         monkeypatch.setattr(fusion, "_displacement", lambda *a: replace(measure(*a), held=()))
-    windy = World(seconds=16.0, wind_m_s=9.0, hover_share=0.0, yaw_bias_deg=0.0, fix_hz=0.01)
+    windy = FilterWorld(seconds=16.0, wind_m_s=9.0, hover_share=0.0, yaw_bias_deg=0.0, fix_hz=0.01)
     rows = play(stream_of(windy, 0)).rows
     assert (math.degrees(np.max(np.abs(rows.error_yaw_rad))) > 5.0) == turned
     assert (math.degrees(np.max(np.abs(rows.error_yaw_rad))) < 2.0) != turned

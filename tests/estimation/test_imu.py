@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.gyro import GyroHistory
@@ -131,7 +131,7 @@ def test_the_more_rotors_shake_the_imu_the_less_it_is_believed():
 
 
 def test_an_imu_that_is_shaken_hard_does_not_lead_the_filter_astray():
-    world = World(seconds=90.0, imu_hz=50.0, imu_noise_m_s2=5.0, gyro_noise_deg_s=5.0)
+    world = FilterWorld(seconds=90.0, imu_hz=50.0, imu_noise_m_s2=5.0, gyro_noise_deg_s=5.0)
     rng = np.random.default_rng(4)
     rows = play(sense(world, fly(world, [rng])[0], rng)).rows
     settled = rows.t_s > 30.0

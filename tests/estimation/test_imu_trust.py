@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vwnav.bench.estimator.run import play
-from vwnav.bench.estimator.streams import Stream, sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.streams import MeasurementStream, sense
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start, Verdict
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.types import Attitude, ImuSample
@@ -70,13 +70,13 @@ def test_at_the_bound_it_is_not_said_again_and_again():
     assert sum("IMU" in each for each in said) == 1
 
 
-def stream_of(seed: int) -> Stream:
-    world = World(seconds=30.0, imu_hz=50.0, leg_s=6.0)
+def stream_of(seed: int) -> MeasurementStream:
+    world = FilterWorld(seconds=30.0, imu_hz=50.0, leg_s=6.0)
     rng = np.random.default_rng(seed)
     return sense(world, fly(world, [rng])[0], rng)
 
 
-def turned(stream: Stream, from_s: float) -> Stream:
+def turned(stream: MeasurementStream, from_s: float) -> MeasurementStream:
     """The IMU is a quarter turn about forward off from then on."""
     R = QUARTER_ABOUT_FORWARD.T
 

@@ -4,19 +4,19 @@ from dataclasses import replace
 
 from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import (
-    Answer,
     At,
-    Beat,
-    Command,
+    CommandAck,
     FlightLog,
+    Heartbeat,
+    LoggedCommand,
+    LoggedSetpoint,
+    LoggedTruth,
+    LoggedVehicle,
     Moment,
     ParameterSet,
+    PhaseStart,
     Said,
     Sent,
-    Setpoint,
-    Stage,
-    Truth,
-    Vehicle,
 )
 from vwnav.vehicle import FlightMode
 
@@ -44,9 +44,9 @@ def north_m(t_s: float) -> float:
     return _SPEED_M_S * (min(max(t_s, ROUTE_S), LAND_S) - ROUTE_S)
 
 
-def vehicle_at(t_s: float) -> Vehicle:
+def vehicle_at(t_s: float) -> LoggedVehicle:
     in_air = 4.0 <= t_s < DOWN_S
-    return Vehicle(t_s, mode_at(t_s), 2.5 <= t_s < DISARMED_S, in_air, 0.9)
+    return LoggedVehicle(t_s, mode_at(t_s), 2.5 <= t_s < DISARMED_S, in_air, 0.9)
 
 
 def sent_at(t_s: float) -> Sent:
@@ -54,9 +54,9 @@ def sent_at(t_s: float) -> Sent:
     return Sent(t_s, t_s - 0.05, place, (0.25, 0.0, 0.25), 0, (_SPEED_M_S, 0.0, 0.0))
 
 
-def truth_at(t_s: float) -> Truth:
+def truth_at(t_s: float) -> LoggedTruth:
     moves = ROUTE_S <= t_s < LAND_S
-    return Truth(t_s, (north_m(t_s), 0.0, -10.0), (_SPEED_M_S if moves else 0.0, 0.0, 0.5))
+    return LoggedTruth(t_s, (north_m(t_s), 0.0, -10.0), (_SPEED_M_S if moves else 0.0, 0.0, 0.5))
 
 
 def good_flight() -> FlightLog:
@@ -65,33 +65,33 @@ def good_flight() -> FlightLog:
         vehicle=[vehicle_at(t_s) for t_s in times(0.0, END_S, 20.0)],
         estimates=[sent_at(t_s) for t_s in times(0.0, END_S, 20.0)],
         setpoints=[
-            Setpoint(t_s, (_SPEED_M_S if t_s >= ROUTE_S else 0.0, 0.0, 0.0), NAVIGATOR)
+            LoggedSetpoint(t_s, (_SPEED_M_S if t_s >= ROUTE_S else 0.0, 0.0, 0.0), NAVIGATOR)
             for t_s in steering
         ],
         commands=[
-            Command(2.4, ARM, (1.0, 0.0, 0.0), NAVIGATOR),
-            Command(2.6, TAKEOFF, (0.0, 0.0, 0.0), NAVIGATOR),
-            Command(OFFBOARD_S - 0.2, SET_MODE, (1.0, 6.0, 0.0), NAVIGATOR),
-            Command(LAND_S, SET_MODE, (1.0, 4.0, 6.0), NAVIGATOR),
+            LoggedCommand(2.4, ARM, (1.0, 0.0, 0.0), NAVIGATOR),
+            LoggedCommand(2.6, TAKEOFF, (0.0, 0.0, 0.0), NAVIGATOR),
+            LoggedCommand(OFFBOARD_S - 0.2, SET_MODE, (1.0, 6.0, 0.0), NAVIGATOR),
+            LoggedCommand(LAND_S, SET_MODE, (1.0, 4.0, 6.0), NAVIGATOR),
         ],
         answers=[
-            Answer(t_s, number, True)
+            CommandAck(t_s, number, True)
             for t_s, number in ((2.5, ARM), (2.7, TAKEOFF), (5.9, SET_MODE), (24.1, SET_MODE))
         ],
         parameters_set=[
             ParameterSet(0.5, "EKF2_EV_CTRL", 1.0),
             ParameterSet(7.0, "MIS_TAKEOFF_ALT", 2.5),
         ],
-        beats=[Beat(t_s, NAVIGATOR, 18) for t_s in times(0.0, END_S, 1.0)],
+        beats=[Heartbeat(t_s, NAVIGATOR, 18) for t_s in times(0.0, END_S, 1.0)],
         phases=[
-            Stage(0.0, Phase.GET_READY),
-            Stage(2.8, Phase.TAKEOFF),
-            Stage(OFFBOARD_S, Phase.CLIMB),
-            Stage(8.0, Phase.FIRST_FIX),
-            Stage(ROUTE_S, Phase.ROUTE),
-            Stage(22.0, Phase.DESCEND),
-            Stage(LAND_S, Phase.LAND),
-            Stage(DISARMED_S + 0.1, Phase.DONE),
+            PhaseStart(0.0, Phase.GET_READY),
+            PhaseStart(2.8, Phase.TAKEOFF),
+            PhaseStart(OFFBOARD_S, Phase.CLIMB),
+            PhaseStart(8.0, Phase.FIRST_FIX),
+            PhaseStart(ROUTE_S, Phase.ROUTE),
+            PhaseStart(22.0, Phase.DESCEND),
+            PhaseStart(LAND_S, Phase.LAND),
+            PhaseStart(DISARMED_S + 0.1, Phase.DONE),
         ],
         events=[Said(ROUTE_S, "on route")],
         fixes=[At(t_s, (north_m(t_s), 0.3)) for t_s in times(7.0, LAND_S, 2.0)],
@@ -108,17 +108,17 @@ def with_mode(log: FlightLog, mode: FlightMode, from_s: float, to_s: float = END
 
 
 def with_phases(log: FlightLog, *stages: tuple[float, Phase]) -> FlightLog:
-    return replace(log, phases=[Stage(*stage) for stage in stages])
+    return replace(log, phases=[PhaseStart(*stage) for stage in stages])
 
 
 def with_command(log: FlightLog, t_s: float, number: int, *parameters: float) -> FlightLog:
-    more = Command(t_s, number, (*parameters, 0.0, 0.0, 0.0)[:3], NAVIGATOR)
+    more = LoggedCommand(t_s, number, (*parameters, 0.0, 0.0, 0.0)[:3], NAVIGATOR)
     return replace(log, commands=sorted([*log.commands, more], key=lambda row: row.t_s))
 
 
 def with_setpoint(log: FlightLog, t_s: float, *velocity: float, by: int = NAVIGATOR) -> FlightLog:
     north, east, down = velocity
-    more = Setpoint(t_s, (north, east, down), by)
+    more = LoggedSetpoint(t_s, (north, east, down), by)
     return replace(log, setpoints=sorted([*log.setpoints, more], key=lambda row: row.t_s))
 
 

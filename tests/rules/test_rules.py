@@ -26,7 +26,7 @@ from good_flight import (
 )
 
 from vwnav.mission.mission import Phase
-from vwnav.rules.flight_log import Answer, At, Beat, FlightLog, ParameterSet, Said
+from vwnav.rules.flight_log import At, CommandAck, FlightLog, Heartbeat, ParameterSet, Said
 from vwnav.rules.rule import Rule, check
 from vwnav.rules.table import RULES
 from vwnav.vehicle import FlightMode
@@ -40,7 +40,7 @@ def taken(log: FlightLog) -> FlightLog:
 
 
 def refused(log: FlightLog, *times_s: float) -> FlightLog:
-    return replace(log, answers=[Answer(t_s, ARM, False) for t_s in times_s])
+    return replace(log, answers=[CommandAck(t_s, ARM, False) for t_s in times_s])
 
 
 def battery(log: FlightLog, ratio: float, from_s: float = 12.0) -> FlightLog:
@@ -142,7 +142,7 @@ RED: dict[str, Callable[[FlightLog], FlightLog]] = {
     "lost comes back new": lambda log: silent(log, "estimates", 12.0, 15.0),
     "estimate rate": lambda log: silent(log, "estimates", 12.0, 12.3),
     "heartbeat": lambda log: silent(log, "beats", 12.0, 15.0),
-    "no ground station": lambda log: replace(log, beats=[Beat(1.0, 191, 6)]),
+    "no ground station": lambda log: replace(log, beats=[Heartbeat(1.0, 191, 6)]),
     "sigma without fixes": lambda log: with_sent(
         silent(log, "fixes", 11.0), 15.0, covariance_ne_m2=(0.1, 0.0, 0.1)
     ),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from test_recovery import ESTIMATE
 from vehicles import FLYING
 
-from vwnav.safety.bounds import Bounds
+from vwnav.safety.bounds import RouteBounds
 from vwnav.safety.energy import EnergyWatch
 from vwnav.safety.safety_config import SafetyConfig
 
@@ -29,7 +29,7 @@ ROUTE, HOME = np.array([[100.0, 0.0, -50.0], [100.0, 80.0, -50.0]]), np.array([0
     ],
 )
 def test_the_distance_is_that_to_the_nearest_leg(ne_m, off_m):
-    bounds = Bounds(ROUTE, HOME)
+    bounds = RouteBounds(ROUTE, HOME)
     assert bounds.off_route_m(np.array([*ne_m, -999.0])) == pytest.approx(off_m, abs=1e-6)
 
 
@@ -39,13 +39,14 @@ def test_no_sample_of_the_legs_is_nearer(north_m, east_m):
     shares = np.linspace(0.0, 1.0, 201)[:, None]
     legs = [a + shares * (b - a) for a, b in itertools.pairwise(stops)]
     sampled_m = min(float(np.min(np.hypot(*(leg - (north_m, east_m)).T))) for leg in legs)
-    off_m = Bounds(ROUTE, HOME).off_route_m(np.array([north_m, east_m, 0.0]))
+    off_m = RouteBounds(ROUTE, HOME).off_route_m(np.array([north_m, east_m, 0.0]))
     assert off_m <= sampled_m + 1e-9
     assert off_m >= sampled_m - 0.4
 
 
 def test_a_route_that_is_home_itself_has_a_distance():
-    assert Bounds(np.zeros((1, 3)), HOME).off_route_m(np.array([3.0, 4.0, 0.0])) == pytest.approx(5)
+    bounds = RouteBounds(np.zeros((1, 3)), HOME)
+    assert bounds.off_route_m(np.array([3.0, 4.0, 0.0])) == pytest.approx(5)
 
 
 def away(north_m: float, wind=None, agl_m: float = 50.0):

@@ -13,7 +13,7 @@ from vwnav.sim.scenery.drawing import Canvas
 from vwnav.sim.scenery.landscape import inset, rectangle, to_ne
 from vwnav.sim.scenery.layout import polygon_area_m2
 from vwnav.sim.scenery.markings import white_marks
-from vwnav.sim.scenery.noise import NoiseBank, Window
+from vwnav.sim.scenery.noise import NedWindow, NoiseBank
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site, generator_fingerprint
 
 angles = st.floats(-3.1, 3.1)
@@ -96,7 +96,7 @@ def test_resolutions_of_one_place_agree(site: Site, centre: tuple[float, float])
 @pytest.mark.parametrize("end", [-1.0, 1.0])
 def test_paint_is_where_the_vectors_are(site: Site, look: str, end: float) -> None:
     north, east = strip_centre(site, end * (site.landscape.airfield.length_m / 2 - 30.0), 0.0)
-    window = Window(north + 20.0, east - 20.0, 400, 400, 0.1)
+    window = NedWindow(north + 20.0, east - 20.0, 400, 400, 0.1)
     canvas = Canvas(window, 0)
     for mark in white_marks(site.landscape.airfield):
         canvas.blend(canvas.polygon(mark), np.ones(3))
@@ -163,7 +163,7 @@ def test_nothing_stands_on_the_runway(site: Site) -> None:
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(3, 30), st.floats(3, 30), angles)
 @settings(max_examples=30, deadline=None)
 def test_a_polygon_covers_its_area(n: float, e: float, a: float, c: float, turn: float) -> None:
-    canvas = Canvas(Window(100.0, -100.0, 400, 400, 0.5), 0)
+    canvas = Canvas(NedWindow(100.0, -100.0, 400, 400, 0.5), 0)
     patch = canvas.polygon(rectangle(np.array([n, e]), a, c, turn))
     assert patch is not None
     # OpenCV fills the outline too: up to a sub-pixel, 0.125 m, on each side.
@@ -174,7 +174,7 @@ def test_a_polygon_covers_its_area(n: float, e: float, a: float, c: float, turn:
 @given(st.floats(20, 80), st.floats(0.05, 6.0), angles)
 @settings(max_examples=30, deadline=None)
 def test_a_ribbon_covers_length_times_width(length: float, width: float, turn: float) -> None:
-    canvas = Canvas(Window(100.0, -100.0, 400, 400, 0.5), 0)
+    canvas = Canvas(NedWindow(100.0, -100.0, 400, 400, 0.5), 0)
     ends = to_ne(np.array([[-length / 2, 0.0], [length / 2, 0.0]]), np.zeros(2), turn)
     patch = canvas.ribbon(ends, width)
     assert patch is not None
@@ -201,15 +201,15 @@ def test_an_inset_takes_its_margin_off_every_side(
 
 @pytest.mark.parametrize("m_per_px", [0.05, 0.3, 1.7])
 def test_noise_has_unit_variance_where_it_is_resolved(m_per_px: float) -> None:
-    bank = NoiseBank(Window(0.0, 0.0, 700, 700, m_per_px), 3)
+    bank = NoiseBank(NedWindow(0.0, 0.0, 700, 700, m_per_px), 3)
     cells = m_per_px * 64
     field = bank.fractal(cells, cells / 16.0, 1.0, 5)
     assert float(field.std()) == pytest.approx(1.0, abs=0.25)
 
 
 def test_noise_is_one_field_seen_through_every_window() -> None:
-    large = NoiseBank(Window(30.0, -50.0, 300, 300, 0.1), 3).fractal(12.8, 0.1, 0.8, 5)
-    part = NoiseBank(Window(20.0, -45.0, 120, 90, 0.1), 3).fractal(12.8, 0.1, 0.8, 5)
+    large = NoiseBank(NedWindow(30.0, -50.0, 300, 300, 0.1), 3).fractal(12.8, 0.1, 0.8, 5)
+    part = NoiseBank(NedWindow(20.0, -45.0, 120, 90, 0.1), 3).fractal(12.8, 0.1, 0.8, 5)
     np.testing.assert_allclose(large[100:190, 50:170], part, atol=0.02)
 
 

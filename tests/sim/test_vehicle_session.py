@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import development as mavlink
 from vwnav.errors import ConfigError
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.mavlink.link import parse_url
-from vwnav.sim.mavlink.timesync import Timesync
+from vwnav.sim.mavlink.timesync import TimesyncFilter
 from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.px4.session import Session
+from vwnav.sim.px4.session import Px4Session
 from vwnav.sim.px4.streams import BUILDERS, COMPANION_RATES, schedule_of
 
 FLOAT = st.floats(width=32) | st.sampled_from([0.0, 1.0, math.nan, math.inf, 3.4e38, -3.4e38])
@@ -46,7 +46,7 @@ class Talk:
         self.link = FakeLink()
         schedule = schedule_of(COMPANION_RATES)
         clock = self.now_s
-        self.session = Session(self.link, self.vehicle, schedule, clock, True)
+        self.session = Px4Session(self.link, self.vehicle, schedule, clock, True)
         self._client = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
 
     def now_s(self) -> float:
@@ -180,14 +180,14 @@ def test_a_reboot_keeps_parameters_and_waits_for_its_acknowledgement(talk: Talk)
 
 
 def test_the_stamps_of_a_synchronised_companion_are_believed() -> None:
-    sync = Timesync()
+    sync = TimesyncFilter()
     for i in range(30):
         now_ns = 1_000_000_000 + 100_000_000 * i
         sync.handle_answer(now_ns - 200_000, now_ns + 5_000_000_000, now_ns)
     now_s = 4.0
     assert sync.own_s(round((now_s - 0.08 + 5.0) * 1e6), now_s) == pytest.approx(3.92, abs=1e-3)
     assert sync.own_s(0, now_s) == now_s
-    assert Timesync().own_s(1, now_s) == now_s
+    assert TimesyncFilter().own_s(1, now_s) == now_s
 
 
 @pytest.mark.parametrize("url", ["", "udpin", "serial:/dev/x", "udpin:host", "udpout:h:99999"])

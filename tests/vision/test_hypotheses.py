@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.vision.hypotheses import Bounds, propose
+from vwnav.vision.hypotheses import SimilarityBounds, propose
 
-WIDE = Bounds(1.3, math.radians(20.0))
+WIDE = SimilarityBounds(1.3, math.radians(20.0))
 MIDDLE = np.array([160.0, 120.0])
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.vehicle import FlightMode
-from vwnav.watchdog.dead_man import Action, DeadMan, VehicleView
+from vwnav.watchdog.dead_man import DeadMan, DeadManAction, VehicleView
 from vwnav.watchdog.keepalive import Beat, GuardState
 
 OFFBOARD = VehicleView(FlightMode.OFFBOARD, True, True)
@@ -18,13 +18,13 @@ def beating(mode: FlightMode = FlightMode.OFFBOARD, engaged: bool = True) -> Dea
     return guard
 
 
-def run(guard: DeadMan, start_s: float, end_s: float) -> list[tuple[float, Action]]:
+def run(guard: DeadMan, start_s: float, end_s: float) -> list[tuple[float, DeadManAction]]:
     done = []
     for i in range(int(start_s * 50), int(end_s * 50)):
         action = guard.step(i / 50)
-        if action is Action.HOLD:
+        if action is DeadManAction.HOLD:
             guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, guard.vehicle.position_ok))
-        elif action is Action.LAND:
+        elif action is DeadManAction.LAND:
             guard.handle_vehicle(VehicleView(FlightMode.LAND, True, guard.vehicle.position_ok))
         if action is not None:
             done.append((i / 50, action))
@@ -34,10 +34,10 @@ def run(guard: DeadMan, start_s: float, end_s: float) -> list[tuple[float, Actio
 def test_silence_leads_to_zero_velocity_then_hold_then_land_then_quiet():
     done = run(beating(), 0.0, 20.0)
     kinds = list(dict.fromkeys(action for _, action in done))
-    assert kinds == [Action.ZERO_VELOCITY, Action.HOLD, Action.LAND]
+    assert kinds == [DeadManAction.ZERO_VELOCITY, DeadManAction.HOLD, DeadManAction.LAND]
     assert 0.5 < done[0][0] < 0.6
-    assert [t for t, a in done if a is Action.HOLD] == [pytest.approx(1.54, abs=0.03)]
-    assert done[-1] == (pytest.approx(4.04, abs=0.03), Action.LAND)
+    assert [t for t, a in done if a is DeadManAction.HOLD] == [pytest.approx(1.54, abs=0.03)]
+    assert done[-1] == (pytest.approx(4.04, abs=0.03), DeadManAction.LAND)
 
 
 def test_a_beating_navigator_is_left_alone():
@@ -70,32 +70,32 @@ def test_a_pilot_who_chose_hold_is_not_landed_under():
 
 def test_a_takeoff_without_navigator_is_held_and_landed():
     done = run(beating(FlightMode.TAKEOFF), 0.0, 10.0)
-    assert [action for _, action in done] == [Action.HOLD, Action.LAND]
+    assert [action for _, action in done] == [DeadManAction.HOLD, DeadManAction.LAND]
 
 
 def test_a_hold_that_the_navigator_asked_for_ends_in_a_landing():
     done = run(beating(FlightMode.HOLD), 0.0, 10.0)
-    assert [action for _, action in done] == [Action.LAND]
+    assert [action for _, action in done] == [DeadManAction.LAND]
 
 
 def test_without_a_position_it_lands_at_once():
     guard = beating()
     guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, True, False))
-    assert Action.HOLD not in [action for _, action in run(guard, 0.0, 3.0)]
+    assert DeadManAction.HOLD not in [action for _, action in run(guard, 0.0, 3.0)]
     assert guard.state is GuardState.LANDING
 
 
 def test_a_refused_hold_becomes_a_landing():
     guard = beating()
     actions = {guard.step(i / 50) for i in range(78)}
-    assert Action.HOLD in actions
+    assert DeadManAction.HOLD in actions
     guard.handle_answer(False, 1.6)
-    assert guard.step(1.6) is Action.LAND
+    assert guard.step(1.6) is DeadManAction.LAND
 
 
 def test_a_command_without_effect_is_repeated_twice_a_second():
     guard = beating()
-    holds = [i / 50 for i in range(200) if guard.step(i / 50) is Action.HOLD]
+    holds = [i / 50 for i in range(200) if guard.step(i / 50) is DeadManAction.HOLD]
     assert holds == pytest.approx([1.54, 2.04, 2.54, 3.04, 3.54], abs=0.05)
 
 
@@ -124,15 +124,15 @@ def test_a_navigator_that_ends_is_braked_for_at_once():
     guard = beating()
     guard.handle_end()
     done = run(guard, 0.0, 20.0)
-    assert done[0] == (0.0, Action.ZERO_VELOCITY)
-    assert list(dict.fromkeys(a for _, a in done))[1:] == [Action.HOLD, Action.LAND]
+    assert done[0] == (0.0, DeadManAction.ZERO_VELOCITY)
+    assert list(dict.fromkeys(a for _, a in done))[1:] == [DeadManAction.HOLD, DeadManAction.LAND]
 
 
 def test_a_word_of_ending_ends_no_guard():
     guard = beating()
     guard.handle_beat(Beat(False, 2, 100, ended=True), 0.1)
     assert not guard.is_handed_over
-    assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
+    assert DeadManAction.LAND in [action for _, action in run(guard, 0.1, 10.0)]
 
 
 def test_after_its_end_nobody_beats_or_claims():
@@ -147,7 +147,7 @@ def test_after_its_end_nobody_beats_or_claims():
 def test_an_aircraft_in_offboard_cannot_be_disclaimed():
     guard = beating()
     guard.handle_beat(Beat(False, 2, 100), 0.1)
-    assert Action.LAND in [action for _, action in run(guard, 0.1, 10.0)]
+    assert DeadManAction.LAND in [action for _, action in run(guard, 0.1, 10.0)]
 
 
 def test_nor_one_in_the_landing_that_was_asked_for():
@@ -177,7 +177,7 @@ def test_a_landing_that_is_under_way_is_watched_to_its_end():
     assert run(guard, 0.0, 3.0) == []
     assert not guard.is_handed_over
     in_mode(guard, FlightMode.OFFBOARD)  # PX4 goes back by itself when setpoints return
-    assert run(guard, 3.0, 4.0) == [(3.0, Action.LAND)]
+    assert run(guard, 3.0, 4.0) == [(3.0, DeadManAction.LAND)]
 
 
 @pytest.mark.parametrize("mode", FlightMode)
@@ -212,7 +212,7 @@ def test_a_descend_of_the_autopilots_own_that_ends_is_landed_again():
     in_mode(guard, FlightMode.DESCEND)
     run(guard, 2.0, 5.0)
     in_mode(guard, FlightMode.HOLD)
-    assert Action.LAND in [action for _, action in run(guard, 5.0, 6.0)]
+    assert DeadManAction.LAND in [action for _, action in run(guard, 5.0, 6.0)]
 
 
 def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
@@ -220,7 +220,7 @@ def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
     guard.handle_hold_asked(0.0)
     guard.handle_end()
     in_mode(guard, FlightMode.HOLD)
-    assert Action.LAND in [action for _, action in run(guard, 0.0, 10.0)]
+    assert DeadManAction.LAND in [action for _, action in run(guard, 0.0, 10.0)]
 
 
 PERSONS = {FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION, FlightMode.UNKNOWN}
@@ -253,5 +253,5 @@ def test_whatever_happens_nobody_is_commanded_against_and_nobody_is_left_alone(e
     guard.handle_beat(Beat(True, 1, epoch), t_s)
     guard.handle_end()
     done = [action for _, action in run(guard, t_s, t_s + 5.0)]
-    assert done[0] is Action.ZERO_VELOCITY
-    assert done[-1] is Action.LAND
+    assert done[0] is DeadManAction.ZERO_VELOCITY
+    assert done[-1] is DeadManAction.LAND

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.vehicle import FlightMode
-from vwnav.watchdog.dead_man import Action, VehicleView
+from vwnav.watchdog.dead_man import DeadManAction, VehicleView
 from vwnav.watchdog.voice import AutopilotEar, Origin, Voice
 
 AUTOPILOT = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
@@ -33,7 +33,7 @@ def ear_of(*messages, t_s: float = 10.0) -> AutopilotEar:
     return ear
 
 
-def said(action: Action, ear: AutopilotEar, t_s: float = 10.0):
+def said(action: DeadManAction, ear: AutopilotEar, t_s: float = 10.0):
     packet = Voice().say(action, ear, t_s)
     return mavlink.MAVLink(None).decode(bytearray(packet.data))
 
@@ -141,19 +141,21 @@ def test_a_damaged_origin_on_its_way_is_none():
 
 
 def test_zero_velocity_is_velocity_alone_in_local_coordinates():
-    message = said(Action.ZERO_VELOCITY, ear_of(), t_s=12.3456)
+    message = said(DeadManAction.ZERO_VELOCITY, ear_of(), t_s=12.3456)
     assert message.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
     assert (message.target_system, message.target_component) == (7, 1)
     assert (message.get_srcSystem(), message.get_srcComponent()) == (7, 192)
     assert (message.coordinate_frame, message.time_boot_ms) == (mavlink.MAV_FRAME_LOCAL_NED, 12345)
     assert message.type_mask == 0b110111000111
     assert (message.vx, message.vy, message.vz, message.yaw_rate) == (0.0, 0.0, 0.0, 0.0)
-    assert said(Action.ZERO_VELOCITY, ear_of(), t_s=2.0**32 / 1000.0 + 5.0).time_boot_ms == 5000
+    assert (
+        said(DeadManAction.ZERO_VELOCITY, ear_of(), t_s=2.0**32 / 1000.0 + 5.0).time_boot_ms == 5000
+    )
 
 
 @pytest.mark.parametrize(
     ("action", "px4", "copter"),
-    [(Action.HOLD, (4.0, 3.0), COPTER_BRAKE), (Action.LAND, (4.0, 6.0), COPTER_LAND)],
+    [(DeadManAction.HOLD, (4.0, 3.0), COPTER_BRAKE), (DeadManAction.LAND, (4.0, 6.0), COPTER_LAND)],
 )
 def test_hold_and_land_are_asked_for_as_each_kind_numbers_them(action, px4, copter):
     of_px4 = said(action, ear_of())
@@ -170,9 +172,9 @@ def test_hold_and_land_are_asked_for_as_each_kind_numbers_them(action, px4, copt
 
 def test_it_speaks_the_mavlink_that_it_hears():
     ear = ear_of()
-    assert Voice().say(Action.LAND, ear, 10.0).data[0] == 0xFD
+    assert Voice().say(DeadManAction.LAND, ear, 10.0).data[0] == 0xFD
     ear.listen(packed(beat(), mavlink1=True), 11.0)
-    assert Voice().say(Action.LAND, ear, 11.0).data[0] == 0xFE
+    assert Voice().say(DeadManAction.LAND, ear, 11.0).data[0] == 0xFE
 
 
 def test_it_shows_itself_as_a_companion_computer_that_is_no_autopilot():

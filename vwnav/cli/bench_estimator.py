@@ -9,7 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from vwnav.bench.estimator.rendered_scenarios import RenderedScenario
-    from vwnav.bench.estimator.scenarios import Metric, Scenario
+    from vwnav.bench.estimator.scenarios import FilterScenario, Metric
     from vwnav.types import FeatureName
 
 _NOMINAL_S = 600.0
@@ -43,7 +43,7 @@ def estimator(
     """How wrong the filter is, and how well it knows: RMSE, NEES, NIS, coverage, drift."""
     from vwnav.bench.estimator.benchmark import as_json, bench
     from vwnav.bench.estimator.rendered_run import bench_rendered
-    from vwnav.bench.estimator.scenarios import Scenario
+    from vwnav.bench.estimator.scenarios import FilterScenario
     from vwnav.recording.run_folder import make_run_folder
     from vwnav.screen import LiveLine
 
@@ -53,7 +53,7 @@ def estimator(
     results = {}
     for chosen in scenarios:
         with LiveLine() as line:
-            if isinstance(chosen, Scenario):
+            if isinstance(chosen, FilterScenario):
                 metrics = bench(
                     chosen, runs, seed, output, lambda text: line.show(time.monotonic(), text)
                 )
@@ -77,16 +77,16 @@ def _matching(features: str) -> "FeatureName":
     raise typer.BadParameter(f"no features {features!r} here; there are learned and sift")
 
 
-def _choose(names: list[str], seconds: float | None) -> "list[Scenario | RenderedScenario]":
+def _choose(names: list[str], seconds: float | None) -> "list[FilterScenario | RenderedScenario]":
     from dataclasses import replace
 
     from vwnav.bench.estimator.rendered_scenarios import RENDERED
-    from vwnav.bench.estimator.scenarios import SCENARIOS, Scenario
+    from vwnav.bench.estimator.scenarios import SCENARIOS, FilterScenario
 
-    known: dict[str, Scenario | RenderedScenario] = {s.name: s for s in SCENARIOS}
+    known: dict[str, FilterScenario | RenderedScenario] = {s.name: s for s in SCENARIOS}
     for name in ("nominal", "nominal-imu"):
         flown = known[name]
-        assert isinstance(flown, Scenario)
+        assert isinstance(flown, FilterScenario)
         known[name] = replace(flown, world=replace(flown.world, seconds=seconds or _NOMINAL_S))
     unasked = list(known)
     known |= {s.name: s for s in RENDERED}

@@ -11,7 +11,7 @@ from pathlib import Path
 import typer
 
 from vwnav.errors import PreflightError, VwnavError
-from vwnav.safety.check import Check, Verdict
+from vwnav.safety.check import Check, CheckVerdict
 
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
 FREE_DISK_GB = 1.0
@@ -65,7 +65,7 @@ def _machine() -> Iterator[Check]:
         f"onnxruntime {onnxruntime.__version__}",
     )
     free_gb = shutil.disk_usage(".").free / 1e9
-    verdict: Verdict = "PASS" if free_gb >= FREE_DISK_GB else "WARN"
+    verdict: CheckVerdict = "PASS" if free_gb >= FREE_DISK_GB else "WARN"
     yield Check("disk", verdict, f"{free_gb:.1f} GB free here; recording takes 1 GB an hour")
     clock_set = time.time() > CLOCK_NOT_SET_S
     yield Check("clock", "PASS" if clock_set else "WARN", time.strftime("%Y-%m-%d %H:%M:%S"))
@@ -152,7 +152,7 @@ def _camera(video: str) -> Check:
         spent_s = max(time.monotonic() - start_s, 1e-3)
     finally:
         source.close()
-    verdict: Verdict = "PASS" if frames / spent_s >= CAMERA_FPS else "WARN"
+    verdict: CheckVerdict = "PASS" if frames / spent_s >= CAMERA_FPS else "WARN"
     return Check("camera", verdict if frames else "FAIL", f"{frames / spent_s:.1f} frames/s")
 
 

@@ -16,7 +16,7 @@ _NODE_M = 5.0  # the table is read at nodes so far apart, and is a smooth patch 
 
 
 @dataclass(frozen=True, slots=True)
-class Patch:
+class TerrainPatch:
     """The ground at a place: its height, and by how much it rises per metre north and east."""
 
     height_m: float
@@ -34,7 +34,7 @@ class Context:
     ground: Ground | None = None
     _nodes: dict[tuple[int, int], float | None] = field(default_factory=dict)
 
-    def patch(self, north_m: float, east_m: float) -> Patch | None:
+    def patch(self, north_m: float, east_m: float) -> TerrainPatch | None:
         """The ground at a place, as the table has it; bilinear between nodes.
 
         Each node is asked for once: a table on disk or behind a map projection is slow.
@@ -49,7 +49,7 @@ class Context:
         v, u = north_m / _NODE_M - row, east_m / _NODE_M - column
         south, north = sw + u * (se - sw), nw + u * (ne - nw)
         per_east = ((1.0 - v) * (se - sw) + v * (ne - nw)) / _NODE_M
-        return Patch(south + v * (north - south), (north - south) / _NODE_M, per_east)
+        return TerrainPatch(south + v * (north - south), (north - south) / _NODE_M, per_east)
 
     def _node(self, row: int, column: int) -> float | None:
         key = (row, column)

@@ -13,11 +13,11 @@ from vwnav.estimation.events import (
     Displacement,
     Drag,
     Event,
+    EventRank,
     Exposed,
-    Keyframe,
     LateFix,
     NedFix,
-    Rank,
+    NewKeyframe,
     between,
 )
 from vwnav.estimation.fusion import apply
@@ -210,7 +210,7 @@ class Ekf:
             if self._imu_trust.lost:
                 self._imu.forget()
                 if self._timeline is not None:
-                    self._timeline.leave_out(Rank.DRAG)
+                    self._timeline.leave_out(EventRank.DRAG)
             self._say(self._imu_trust.words)
         return not self._imu_trust.lost
 
@@ -269,7 +269,7 @@ class Ekf:
         assert self._timeline is not None
         if self._trust.saw(agrees, self._timeline.head):
             if self._trust.lost:
-                self._timeline.leave_out(Rank.ODOMETRY, Rank.FIX)
+                self._timeline.leave_out(EventRank.ODOMETRY, EventRank.FIX)
             self._say(self._trust.words)
 
     def _anchored(self, motion: OdometryMotion) -> bool:
@@ -280,7 +280,7 @@ class Ekf:
         share = self._config.anchor_share
         covariance = share * motion.covariance_ned_m2
         sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
-        return self._timeline.insert(Keyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
+        return self._timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
 
     def _seen_upright(self, motion: OdometryMotion) -> bool:
         """Whether attitudes that are believed tell how its pictures were turned to the ground."""

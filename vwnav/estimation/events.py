@@ -10,7 +10,7 @@ from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
 
 
-class Rank(IntEnum):
+class EventRank(IntEnum):
     """Order of events at the same time; clones are last, so that they copy what others left."""
 
     LATE_FIX = 0
@@ -106,7 +106,7 @@ def between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Keyframe:
+class NewKeyframe:
     """Odometry starts a keyframe: the position is cloned.
 
     The clone is where the keyframe *seems* to have been taken: `covariance_ned_m2` and
@@ -159,16 +159,16 @@ class Drag:
         return True
 
 
-Event = NedFix | Height | Range | Stationary | Displacement | Keyframe | Exposed | LateFix | Drag
+Event = NedFix | Height | Range | Stationary | Displacement | NewKeyframe | Exposed | LateFix | Drag
 
 _RANKS = {
-    Stationary: Rank.STATIONARY, Height: Rank.HEIGHT, Range: Rank.RANGE,
-    NedFix: Rank.FIX, Displacement: Rank.ODOMETRY, Keyframe: Rank.ANCHOR, Exposed: Rank.EXPOSURE,
-    LateFix: Rank.LATE_FIX, Drag: Rank.DRAG,
+    Stationary: EventRank.STATIONARY, Height: EventRank.HEIGHT, Range: EventRank.RANGE,
+    NedFix: EventRank.FIX, Displacement: EventRank.ODOMETRY, NewKeyframe: EventRank.ANCHOR,
+    Exposed: EventRank.EXPOSURE, LateFix: EventRank.LATE_FIX, Drag: EventRank.DRAG,
 }  # fmt: skip
 
 
-def rank_of(event: Event) -> Rank:
+def rank_of(event: Event) -> EventRank:
     """Its place among events of the same time."""
     return _RANKS[type(event)]
 

@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, Place, States
+from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States, TrustedPosition
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,
@@ -38,7 +38,7 @@ _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 
 @dataclass(frozen=True, slots=True)
-class _Pose:
+class _PoseSlices:
     """Where in the state the pose is that a fix tells; `agl` None: down and terrain."""
 
     ne: slice
@@ -47,8 +47,8 @@ class _Pose:
     agl: int | None
 
 
-_NOW = _Pose(_NE, _YAW, States.TILT, None)
-_THEN = _Pose(
+_NOW = _PoseSlices(_NE, _YAW, States.TILT, None)
+_THEN = _PoseSlices(
     States.EXPOSED_POSITION,
     States.EXPOSED_HEADING_BIAS.start,
     States.EXPOSED_TILT,
@@ -113,7 +113,9 @@ def apply_late_fix(
     return state, innovation
 
 
-def _position(state: FilterState, fix: NedFix, measured_yaw_rad: float, pose: _Pose) -> Measurement:
+def _position(
+    state: FilterState, fix: NedFix, measured_yaw_rad: float, pose: _PoseSlices
+) -> Measurement:
     """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
 
     With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
@@ -186,7 +188,7 @@ def _trusting(state: FilterState, fix: NedFix) -> FilterState:
     if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
         return state
     sigma_m = math.sqrt(max(state.P[0, 0], state.P[1, 1]))
-    return replace(state, trusted=Place(state.t_s, state.x[_NE].copy(), sigma_m))
+    return replace(state, trusted=TrustedPosition(state.t_s, state.x[_NE].copy(), sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:

@@ -11,9 +11,9 @@ from vwnav.estimation.events import (
     Drag,
     Event,
     Exposed,
-    Keyframe,
     LateFix,
     NedFix,
+    NewKeyframe,
 )
 from vwnav.estimation.fixes import apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_agl, apply_height, apply_range
@@ -73,7 +73,7 @@ def _meet(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
             return apply_late_fix(state, fix, context)
         case Exposed():
             return _exposed(state, attitudes), Innovation(Verdict.FUSED)
-        case Keyframe():
+        case NewKeyframe():
             return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
             return apply_height(state, event, config)
@@ -101,7 +101,7 @@ def _exposed(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
     return replace(state, x=copy @ state.x, P=P, exposure=exposure)
 
 
-def _clone(state: FilterState, event: Keyframe, attitudes: AttitudeHistory) -> FilterState:
+def _clone(state: FilterState, event: NewKeyframe, attitudes: AttitudeHistory) -> FilterState:
     """Copy position, attitude error and ground to the anchor, and add the keyframe's own error.
 
     The keyframe's picture errs in how far later ones have turned from it. The way is counted in the

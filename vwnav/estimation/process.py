@@ -86,7 +86,7 @@ class _Span:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Felt:
+class _SensedAcceleration:
     """Acceleration (3,) NED of a step, and how it changes with forward and right tilt error.
 
     `by_bias` (3, 3): with the accelerometer's bias; None when it comes from thrust, to which the
@@ -100,16 +100,16 @@ class _Felt:
     by_slow: bool = True
 
 
-def _felt(x: Array, span: _Span, config: EkfConfig) -> _Felt:
+def _felt(x: Array, span: _Span, config: EkfConfig) -> _SensedAcceleration:
     """From the IMU or else the thrust, with heading bias and tilt error of the attitude taken out.
 
     A tilt error d = (d_n, d_e) shows the thrust g (-d_e, d_n) off.
     """
     push, dt_s = span.push, span.dt_s
     if not span.told:
-        return _Felt(np.zeros(3), by_slow=False)
+        return _SensedAcceleration(np.zeros(3), by_slow=False)
     if push is None and not config.thrust_aided:
-        return _Felt(np.array([float(x[_AN]), float(x[_AE]), 0.0]))
+        return _SensedAcceleration(np.array([float(x[_AN]), float(x[_AE]), 0.0]))
     quat = span.quat
     bias_rad = float(x[_YAW])
     cos_b, sin_b = math.cos(bias_rad), math.sin(bias_rad)
@@ -125,7 +125,7 @@ def _felt(x: Array, span: _Span, config: EkfConfig) -> _Felt:
     c, s = GRAVITY_M_S2 * math.cos(yaw_rad), GRAVITY_M_S2 * math.sin(yaw_rad)
     forward, right = x[States.TILT].tolist()
     felt[:2] += s * forward + c * right, -c * forward + s * right
-    return _Felt(felt, (s, -c), (c, s), by_bias)
+    return _SensedAcceleration(felt, (s, -c), (c, s), by_bias)
 
 
 def _step(x: Array, P: Array, span: _Span, context: Context) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.inertial.imu import Felt
+from vwnav.estimation.inertial.imu import ImuIntegrals
 from vwnav.types import Array
 
 
@@ -164,7 +164,7 @@ class Exposure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class TrustedPosition:
     """Where a fix that was believed has shown it: (2,) north and east, per-axis sigma."""
 
     t_s: float
@@ -191,7 +191,7 @@ class Measured(NamedTuple):
     """
 
     quat_wxyz: Array
-    felt: Felt | None
+    felt: ImuIntegrals | None
     carried_rad: float
 
 
@@ -220,7 +220,7 @@ class FilterState:
     anchor: Anchor | None = None
     exposure: Exposure | None = None
     t_last_fix_s: float | None = None
-    trusted: Place | None = None
+    trusted: TrustedPosition | None = None
     newest_height: tuple[float, float] | None = None
     height_stepped: bool = False
     reset_counter: int = 0
@@ -279,7 +279,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
     heading_known = config.heading_sigma_rad < math.radians(45.0)
-    trusted = Place(start.t_s, position[:2], start.sigma_m) if known else None
+    trusted = TrustedPosition(start.t_s, position[:2], start.sigma_m) if known else None
     return FilterState(start.t_s, x, np.diag(variance), known, heading_known, trusted=trusted)
 
 

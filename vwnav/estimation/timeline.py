@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.events import Event, Rank, rank_of
+from vwnav.estimation.events import Event, EventRank, rank_of
 from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.updates import Innovation, Verdict
 
@@ -15,7 +15,7 @@ Apply = Callable[[FilterState, Event], tuple[FilterState, Innovation]]
 
 @dataclass(slots=True)
 class _Entry:
-    order: tuple[float, Rank]
+    order: tuple[float, EventRank]
     event: Event
     state: FilterState
 
@@ -45,7 +45,7 @@ class Timeline:
         """Events before this time are too late."""
         return self._base.t_s
 
-    def holds(self, t_s: float, rank: Rank) -> bool:
+    def holds(self, t_s: float, rank: EventRank) -> bool:
         """Whether there is an event of that kind at that time."""
         i = self._place(t_s, rank)
         return i < len(self._entries) and self._entries[i].order == (t_s, rank)
@@ -53,7 +53,7 @@ class Timeline:
     def keyframe_known(self, t_s: float) -> bool:
         """Whether a keyframe of that time is in the history or in the state before it."""
         anchor = self._base.anchor
-        return self.holds(t_s, Rank.ANCHOR) or (anchor is not None and anchor.t_s == t_s)
+        return self.holds(t_s, EventRank.ANCHOR) or (anchor is not None and anchor.t_s == t_s)
 
     def insert(self, event: Event) -> Innovation:
         """Apply an event at its time, and everything after it again."""
@@ -76,7 +76,7 @@ class Timeline:
             return Innovation(Verdict.TOO_LATE)
         return self._apply(self._before(self._place(event.t_s, rank_of(event))), event)[1]
 
-    def leave_out(self, *ranks: Rank) -> None:
+    def leave_out(self, *ranks: EventRank) -> None:
         """As if no event of these kinds had come in the history."""
         told = self.head
         self._entries = [entry for entry in self._entries if entry.order[1] not in ranks]
@@ -101,7 +101,7 @@ class Timeline:
             state = entry.state
             entry.state = replace(state, reset_counter=state.reset_counter + resets)
 
-    def _place(self, t_s: float, rank: Rank) -> int:
+    def _place(self, t_s: float, rank: EventRank) -> int:
         return bisect.bisect_left(self._entries, (t_s, rank), key=lambda entry: entry.order)
 
     def _before(self, i: int) -> FilterState:

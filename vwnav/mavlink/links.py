@@ -194,7 +194,7 @@ class StreamLink:
         self._unsent = b""
         self._retry_at_s = 0.0
         self._queue_limit_bytes = _queue_limit_bytes(address)
-        self._port: _Port | None = _open_stream(address, _CONNECT_TIMEOUT_S)
+        self._port: _StreamHandle | None = _open_stream(address, _CONNECT_TIMEOUT_S)
 
     def fileno(self) -> int:
         """Its descriptor, -1 while it is down."""
@@ -259,7 +259,7 @@ class StreamLink:
             self._port = _open_stream(self._address, _RECONNECT_TIMEOUT_S)
 
 
-class _Port(Protocol):
+class _StreamHandle(Protocol):
     def fileno(self) -> int: ...
 
     def close(self) -> None: ...
@@ -282,12 +282,14 @@ def _queued_bytes(fd: int) -> int:
     return count[0]
 
 
-def _open_stream(address: LinkAddress, timeout_s: float) -> _Port:
+def _open_stream(address: LinkAddress, timeout_s: float) -> _StreamHandle:
     if address.kind == "serial":
         import serial
 
         # pyserial sets the line up (raw, baud rate, exclusive); reading goes past it by os.read.
-        port: _Port = serial.Serial(address.place, address.number, timeout=0, exclusive=True)
+        port: _StreamHandle = serial.Serial(
+            address.place, address.number, timeout=0, exclusive=True
+        )
         os.set_blocking(port.fileno(), False)
         return port
     connection = socket.create_connection((address.place, address.number), timeout_s)

@@ -39,7 +39,7 @@ class DepartureConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DepartureOutcome:
     """How the departure ended.
 
     Attributes:
@@ -96,7 +96,9 @@ class Departure:
         """A person at the keyboard lets it arm; before it has asked for that word it is none."""
         self._arms = self._arms or self.stage is Stage.PERSON
 
-    def step(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
+    def step(
+        self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float
+    ) -> DepartureOutcome | None:
         """Advance; None while it goes on."""
         self._began_s = t_s if self._began_s is None else self._began_s
         self._note_mode(vehicle.mode)
@@ -119,7 +121,9 @@ class Departure:
         self._pilots = mode is FlightMode.MANUAL and self._mode is not FlightMode.UNKNOWN
         self._mode = mode
 
-    def _wait(self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float) -> Outcome | None:
+    def _wait(
+        self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float
+    ) -> DepartureOutcome | None:
         """Until the list has been complete for a while, and somebody says go."""
         if vehicle.armed:
             return self._armed_by_somebody(vehicle)
@@ -142,26 +146,26 @@ class Departure:
             )
         return None
 
-    def _armed_by_somebody(self, vehicle: VehicleState) -> Outcome | None:
+    def _armed_by_somebody(self, vehicle: VehicleState) -> DepartureOutcome | None:
         invited = self.stage is Stage.PERSON and not vehicle.in_air
         if invited and vehicle.mode in (FlightMode.HOLD, FlightMode.OFFBOARD):
             self._say("armed by the pilot: taking off")
             self._begin_take_off()
             return None
-        return Outcome(
+        return DepartureOutcome(
             not_ours=True,
             reason="the aircraft is armed, and not by vwnav: somebody else flies it; vwnav only "
             "sends estimates until it is disarmed",
         )
 
-    def _out_of_time(self, trouble: str, t_s: float) -> Outcome | None:
+    def _out_of_time(self, trouble: str, t_s: float) -> DepartureOutcome | None:
         assert self._began_s is not None
         if t_s - self._began_s <= self._config.ready_timeout_s:
             return None
         waited = f"not ready to fly after {self._config.ready_timeout_s:.0f} s: {trouble}"
-        return Outcome(reason=waited, unsafe=True)
+        return DepartureOutcome(reason=waited, unsafe=True)
 
-    def _arm(self, vehicle: VehicleState, t_s: float) -> Outcome | None:
+    def _arm(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
         request = self._request
         assert request is not None
         if not request.done:
@@ -174,12 +178,12 @@ class Departure:
         if vehicle.armed:
             self._autopilot.disarm()
         if self._refusals >= self._config.arming_tries:
-            return Outcome(reason=reason)
+            return DepartureOutcome(reason=reason)
         self._say(reason)
         self.stage, self._ready_since_s = Stage.READINESS, None
         return None
 
-    def _look_who_has_it(self, vehicle: VehicleState, t_s: float) -> Outcome | None:
+    def _look_who_has_it(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
         """The heartbeat that shows the motors running shows a pilot's switch of that moment too."""
         assert self._armed_s is not None
         if self._pilots:
@@ -194,7 +198,7 @@ class Departure:
         self.stage = Stage.TAKE_OFF
         self._request = self._autopilot.takeoff(self._config.takeoff_height_m)
 
-    def _take_off(self, vehicle: VehicleState, t_s: float) -> Outcome | None:
+    def _take_off(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
         """Never armed again: an aircraft that is disarmed now was disarmed by a person."""
         request = self._request
         assert request is not None
@@ -206,15 +210,15 @@ class Departure:
         if not request.done:
             return None
         if request.refused is None:
-            return Outcome(airborne=True)
+            return DepartureOutcome(airborne=True)
         if not vehicle.in_air:
             self._autopilot.disarm()
-        return Outcome(reason=f"the autopilot refused to take off: {request.refused}")
+        return DepartureOutcome(reason=f"the autopilot refused to take off: {request.refused}")
 
-    def _disarmed(self) -> Outcome:
+    def _disarmed(self) -> DepartureOutcome:
         self._autopilot.withdraw()
-        return Outcome(reason="the aircraft was disarmed before it took off")
+        return DepartureOutcome(reason="the aircraft was disarmed before it took off")
 
-    def _taken(self) -> Outcome:
+    def _taken(self) -> DepartureOutcome:
         self._autopilot.withdraw()
-        return Outcome(not_ours=True, reason="the pilot took over before take-off")
+        return DepartureOutcome(not_ours=True, reason="the pilot took over before take-off")

@@ -13,7 +13,7 @@ from vwnav.vehicle import Autopilot, VehicleState
 _TOO_LONG = "the link or the estimate was lost for too long"
 
 
-class Failsafe:
+class FailsafeRecovery:
     """The autopilot's failsafe, one at a time, and whether the estimate was lost before it."""
 
     def __init__(

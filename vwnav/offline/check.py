@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from vwnav.recording.recorded_flight_log import recorded_flight_log
-from vwnav.rules.rule import Verdict, check
+from vwnav.rules.rule import RuleVerdict, check
 from vwnav.rules.table import RULES
 from vwnav.screen import say
 
@@ -36,7 +36,7 @@ def check_recording(path: Path, truth: Path | None) -> int:
     return 0
 
 
-def _table(verdicts: list[Verdict], begun_s: float) -> Table:
+def _table(verdicts: list[RuleVerdict], begun_s: float) -> Table:
     """Times are seconds since the recording's first telemetry."""
     table = Table(title="rules", title_justify="left")
     for name in ("rule", "verdict", "at s", "what"):

@@ -38,7 +38,7 @@ _REASON = "the navigator ended in flight: this one only sends estimates until th
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Resume:
+class Handover:
     """Where the first navigator left off.
 
     Attributes:
@@ -57,26 +57,26 @@ class Resume:
     velocity_ne_m_s: Array
 
     @staticmethod
-    def read(line: str) -> "Resume":
+    def read(line: str) -> "Handover":
         """The watchdog's word.
 
         Raises:
             VwnavError: it is none.
         """
         try:
-            return _resume(json.loads(line))
+            return _handover(json.loads(line))
         except (ValueError, KeyError, TypeError) as error:
             raise VwnavError(f"not what a watchdog wakes its successor with: {line!r}") from error
 
 
-def _resume(told: dict[str, Any]) -> Resume:
+def _handover(told: dict[str, Any]) -> Handover:
     position, origin = told["position"], told["origin"]
     velocity = np.array(told["velocity_ne_m_s"], np.float64)
     if position is None or origin is None:
-        return Resume(told["connection"], told["observer"], None, 0.0, 0.0, 0, velocity)
+        return Handover(told["connection"], told["observer"], None, 0.0, 0.0, 0, velocity)
     frame = LocalFrame(origin["lat_deg"], origin["lon_deg"], origin["alt_amsl_m"])
     lat_deg, lon_deg, _ = frame.to_geodetic(np.array(position["position_ned_m"]))
-    return Resume(
+    return Handover(
         told["connection"], told["observer"], (float(lat_deg), float(lon_deg)),
         -float(position["position_ned_m"][2]), float(position["t_s"]),
         int(position["reset_counter"]), velocity,
@@ -96,7 +96,7 @@ def stand_by(options: FlyOptions) -> None:
         renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()
         if line:
-            _succeed(options, plan, assembled, renderer, Resume.read(line), stack)
+            _succeed(options, plan, assembled, renderer, Handover.read(line), stack)
 
 
 def _warm(assembled: Assembled, camera: Camera) -> None:
@@ -111,16 +111,16 @@ def _succeed(
     plan: FlightPlan,
     assembled: Assembled,
     renderer: CameraRenderer | None,
-    resume: Resume,
+    handover: Handover,
     stack: ExitStack,
 ) -> None:
     clock = WallClock()
-    autopilot = MavsdkAutopilot(resume.connection, clock=clock, link_url=options.connection)
+    autopilot = MavsdkAutopilot(handover.connection, clock=clock, link_url=options.connection)
     stack.callback(autopilot.close)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
-    truth = open_truth(options.truth, str(options.connection), resume.observer, clock, stack)
-    source = open_camera(options, renderer, truth, clock, stack, resume.height_m)
+    truth = open_truth(options.truth, str(options.connection), handover.observer, clock, stack)
+    source = open_camera(options, renderer, truth, clock, stack, handover.height_m)
     folder = make_run_folder(options.output, "fly")
     record = FlightRecord(
         folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,
@@ -128,11 +128,11 @@ def _succeed(
     )  # fmt: skip
     assembled.ekf.record(record.tape.input)
     vehicle = first_state(autopilot, clock)
-    if resume.lat_lon_deg is not None:
-        assembled.ekf.initialise(_start(plan, resume, resume.lat_lon_deg, vehicle.t_s))
+    if handover.lat_lon_deg is not None:
+        assembled.ekf.initialise(_start(plan, handover, handover.lat_lon_deg, vehicle.t_s))
     aboard = put_aboard(
         plan, assembled, autopilot, _NoWatchdog(), record, arms=False,
-        first_counter=resume.reset_counter,
+        first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)
     try:
@@ -141,10 +141,12 @@ def _succeed(
         record.close(options, assembled)
 
 
-def _start(plan: FlightPlan, resume: Resume, lat_lon_deg: tuple[float, float], t_s: float) -> Start:
+def _start(
+    plan: FlightPlan, handover: Handover, lat_lon_deg: tuple[float, float], t_s: float
+) -> Start:
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
-    position[2] = -resume.height_m
-    return start_after(position, resume.t_s, t_s)
+    position[2] = -handover.height_m
+    return start_after(position, handover.t_s, t_s)
 
 
 class _NoWatchdog:

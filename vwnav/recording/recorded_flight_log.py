@@ -14,16 +14,16 @@ from vwnav.recording.reader import VEHICLE_TOPIC, Record, read_metadata, read_re
 from vwnav.recording.tape import INPUT_TOPIC
 from vwnav.rules.flight_log import (
     At,
-    Bounds,
+    FlightLimits,
     FlightLog,
+    LoggedSetpoint,
+    LoggedTruth,
+    LoggedVehicle,
     Moment,
+    PhaseStart,
     Said,
     Sent,
-    Setpoint,
-    Stage,
-    Truth,
     Vector,
-    Vehicle,
 )
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
@@ -87,8 +87,8 @@ def _missing(
     return {name for name, is_there in there.items() if not is_there}
 
 
-def _vehicle(values: Mapping[str, Any]) -> Vehicle:
-    return Vehicle(
+def _vehicle(values: Mapping[str, Any]) -> LoggedVehicle:
+    return LoggedVehicle(
         values["t_s"],
         FlightMode[values["mode"].upper()],
         values["armed"],
@@ -111,16 +111,16 @@ def _sent(record: Record) -> Sent:
     )
 
 
-def _setpoint(record: Record) -> Setpoint:
+def _setpoint(record: Record) -> LoggedSetpoint:
     names = ("north_m_s", "east_m_s", "down_m_s")
-    return Setpoint(record.t_s, _vector([record.content[name] for name in names]))
+    return LoggedSetpoint(record.t_s, _vector([record.content[name] for name in names]))
 
 
-def _phases(events: Iterable[Record], begun_s: float) -> list[Stage]:
+def _phases(events: Iterable[Record], begun_s: float) -> list[PhaseStart]:
     """Each is said when it is entered; getting ready goes before the first."""
     told = [(record.t_s, _PHASES.get(record.content["text"])) for record in events]
-    entered = [Stage(t_s, phase) for t_s, phase in told if phase is not None]
-    return [Stage(begun_s, Phase.GET_READY), *entered]
+    entered = [PhaseStart(t_s, phase) for t_s, phase in told if phase is not None]
+    return [PhaseStart(begun_s, Phase.GET_READY), *entered]
 
 
 def _fixes(records: Iterable[Record], origin: Mapping[str, float] | None) -> list[At]:
@@ -140,11 +140,11 @@ def _sights(records: Iterable[Record]) -> list[Moment]:
     return [Moment(t_s) for t_s in sorted(times)]
 
 
-def _bounds(config: Mapping[str, Any]) -> Bounds:
+def _bounds(config: Mapping[str, Any]) -> FlightLimits:
     """The recorded settings; those that this version does not know do not count."""
     limits = config.get("limits") or {}
-    default = Bounds()
-    return Bounds(
+    default = FlightLimits()
+    return FlightLimits(
         speed_max_m_s=limits.get("speed_max_m_s", default.speed_max_m_s),
         climb_m_s=limits.get("climb_m_s", default.climb_m_s),
         descend_m_s=limits.get("descend_m_s", default.descend_m_s),
@@ -159,7 +159,7 @@ def _settings(kind: type[SettingsT], values: Mapping[str, Any] | None) -> Settin
     return kind(**{name: value for name, value in (values or {}).items() if name in known})
 
 
-def _truth(path: Path) -> list[Truth]:
+def _truth(path: Path) -> list[LoggedTruth]:
     """Velocities are differences; down is from where it stood at first."""
     try:
         with path.open(newline="") as file:
@@ -169,7 +169,7 @@ def _truth(path: Path) -> list[Truth]:
     except (LookupError, TypeError, ValueError) as error:
         wanted = ", ".join(_TRUTH_COLUMNS)
         raise SourceError(f"{path} is no truth: expected the columns {wanted}") from error
-    found: list[Truth] = []
+    found: list[LoggedTruth] = []
     for (t_s, north, east, up), after in zip(rows, [*rows[1:], rows[-1]], strict=True):
         span_s = after[0] - t_s
         velocity = (
@@ -177,7 +177,7 @@ def _truth(path: Path) -> list[Truth]:
             if span_s > 0.0
             else (0.0, 0.0, 0.0)
         )
-        found.append(Truth(t_s, (north, east, rows[0][3] - up), velocity))
+        found.append(LoggedTruth(t_s, (north, east, rows[0][3] - up), velocity))
     return found
 
 

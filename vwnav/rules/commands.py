@@ -3,7 +3,7 @@
 import math
 from itertools import pairwise
 
-from vwnav.rules.flight_log import Command, FlightLog
+from vwnav.rules.flight_log import FlightLog, LoggedCommand
 from vwnav.rules.moments import flying, handed_back, taken
 from vwnav.rules.rule import Rule
 from vwnav.rules.setpoints import NAVIGATOR, PILOT_S, WATCHDOG
@@ -24,11 +24,11 @@ _REPEATED_S = 1.5  # a command that is not answered is repeated within this
 _MOST_IN_A_SECOND = 4  # of one command, lost ones repeated included
 
 
-def _of_control(log: FlightLog) -> list[Command]:
+def _of_control(log: FlightLog) -> list[LoggedCommand]:
     return [each for each in log.commands if each.number in _OF_CONTROL]
 
 
-def _numbered(log: FlightLog, number: int, first: float | None = None) -> list[Command]:
+def _numbered(log: FlightLog, number: int, first: float | None = None) -> list[LoggedCommand]:
     """Commands of a number, with a first parameter."""
     return [
         each
@@ -37,7 +37,7 @@ def _numbered(log: FlightLog, number: int, first: float | None = None) -> list[C
     ]
 
 
-def _mode_of(command: Command) -> tuple[int, int]:
+def _mode_of(command: LoggedCommand) -> tuple[int, int]:
     main, sub = (int(value) if math.isfinite(value) else 0 for value in command.parameters[1:3])
     return main, sub
 
@@ -50,18 +50,18 @@ def _arms_in_flight(log: FlightLog) -> Breach | None:
     return always(first, lambda command: not _flies_or_runs(log, command), _asked)
 
 
-def _flies_or_runs(log: FlightLog, command: Command) -> bool:
+def _flies_or_runs(log: FlightLog, command: LoggedCommand) -> bool:
     """As it was before the command."""
     vehicle = log.vehicle_at(command.t_s - _BEFORE_S)
     return vehicle is not None and (vehicle.armed or vehicle.in_air)
 
 
-def _is_in_air(log: FlightLog, command: Command) -> bool:
+def _is_in_air(log: FlightLog, command: LoggedCommand) -> bool:
     vehicle = log.vehicle_at(command.t_s)
     return vehicle is not None and vehicle.in_air
 
 
-def _asked(command: Command) -> str:
+def _asked(command: LoggedCommand) -> str:
     return f"command {command.number} {command.parameters} of component {command.component}"
 
 
@@ -87,7 +87,7 @@ def _arms_again(log: FlightLog) -> Breach | None:
     return never_while(spans, _numbered(log, ARM, 1.0), _asked)
 
 
-def _offboard_asked(log: FlightLog) -> list[Command]:
+def _offboard_asked(log: FlightLog) -> list[LoggedCommand]:
     return [each for each in _numbered(log, SET_MODE) if _mode_of(each) in _OFFBOARD]
 
 
@@ -96,7 +96,7 @@ def _offboard_from_elsewhere(log: FlightLog) -> Breach | None:
 
     words = handed_back(log)
 
-    def from_ours(command: Command) -> bool:
+    def from_ours(command: LoggedCommand) -> bool:
         vehicle = log.vehicle_at(command.t_s)
         told = any(0.0 <= command.t_s - t_s <= _TAKES_BACK_S for t_s in words)
         return told or vehicle is None or not vehicle.armed or vehicle.mode in good
@@ -123,7 +123,7 @@ def _too_many(log: FlightLog) -> Breach | None:
 def _low_battery(log: FlightLog) -> Breach | None:
     least = log.bounds.safety.battery_takeoff_ratio
 
-    def enough(command: Command) -> bool:
+    def enough(command: LoggedCommand) -> bool:
         vehicle = log.vehicle_at(command.t_s)
         return vehicle is None or not vehicle.has_less_than(least)
 

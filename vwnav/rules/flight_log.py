@@ -17,7 +17,7 @@ Level = tuple[float, float]  # north, east
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class LoggedVehicle:
     """The aircraft at a moment."""
 
     t_s: float
@@ -57,7 +57,7 @@ class Sent:
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
+class LoggedSetpoint:
     """A velocity that was asked for; `component` is who did, None where it was not noted."""
 
     t_s: float
@@ -66,7 +66,7 @@ class Setpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class LoggedCommand:
     """A MAV_CMD with its parameters as the autopilot got it."""
 
     t_s: float
@@ -76,7 +76,7 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CommandAck:
     """The autopilot's MAV_RESULT to a command."""
 
     t_s: float
@@ -94,7 +94,7 @@ class ParameterSet:
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
+class Heartbeat:
     """A heartbeat of ours; `kind` is its MAV_TYPE."""
 
     t_s: float
@@ -103,7 +103,7 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class PhaseStart:
     """The mission enters a phase."""
 
     t_s: float
@@ -134,7 +134,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class LoggedTruth:
     """Where the aircraft truly was."""
 
     t_s: float
@@ -143,7 +143,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
+class FlightLimits:
     """The settings that a flight is held to; speeds are those of its route."""
 
     speed_max_m_s: float = 10.0
@@ -171,21 +171,21 @@ class FlightLog:
         broken: when something was broken on purpose: what must be steady need not be then.
     """
 
-    bounds: Bounds = field(default_factory=Bounds)
-    vehicle: Sequence[Vehicle] = ()
+    bounds: FlightLimits = field(default_factory=FlightLimits)
+    vehicle: Sequence[LoggedVehicle] = ()
     estimates: Sequence[Sent] = ()
-    setpoints: Sequence[Setpoint] = ()
-    commands: Sequence[Command] = ()
-    answers: Sequence[Answer] = ()
+    setpoints: Sequence[LoggedSetpoint] = ()
+    commands: Sequence[LoggedCommand] = ()
+    answers: Sequence[CommandAck] = ()
     parameters_set: Sequence[ParameterSet] = ()
-    beats: Sequence[Beat] = ()
-    phases: Sequence[Stage] = ()
+    beats: Sequence[Heartbeat] = ()
+    phases: Sequence[PhaseStart] = ()
     events: Sequence[Said] = ()
     fixes: Sequence[At] = ()
     sights: Sequence[Moment] = ()
     beliefs: Sequence[At] = ()
     homes: Sequence[At] = ()
-    truth: Sequence[Truth] = ()
+    truth: Sequence[LoggedTruth] = ()
     unknown: frozenset[str] = frozenset()
     sampled: bool = False
     map_off_m: float = 0.0
@@ -196,7 +196,7 @@ class FlightLog:
         """Of what was noted of the vehicle: nothing can be asked of the time after it."""
         return self.vehicle[-1].t_s if self.vehicle else math.inf
 
-    def vehicle_at(self, t_s: float) -> Vehicle | None:
+    def vehicle_at(self, t_s: float) -> LoggedVehicle | None:
         """Its newest state; None before the first."""
         rows = self.vehicle
         i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1

@@ -4,7 +4,15 @@ import math
 from itertools import pairwise
 
 from vwnav.mission.mission import Phase
-from vwnav.rules.flight_log import At, Command, FlightLog, Moment, Said, Setpoint, Stage
+from vwnav.rules.flight_log import (
+    At,
+    FlightLog,
+    LoggedCommand,
+    LoggedSetpoint,
+    Moment,
+    PhaseStart,
+    Said,
+)
 from vwnav.rules.moments import NOT_OURS, in_modes, phase_begins, steered, touch_down_s
 from vwnav.rules.rule import Rule
 from vwnav.rules.temporal import (
@@ -65,7 +73,7 @@ def _order(log: FlightLog) -> Breach | None:
     return None
 
 
-def _entered(log: FlightLog, *phases: Phase) -> list[Stage]:
+def _entered(log: FlightLog, *phases: Phase) -> list[PhaseStart]:
     """Changes to a phase; the first one known is no change."""
     return [row for row in log.phases[1:] if row.phase in phases]
 
@@ -81,7 +89,7 @@ def _route_without_fixes(log: FlightLog) -> Breach | None:
 
 
 def _over_in_the_air(log: FlightLog) -> Breach | None:
-    def stands(stage: Stage) -> bool:
+    def stands(stage: PhaseStart) -> bool:
         vehicle = log.vehicle_at(stage.t_s)
         return vehicle is None or not vehicle.armed or not vehicle.in_air
 
@@ -142,7 +150,7 @@ def _uncertain(log: FlightLog) -> Breach | None:
     return never_while(after(1.0, spans), moving, _velocity)
 
 
-def _velocity(setpoint: Setpoint) -> str:
+def _velocity(setpoint: LoggedSetpoint) -> str:
     return f"on route at {math.hypot(*setpoint.velocity_ned_m_s[:2]):.1f} m/s"
 
 
@@ -179,13 +187,13 @@ def _landing_ends(log: FlightLog) -> Breach | None:
 
 
 def _asks_after_touch_down(log: FlightLog) -> Breach | None:
-    rows: list[Setpoint | Command] = [*log.setpoints, *log.commands]
+    rows: list[LoggedSetpoint | LoggedCommand] = [*log.setpoints, *log.commands]
     asked = sorted(
-        (row for row in rows if not isinstance(row, Command) or row.number != _DISARM),
+        (row for row in rows if not isinstance(row, LoggedCommand) or row.number != _DISARM),
         key=lambda row: row.t_s,
     )
     spans = without([(touch_down_s(log) + _DOWN_S, math.inf)], log.broken, _RECOVERY_S)
-    controls = [r for r in asked if isinstance(r, Setpoint) or r.number in (21, 22, 176)]
+    controls = [r for r in asked if isinstance(r, LoggedSetpoint) or r.number in (21, 22, 176)]
     return never_while(spans, controls, lambda row: f"asked for: {row}")
 
 

@@ -29,7 +29,7 @@ class Rule:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RuleVerdict:
     """What a log says of a rule; `breach` where it is broken, `missing` where it cannot tell."""
 
     rule: Rule
@@ -44,15 +44,15 @@ class Verdict:
         return "held" if self.breach is None else "broken"
 
 
-def check(rules: Iterable[Rule], log: FlightLog) -> list[Verdict]:
+def check(rules: Iterable[Rule], log: FlightLog) -> list[RuleVerdict]:
     """The verdict of each rule."""
     return [_verdict(rule, log) for rule in rules]
 
 
-def _verdict(rule: Rule, log: FlightLog) -> Verdict:
+def _verdict(rule: Rule, log: FlightLog) -> RuleVerdict:
     missing = [name for name in rule.needs if name in log.unknown]
     if missing:
-        return Verdict(rule, missing=f"no {', '.join(missing).replace('_', ' ')}")
+        return RuleVerdict(rule, missing=f"no {', '.join(missing).replace('_', ' ')}")
     if rule.whole and log.sampled:
-        return Verdict(rule, missing="only samples")
-    return Verdict(rule, rule.breach(log))
+        return RuleVerdict(rule, missing="only samples")
+    return RuleVerdict(rule, rule.breach(log))

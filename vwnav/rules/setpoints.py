@@ -3,7 +3,7 @@
 import math
 
 from vwnav.mission.mission import Phase
-from vwnav.rules.flight_log import FlightLog, Setpoint
+from vwnav.rules.flight_log import FlightLog, LoggedSetpoint
 from vwnav.rules.moments import in_phases, taken
 from vwnav.rules.rule import Rule
 from vwnav.rules.temporal import (
@@ -27,19 +27,19 @@ _LONGEST_PAUSE_S = 0.5  # PX4 leaves Offboard after 1.0 s
 _RECOVERY_S = 2.0  # after something was broken
 
 
-def _level_m_s(setpoint: Setpoint) -> float:
+def _level_m_s(setpoint: LoggedSetpoint) -> float:
     return math.hypot(*setpoint.velocity_ned_m_s[:2])
 
 
-def _is_still(setpoint: Setpoint) -> bool:
+def _is_still(setpoint: LoggedSetpoint) -> bool:
     return all(abs(v) < _STILL_M_S for v in setpoint.velocity_ned_m_s)
 
 
-def _navigators(log: FlightLog) -> list[Setpoint]:
+def _navigators(log: FlightLog) -> list[LoggedSetpoint]:
     return [each for each in log.setpoints if each.component in (None, NAVIGATOR)]
 
 
-def _flown(setpoint: Setpoint) -> str:
+def _flown(setpoint: LoggedSetpoint) -> str:
     speeds = ", ".join(f"{v:.2f}" for v in setpoint.velocity_ned_m_s)
     return f"setpoint ({speeds}) m/s of component {setpoint.component or '?'}"
 

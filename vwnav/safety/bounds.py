@@ -5,7 +5,7 @@ import numpy as np
 from vwnav.types import Array
 
 
-class Bounds:
+class RouteBounds:
     """The legs from home over the waypoints and back.
 
     Args:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["PASS", "WARN", "FAIL"]
+CheckVerdict = Literal["PASS", "WARN", "FAIL"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,5 +11,5 @@ class Check:
     """What was looked at, how it is, and what is to be done about it."""
 
     name: str
-    verdict: Verdict
+    verdict: CheckVerdict
     detail: str

@@ -54,7 +54,7 @@ Reason = Callable[[Situation, SafetyConfig], str | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rule:
+class SafetyRule:
     """A row: when it applies, in words with settings of `SafetyConfig` in braces, and what it asks.
 
     Attributes:
@@ -166,35 +166,35 @@ def _ordered(order: Order) -> Reason:
 
 
 TABLE = (
-    Rule(Rank.PILOT, "the mode was changed, not by us", Action.RELEASE, _released),
-    Rule(Rank.PILOT, "the autopilot flies a failsafe", Action.YIELD, _failsafe),
-    Rule(
+    SafetyRule(Rank.PILOT, "the mode was changed, not by us", Action.RELEASE, _released),
+    SafetyRule(Rank.PILOT, "the autopilot flies a failsafe", Action.YIELD, _failsafe),
+    SafetyRule(
         Rank.BATTERY, "battery below {battery_critical_ratio:.0%} for {battery_time_s:g} s",
         Action.LAND, _battery_critical, stays=True,
     ),
-    Rule(
+    SafetyRule(
         Rank.SIGNAL, "autopilot not heard for {link_land_s:g} s",
         Action.LAND, _silent_for_good, stays=True,
     ),
-    Rule(Rank.SIGNAL, "autopilot not heard for {link_hold_s:g} s", Action.HOLD, _silent),
-    Rule(
+    SafetyRule(Rank.SIGNAL, "autopilot not heard for {link_hold_s:g} s", Action.HOLD, _silent),
+    SafetyRule(
         Rank.SIGNAL, "no estimate to fly on for {lost_land_s:g} s",
         Action.LAND, _lost_for_good, stays=True,
     ),
-    Rule(Rank.SIGNAL, "no estimate to fly on", Action.HOLD, _lost),
-    Rule(
+    SafetyRule(Rank.SIGNAL, "no estimate to fly on", Action.HOLD, _lost),
+    SafetyRule(
         Rank.SIGNAL, "no picture that tells motion or place for {blind_land_s:g} s",
         Action.LAND, _blind_for_good, stays=True,
     ),
-    Rule(
+    SafetyRule(
         Rank.SIGNAL, "no picture that tells motion or place for {blind_hold_s:g} s",
         Action.HOLD, _blind,
     ),
-    Rule(
+    SafetyRule(
         Rank.WAY_HOME, "any of the next row before the first fix", Action.LAND, _home_is_below,
         stays=True,
     ),
-    Rule(
+    SafetyRule(
         Rank.WAY_HOME,
         "battery below {battery_low_ratio:.0%} for {battery_time_s:g} s, or what is left above "
         "{battery_critical_ratio:.0%} is less than {battery_home_share:g} times what the way home "
@@ -202,37 +202,39 @@ TABLE = (
         "ground station likewise for {ground_return_s:g} s",
         Action.RETURN, _way_home, stays=True,
     ),
-    Rule(
+    SafetyRule(
         Rank.POSITION, "{fence_m:g} m off the route and the way home", Action.RETURN,
         _off_the_route, stays=True,
     ),
-    Rule(
+    SafetyRule(
         Rank.POSITION,
         "out of bounds (below) for {hold_time_s:g} s and uncertain by "
         "{return_sigma_m:g} m",
         Action.LAND, _nowhere, stays=True,
     ),
-    Rule(
+    SafetyRule(
         Rank.POSITION, "out of bounds for {hold_time_s:g} s", Action.RETURN, _bad_after_climb,
         stays=True,
     ),
-    Rule(Rank.POSITION, "out of bounds for {climb_after_s:g} s", Action.CLIMB, _bad_after_hold),
-    Rule(
+    SafetyRule(Rank.POSITION, "out of bounds for {climb_after_s:g} s", Action.CLIMB,
+         _bad_after_hold),
+    SafetyRule(
         Rank.POSITION,
         "out of bounds: uncertain by {hold_sigma_m:g} m, or no map fix for {hold_fix_age_s:g} s",
         Action.HOLD, _bad,
     ),
-    Rule(
+    SafetyRule(
         Rank.POSITION, "uncertain by {slow_sigma_m:g} m, or no map fix for {slow_fix_age_s:g} s",
         Action.SLOW, _poor,
     ),
-    Rule(Rank.OPERATOR, "it asks to land", Action.LAND, _ordered(Order.LAND), stays=True),
-    Rule(
+    SafetyRule(Rank.OPERATOR, "it asks to land", Action.LAND, _ordered(Order.LAND), stays=True),
+    SafetyRule(
         Rank.OPERATOR, "it asks to return before the first fix", Action.LAND, _return_to_below,
         stays=True,
     ),
-    Rule(Rank.OPERATOR, "it asks to return", Action.RETURN, _ordered(Order.RETURN), stays=True),
-    Rule(Rank.OPERATOR, "it asks to pause, until it asks to go on", Action.HOLD,
+    SafetyRule(Rank.OPERATOR, "it asks to return", Action.RETURN,
+         _ordered(Order.RETURN), stays=True),
+    SafetyRule(Rank.OPERATOR, "it asks to pause, until it asks to go on", Action.HOLD,
          _ordered(Order.PAUSE)),
 )  # fmt: skip
 
@@ -254,11 +256,11 @@ class Hierarchy:
 
     def __init__(self, config: SafetyConfig) -> None:
         self._config = config
-        self._standing: dict[Rule, str] = {}
+        self._standing: dict[SafetyRule, str] = {}
 
     def step(self, now: Situation) -> Decision:
         """The decision for a situation; to be called at every tick."""
-        found: list[tuple[Rule, str]] = []
+        found: list[tuple[SafetyRule, str]] = []
         for rule in TABLE:
             reason = self._standing.get(rule) or rule.reason(now, self._config)
             if rule.action is Action.RETURN and not now.is_usable:
@@ -273,7 +275,7 @@ class Hierarchy:
         rule, reason = next((each for each in found if self._lands(each[0], found)), found[0])
         return Decision(rule.action, reason, rule.rank)
 
-    def _lands(self, rule: Rule, found: list[tuple[Rule, str]]) -> bool:
+    def _lands(self, rule: SafetyRule, found: list[tuple[SafetyRule, str]]) -> bool:
         """A landing goes before all but the pilot."""
         return rule.action is Action.LAND and found[0][0].rank is not Rank.PILOT
 

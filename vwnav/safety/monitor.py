@@ -5,7 +5,7 @@ Only a pilot takes control away for good, and only a pilot gives it back (`Safet
 
 import math
 
-from vwnav.safety.bounds import Bounds
+from vwnav.safety.bounds import RouteBounds
 from vwnav.safety.energy import EnergyWatch
 from vwnav.safety.hierarchy import Action, Decision, Hierarchy, Rank
 from vwnav.safety.safety_config import SafetyConfig
@@ -31,7 +31,7 @@ class SafetyMonitor:
         self._battery = BatteryWatch(config)
         self._energy = EnergyWatch(config, cruise_m_s)
         self._begin_watching()
-        self._bounds: Bounds | None = None
+        self._bounds: RouteBounds | None = None
         self._order: Order | None = None
         self._lands = False
 
@@ -63,7 +63,7 @@ class SafetyMonitor:
 
     def fly_within(self, route_ned_m: Array, home_ne_m: Array) -> None:
         """From now on the aircraft belongs near a route (n, 3) and the way home (2,) from it."""
-        self._bounds = Bounds(route_ned_m, home_ne_m)
+        self._bounds = RouteBounds(route_ned_m, home_ne_m)
 
     def obey(self, order: Order) -> None:
         """What a ground station asks for; it has its place in the hierarchy."""

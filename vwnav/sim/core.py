@@ -9,11 +9,11 @@ from enum import Enum
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.copter import streams as copter_streams
 from vwnav.sim.copter.copter import SimulatedCopter
-from vwnav.sim.copter.session import Session as CopterSession
+from vwnav.sim.copter.session import CopterSession
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.px4 import streams as px4_streams
 from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
-from vwnav.sim.px4.session import Session as Px4Session
+from vwnav.sim.px4.session import Px4Session
 
 _log = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Home:
+class HomePosition:
     """Geodetic and local (north, east, down in m); `t_s` is when it was set."""
 
     lat_deg: float

@@ -13,7 +13,7 @@ from vwnav.sim.scenery.ground import paint_ground
 from vwnav.sim.scenery.landscape import Landscape, LookName
 from vwnav.sim.scenery.layout import lay_out
 from vwnav.sim.scenery.looks import Look, flight_look, map_look
-from vwnav.sim.scenery.noise import Window
+from vwnav.sim.scenery.noise import NedWindow
 from vwnav.sim.scenery.objects import near, paint_objects
 from vwnav.sim.scenery.runway import paint_airfield
 
@@ -74,15 +74,17 @@ class Site:
         if m_per_px <= 0.0 or min(size) < 1:
             raise ValueError(f"expected a window, got {size} px of {m_per_px} m")
         return _render(
-            self.landscape, self.looks[look], Window(north0_m, east0_m, size[0], size[1], m_per_px)
+            self.landscape,
+            self.looks[look],
+            NedWindow(north0_m, east0_m, size[0], size[1], m_per_px),
         )
 
 
-def _render(land: Landscape, look: Look, window: Window) -> NDArray[np.uint8]:
+def _render(land: Landscape, look: Look, window: NedWindow) -> NDArray[np.uint8]:
     """Draw a window with the margin that blur and JPEG blocks need, and cut it off again."""
     left, top, right, bottom = _margins(look, window)
     r = window.m_per_px
-    wide = Window(
+    wide = NedWindow(
         window.north0_m + top * r,
         window.east0_m - left * r,
         window.width + left + right,
@@ -92,7 +94,7 @@ def _render(land: Landscape, look: Look, window: Window) -> NDArray[np.uint8]:
     picture = np.empty((wide.height, wide.width, 3), np.uint8)
     for v in range(0, wide.height, _TILE_PX):
         for u in range(0, wide.width, _TILE_PX):
-            part = Window(
+            part = NedWindow(
                 wide.north0_m - v * r,
                 wide.east0_m + u * r,
                 min(_TILE_PX, wide.width - u),
@@ -104,7 +106,7 @@ def _render(land: Landscape, look: Look, window: Window) -> NDArray[np.uint8]:
     return np.ascontiguousarray(picture[top : top + window.height, left : left + window.width])
 
 
-def _margins(look: Look, window: Window) -> tuple[int, int, int, int]:
+def _margins(look: Look, window: NedWindow) -> tuple[int, int, int, int]:
     """Left, top, right, bottom pixels to add.
 
     JPEG blocks sit on a grid of the ground, so that windows on it agree to the last bit.
@@ -119,7 +121,7 @@ def _margins(look: Look, window: Window) -> tuple[int, int, int, int]:
     return left, top, right, bottom
 
 
-def _draw(land: Landscape, look: Look, window: Window) -> NDArray[np.uint8]:
+def _draw(land: Landscape, look: Look, window: NedWindow) -> NDArray[np.uint8]:
     canvas = Canvas(window, land.seed)
     turf = paint_ground(canvas, land, look)
     paint_airfield(canvas, land.airfield, look, turf)

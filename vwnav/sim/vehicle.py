@@ -20,7 +20,7 @@ from vwnav.errors import LinkError, VwnavError
 from vwnav.pace import clock_of
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
-from vwnav.sim.mavlink.link import UdpLink
+from vwnav.sim.mavlink.link import VehicleUdpLink
 from vwnav.sim.px4.px4 import STEP_S
 
 __all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start_vehicle"]
@@ -72,7 +72,7 @@ class VehicleServer:
     def __init__(self, config: VehicleConfig) -> None:
         self._config = config
         self._clock: Clock = clock_of(config.clock_file)
-        self._links: list[UdpLink] = []
+        self._links: list[VehicleUdpLink] = []
         peers = []
         for url, role in (
             (config.companion_url, Role.COMPANION),
@@ -80,7 +80,7 @@ class VehicleServer:
             (config.truth_url, Role.TRUTH),
         ):
             if url:
-                self._links.append(UdpLink(url, config.system_id))
+                self._links.append(VehicleUdpLink(url, config.system_id))
                 peers.append(Peer(self._links[-1], role))
         self._core = VehicleCore(config, peers, lambda: self._clock() * config.speed)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Prior
-from vwnav.vision.hypotheses import Bounds
+from vwnav.vision.hypotheses import SimilarityBounds
 
 YAW_REACH_RAD = math.radians(16.0)  # descriptors are upright and bear so much rotation
 SCALE_REACH = 1.18  # and so much difference of scale
@@ -32,7 +32,7 @@ class Guess:
 
     yaw_rad: float
     agl_m: float
-    bounds: Bounds
+    bounds: SimilarityBounds
 
 
 def is_finite(prior: Prior) -> bool:
@@ -62,7 +62,7 @@ def guesses(prior: Prior, agl_range_m: tuple[float, float]) -> list[Guess]:
     """
     yaws, yaw_bound_rad = _yaws(prior)
     agls, scale_bound = _agls(prior, agl_range_m)
-    bounds = Bounds(scale_bound, yaw_bound_rad)
+    bounds = SimilarityBounds(scale_bound, yaw_bound_rad)
     found = [
         (yaw_cost + agl_cost, Guess(yaw_rad, agl_m, bounds))
         for (yaw_rad, yaw_cost), (agl_m, agl_cost) in itertools.product(yaws, agls)

@@ -21,7 +21,7 @@ MIN_BASELINE_RATIO = 0.08  # of the view's diagonal: shorter pairs tell no rotat
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class SimilarityBounds:
     """What the prior allows of the similarity from view to map.
 
     Attributes:
@@ -63,7 +63,7 @@ def propose(
     uv_view: Array,
     uv_map: Array,
     reference_uv: Array,
-    bounds: Bounds,
+    bounds: SimilarityBounds,
     threshold_px: float,
     seed: int,
 ) -> list[Candidate]:
@@ -103,7 +103,9 @@ def _complex(uv: Array) -> Complex:
     return np.asarray(uv[:, 0] + 1j * uv[:, 1], np.complex128)
 
 
-def _votes(z0: Complex, z1: Complex, bounds: Bounds, seed: int) -> tuple[Complex, Complex]:
+def _votes(
+    z0: Complex, z1: Complex, bounds: SimilarityBounds, seed: int
+) -> tuple[Complex, Complex]:
     """Factor and place of the reference point, of every pair that the bounds allow."""
     first, second = _pairs(len(z0), seed)
     base = z0[second] - z0[first]

@@ -29,7 +29,7 @@ from vwnav.types import (
     RejectReason,
 )
 from vwnav.vision.guesses import Guess, guesses, is_finite
-from vwnav.vision.hypotheses import Bounds
+from vwnav.vision.hypotheses import SimilarityBounds
 from vwnav.vision.look import Found, Job, Looker, Stopwatch, too_small
 from vwnav.vision.placing import Misplaced, PlacingRules
 from vwnav.vision.search import Area, coarse_tests, search
@@ -235,7 +235,7 @@ class Localizer:
         guess = Guess(
             wrap_pi(found.guess.yaw_rad + pose.yaw_correction_rad),
             found.guess.agl_m * pose.scale_ratio,
-            Bounds(CLOSER_SCALE, CLOSER_TURN_RAD),
+            SimilarityBounds(CLOSER_SCALE, CLOSER_TURN_RAD),
         )
         view = found.view.rectification
         radius_m = 6.0 * view.m_per_px + 0.05 * max(view.size_wh) * view.m_per_px

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
 from vwnav.types import Array, Features, RejectReason
-from vwnav.vision.hypotheses import Bounds, Candidate, propose
+from vwnav.vision.hypotheses import Candidate, SimilarityBounds, propose
 from vwnav.vision.matching import match
 from vwnav.vision.significance import log10_false_alarms, witnesses
 from vwnav.vision.view import View
@@ -84,7 +84,7 @@ def place(
     view: View,
     map_: Features,
     pairs: NDArray[np.int64],
-    bounds: Bounds,
+    bounds: SimilarityBounds,
     rules: PlacingRules,
     seed: int,
 ) -> Placement | Misplaced:

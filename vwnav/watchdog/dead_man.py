@@ -48,7 +48,7 @@ class VehicleView:
     landed: bool = False
 
 
-class Action(Enum):
+class DeadManAction(Enum):
     """What is to be sent now."""
 
     ZERO_VELOCITY = "zero velocity"
@@ -153,7 +153,7 @@ class DeadMan:
         if not accepted and self.state is GuardState.HOLDING:
             self._enter(GuardState.LANDING, t_s)
 
-    def step(self, t_s: float) -> Action | None:
+    def step(self, t_s: float) -> DeadManAction | None:
         """What to send now; call it at 20 Hz or more."""
         if self.state is GuardState.RELAY:
             self._watch(t_s)
@@ -217,10 +217,10 @@ class DeadMan:
         self.state, self._accepted = state, False
         self._command_t_s = t_s - self.config.command_period_s
 
-    def _action(self, t_s: float) -> Action | None:
+    def _action(self, t_s: float) -> DeadManAction | None:
         wanted = {
-            GuardState.HOLDING: (Action.HOLD, (FlightMode.HOLD,)),
-            GuardState.LANDING: (Action.LAND, _COMES_DOWN),
+            GuardState.HOLDING: (DeadManAction.HOLD, (FlightMode.HOLD,)),
+            GuardState.LANDING: (DeadManAction.LAND, _COMES_DOWN),
         }.get(self.state)
         if wanted is not None:
             action, modes = wanted
@@ -237,4 +237,4 @@ class DeadMan:
         if self.vehicle.mode is not FlightMode.OFFBOARD:
             return None
         self._setpoint_t_s = t_s
-        return Action.ZERO_VELOCITY
+        return DeadManAction.ZERO_VELOCITY

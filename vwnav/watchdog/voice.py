@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.mavlink.framing import Framer, Packet, packet_at
 from vwnav.mavlink.modes import AutopilotKind, flight_mode, mode_command
 from vwnav.vehicle import FlightMode
-from vwnav.watchdog.dead_man import Action, VehicleView
+from vwnav.watchdog.dead_man import DeadManAction, VehicleView
 
 _AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2
@@ -165,15 +165,15 @@ class Voice:
         )
         return _packet(message.pack(self._encoder))
 
-    def say(self, action: Action, ear: AutopilotEar, t_s: float) -> Packet:
+    def say(self, action: DeadManAction, ear: AutopilotEar, t_s: float) -> Packet:
         """The message that does `action` on the autopilot that `ear` hears."""
         self._encoder.srcSystem = ear.system_id or 1
         match action:
-            case Action.ZERO_VELOCITY:
+            case DeadManAction.ZERO_VELOCITY:
                 message = self._zero_velocity(ear.system_id, t_s)
-            case Action.HOLD:
+            case DeadManAction.HOLD:
                 message = self._mode(ear, FlightMode.HOLD)
-            case Action.LAND:
+            case DeadManAction.LAND:
                 message = self._mode(ear, FlightMode.LAND)
         return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
 

@@ -10,14 +10,16 @@ import numpy as np
 from vwnav.bench.estimator.plots import save_nees_plot, save_yaw_plot, save_yaw_table
 from vwnav.bench.estimator.record import load_stream, save_stream
 from vwnav.bench.estimator.run import Run, play
-from vwnav.bench.estimator.scenarios import Metric, Scenario, fly_scenario
+from vwnav.bench.estimator.scenarios import FilterScenario, Metric, fly_scenario
 
 LAMBDA = 0.5
 
 Say = Callable[[str], None]
 
 
-def bench(scenario: Scenario, runs: int, seed: int, folder: Path | None, say: Say) -> list[Metric]:
+def bench(
+    scenario: FilterScenario, runs: int, seed: int, folder: Path | None, say: Say
+) -> list[Metric]:
     """Fly one scenario and judge it; recordings and plots go to the folder.
 
     Raises:
@@ -35,7 +37,7 @@ def bench(scenario: Scenario, runs: int, seed: int, folder: Path | None, say: Sa
     return metrics
 
 
-def _replays_alike(run: Run, scenario: Scenario, path: Path) -> bool:
+def _replays_alike(run: Run, scenario: FilterScenario, path: Path) -> bool:
     path.unlink(missing_ok=True)
     save_stream(run.stream, path)
     again = play(load_stream(path, run.stream.truth), scenario.config)
@@ -50,7 +52,7 @@ def _replays_alike(run: Run, scenario: Scenario, path: Path) -> bool:
 
 
 def _with_lambda(
-    plain: Run, scenario: Scenario, runs: int, seed: int, folder: Path | None
+    plain: Run, scenario: FilterScenario, runs: int, seed: int, folder: Path | None
 ) -> list[Metric]:
     """The effect of the thesis' correction on the same flights, of which `plain` is the first."""
     config = replace(scenario.config, visual_weight=LAMBDA)

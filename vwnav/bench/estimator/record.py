@@ -7,8 +7,8 @@ from typing import Any
 import foxglove
 import numpy as np
 
-from vwnav.bench.estimator.streams import Event, Stream, Table
-from vwnav.bench.estimator.world import Truth, World
+from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream, Table
+from vwnav.bench.estimator.world import FilterWorld, TrueTrajectory
 from vwnav.errors import SourceError
 from vwnav.estimation.inputs import Asked, decode, encode
 from vwnav.estimation.states import Start
@@ -18,7 +18,7 @@ from vwnav.recording.recorder import plain
 _SENSORS, _TABLE = "/sensors", "/table"
 
 
-def save_stream(stream: Stream, path: Path) -> None:
+def save_stream(stream: MeasurementStream, path: Path) -> None:
     """Write the events in order of arrival; the truth stays out of it."""
     context = foxglove.Context()
     with foxglove.open_mcap(path, context=context):
@@ -32,7 +32,7 @@ def save_stream(stream: Stream, path: Path) -> None:
             sensors.log(content, log_time=round(event.arrival_s * 1e9))
 
 
-def load_stream(path: Path, truth: Truth) -> Stream:
+def load_stream(path: Path, truth: TrueTrajectory) -> MeasurementStream:
     """Read a recording of `save_stream`.
 
     Args:
@@ -50,14 +50,14 @@ def load_stream(path: Path, truth: Truth) -> Stream:
             seen = decode(record.content["seen"])
             if isinstance(seen, Start | Asked):
                 raise SourceError(f"{path} is no recording of sensor streams")
-            events.append(Event(record.content["arrival_s"], seen))
+            events.append(MeasurementEvent(record.content["arrival_s"], seen))
     if not events:
         raise SourceError(f"{path} holds no sensor streams")
-    return Stream(truth, events, np.zeros(0), table)
+    return MeasurementStream(truth, events, np.zeros(0), table)
 
 
 def _table(fields: dict[str, Any]) -> Table:
-    known = {field.name for field in dataclasses.fields(World)}
-    world = World(**{name: value for name, value in fields["world"].items() if name in known})
+    known = {field.name for field in dataclasses.fields(FilterWorld)}
+    world = FilterWorld(**{name: value for name, value in fields["world"].items() if name in known})
     a, b = fields["phases"]
     return Table(world, fields["offset_m"], (a, b))

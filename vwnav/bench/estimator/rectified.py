@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.bench.estimator.streams import Stream
+from vwnav.bench.estimator.streams import MeasurementStream
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
@@ -19,7 +19,7 @@ from vwnav.types import Array, OdometryMotion
 _SAME_RAD = math.radians(0.25)  # what interpolation between noisy attitudes makes of them
 
 
-def rectified(seen: Measurement, ekf: Ekf, stream: Stream) -> Measurement:
+def rectified(seen: Measurement, ekf: Ekf, stream: MeasurementStream) -> Measurement:
     """`seen` in a stream that knows its autopilot's attitudes; anything else as it is."""
     if stream.measured_quats is None:
         return seen
@@ -38,7 +38,7 @@ def rectified(seen: Measurement, ekf: Ekf, stream: Stream) -> Measurement:
     return seen
 
 
-def _turn(t_s: float, ekf: Ekf, stream: Stream) -> Array | None:
+def _turn(t_s: float, ekf: Ekf, stream: MeasurementStream) -> Array | None:
     """(3,) NED rotation vector from the autopilot's attitude to that of the filter."""
     known = ekf.attitude_at(t_s)
     if known is None or stream.measured_quats is None:

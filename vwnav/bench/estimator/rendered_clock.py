@@ -2,7 +2,7 @@
 
 import time
 
-from vwnav.bench.estimator.streams import Event
+from vwnav.bench.estimator.streams import MeasurementEvent
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation
 from vwnav.estimation.inputs import Measurement
@@ -22,7 +22,7 @@ class HeardEkf(Ekf):
     ) -> None:
         super().__init__(config, ground)
         self._clock = clock
-        self.answers: list[tuple[Event, Innovation]] = []
+        self.answers: list[tuple[MeasurementEvent, Innovation]] = []
         self.cost_s: list[float] = []
 
     def handle(self, seen: Measurement) -> Innovation:
@@ -30,5 +30,5 @@ class HeardEkf(Ekf):
         begin_s = time.process_time()
         answer = super().handle(seen)
         self.cost_s.append(time.process_time() - begin_s)
-        self.answers.append((Event(self._clock.now_s, seen), answer))
+        self.answers.append((MeasurementEvent(self._clock.now_s, seen), answer))
         return answer

@@ -1,4 +1,4 @@
-"""How wrong fixes and odometry were in a flight, in the units of the fast benchmark's `World`.
+"""How wrong fixes and odometry were in a flight, in units of the fast benchmark's `FilterWorld`.
 
 The error of the attitude is taken out first, as `estimator_streams` puts it in: a tilt error moves
 a fix by AGL times angle and turns every way seen. What is left is what pictures and map add.
@@ -11,8 +11,8 @@ import numpy as np
 
 from vwnav.bench.estimator.run import Run
 from vwnav.bench.estimator.scores import SETTLED_S, rms
-from vwnav.bench.estimator.streams import Event
-from vwnav.bench.estimator.world import Truth
+from vwnav.bench.estimator.streams import MeasurementEvent
+from vwnav.bench.estimator.world import TrueTrajectory
 from vwnav.estimation.ekf import Innovation, NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.geometry.rotations import (
@@ -24,7 +24,7 @@ from vwnav.geometry.rotations import (
 )
 from vwnav.types import Array, Attitude, OdometryMotion
 
-LEVEL_SHARE, DOWN_SHARE = 0.7, 0.4  # of `World.odometry_sigma`, per axis
+LEVEL_SHARE, DOWN_SHARE = 0.7, 0.4  # of `FilterWorld.odometry_sigma`, per axis
 _ALL_S = 1e9
 
 
@@ -73,7 +73,7 @@ class WayErrors:
 class _Told:
     """The attitude as the autopilot said it, and its error."""
 
-    def __init__(self, events: list[Event], truth: Truth) -> None:
+    def __init__(self, events: list[MeasurementEvent], truth: TrueTrajectory) -> None:
         self._truth = truth
         self._said = AttitudeHistory(_ALL_S)
         for event in events:
@@ -94,8 +94,8 @@ class _Told:
 
 
 def with_errors(
-    answers: list[tuple[Event, Innovation]], truth: Truth
-) -> list[tuple[Event, Innovation]]:
+    answers: list[tuple[MeasurementEvent, Innovation]], truth: TrueTrajectory
+) -> list[tuple[MeasurementEvent, Innovation]]:
     """The same events, each fix with how wrong it was, tilt left aside."""
     told = _Told([event for event, _ in answers], truth)
     return [
@@ -106,7 +106,7 @@ def with_errors(
     ]
 
 
-def _fix_error(fix: NedFix, truth: Truth, told: _Told) -> tuple[Array, float, float]:
+def _fix_error(fix: NedFix, truth: TrueTrajectory, told: _Told) -> tuple[Array, float, float]:
     """Place (2,) in metres, heading in radians, AGL as a ratio; NaN where the fix has none."""
     i = truth.index(fix.t_s)
     _, tilt, map_yaw_rad = told.error(fix.t_s)
@@ -166,7 +166,7 @@ def way_errors(run: Run) -> WayErrors:
 
 
 def _way_error(
-    motion: OdometryMotion, truth: Truth, told: _Told
+    motion: OdometryMotion, truth: TrueTrajectory, told: _Told
 ) -> tuple[Array, Array, Array, float, float]:
     key, now = truth.index(motion.t0_s), truth.index(motion.t1_s)
     yaw0_rad, tilt0, map_yaw0_rad = told.error(motion.t0_s)
@@ -189,7 +189,7 @@ def tilt_share(flights: list[WayErrors]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class OdometryErrors:
-    """In the units of `World`.
+    """In the units of `FilterWorld`.
 
     Attributes:
         picture, picture_down: what each picture adds, level and vertical, by `odometry_sigma`.
@@ -209,7 +209,7 @@ class OdometryErrors:
 
 
 def odometry_errors(flights: list[WayErrors]) -> OdometryErrors:
-    """Of all motions; a keyframe's error and a picture's are alike in size, as `World` has them."""
+    """Of all motions; a keyframe's error and a picture's are alike in size, as in `FilterWorld`."""
     share = tilt_share(flights)
     news, ends, along, way = [], [], 0.0, 0.0
     for flight in flights:

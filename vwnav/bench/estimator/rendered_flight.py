@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.estimator.streams import Event, sense
-from vwnav.bench.estimator.world import DT_S, Truth, World, fly
+from vwnav.bench.estimator.streams import MeasurementEvent, sense
+from vwnav.bench.estimator.world import DT_S, FilterWorld, TrueTrajectory, fly
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
 from vwnav.sim.camera_source import FRAME_HZ
@@ -44,9 +44,9 @@ class RenderedFlight:
     """
 
     site: Site
-    world: World
-    truth: Truth
-    telemetry: list[Event]
+    world: FilterWorld
+    truth: TrueTrajectory
+    telemetry: list[MeasurementEvent]
     measured_yaw_rad: Array
     latencies: np.random.Generator
     noise: np.random.Generator
@@ -62,7 +62,9 @@ def plan_flight(number: int, seed: int, seconds: float, imu_hz: float = 0.0) -> 
     legs, rng, latencies, noise = (np.random.default_rng([seed, number, part]) for part in range(4))
     height_m = float(legs.uniform(*_HEIGHTS_M))
     climb_s = height_m / _CLIMB_M_S + _SLOWING_S
-    world = World(seconds=seconds, height_m=height_m, climb_s=climb_s, relief_m=0.0, imu_hz=imu_hz)
+    world = FilterWorld(
+        seconds=seconds, height_m=height_m, climb_s=climb_s, relief_m=0.0, imu_hz=imu_hz
+    )
     world = replace(world, headings_deg=_legs(legs, world))
     truth = fly(world, [rng])[0]
     stream = sense(world, truth, rng)
@@ -73,7 +75,7 @@ def plan_flight(number: int, seed: int, seconds: float, imu_hz: float = 0.0) -> 
     )
 
 
-def _legs(rng: np.random.Generator, world: World) -> tuple[tuple[float, float], ...]:
+def _legs(rng: np.random.Generator, world: FilterWorld) -> tuple[tuple[float, float], ...]:
     """(time, heading in degrees) of legs that stay over the site, with turns of 60 to 180."""
     heading_deg = float(rng.uniform(-180.0, 180.0))
     place = np.zeros(2)
@@ -95,7 +97,7 @@ def _way(heading_deg: float, length_m: float) -> Array:
     return length_m * np.array([math.cos(angle), math.sin(angle)])
 
 
-def exposures(truth: Truth) -> NDArray[np.int64]:
+def exposures(truth: TrueTrajectory) -> NDArray[np.int64]:
     """Indices of the truth's samples at which the camera takes a picture."""
     times_s = np.arange(0.0, float(truth.t_s[-1]), 1.0 / FRAME_HZ)
     return np.round(times_s / DT_S).astype(np.int64)

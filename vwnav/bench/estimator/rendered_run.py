@@ -14,10 +14,10 @@ from vwnav.bench.estimator.plots import save_error_plot
 from vwnav.bench.estimator.rendered_clock import HeardEkf
 from vwnav.bench.estimator.rendered_errors import with_errors
 from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
-from vwnav.bench.estimator.rendered_scenarios import Flown, RenderedScenario
+from vwnav.bench.estimator.rendered_scenarios import NavigatedFlight, RenderedScenario
 from vwnav.bench.estimator.run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator.scenarios import Metric
-from vwnav.bench.estimator.streams import Event, Stream
+from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.config import Config
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
@@ -69,7 +69,7 @@ def bench_rendered(
         VwnavError: plots are wanted and their package is missing.
     """
     length_s = seconds or RENDERED_S
-    flown: list[Flown] = []
+    flown: list[NavigatedFlight] = []
     for number in range(runs):
         name = f"{scenario.name}-{number + 1}"
 
@@ -93,7 +93,7 @@ def fly_rendered(
     features: FeatureName,
     progress: Progress,
     picture: Path | None = None,
-) -> Flown:
+) -> NavigatedFlight:
     """Navigate one flight, then hold it against its truth.
 
     Args:
@@ -141,7 +141,7 @@ def _navigate(
     pipeline: Pipeline,
     clock: SimulatedClock,
     frames: Iterable[Frame],
-    telemetry: list[Event],
+    telemetry: list[MeasurementEvent],
     progress: Progress,
 ) -> Navigated:
     """Hand everything in as it arrives."""
@@ -162,17 +162,21 @@ def _navigate(
     return done
 
 
-def _in_order(frames: Iterable[Frame], telemetry: list[Event]) -> Iterator[tuple[float, object]]:
+def _in_order(
+    frames: Iterable[Frame], telemetry: list[MeasurementEvent]
+) -> Iterator[tuple[float, object]]:
     """(arrival, what arrives); pictures are drawn when their turn comes."""
     told = ((event.arrival_s, event.seen) for event in telemetry)
     seen = ((frame.t_s + PICTURE_LATE_S, frame) for frame in frames)
     return merge(told, seen, key=lambda pair: pair[0])
 
 
-def _flown(flight: RenderedFlight, ekf: HeardEkf, done: Navigated) -> Flown:
+def _flown(flight: RenderedFlight, ekf: HeardEkf, done: Navigated) -> NavigatedFlight:
     assert ekf.state is not None
     answers = with_errors(ekf.answers, flight.truth)
-    stream = Stream(flight.truth, [event for event, _ in answers], flight.measured_yaw_rad)
+    stream = MeasurementStream(
+        flight.truth, [event for event, _ in answers], flight.measured_yaw_rad
+    )
     run = Run(
         stream,
         against(flight.truth, done.estimates),
@@ -188,7 +192,7 @@ def _flown(flight: RenderedFlight, ekf: HeardEkf, done: Navigated) -> Flown:
         for step in done.steps
         if not (isinstance(step.outcome, Rejected) and step.outcome.reason in idle)
     ]
-    return Flown(run, outcomes)
+    return NavigatedFlight(run, outcomes)
 
 
 def _draw(done: Navigated, flight: RenderedFlight, track: TrackPicture, path: Path) -> None:

@@ -15,7 +15,7 @@ from vwnav.bench.estimator.rendered_errors import (
 from vwnav.bench.estimator.run import Run
 from vwnav.bench.estimator.scenarios import Metric, judge_nominal
 from vwnav.bench.estimator.scores import SETTLED_S, position_nees, rms
-from vwnav.bench.estimator.world import World
+from vwnav.bench.estimator.world import FilterWorld
 from vwnav.estimation.ekf import NedFix
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import MapFix, Rejected
@@ -27,7 +27,7 @@ _LEAST_WAY_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flown:
+class NavigatedFlight:
     """A flight that was navigated. `outcomes`: of each attempt to match a picture to the map."""
 
     run: Run
@@ -49,12 +49,12 @@ class RenderedScenario:
     """
 
     name: str
-    judge: Callable[[list[Flown]], list[Metric]]
+    judge: Callable[[list[NavigatedFlight]], list[Metric]]
     most_fixes: int = 0
     imu_hz: float = 0.0
 
 
-def judge_rendered(flown: list[Flown]) -> list[Metric]:
+def judge_rendered(flown: list[NavigatedFlight]) -> list[Metric]:
     """Accuracy and honesty, and whether the fast benchmark's errors are those of pictures."""
     attempts = sum(len(flight.outcomes) for flight in flown)
     taken = sum(flight.fixes for flight in flown)
@@ -94,7 +94,7 @@ def _unseen(runs: list[Run]) -> list[Metric]:
 
 
 def _assumed(field: str) -> str:
-    return f"{field} ({getattr(World(), field):g} assumed)"
+    return f"{field} ({getattr(FilterWorld(), field):g} assumed)"
 
 
 def _fix_model(runs: list[Run]) -> list[Metric]:
@@ -131,7 +131,7 @@ def _odometry_model(runs: list[Run]) -> list[Metric]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Drift:
+class _DriftSinceFix:
     """Of one flight since its last fix; `end` and `worst` errors in percent of the way."""
 
     way_m: float
@@ -142,7 +142,7 @@ class _Drift:
     nees: float
 
 
-def _drift(run: Run) -> _Drift | None:
+def _drift(run: Run) -> _DriftSinceFix | None:
     """None where no fix was taken, or nothing was flown after the last."""
     rows, last_s = run.rows, run.estimates[-1].t_last_fix_s
     after = np.flatnonzero(rows.t_s >= (np.inf if last_s is None else last_s))
@@ -150,7 +150,7 @@ def _drift(run: Run) -> _Drift | None:
         return None
     way_m = float(rows.way_m[-1] - rows.way_m[after[0]])
     error = 100.0 * np.hypot(*rows.error_ne_m.T)[after] / way_m
-    return _Drift(
+    return _DriftSinceFix(
         way_m=way_m,
         end=float(error[-1]),
         worst=float(np.max(error)),
@@ -160,7 +160,7 @@ def _drift(run: Run) -> _Drift | None:
     )
 
 
-def judge_odometry(flown: list[Flown]) -> list[Metric]:
+def judge_odometry(flown: list[NavigatedFlight]) -> list[Metric]:
     """Drift since the last fix in percent of the way, and whether the filter knows of it."""
     found = [_drift(flight.run) for flight in flown]
     drifts = [drift for drift in found if drift is not None]
@@ -180,7 +180,7 @@ def judge_odometry(flown: list[Flown]) -> list[Metric]:
     ]
 
 
-def _drift_metrics(number: int, drift: _Drift | None) -> list[Metric]:
+def _drift_metrics(number: int, drift: _DriftSinceFix | None) -> list[Metric]:
     """Of one flight."""
     if drift is None:
         return [Metric(f"flight {number}: drift after a fix measured", 0.0, "", 1.0)]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator.rectified import rectified
-from vwnav.bench.estimator.streams import Event, Stream
-from vwnav.bench.estimator.world import Truth
+from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
+from vwnav.bench.estimator.world import TrueTrajectory
 from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix, Start
 from vwnav.estimation.states import FilterState
 from vwnav.geometry.rotations import wrap_pi
@@ -51,21 +51,21 @@ class Run:
         busy_s: processor time of all, estimates included.
     """
 
-    stream: Stream
+    stream: MeasurementStream
     rows: Rows
     estimates: list[Estimate]
-    answers: list[tuple[Event, Innovation]]
+    answers: list[tuple[MeasurementEvent, Innovation]]
     last: FilterState
     cost_s: Array
     busy_s: float
 
 
 def play(
-    stream: Stream,
+    stream: MeasurementStream,
     config: EkfConfig | None = None,
     start: Start | None = None,
     rate_hz: float = 5.0,
-    drop: Callable[[Event], bool] | None = None,
+    drop: Callable[[MeasurementEvent], bool] | None = None,
 ) -> Run:
     """Play a stream into a new filter as it arrives, from standing on the ground.
 
@@ -76,7 +76,7 @@ def play(
         start or Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=START_SIGMA_M, agl_m=0.15)
     )
     estimates: list[Estimate] = []
-    answers: list[tuple[Event, Innovation]] = []
+    answers: list[tuple[MeasurementEvent, Innovation]] = []
     cost_s: list[float] = []
     begin_s = time.process_time()
     due, end_s = 1, float(stream.truth.t_s[-1])
@@ -99,7 +99,7 @@ def play(
     return Run(stream, rows, estimates, answers, ekf.state, np.array(cost_s), busy_s)
 
 
-def against(truth: Truth, estimates: list[Estimate]) -> Rows:
+def against(truth: TrueTrajectory, estimates: list[Estimate]) -> Rows:
     """Errors of estimates."""
     at = np.array([truth.index(e.t_s) for e in estimates])
     steps = np.hypot(*np.diff(truth.position_ned_m[:, :2], axis=0, prepend=0.0).T)

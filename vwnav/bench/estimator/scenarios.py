@@ -18,7 +18,7 @@ from vwnav.bench.estimator.scores import (
     velocity_nees,
 )
 from vwnav.bench.estimator.streams import sense
-from vwnav.bench.estimator.world import World, fly
+from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import EkfConfig, NedFix
 from vwnav.types import Array
 
@@ -52,17 +52,17 @@ class Metric:
 
 
 @dataclass(frozen=True, slots=True)
-class Scenario:
+class FilterScenario:
     """A world, and how its flights are judged."""
 
     name: str
-    world: World
+    world: FilterWorld
     judge: Callable[[list[Run]], list[Metric]]
     config: EkfConfig = field(default_factory=EkfConfig)
 
 
 def fly_scenario(
-    scenario: Scenario, runs: int, seed: int, say: Callable[[str], None] = lambda _: None
+    scenario: FilterScenario, runs: int, seed: int, say: Callable[[str], None] = lambda _: None
 ) -> list[Run]:
     """All flights of a scenario; flight k is the same whatever `runs` is.
 
@@ -230,33 +230,37 @@ TURNS_DEG = (
     (125.0, -110.0), (138.0, 0.0),
 )  # fmt: skip
 
-_SHORT = World(seconds=130.0, hover_share=0.0)
+_SHORT = FilterWorld(seconds=130.0, hover_share=0.0)
 
 SCENARIOS = (
-    Scenario("nominal", World(), judge_nominal),
-    Scenario("nominal-imu", World(imu_hz=_IMU_HZ), judge_nominal),
-    Scenario("outage", replace(_SHORT, outages_s=(_OUTAGE_S,)), judge_outage),
-    Scenario("outage-imu", replace(_SHORT, imu_hz=_IMU_HZ, outages_s=(_OUTAGE_S,)), judge_outage),
-    Scenario("wrong", replace(_SHORT, wrong_share=0.05), judge_wrong),
-    Scenario(
+    FilterScenario("nominal", FilterWorld(), judge_nominal),
+    FilterScenario("nominal-imu", FilterWorld(imu_hz=_IMU_HZ), judge_nominal),
+    FilterScenario("outage", replace(_SHORT, outages_s=(_OUTAGE_S,)), judge_outage),
+    FilterScenario(
+        "outage-imu", replace(_SHORT, imu_hz=_IMU_HZ, outages_s=(_OUTAGE_S,)), judge_outage
+    ),
+    FilterScenario("wrong", replace(_SHORT, wrong_share=0.05), judge_wrong),
+    FilterScenario(
         "agreeing", replace(_SHORT, wrong_share=0.05, wrong_runs_s=_WRONG_RUNS_S), judge_wrong
     ),
-    Scenario("compass", replace(_SHORT, yaw_step_deg=20.0, yaw_step_s=_STEP_S), judge_compass),
-    Scenario(
+    FilterScenario(
+        "compass", replace(_SHORT, yaw_step_deg=20.0, yaw_step_s=_STEP_S), judge_compass
+    ),
+    FilterScenario(
         "compass-imu",
         replace(_SHORT, yaw_step_deg=20.0, yaw_step_s=_STEP_S, imu_hz=_IMU_HZ),
         judge_compass,
     ),
-    Scenario(
+    FilterScenario(
         "turns",
-        World(seconds=150.0, headings_deg=TURNS_DEG, turn_deg_s=90.0, speed_m_s=5.0),
+        FilterWorld(seconds=150.0, headings_deg=TURNS_DEG, turn_deg_s=90.0, speed_m_s=5.0),
         judge_turns,
     ),
-    Scenario("baro", replace(_SHORT, baro_drift_m=3.0), judge_height),
-    Scenario(
+    FilterScenario("baro", replace(_SHORT, baro_drift_m=3.0), judge_height),
+    FilterScenario(
         "cost",
-        World(seconds=60.0, imu_hz=100.0, odometry_hz=30.0, fix_latency_s=(0.5, 0.5)),
+        FilterWorld(seconds=60.0, imu_hz=100.0, odometry_hz=30.0, fix_latency_s=(0.5, 0.5)),
         judge_cost,
     ),
-    Scenario("hill", replace(_SHORT, height_m=80.0, hill_m=40.0, table=True), judge_height),
+    FilterScenario("hill", replace(_SHORT, height_m=80.0, hill_m=40.0, table=True), judge_height),
 )

@@ -1,11 +1,11 @@
-"""What the sensors say of a flight, late and wrong as `World` has it."""
+"""What the sensors say of a flight, late and wrong as `FilterWorld` has it."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.estimator.world import DT_S, G_M_S2, Truth, World, ground_m
+from vwnav.bench.estimator.world import DT_S, G_M_S2, FilterWorld, TrueTrajectory, ground_m
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
 from vwnav.geometry.rotations import rotation_from_quat, rotation_from_vector, wrap_pi
@@ -28,7 +28,7 @@ _MAP_LENGTH_M = 50.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Event:
+class MeasurementEvent:
     """Something that reaches the filter. `error_m`: how wrong a fix is, tilt left aside."""
 
     arrival_s: float
@@ -40,7 +40,7 @@ class Event:
 class Table:
     """The map's terrain heights: of another datum, and not quite right."""
 
-    world: World
+    world: FilterWorld
     offset_m: float
     phases: tuple[float, float]
 
@@ -53,7 +53,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stream:
+class MeasurementStream:
     """All that a filter is told of one flight.
 
     Attributes:
@@ -62,14 +62,14 @@ class Stream:
         ground: the map's terrain table.
     """
 
-    truth: Truth
-    events: list[Event]
+    truth: TrueTrajectory
+    events: list[MeasurementEvent]
     measured_yaw_rad: Array
     ground: Table | None = None
     measured_quats: Array | None = None
 
 
-def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
+def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -> MeasurementStream:
     """The streams of one flight."""
     errors = _AttitudeErrors(world, truth, rng)
     events = [
@@ -83,13 +83,13 @@ def sense(world: World, truth: Truth, rng: np.random.Generator) -> Stream:
     events.sort(key=lambda event: event.arrival_s)
     measured = truth.yaw_rad + errors.yaw
     table = _table(world, rng) if world.table else None
-    return Stream(truth, events, measured, table, errors.quats)
+    return MeasurementStream(truth, events, measured, table, errors.quats)
 
 
 class _AttitudeErrors:
     """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true; tilt turns with the body."""
 
-    def __init__(self, world: World, truth: Truth, rng: np.random.Generator) -> None:
+    def __init__(self, world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -> None:
         n = len(truth.t_s)
         keep = math.exp(-DT_S / _TILT_DRIFT_S)
         drive = math.radians(world.tilt_drift_deg) * math.sqrt(1.0 - keep**2)
@@ -141,15 +141,17 @@ def _multiply(a: Array, b: Array) -> Array:
     return np.concatenate([scalar, w0 * v1 + w1 * v0 + np.cross(v0, v1)], axis=1)
 
 
-def _attitudes(truth: Truth, errors: _AttitudeErrors) -> list[Event]:
+def _attitudes(truth: TrueTrajectory, errors: _AttitudeErrors) -> list[MeasurementEvent]:
     times = truth.t_s.tolist()
     return [
-        Event(times[i] + _ATTITUDE_LATE_S, Attitude(times[i], errors.quats[i]))
+        MeasurementEvent(times[i] + _ATTITUDE_LATE_S, Attitude(times[i], errors.quats[i]))
         for i in range(0, len(times), 2)
     ]
 
 
-def _imu(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
+def _imu(
+    world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator
+) -> list[MeasurementEvent]:
     acceleration = np.gradient(truth.velocity_ned_m_s, truth.t_s, axis=0)
     bias = world.imu_bias_m_s2 * rng.normal(size=3)
     rate_bias = math.radians(world.gyro_bias_deg_s) * rng.normal(size=3)
@@ -161,11 +163,11 @@ def _imu(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
         force += bias + world.imu_noise_m_s2 * rng.normal(size=3)
         rate = rates[i] + rate_bias + math.radians(world.gyro_noise_deg_s) * rng.normal(size=3)
         t_s = float(truth.t_s[i])
-        events.append(Event(t_s + _IMU_LATE_S, ImuSample(t_s, force, rate)))
+        events.append(MeasurementEvent(t_s + _IMU_LATE_S, ImuSample(t_s, force, rate)))
     return events
 
 
-def _rates(truth: Truth) -> Array:
+def _rates(truth: TrueTrajectory) -> Array:
     """(n, 3) body rates, rad/s."""
     conjugate = truth.quat_wxyz * [1.0, -1.0, -1.0, -1.0]
     steps = _multiply(conjugate[:-1], truth.quat_wxyz[1:])
@@ -173,23 +175,27 @@ def _rates(truth: Truth) -> Array:
     return np.vstack([between[:1], 0.5 * (between[:-1] + between[1:]), between[-1:]])
 
 
-def _heights(world: World, truth: Truth, rng: np.random.Generator) -> list[Event]:
+def _heights(
+    world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator
+) -> list[MeasurementEvent]:
     which = range(0, len(truth.t_s), 10)
     drift_m = world.baro_drift_m * rng.choice([-1.0, 1.0]) * truth.t_s / truth.t_s[-1]
     heights = (
         drift_m - truth.position_ned_m[:, 2] + world.baro_noise_m * rng.normal(size=len(drift_m))
     )
     return [
-        Event(float(truth.t_s[i]) + _HEIGHT_LATE_S, Height(float(truth.t_s[i]), float(heights[i])))
+        MeasurementEvent(
+            float(truth.t_s[i]) + _HEIGHT_LATE_S, Height(float(truth.t_s[i]), float(heights[i]))
+        )
         for i in which
     ]
 
 
 def _odometry(
-    world: World, truth: Truth, errors: _AttitudeErrors, rng: np.random.Generator
-) -> list[Event]:
+    world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, rng: np.random.Generator
+) -> list[MeasurementEvent]:
     """Ways from keyframes that are replaced as the view changes; the first picture is one."""
-    events: list[Event] = []
+    events: list[MeasurementEvent] = []
     sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])
     covariance = np.diag(2.0 * sigma**2) * _HANDED_AGL_M**2
     sigma_yaw_rad = math.sqrt(2.0) * world.odometry_yaw_rad
@@ -210,7 +216,7 @@ def _odometry(
                 float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
                 increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
             )  # fmt: skip
-            events.append(Event(motion.t1_s + _ODOMETRY_LATE_S, motion))
+            events.append(MeasurementEvent(motion.t1_s + _ODOMETRY_LATE_S, motion))
             moved = math.hypot(way[0], way[1]) > _KEYFRAME_WAY or abs(way[2]) > _KEYFRAME_CLIMB
             if not (moved or abs(turned_rad) > _KEYFRAME_TURN_RAD):
                 continue
@@ -222,9 +228,9 @@ def _odometry(
 
 
 def _fixes(
-    world: World, truth: Truth, errors: _AttitudeErrors, rng: np.random.Generator
-) -> list[Event]:
-    events: list[Event] = []
+    world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, rng: np.random.Generator
+) -> list[MeasurementEvent]:
+    events: list[MeasurementEvent] = []
     map_error = world.map_error_m * _waves(truth, 2, rng)
     map_turn_rad = math.radians(world.map_turn_deg) * _waves(truth, 1, rng)[:, 0]
     map_scale = world.map_scale * _waves(truth, 1, rng)[:, 0]
@@ -259,7 +265,7 @@ def _fixes(
             sigma_agl_m=world.fix_agl_ratio * agl_m,
             sigma_map_m=world.map_error_m,
         )
-        events.append(Event(t_s + late_s, fix, float(np.hypot(*error))))
+        events.append(MeasurementEvent(t_s + late_s, fix, float(np.hypot(*error))))
     return events
 
 
@@ -269,7 +275,7 @@ def _offset(rng: np.random.Generator) -> Array:
     return far_m * np.array([math.cos(angle), math.sin(angle)])
 
 
-def _waves(truth: Truth, count: int, rng: np.random.Generator) -> Array:
+def _waves(truth: TrueTrajectory, count: int, rng: np.random.Generator) -> Array:
     """(n, count) errors of unit size of the map below: waves of random length, some 50 m."""
     waves = rng.normal(size=(_MAP_WAVES, 2)) / _MAP_LENGTH_M
     phases = rng.uniform(0.0, 2.0 * math.pi, (count, _MAP_WAVES))
@@ -278,6 +284,6 @@ def _waves(truth: Truth, count: int, rng: np.random.Generator) -> Array:
     return np.stack([size * np.sum(np.cos(along + p), axis=1) for p in phases], axis=1)
 
 
-def _table(world: World, rng: np.random.Generator) -> Table:
+def _table(world: FilterWorld, rng: np.random.Generator) -> Table:
     phases = rng.uniform(0.0, 2.0 * math.pi, 2).tolist()
     return Table(world, world.table_offset_m * float(rng.normal()), (phases[0], phases[1]))

@@ -21,7 +21,7 @@ _MOST_ACCELERATION_M_S2 = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class World:
+class FilterWorld:
     """The error model: sigmas are drawn once a flight unless they are noises.
 
     What is asked of the filter (issue and design): wind, gusts, a barometer that drifts, 2 degrees
@@ -84,7 +84,7 @@ class World:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class TrueTrajectory:
     """One flight at 100 Hz: times (n,), positions and velocities (n, 3) NED, quat_wxyz (n, 4)."""
 
     t_s: Array
@@ -100,7 +100,7 @@ class Truth:
         return min(max(round(t_s / DT_S), 0), len(self.t_s) - 1)
 
 
-def ground_m(north_m: Array, east_m: Array, world: World) -> Array:
+def ground_m(north_m: Array, east_m: Array, world: FilterWorld) -> Array:
     """Height of the ground above home, which stands at a trough."""
     hills = world.hill_m * (1.0 - np.cos(2.0 * math.pi * north_m / _HILL_M)) / 2.0
     waves = sum(
@@ -110,7 +110,7 @@ def ground_m(north_m: Array, east_m: Array, world: World) -> Array:
     return np.asarray(hills + world.relief_m * math.sqrt(2.0 / len(_RELIEF)) * waves)
 
 
-def fly(world: World, rngs: list[np.random.Generator]) -> list[Truth]:
+def fly(world: FilterWorld, rngs: list[np.random.Generator]) -> list[TrueTrajectory]:
     """Climb straight up, then legs of changing course. One flight per generator.
 
     All are computed side by side; each is the same whatever others are beside it.
@@ -148,7 +148,7 @@ def fly(world: World, rngs: list[np.random.Generator]) -> list[Truth]:
         gust = gust * (1.0 - DT_S / _GUST_S) + kicks[i]
     t_s = np.arange(n, dtype=np.float64) * DT_S
     return [
-        Truth(
+        TrueTrajectory(
             t_s,
             positions[:, k].copy(),
             velocities[:, k].copy(),
@@ -161,12 +161,12 @@ def fly(world: World, rngs: list[np.random.Generator]) -> list[Truth]:
     ]
 
 
-def _agl_m(position_ned_m: Array, world: World) -> Array:
+def _agl_m(position_ned_m: Array, world: FilterWorld) -> Array:
     north_m, east_m, down_m = position_ned_m.T
     return np.asarray(-down_m - ground_m(north_m, east_m, world), dtype=np.float64)
 
 
-def _commands(world: World, n: int, rngs: list[np.random.Generator]) -> tuple[Array, Array]:
+def _commands(world: FilterWorld, n: int, rngs: list[np.random.Generator]) -> tuple[Array, Array]:
     """Courses (n, runs) in radians and speeds (n, runs)."""
     t_s = np.arange(n) * DT_S
     legs = int(max(world.seconds - world.climb_s, 0.0) / world.leg_s) + 1

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.features.scoring import Outcome
+from vwnav.bench.features.scoring import SceneResult
 from vwnav.types import Array, Gray
 
 _GREEN, _RED, _WHITE = (60, 220, 60), (60, 60, 230), (240, 240, 240)
@@ -16,7 +16,7 @@ _FAINT = 0.3  # of the wrong matches
 _SHIFT = 3  # OpenCV draws to an eighth of a pixel
 
 
-def write_pictures(folder: Path, samples: dict[str, list[Outcome]]) -> None:
+def write_pictures(folder: Path, samples: dict[str, list[SceneResult]]) -> None:
     """Write `GROUP_METHOD.jpg` for each method on one scene of each group."""
     folder.mkdir(parents=True, exist_ok=True)
     for group, outcomes in samples.items():
@@ -26,7 +26,7 @@ def write_pictures(folder: Path, samples: dict[str, list[Outcome]]) -> None:
             cv2.imwrite(str(name), picture, [cv2.IMWRITE_JPEG_QUALITY, 90])
 
 
-def draw(outcome: Outcome) -> NDArray[np.uint8]:
+def draw(outcome: SceneResult) -> NDArray[np.uint8]:
     """Inliers green, other matches faint red; the map is cut about the true place."""
     scene = outcome.scene
     rows, columns = np.nonzero(scene.mask)
@@ -80,7 +80,7 @@ def _lines(
             cv2.circle(canvas, end, round(2.5 * scale), colour, 1, cv2.LINE_AA, _SHIFT)
 
 
-def _title(canvas: NDArray[np.uint8], outcome: Outcome) -> None:
+def _title(canvas: NDArray[np.uint8], outcome: SceneResult) -> None:
     scene = outcome.scene
     unit = scene.map_.unit
     placed = f"{outcome.place_error:.1f} {unit} off" if np.isfinite(outcome.place_error) else "lost"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from vwnav.bench.features.run import ALL, Report
-from vwnav.bench.features.scoring import Score
+from vwnav.bench.features.scoring import FeatureScore
 from vwnav.bench.figures import pyplot, save
 
 _COLOURS = (
@@ -35,7 +35,9 @@ def write_plot(path: Path, report: Report) -> None:
     save(figure, path)
 
 
-def _bars(axis: Any, report: Report, title: str, value: Callable[[Score], float | None]) -> None:
+def _bars(
+    axis: Any, report: Report, title: str, value: Callable[[FeatureScore], float | None]
+) -> None:
     """Bars of every feature set, side by side for each group that has the value."""
     names = [each.name for each in report.sets]
     groups = [

@@ -9,7 +9,7 @@ from rich.table import Table
 from vwnav.bench.features import flight_scenes, pair_scenes, scoring, thesis, timing
 from vwnav.bench.features.macs import SIZE_WH
 from vwnav.bench.features.run import Report
-from vwnav.bench.features.scoring import Score
+from vwnav.bench.features.scoring import FeatureScore
 from vwnav.bench.features.timing import Times
 
 _DIGITS = 4
@@ -58,7 +58,7 @@ def tables(report: Report) -> Iterator[Table]:
     yield _thesis_table(report)
 
 
-def _group_table(name: str, unit: str, scores: dict[str, Score]) -> Table:
+def _group_table(name: str, unit: str, scores: dict[str, FeatureScore]) -> Table:
     scenes = next(iter(scores.values())).scenes
     columns = ["points", "matches", "inliers", "right %", "error px", "rep %", "+chance"]
     columns += ["AUC@1", "AUC@3", "AUC@5"]

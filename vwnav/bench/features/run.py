@@ -26,7 +26,7 @@ from vwnav.bench.features.pair_scenes import (
     view_pairs,
 )
 from vwnav.bench.features.scenes import Scene
-from vwnav.bench.features.scoring import Judge, Outcome, Score, score
+from vwnav.bench.features.scoring import FeatureScore, Judge, SceneResult, score
 from vwnav.bench.features.thesis import ThesisRow, thesis_rows
 from vwnav.bench.features.timing import SIZES_WH, Times, measure
 from vwnav.cameras.image_folder import read_picture
@@ -54,11 +54,11 @@ class Report:
     """
 
     sets: list[FeatureSet]
-    groups: dict[str, dict[str, Score]]
+    groups: dict[str, dict[str, FeatureScore]]
     units: dict[str, str]
     timing: dict[str, dict[str, Times]]
     thesis: dict[str, ThesisRow]
-    samples: dict[str, list[Outcome]]
+    samples: dict[str, list[SceneResult]]
     skipped: list[str]
 
 
@@ -99,8 +99,8 @@ def bench_features(
     if not groups:
         raise SourceError(f"nothing to judge on in {folder}: it has no pairs, pictures or flights")
     total = sum(len(scenes) for scenes in groups.values())
-    outcomes: dict[str, dict[str, list[Outcome]]] = {}
-    samples: dict[str, list[Outcome]] = {}
+    outcomes: dict[str, dict[str, list[SceneResult]]] = {}
+    samples: dict[str, list[SceneResult]] = {}
     done = 0
     for group, scenes in groups.items():
         judge, of_group = Judge(sets), outcomes.setdefault(group, {})
@@ -171,8 +171,10 @@ def _flights(folder: Path, views: int, skipped: list[str]) -> Iterator[tuple[str
         skipped.append("no flights/brighton_beach")
 
 
-def _scores(outcomes: dict[str, dict[str, list[Outcome]]]) -> dict[str, dict[str, Score]]:
-    everything: dict[str, list[Outcome]] = {}
+def _scores(
+    outcomes: dict[str, dict[str, list[SceneResult]]],
+) -> dict[str, dict[str, FeatureScore]]:
+    everything: dict[str, list[SceneResult]] = {}
     for of_group in outcomes.values():
         for method, found in of_group.items():
             everything.setdefault(method, []).extend(found)

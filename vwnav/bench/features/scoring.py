@@ -23,7 +23,7 @@ _SEED = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Outcome:
+class SceneResult:
     """How one method did on one scene.
 
     Attributes:
@@ -50,7 +50,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Score:
+class FeatureScore:
     """Means over the scenes of a group; see docs/benchmarks.md for each."""
 
     scenes: int
@@ -75,11 +75,11 @@ class Judge:
     _map: MapPicture | None = None
     _map_features: dict[str, Features] = field(default_factory=dict)
 
-    def judge(self, scene: Scene) -> Iterator[Outcome]:
+    def judge(self, scene: Scene) -> Iterator[SceneResult]:
         """One outcome for each method."""
         if scene.map_ is not self._map:
             self._map, self._map_features = scene.map_, {}
-        outcomes: list[tuple[FeatureSet, list[Outcome]]] = []
+        outcomes: list[tuple[FeatureSet, list[SceneResult]]] = []
         for each in self.feature_sets:
             if each.name not in self._map_features:
                 self._map_features[each.name] = map_features(each, scene.map_)
@@ -102,7 +102,7 @@ class Judge:
         return repeatability(found, reference, H_1_0, scene.map_)
 
 
-def _outcomes(each: FeatureSet, scene: Scene, reference: Features) -> Iterator[Outcome]:
+def _outcomes(each: FeatureSet, scene: Scene, reference: Features) -> Iterator[SceneResult]:
     """One feature set on one scene, matched in all its ways."""
     found = masked_features(each, scene.picture, scene.mask, scene.keypoints)
     repeated = _repeated(found, reference, scene)
@@ -113,7 +113,7 @@ def _outcomes(each: FeatureSet, scene: Scene, reference: Features) -> Iterator[O
         yield _outcome(scene, method.name, len(found), uv0, uv1, repeated)
 
 
-def agreed_homography(outcomes: list[Outcome]) -> Array | None:
+def agreed_homography(outcomes: list[SceneResult]) -> Array | None:
     """What the right matches of all methods say together, where no label is that exact."""
     placed = [o for o in outcomes if o.place_error < FAR]
     if not placed:
@@ -186,7 +186,7 @@ def inside_window(features: Features, window: tuple[float, float, float, float])
 
 def _outcome(
     scene: Scene, method: str, keypoints: int, uv0: Array, uv1: Array, repeated: float | None
-) -> Outcome:
+) -> SceneResult:
     fit = estimate_similarity(uv0, uv1, FIT_PX, _SEED)
     place_error = np.inf
     if fit is not None:
@@ -199,7 +199,7 @@ def _outcome(
         errors, right = _distances(fit.H, uv0, uv1), fit.inliers
     else:
         errors, right = np.full(len(uv0), np.inf), np.zeros(len(uv0), np.bool_)
-    return Outcome(
+    return SceneResult(
         scene=scene,
         method=method,
         keypoints=keypoints,
@@ -237,7 +237,7 @@ def area_under_curve(errors: Array, threshold: float) -> float:
     return float(np.trapezoid(y, x) / threshold)
 
 
-def score(outcomes: Iterable[Outcome]) -> Score:
+def score(outcomes: Iterable[SceneResult]) -> FeatureScore:
     """The mean over scenes of one method."""
     each = list(outcomes)
     places = np.array([o.place_error for o in each])
@@ -252,7 +252,7 @@ def score(outcomes: Iterable[Outcome]) -> Score:
         o.right.mean() if o.right.size and ok else 0.0 for o, ok in zip(each, trusted, strict=True)
     ]
     auc = {f"{px:g}_px": area_under_curve(corners, px) for px in AUC_PX} if corners.size else None
-    return Score(
+    return FeatureScore(
         scenes=len(each),
         keypoints=float(np.mean([o.keypoints for o in each])),
         matches=float(np.mean([len(o.uv0) for o in each])),

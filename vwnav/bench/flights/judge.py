@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Ending, Flown
-from vwnav.bench.flights.track import Track, Truth
+from vwnav.bench.flights.track import FlightTrace, Truth
 from vwnav.mission.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog
@@ -26,7 +26,7 @@ _GOES_ON = {
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class FlightVerdict:
     """What was wrong with a flight; nothing when it was good."""
 
     wrong: tuple[str, ...]
@@ -35,7 +35,7 @@ class Verdict:
     worst_sigmas: float
 
 
-def judge(flown: Flown) -> Verdict:
+def judge(flown: Flown) -> FlightVerdict:
     """Look at a flight by what it asks for itself, and by the rules of every flight."""
     track = flown.track
     log = flight_log(flown)
@@ -48,7 +48,7 @@ def judge(flown: Flown) -> Verdict:
         *_too_fast(flown, fastest_m_s),
     ]
     worst_sigmas = max((count for _, count in estimate_sigmas(log)), default=0.0)
-    return Verdict(tuple(wrong), off_m, fastest_m_s, worst_sigmas)
+    return FlightVerdict(tuple(wrong), off_m, fastest_m_s, worst_sigmas)
 
 
 def _ending(flown: Flown, off_m: float | None) -> list[str]:
@@ -121,7 +121,7 @@ def _pilot_flies(truth: Truth) -> bool:
     return truth.armed and truth.mode is FlightMode.MANUAL
 
 
-def _fastest(track: Track, flown: Flown) -> float:
+def _fastest(track: FlightTrace, flown: Flown) -> float:
     """Over the ground, from the fault on and while nobody else steers."""
     since_s = (flown.broke_s or 0.0) + flown.world.begun_s
     speeds = [

@@ -9,14 +9,14 @@ from vwnav.mission.mission import Phase
 from vwnav.pipeline import StepResult
 from vwnav.rules.flight_log import (
     At,
-    Bounds,
+    FlightLimits,
     FlightLog,
+    LoggedTruth,
+    LoggedVehicle,
     Moment,
+    PhaseStart,
     Said,
-    Stage,
-    Truth,
     Vector,
-    Vehicle,
 )
 from vwnav.types import Array, MapFix, OdometryMotion
 
@@ -29,7 +29,7 @@ def flight_log(flown: Flown) -> FlightLog:
     return FlightLog(
         bounds=bounds_of(flown.scenario.setup.config),
         vehicle=[
-            Vehicle(
+            LoggedVehicle(
                 row.t_s,
                 row.mode,
                 row.armed,
@@ -44,7 +44,7 @@ def flight_log(flown: Flown) -> FlightLog:
         answers=heard.answers,
         parameters_set=heard.parameters_set,
         beats=heard.beats,
-        phases=[Stage(row.t_s + begun_s, Phase(row.text)) for row in track.phases],
+        phases=[PhaseStart(row.t_s + begun_s, Phase(row.text)) for row in track.phases],
         events=[Said(row.t_s + begun_s, row.text) for row in track.events],
         fixes=_fixes(flown, steps),
         sights=[Moment(step.t_s) for step in steps if _tells_something(step)],
@@ -62,16 +62,16 @@ def flight_log(flown: Flown) -> FlightLog:
         homes=track.homes,
         map_off_m=flown.scenario.map_off_m,
         truth=[
-            Truth(row.t_s, _vector(row.position_ned_m), _vector(row.velocity_ned_m_s))
+            LoggedTruth(row.t_s, _vector(row.position_ned_m), _vector(row.velocity_ned_m_s))
             for row in track.truth
         ],
         broken=[(lo + begun_s, hi + begun_s) for lo, hi in flown.broken],
     )
 
 
-def bounds_of(config: Config) -> Bounds:
+def bounds_of(config: Config) -> FlightLimits:
     """The settings that a flight is held to."""
-    return Bounds(
+    return FlightLimits(
         speed_max_m_s=config.limits.speed_max_m_s,
         climb_m_s=config.limits.climb_m_s,
         descend_m_s=config.limits.descend_m_s,

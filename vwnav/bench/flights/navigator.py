@@ -36,7 +36,7 @@ _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air
 
 
-class Record:
+class LockstepWatcher:
     """A `vwnav.runtime.Watcher`; a full disk makes it raise.
 
     Args:
@@ -121,7 +121,7 @@ class Navigator:
         self._processor = processor
         self._costs = costs
         self._camera = camera
-        self.record = Record(note, clock)
+        self.record = LockstepWatcher(note, clock)
         self.port = PymavlinkPort(link, clock)
         self.autopilot = LinkedAutopilot(
             self.port, clock, ground_station_ids=config.flight.ground_station_ids

@@ -2,8 +2,15 @@
 
 from typing import Any
 
-from vwnav.bench.flights.track import Track
-from vwnav.rules.flight_log import Answer, Beat, Command, ParameterSet, Sent, Setpoint
+from vwnav.bench.flights.track import FlightTrace
+from vwnav.rules.flight_log import (
+    CommandAck,
+    Heartbeat,
+    LoggedCommand,
+    LoggedSetpoint,
+    ParameterSet,
+    Sent,
+)
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.mavlink.link import ByteLink
 
@@ -15,7 +22,7 @@ class NotedLink(ByteLink):
         track: gets it.
     """
 
-    def __init__(self, end: Any, clock: SimulatedClock, track: Track) -> None:
+    def __init__(self, end: Any, clock: SimulatedClock, track: FlightTrace) -> None:
         super().__init__(end, 1)
         self._clock = clock
         self._track = track
@@ -30,7 +37,7 @@ class NotedLink(ByteLink):
     def send(self, message: Any) -> None:
         """Send to the peer."""
         if message.get_type() == "COMMAND_ACK" and message.result != _IN_PROGRESS:
-            answer = Answer(self._clock(), message.command, message.result == 0)
+            answer = CommandAck(self._clock(), message.command, message.result == 0)
             self._track.heard.answers.append(answer)
         super().send(message)
 
@@ -45,14 +52,14 @@ class NotedLink(ByteLink):
                 sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
                 heard.estimates.append(sent)
             case "SET_POSITION_TARGET_LOCAL_NED":
-                heard.setpoints.append(Setpoint(t_s, (m.vx, m.vy, m.vz), component))
+                heard.setpoints.append(LoggedSetpoint(t_s, (m.vx, m.vy, m.vz), component))
             case "COMMAND_LONG" | "COMMAND_INT":
                 parameters = (m.param1, m.param2, m.param3)
-                heard.commands.append(Command(t_s, m.command, parameters, component))
+                heard.commands.append(LoggedCommand(t_s, m.command, parameters, component))
             case "PARAM_SET":
                 heard.parameters_set.append(ParameterSet(t_s, m.param_id, m.param_value))
             case "HEARTBEAT":
-                heard.beats.append(Beat(t_s, component, m.type))
+                heard.beats.append(Heartbeat(t_s, component, m.type))
 
 
 _STATION = 255  # system id of the ground stations that scenarios play

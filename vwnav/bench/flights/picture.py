@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.figures import pyplot
-from vwnav.bench.flights.track import Track
+from vwnav.bench.flights.track import FlightTrace
 from vwnav.types import Array
 
 _SHADES = {
@@ -18,7 +18,9 @@ _OTHER_SHADE = "#f0f0f0"
 _TITLE_CHARS = 150
 
 
-def save_track(track: Track, begun_s: float, broke_s: float | None, title: str, path: Path) -> None:
+def save_track(
+    track: FlightTrace, begun_s: float, broke_s: float | None, title: str, path: Path
+) -> None:
     """Draw it seen from above, and height and error over time with the modes shaded.
 
     Args:
@@ -52,7 +54,7 @@ def save_track(track: Track, begun_s: float, broke_s: float | None, title: str, 
     plt.close(figure)
 
 
-def _draw_from_above(axis: Any, track: Track, broke_s: float | None) -> None:
+def _draw_from_above(axis: Any, track: FlightTrace, broke_s: float | None) -> None:
     true = np.array([each.position_ned_m for each in track.truth])
     axis.plot(true[:, 1], true[:, 0], "k", lw=1.2, label="truth")
     sent = _sent_places(track)
@@ -71,7 +73,7 @@ def _draw_from_above(axis: Any, track: Track, broke_s: float | None) -> None:
     axis.legend(fontsize=8)
 
 
-def _draw_height(axis: Any, track: Track, begun_s: float) -> None:
+def _draw_height(axis: Any, track: FlightTrace, begun_s: float) -> None:
     times = np.array([each.t_s for each in track.truth]) - begun_s
     axis.plot(times, [-each.position_ned_m[2] for each in track.truth], "k", label="truth")
     sent = _sent_places(track)
@@ -80,7 +82,7 @@ def _draw_height(axis: Any, track: Track, begun_s: float) -> None:
     axis.set(ylabel="height, m")
 
 
-def _draw_error(axis: Any, track: Track, begun_s: float) -> None:
+def _draw_error(axis: Any, track: FlightTrace, begun_s: float) -> None:
     axis.set(xlabel="time, s", ylabel="off by, m")
     sent = _sent_places(track)
     if not len(sent):
@@ -104,7 +106,7 @@ def shade_modes(axis: Any, changes: list[tuple[float, str]], end_s: float) -> No
         axis.axvspan(since_s, until_s, color=_SHADES.get(name, _OTHER_SHADE), lw=0, label=label)
 
 
-def _sent_places(track: Track) -> Array:
+def _sent_places(track: FlightTrace) -> Array:
     """(n, 4) arrival, north, east, down of every estimate sent."""
     rows = [(each.t_s, *each.position_ned_m) for each in track.heard.estimates]
     return np.array(rows, np.float64).reshape(-1, 4)

@@ -13,7 +13,7 @@ from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import Scenario, fly
 from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.bench.flights.table.manners import in_manners
-from vwnav.bench.flights.track import Track
+from vwnav.bench.flights.track import FlightTrace
 from vwnav.sim.config import Manners
 
 _log = logging.getLogger(__name__)
@@ -123,7 +123,7 @@ def _flown(row: Scenario, place: Place, folder: Path) -> RowResult:
 
 
 def draw_failure(
-    name: str, track: Track, begun_s: float, broke_s: float | None, wrong: Sequence[str],
+    name: str, track: FlightTrace, begun_s: float, broke_s: float | None, wrong: Sequence[str],
     folder: Path,
 ) -> str:  # fmt: skip
     """Name of the picture of its track in the folder."""
@@ -134,7 +134,7 @@ def draw_failure(
     return file
 
 
-def timeline_of(track: Track, begun_s: float) -> list[str]:
+def timeline_of(track: FlightTrace, begun_s: float) -> list[str]:
     """What was said, which modes were flown and where the mission stood, by time."""
     lines = [(each.t_s, each.text) for each in track.events]
     lines += [(each.t_s - begun_s, f"mode {each.text}") for each in track.modes()]

@@ -17,7 +17,7 @@ from vwnav.bench.flights.faults.computer import DiskFull, ModelRaises
 from vwnav.bench.flights.faults.fault import Fault
 from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.setup import Setup
-from vwnav.bench.flights.track import Track
+from vwnav.bench.flights.track import FlightTrace
 from vwnav.bench.flights.world import World
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.rules.temporal import Span
@@ -74,7 +74,7 @@ class Follows:
 
     what: str
     within_s: float
-    when: Callable[[Track, float], list[float]]
+    when: Callable[[FlightTrace, float], list[float]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +143,7 @@ class Flown:
 
     scenario: Scenario
     world: World
-    track: Track
+    track: FlightTrace
     broke_s: float | None
     broken: tuple[Span, ...]
     end: FlightEnd | None

@@ -3,7 +3,15 @@
 import bisect
 from dataclasses import dataclass, field, replace
 
-from vwnav.rules.flight_log import Answer, At, Beat, Command, ParameterSet, Sent, Setpoint
+from vwnav.rules.flight_log import (
+    At,
+    CommandAck,
+    Heartbeat,
+    LoggedCommand,
+    LoggedSetpoint,
+    ParameterSet,
+    Sent,
+)
 from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
@@ -22,7 +30,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class LogLine:
     """A line that the program said, or a change that the harness noted."""
 
     t_s: float
@@ -34,15 +42,15 @@ class Heard:
     """Messages on the autopilot's link, by what they are: rows of a `FlightLog`."""
 
     estimates: list[Sent] = field(default_factory=list)
-    setpoints: list[Setpoint] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
-    answers: list[Answer] = field(default_factory=list)
+    setpoints: list[LoggedSetpoint] = field(default_factory=list)
+    commands: list[LoggedCommand] = field(default_factory=list)
+    answers: list[CommandAck] = field(default_factory=list)
     parameters_set: list[ParameterSet] = field(default_factory=list)
-    beats: list[Beat] = field(default_factory=list)
+    beats: list[Heartbeat] = field(default_factory=list)
 
 
 @dataclass(slots=True)
-class Track:
+class FlightTrace:
     """Everything noted, in order of time.
 
     Attributes:
@@ -53,8 +61,8 @@ class Track:
     truth: list[Truth] = field(default_factory=list)
     heard: Heard = field(default_factory=Heard)
     homes: list[At] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-    phases: list[Event] = field(default_factory=list)
+    events: list[LogLine] = field(default_factory=list)
+    phases: list[LogLine] = field(default_factory=list)
 
     def truth_at(self, t_s: float) -> Truth:
         """The nearest one before, with the position carried on to the moment."""
@@ -63,10 +71,10 @@ class Track:
         position = near.position_ned_m + (t_s - near.t_s) * near.velocity_ned_m_s
         return replace(near, t_s=t_s, position_ned_m=position)
 
-    def modes(self) -> list[Event]:
+    def modes(self) -> list[LogLine]:
         """Changes of the flown mode."""
-        found: list[Event] = []
+        found: list[LogLine] = []
         for each in self.truth:
             if not found or found[-1].text != each.mode.name:
-                found.append(Event(each.t_s, each.mode.name))
+                found.append(LogLine(each.t_s, each.mode.name))
         return found

@@ -16,7 +16,7 @@ from vwnav.bench.flights.noted_link import NotedLink
 from vwnav.bench.flights.place import BreakableFeatures, Place
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.successor import LockstepSuccessor
-from vwnav.bench.flights.track import Event, Heard, Track, Truth
+from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
 from vwnav.estimation.ekf import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Mission, Phase
@@ -66,7 +66,7 @@ class World:
         self.place = place
         self.wall_clock = time.time
         self.clock = SimulatedClock()
-        self.track = Track()
+        self.track = FlightTrace()
         rng = random.Random(setup.seed)
         self._stands_ned_m = np.array([*setup.stands_ne_m, 0.0])
         self.autopilot_link = MemoryLink(self.clock, rng, LINK_LATENCY_S)
@@ -156,7 +156,7 @@ class World:
 
     def note(self, text: str) -> None:
         """A line for the judge and the reader."""
-        self.track.events.append(Event(self.t_s, text))
+        self.track.events.append(LogLine(self.t_s, text))
 
     def begin(self) -> None:
         """Bring everything up to where the mission begins."""
@@ -296,7 +296,7 @@ class World:
             track.homes.append(At(t_s, (float(home[0]), float(home[1]))))
         phase = self.navigator.flight.phase.value
         if not track.phases or track.phases[-1].text != phase:
-            track.phases.append(Event(self.t_s, phase))
+            track.phases.append(LogLine(self.t_s, phase))
 
 
 def draw(site: Site, setup: Setup, place: Place, kept: bool = True) -> CameraRenderer:

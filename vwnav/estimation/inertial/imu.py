@@ -26,7 +26,7 @@ _SUDDEN_M_S2, _SUDDEN_RAD_S = 30.0, 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Felt:
+class ImuIntegrals:
     """Integrals since the first sample, in NED as the autopilot's attitude has it.
 
     In an hour they grow to some 4e4 m/s: differences of them keep ten digits for days.
@@ -71,7 +71,7 @@ class Push:
     shaken_rad2: float
 
 
-def push_between(zero: Felt | None, one: Felt | None) -> Push | None:
+def push_between(zero: ImuIntegrals | None, one: ImuIntegrals | None) -> Push | None:
     """What was felt from one moment to another; None where a silence lies between."""
     if zero is None or one is None or zero.series != one.series:
         return None
@@ -100,7 +100,7 @@ class ImuHistory:
         self._gyro = gyro
         self._length_s = length_s
         self._times_s: list[float] = []
-        self._felt: list[Felt] = []
+        self._felt: list[ImuIntegrals] = []
         self._newest: tuple[Array, Array] = (np.zeros((3, 5)), np.zeros(6))
         self._slope = np.zeros(6)  # of the newest sample against the one before
         self._scatter = np.zeros(2)  # variance per axis of force and rates
@@ -174,7 +174,7 @@ class ImuHistory:
         self._doubted = np.zeros(2)
         self._gyro.forget()
 
-    def until(self, t_s: float) -> Felt | None:
+    def until(self, t_s: float) -> ImuIntegrals | None:
         """All that was felt until `t_s`; None before the first sample and in a silence.
 
         The newest sample holds for a moment: estimates look a little ahead of it.
@@ -190,7 +190,7 @@ class ImuHistory:
             return one if t_s >= self._times_s[i] else None
         fraction = (t_s - t0_s) / (self._times_s[i] - t0_s)
         turned = (1.0 - fraction) * zero.turned + fraction * one.turned
-        return Felt(
+        return ImuIntegrals(
             one.series,
             zero.lasted_s + fraction * (one.lasted_s - zero.lasted_s),
             zero.pushed + fraction * (one.pushed - zero.pushed),
@@ -214,17 +214,17 @@ class ImuHistory:
         else:
             self._gyro.turn(t_s, (0.5 * span_s) * (self._newest[1][3:] + rates_rad_s))
 
-    def _next(self, t_s: float, span_s: float | None, now: Array, values: Array) -> Felt:
+    def _next(self, t_s: float, span_s: float | None, now: Array, values: Array) -> ImuIntegrals:
         """Add a sample to the integrals, by the trapezoidal rule."""
         turned = self._gyro.newest
         if not self._felt:
-            return Felt(self._series, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
+            return ImuIntegrals(self._series, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
         zero, (pushed, before) = self._felt[-1], self._newest
         if span_s is None or not self._attitudes.tell(t_s):
-            return Felt(zero.series + 1, zero.lasted_s, zero.pushed, turned, zero.shaken)
+            return ImuIntegrals(zero.series + 1, zero.lasted_s, zero.pushed, turned, zero.shaken)
         self._learn_scatter(values - before, span_s)
         doubted, self._doubted = self._doubted, np.zeros(2)
-        return Felt(
+        return ImuIntegrals(
             zero.series,
             zero.lasted_s + span_s,
             zero.pushed + (0.5 * span_s) * (pushed + now),

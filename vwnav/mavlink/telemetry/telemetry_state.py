@@ -46,7 +46,7 @@ _QUEUED = 4000  # measurements that nobody takes: twenty seconds of them
 
 
 @dataclass(frozen=True, slots=True)
-class _Stamped:
+class _Reading:
     t_s: float
     value: float
 
@@ -86,8 +86,8 @@ class TelemetryState:
         self._battery_ratio: float | None = None
         self._estimator: tuple[float, int] | None = None  # time, flags
         self._own_position: _OwnPosition | None = None
-        self._range: _Stamped | None = None
-        self._heights: dict[str, _Stamped] = {}
+        self._range: _Reading | None = None
+        self._heights: dict[str, _Reading] = {}
         self._pressure_boot_s: dict[str, float] = {}
         self._barometers = {name: BarometricHeight() for name in ("SCALED_PRESSURE", "HIGHRES_IMU")}
         self._handlers: dict[str, Callable[[Fields, float], None]] = {
@@ -179,7 +179,7 @@ class TelemetryState:
             return None
         return own.ned_m - offset_ned_m
 
-    def _height(self, t_s: float) -> _Stamped | None:
+    def _height(self, t_s: float) -> _Reading | None:
         """SCALED_PRESSURE, unless it comes too seldom and HIGHRES_IMU can stand in."""
         scaled, highres = (self._heights.get(source) for source in self._barometers)
         if scaled is not None and t_s - scaled.t_s < _PRESSURE_STALE_S:
@@ -281,7 +281,7 @@ class TelemetryState:
         height_m = self._barometers[source].height_m(pressure_hpa)
         if height_m is None:
             return
-        height = self._heights[source] = _Stamped(t_s, height_m)
+        height = self._heights[source] = _Reading(t_s, height_m)
         if self._height(received_s) is height:
             self._queue.append(Height(t_s, height_m))
             if self._stands(received_s):
@@ -307,7 +307,7 @@ class TelemetryState:
             return  # a duplicate, or a newer one was faster
         # signal_quality: 0 unknown, 1 invalid, though PX4's simulator says 1 for good ones too.
         if fields["orientation"] == _DOWNWARD and in_range and distance_cm > 0:
-            self._range = _Stamped(t_s, distance_cm / 100.0)
+            self._range = _Reading(t_s, distance_cm / 100.0)
             self._queue.append(Range(t_s, distance_cm / 100.0))
 
     def _handle_origin(self, fields: Fields, received_s: float) -> None:

@@ -1,12 +1,12 @@
 """A three-cell battery, and when ArduCopter finds it low or critical."""
 
-from vwnav.sim.copter.parameters import Parameters
+from vwnav.sim.copter.parameters import CopterParameters
 
 _FULL_V, _EMPTY_V = 12.6, 9.9
 LOW, CRITICAL = 1, 2
 
 
-class Battery:
+class CopterBattery:
     """Charge 0..1.
 
     Attributes:
@@ -14,7 +14,7 @@ class Battery:
         text: what there was to say at the last change of the level.
     """
 
-    def __init__(self, start: float, drain_s: float, parameters: Parameters) -> None:
+    def __init__(self, start: float, drain_s: float, parameters: CopterParameters) -> None:
         self._parameters = parameters
         self._drain_s = drain_s
         self.remaining = start

@@ -2,15 +2,15 @@
 
 import math
 
-from vwnav.sim.copter.failsafes import Health, Say
+from vwnav.sim.copter.failsafes import CopterHealth, Say
 from vwnav.sim.copter.modes import ARMABLE, NEEDS_POSITION, Mode
-from vwnav.sim.copter.parameters import Parameters
+from vwnav.sim.copter.parameters import CopterParameters
 from vwnav.sim.mavlink.enums import Result, Severity
 
 _CHECK_EVERY_S, _SAY_EVERY_S = 1.0, 30.0
 
 
-class Commander:
+class CopterCommander:
     """The vehicle's will.
 
     Attributes:
@@ -19,7 +19,7 @@ class Commander:
         prearm_ok: as checked once a second.
     """
 
-    def __init__(self, parameters: Parameters, say: Say) -> None:
+    def __init__(self, parameters: CopterParameters, say: Say) -> None:
         self._parameters = parameters
         self._say = say
         self.mode = Mode.STABILIZE
@@ -29,7 +29,7 @@ class Commander:
         self.prearm_ok = False
         self._checked_s = self._said_s = -math.inf
 
-    def problems(self, health: Health) -> tuple[str, ...]:
+    def problems(self, health: CopterHealth) -> tuple[str, ...]:
         """What forbids arming in this mode; () when it may arm."""
         found = []
         if not health.attitude_ok:
@@ -46,7 +46,7 @@ class Commander:
             found.append(f"{self.mode.name.title()} mode not armable")
         return tuple(found)
 
-    def arm(self, health: Health, forced: bool, t_s: float) -> Result:
+    def arm(self, health: CopterHealth, forced: bool, t_s: float) -> Result:
         """MAV_CMD_COMPONENT_ARM_DISARM 1."""
         if self.armed:
             return Result.ACCEPTED
@@ -58,7 +58,7 @@ class Commander:
         self._say(Severity.INFO, "Arming motors")
         return Result.ACCEPTED
 
-    def disarm(self, health: Health, forced: bool) -> Result:
+    def disarm(self, health: CopterHealth, forced: bool) -> Result:
         """MAV_CMD_COMPONENT_ARM_DISARM 0; in the air only by force."""
         if self.armed and not health.landed and not forced:
             return Result.FAILED
@@ -76,7 +76,7 @@ class Commander:
         self.armed, self.armed_s = True, t_s
         self.mode = mode
 
-    def ask(self, wanted: Mode, health: Health) -> Result:
+    def ask(self, wanted: Mode, health: CopterHealth) -> Result:
         """Somebody asks for a mode; while armed it is refused without the position it needs."""
         lacks_position = wanted in NEEDS_POSITION and not health.may_hold
         if wanted is Mode.AUTO:
@@ -86,7 +86,7 @@ class Commander:
         self._change(wanted)
         return Result.ACCEPTED
 
-    def force(self, wanted: Mode, health: Health) -> None:
+    def force(self, wanted: Mode, health: CopterHealth) -> None:
         """A failsafe wants a mode: without the position that it needs, LAND."""
         self._change(Mode.LAND if wanted in NEEDS_POSITION and not health.may_hold else wanted)
 
@@ -99,7 +99,7 @@ class Commander:
         self._say(Severity.WARNING, f"Mode change to {wanted.name} failed: {why}")
         return Result.FAILED
 
-    def check(self, health: Health, t_s: float) -> None:
+    def check(self, health: CopterHealth, t_s: float) -> None:
         """Once a second, while disarmed, say what forbids arming; the same only now and then."""
         if self.armed or t_s - self._checked_s < _CHECK_EVERY_S:
             return

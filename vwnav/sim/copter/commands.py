@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
 from vwnav.sim.copter.streams import BUILDERS, SHORTEST_US
-from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
+from vwnav.sim.mavlink.command import FORCE_MAGIC, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.conversation import GET_MESSAGE_INTERVAL, MESSAGE_INTERVAL
 from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.schedule import Schedule
@@ -16,7 +16,7 @@ _CUSTOM_MODE_ENABLED = 1
 
 
 @dataclass(slots=True)
-class Context:
+class CopterCommandContext:
     """What a command may touch besides the vehicle: its link's streams, and a message to send."""
 
     vehicle: SimulatedCopter
@@ -25,10 +25,10 @@ class Context:
     reboot: bool = False
 
 
-Handler = Callable[[Command, Context], Result]
+Handler = Callable[[VehicleCommand, CopterCommandContext], Result]
 
 
-def execute(command: Command, context: Context) -> Result:
+def execute(command: VehicleCommand, context: CopterCommandContext) -> Result:
     """Do a command and say how it went, in ArduCopter's result codes."""
     handler = _HANDLERS.get(command.number)
     if command.number in context.vehicle.refuses:
@@ -36,7 +36,7 @@ def execute(command: Command, context: Context) -> Result:
     return Result.UNSUPPORTED if handler is None else handler(command, context)
 
 
-def _arm(command: Command, context: Context) -> Result:
+def _arm(command: VehicleCommand, context: CopterCommandContext) -> Result:
     v = context.vehicle
     forced = command.p2 == FORCE_MAGIC
     if command.p1 == 1.0:
@@ -49,7 +49,7 @@ def _arm(command: Command, context: Context) -> Result:
     return Result.UNSUPPORTED
 
 
-def _takeoff(command: Command, context: Context) -> Result:
+def _takeoff(command: VehicleCommand, context: CopterCommandContext) -> Result:
     return context.vehicle.take_off(command.z) if math.isfinite(command.z) else Result.FAILED
 
 
@@ -57,7 +57,7 @@ def _mode(wanted: Mode) -> Handler:
     return lambda _, context: context.vehicle.ask(wanted)
 
 
-def _set_mode(command: Command, context: Context) -> Result:
+def _set_mode(command: VehicleCommand, context: CopterCommandContext) -> Result:
     if not all(map(math.isfinite, (command.p1, command.p2))):
         return Result.FAILED
     if not int(command.p1) & _CUSTOM_MODE_ENABLED:
@@ -66,7 +66,7 @@ def _set_mode(command: Command, context: Context) -> Result:
     return Result.FAILED if wanted is None else context.vehicle.ask(wanted)
 
 
-def _set_interval(command: Command, context: Context) -> Result:
+def _set_interval(command: VehicleCommand, context: CopterCommandContext) -> Result:
     number, interval_us = message_id(command.p1), command.p2
     if number is None or math.isnan(interval_us):
         return Result.DENIED
@@ -80,7 +80,7 @@ def _set_interval(command: Command, context: Context) -> Result:
     return Result.ACCEPTED
 
 
-def _request(command: Command, context: Context) -> Result:
+def _request(command: VehicleCommand, context: CopterCommandContext) -> Result:
     number = message_id(command.p1)
     if number not in BUILDERS:
         return Result.FAILED
@@ -88,19 +88,19 @@ def _request(command: Command, context: Context) -> Result:
     return Result.ACCEPTED
 
 
-def _request_version(_: Command, context: Context) -> Result:
+def _request_version(_: VehicleCommand, context: CopterCommandContext) -> Result:
     context.send_now.append(148)
     return Result.ACCEPTED
 
 
-def _get_interval(command: Command, context: Context) -> Result:
+def _get_interval(command: VehicleCommand, context: CopterCommandContext) -> Result:
     if message_id(command.p1) is None:
         return Result.DENIED
     context.send_now.append(MESSAGE_INTERVAL)
     return Result.ACCEPTED
 
 
-def _set_home(command: Command, context: Context) -> Result:
+def _set_home(command: VehicleCommand, context: CopterCommandContext) -> Result:
     v = context.vehicle
     if command.p1 == 1.0:
         done = v.set_home_here()
@@ -111,7 +111,7 @@ def _set_home(command: Command, context: Context) -> Result:
     return Result.ACCEPTED if done else Result.FAILED
 
 
-def _reboot(command: Command, context: Context) -> Result:
+def _reboot(command: VehicleCommand, context: CopterCommandContext) -> Result:
     if context.vehicle.commander.armed:
         return Result.FAILED
     if command.p1 != 1.0:
@@ -120,7 +120,7 @@ def _reboot(command: Command, context: Context) -> Result:
     return Result.ACCEPTED
 
 
-def _accept(_: Command, __: Context) -> Result:
+def _accept(_: VehicleCommand, __: CopterCommandContext) -> Result:
     return Result.ACCEPTED
 
 

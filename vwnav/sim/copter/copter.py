@@ -6,15 +6,15 @@ from collections import deque
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.copter.battery import Battery
-from vwnav.sim.copter.commander import Commander
-from vwnav.sim.copter.estimator import Estimator
-from vwnav.sim.copter.failsafes import Failsafes, Health
+from vwnav.sim.copter.battery import CopterBattery
+from vwnav.sim.copter.commander import CopterCommander
+from vwnav.sim.copter.estimator import CopterEstimator
+from vwnav.sim.copter.failsafes import CopterHealth, Failsafes
 from vwnav.sim.copter.flight_modes import SPOOL_UP_S, FlightModes
 from vwnav.sim.copter.modes import MODE_OF, Mode
-from vwnav.sim.copter.parameters import NO_GPS, Parameters
+from vwnav.sim.copter.parameters import NO_GPS, CopterParameters
 from vwnav.sim.copter.radio import SETUP, SWITCH_US, Radio
-from vwnav.sim.home import Home
+from vwnav.sim.home import HomePosition
 from vwnav.sim.mavlink.enums import Landed, Result, Severity
 from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
@@ -61,7 +61,7 @@ class SimulatedCopter:
         gcs_heard_s: when a ground station was, None before.
     """
 
-    def __init__(self, config: VehicleConfig, parameters: Parameters | None = None) -> None:
+    def __init__(self, config: VehicleConfig, parameters: CopterParameters | None = None) -> None:
         self.config = config
         self.parameters = parameters or _parameters(config)
         rng = random.Random(config.seed)
@@ -74,17 +74,19 @@ class SimulatedCopter:
         self.body = Airframe(heading_rad, _DRAG_PER_S)
         self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
         self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
-        self.estimator = Estimator(heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters)
+        self.estimator = CopterEstimator(
+            heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters
+        )
         self.controller = Controller(_GAINS, heading_rad + bias_rad)
-        self.battery = Battery(config.battery_start, config.battery_drain_s, self.parameters)
+        self.battery = CopterBattery(config.battery_start, config.battery_drain_s, self.parameters)
         self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
         self._texts_said = 0
-        self.commander = Commander(self.parameters, self.say)
+        self.commander = CopterCommander(self.parameters, self.say)
         self.failsafes = Failsafes(self.parameters, self.battery, self.say)
         self.modes = FlightModes(self.parameters)
         self.radio = Radio(self.parameters)
         self.pilot = ScriptedPilot(config.pilot, self.radio, SWITCH_US)
-        self.home: Home | None = None
+        self.home: HomePosition | None = None
         self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
         self.baro_height_m = 0.0
         self.landed = True
@@ -191,12 +193,12 @@ class SimulatedCopter:
         )
         self._disarm_when_down()
 
-    def _fail_over(self, wanted: Mode, health: Health) -> None:
+    def _fail_over(self, wanted: Mode, health: CopterHealth) -> None:
         """A failsafe chooses the mode; one that lands waits before it comes down."""
         self.commander.force(wanted, health)
         self._follow_commander(_FAILSAFE_PAUSE_S)
 
-    def _land_without_position(self, health: Health) -> None:
+    def _land_without_position(self, health: CopterHealth) -> None:
         """The EKF failsafe, in a mode that needs a position; LAND goes on without."""
         if self.modes.holds_position and self.commander.mode is not Mode.LAND:
             self._fail_over(Mode.LAND, health)
@@ -233,11 +235,11 @@ class SimulatedCopter:
         self.modes.handle_target(setpoint)
 
     @property
-    def health(self) -> Health:
+    def health(self) -> CopterHealth:
         """What decides about arming and failsafes."""
         estimator, t_s = self.estimator, self.t_s
         heard_s = self.gcs_heard_s
-        return Health(
+        return CopterHealth(
             position_ok=estimator.position_ok,
             may_hold=estimator.position_ok and not self.failsafes.ekf,
             attitude_ok=estimator.is_aligned,
@@ -310,7 +312,7 @@ class SimulatedCopter:
         origin = self.estimator.origin
         assert origin is not None
         lat, lon, alt = (float(value) for value in origin.to_geodetic(list(local_m)))
-        self.home = Home(lat, lon, alt, local_m, self.t_s)
+        self.home = HomePosition(lat, lon, alt, local_m, self.t_s)
         self.modes.home = local_m
 
     def _say_boot_texts(self) -> None:
@@ -318,8 +320,8 @@ class SimulatedCopter:
             self.say(Severity.INFO, self._boot_texts.pop(0)[1])
 
 
-def _parameters(config: VehicleConfig) -> Parameters:
+def _parameters(config: VehicleConfig) -> CopterParameters:
     preset = () if config.autopilot_defaults else NO_GPS
     radio = SETUP if config.pilot.rc_on else ()
     own = (("SYSID_THISMAV", float(config.system_id)),)
-    return Parameters((*preset, *radio, *own, *config.parameters))
+    return CopterParameters((*preset, *radio, *own, *config.parameters))

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.sim.copter.parameters import Parameters
+from vwnav.sim.copter.parameters import CopterParameters
 from vwnav.sim.multirotor.inertial_filter import InertialFilter
 
 INITIALISED_S, ALIGNED_S = 4.7, 6.1  # after boot
@@ -25,14 +25,14 @@ _NO_POSITION_ON_GROUND, _NO_POSITION, _AIDED = 0x0A7, 0x025, 0x33F
 Vector = tuple[float, float, float]
 
 
-class Estimator(InertialFilter):
+class CopterEstimator(InertialFilter):
     """As EKF3.
 
     Attributes:
         reset_ne_m: how far the position jumped last, north and east.
     """
 
-    def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: Parameters) -> None:
+    def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: CopterParameters) -> None:
         super().__init__(heading_rad, alt_amsl_m)
         self._parameters = parameters
         self.ever_aided = False

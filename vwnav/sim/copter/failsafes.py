@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.sim.copter.battery import CRITICAL, Battery
+from vwnav.sim.copter.battery import CRITICAL, CopterBattery
 from vwnav.sim.copter.modes import Mode
-from vwnav.sim.copter.parameters import Parameters
+from vwnav.sim.copter.parameters import CopterParameters
 from vwnav.sim.mavlink.enums import Severity
 
 _EKF_PERIOD_S = 0.1
@@ -19,7 +19,7 @@ Say = Callable[[Severity, str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Health:
+class CopterHealth:
     """What is looked at, fifty times a second.
 
     Attributes:
@@ -47,7 +47,7 @@ class Failsafes:
         ekf: the position is lost.
     """
 
-    def __init__(self, parameters: Parameters, battery: Battery, say: Say) -> None:
+    def __init__(self, parameters: CopterParameters, battery: CopterBattery, say: Say) -> None:
         self._parameters = parameters
         self._battery = battery
         self._say = say
@@ -60,7 +60,7 @@ class Failsafes:
         """For the system status."""
         return self.ekf or self._gcs or self._radio or self._battery.level > 0
 
-    def step(self, health: Health, armed: bool, dt_s: float) -> list[Mode]:
+    def step(self, health: CopterHealth, armed: bool, dt_s: float) -> list[Mode]:
         """Look; the modes to change to now, the most urgent last."""
         wanted = [
             self._look_at_gcs(health),
@@ -79,14 +79,14 @@ class Failsafes:
         name = "BATT_FS_CRT_ACT" if battery.level == CRITICAL else "BATT_FS_LOW_ACT"
         return _BATTERY_ACTIONS.get(int(self._parameters[name]))
 
-    def _look_at_gcs(self, health: Health) -> Mode | None:
+    def _look_at_gcs(self, health: CopterHealth) -> Mode | None:
         action = _GCS_ACTIONS.get(int(self._parameters["FS_GCS_ENABLE"]))
         was, silent_s = self._gcs, health.gcs_silent_s
         ever = silent_s < math.inf
         self._gcs = bool(action and ever and silent_s > self._parameters["FS_GCS_TIMEOUT"])
         return self._changed("GCS Failsafe", was, self._gcs, action)
 
-    def _look_at_radio(self, health: Health) -> Mode | None:
+    def _look_at_radio(self, health: CopterHealth) -> Mode | None:
         action = _RADIO_ACTIONS.get(int(self._parameters["FS_THR_ENABLE"]))
         was, self._radio = self._radio, action is not None and health.radio_lost
         return self._changed("Radio Failsafe", was, self._radio, action)
@@ -96,7 +96,7 @@ class Failsafes:
             self._say(Severity.WARNING, text if now else f"{text} Cleared")
         return action if now and not was else None
 
-    def has_lost_position(self, health: Health, armed: bool, t_s: float) -> bool:
+    def has_lost_position(self, health: CopterHealth, armed: bool, t_s: float) -> bool:
         """Just now; ten checks without a position in a row raise it, ten with one clear it."""
         if not armed:
             self._ekf_count, self.ekf = 0, False

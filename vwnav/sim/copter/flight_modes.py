@@ -3,11 +3,11 @@
 import math
 from enum import Enum
 
-from vwnav.sim.copter.estimator import Estimator
+from vwnav.sim.copter.estimator import CopterEstimator
 from vwnav.sim.copter.modes import NEEDS_POSITION, STICK_MODES, Mode
-from vwnav.sim.copter.parameters import Parameters
+from vwnav.sim.copter.parameters import CopterParameters
 from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
-from vwnav.sim.multirotor.motion import Motion
+from vwnav.sim.multirotor.motion import VelocitySmoother
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.scripted_pilot import Sticks
 
@@ -21,7 +21,7 @@ _STICK_DEADZONE = 0.05
 _STICK_CLIMB_M_S = 2.5  # PILOT_SPEED_UP
 
 
-class Leg(Enum):
+class RtlState(Enum):
     """Of RTL."""
 
     CLIMB = "climb"
@@ -39,33 +39,35 @@ class FlightModes:
         home: north, east, down (m) of home in the local frame, None before it is known.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: CopterParameters) -> None:
         self._parameters = parameters
         self.home: tuple[float, float, float] | None = None
         self.takeoff_down_m: float | None = None
         self.holds_position = False
         self._mode = Mode.STABILIZE
-        self._motion = Motion()
+        self._motion = VelocitySmoother()
         self._target: Setpoint | None = None
         self._target_age_s = 0.0
         self._pause_s = 0.0
-        self._leg = Leg.CLIMB
+        self._rtl_state = RtlState.CLIMB
         self._loitered_s = 0.0
         self._resets = 0
 
     @property
     def landing(self) -> bool:
         """It comes down to land, for EXTENDED_SYS_STATE."""
-        return self._mode is Mode.LAND or (self._mode is Mode.RTL and self._leg is Leg.LAND)
+        return self._mode is Mode.LAND or (
+            self._mode is Mode.RTL and self._rtl_state is RtlState.LAND
+        )
 
-    def enter(self, mode: Mode, estimate: Estimator, may_hold: bool, pause_s: float) -> None:
+    def enter(self, mode: Mode, estimate: CopterEstimator, may_hold: bool, pause_s: float) -> None:
         """Start a mode where the vehicle is; LAND comes down after a pause."""
         self._mode = mode
         self.holds_position = mode in NEEDS_POSITION or (mode is Mode.LAND and may_hold)
         self.takeoff_down_m = self._target = None
         self._pause_s = pause_s
         self._resets = estimate.reset_counter
-        self._leg, self._loitered_s = Leg.CLIMB, 0.0
+        self._rtl_state, self._loitered_s = RtlState.CLIMB, 0.0
         self._motion.begin(estimate)
 
     def lose_position(self) -> None:
@@ -80,7 +82,7 @@ class FlightModes:
             self.takeoff_down_m = None
 
     def step(
-        self, estimate: Estimator, sticks: Sticks, armed_s: float, landed: bool, dt_s: float
+        self, estimate: CopterEstimator, sticks: Sticks, armed_s: float, landed: bool, dt_s: float
     ) -> Setpoint:
         """The setpoint for the next `dt_s`; `armed_s` is how long it has been armed."""
         if landed and self._rests(sticks):
@@ -102,7 +104,7 @@ class FlightModes:
             case _:
                 return self._motion.stop_and_stay(estimate, _BRAKE_M_S2 * dt_s)
 
-    def _follow_resets(self, estimate: Estimator) -> None:
+    def _follow_resets(self, estimate: CopterEstimator) -> None:
         """Where the estimate jumps, the place to stay at jumps with it."""
         if estimate.reset_counter != self._resets:
             self._resets = estimate.reset_counter
@@ -116,7 +118,9 @@ class FlightModes:
             return _climb(sticks) <= 0.0
         return self.takeoff_down_m is None
 
-    def _takeoff(self, estimate: Estimator, top_m: float, armed_s: float, dt_s: float) -> Setpoint:
+    def _takeoff(
+        self, estimate: CopterEstimator, top_m: float, armed_s: float, dt_s: float
+    ) -> Setpoint:
         if armed_s < SPOOL_UP_S:
             return Setpoint(idle=True)
         motion, left_m = self._motion, estimate.down.x - top_m
@@ -130,7 +134,7 @@ class FlightModes:
         north, east = motion.anchor
         return Setpoint(north_m=north, east_m=east, vd_m_s=motion.vd_m_s, yaw_rad=motion.yaw_rad)
 
-    def _guided(self, estimate: Estimator, dt_s: float) -> Setpoint:
+    def _guided(self, estimate: CopterEstimator, dt_s: float) -> Setpoint:
         """Follow; after GUID_TIMEOUT without a setpoint stop and stay."""
         self._target_age_s += dt_s
         target, motion = self._target, self._motion
@@ -148,7 +152,9 @@ class FlightModes:
             yaw_rad=motion.yaw_rad, yaw_rate_rad_s=target.yaw_rate_rad_s,
         )  # fmt: skip
 
-    def _wanted_velocity(self, target: Setpoint, estimate: Estimator) -> tuple[float, float, float]:
+    def _wanted_velocity(
+        self, target: Setpoint, estimate: CopterEstimator
+    ) -> tuple[float, float, float]:
         """Of the setpoint, or towards its position."""
         wanted = []
         for place, speed, axis in (
@@ -159,7 +165,7 @@ class FlightModes:
             wanted.append((speed or 0.0) if place is None else place - axis.x)
         return wanted[0], wanted[1], wanted[2]
 
-    def _loiter(self, estimate: Estimator, sticks: Sticks, dt_s: float) -> Setpoint:
+    def _loiter(self, estimate: CopterEstimator, sticks: Sticks, dt_s: float) -> Setpoint:
         """Sticks lead the velocity; centred they brake and hold the place."""
         motion = self._motion
         forward, right = _dead(sticks.pitch), _dead(sticks.roll)
@@ -181,37 +187,37 @@ class FlightModes:
             sp.vd_m_s = motion.vd_m_s = -_STICK_CLIMB_M_S * climb
         return sp
 
-    def _return(self, estimate: Estimator, dt_s: float) -> Setpoint:
+    def _return(self, estimate: CopterEstimator, dt_s: float) -> Setpoint:
         """Climb to RTL_ALT, fly home, wait, land."""
         motion, home = self._motion, self.home or (0.0, 0.0, 0.0)
         top_m = min(home[2] - self._cm("RTL_ALT"), estimate.down.x)
         dn, de = home[0] - estimate.north.x, home[1] - estimate.east.x
-        match self._leg:
-            case Leg.CLIMB:
+        match self._rtl_state:
+            case RtlState.CLIMB:
                 sp = motion.stop_and_stay(estimate, self._accelerate_m_s2 * dt_s)
                 motion.anchor_down_m = top_m
                 is_stopped = motion.anchor is not None
                 if is_stopped and estimate.down.x < home[2] - self._cm("RTL_ALT") + _REACHED_M:
-                    self._leg = Leg.RETURN
+                    self._rtl_state = RtlState.RETURN
                 sp.down_m, sp.vd_m_s = top_m, None
                 return sp
-            case Leg.RETURN:
+            case RtlState.RETURN:
                 motion.steer(dn, de, self._cm("WPNAV_SPEED"), self._accelerate_m_s2, dt_s)
                 if math.hypot(dn, de) < _HOME_RADIUS_M:
-                    self._leg, motion.anchor = Leg.LOITER, (home[0], home[1])
+                    self._rtl_state, motion.anchor = RtlState.LOITER, (home[0], home[1])
                 return Setpoint(
                     vn_m_s=motion.vn_m_s, ve_m_s=motion.ve_m_s,
                     down_m=motion.anchor_down_m, yaw_rad=motion.yaw_rad,
                 )  # fmt: skip
-            case Leg.LOITER:
+            case RtlState.LOITER:
                 self._loitered_s += dt_s
                 if self._loitered_s > 1e-3 * self._parameters["RTL_LOIT_TIME"]:
-                    self._leg = Leg.LAND
+                    self._rtl_state = RtlState.LAND
                 return motion.stop_and_stay(estimate, _BRAKE_M_S2 * dt_s)
-            case Leg.LAND:
+            case RtlState.LAND:
                 return self._land(estimate, dt_s)
 
-    def _land(self, estimate: Estimator, dt_s: float) -> Setpoint:
+    def _land(self, estimate: CopterEstimator, dt_s: float) -> Setpoint:
         """Come down, slower below LAND_ALT_LOW; level where there is no position to hold."""
         motion = self._motion
         self._pause_s -= dt_s
@@ -225,14 +231,14 @@ class FlightModes:
         sp.down_m = None
         return sp
 
-    def _landing_speed(self, estimate: Estimator) -> float:
+    def _landing_speed(self, estimate: CopterEstimator) -> float:
         ground_m = self.home[2] if self.home is not None else 0.0
         above_m = ground_m - estimate.down.x - self._cm("LAND_ALT_LOW")
         slow = self._cm("LAND_SPEED")
         fast = self._cm("LAND_SPEED_HIGH") or self._cm("WPNAV_SPEED_DN")
         return min(fast, max(slow, math.sqrt(2.0 * self._climb_m_s2 * max(0.0, above_m))))
 
-    def _tilt(self, estimate: Estimator, sticks: Sticks) -> Setpoint:
+    def _tilt(self, estimate: CopterEstimator, sticks: Sticks) -> Setpoint:
         """STABILIZE and ALT_HOLD: sticks are tilt; the throttle is thrust, or climbs."""
         slope = GRAVITY_M_S2 * math.tan(math.radians(self._cm("ANGLE_MAX")))
         forward, right = slope * _dead(sticks.pitch), slope * _dead(sticks.roll)

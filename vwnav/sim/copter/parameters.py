@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from vwnav.sim.mavlink.parameter_table import ParameterTable
+from vwnav.sim.mavlink.parameter_table import SimulatedParameters
 
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9  # MAV_PARAM_TYPE
 
@@ -69,7 +69,7 @@ NO_GPS: tuple[tuple[str, float], ...] = (
 )
 
 
-class Parameters(ParameterTable):
+class CopterParameters(SimulatedParameters):
     """Names in alphabetical order with their values; all travel as numbers."""
 
     def __init__(self, overrides: Iterable[tuple[str, float]]) -> None:

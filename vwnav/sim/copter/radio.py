@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from vwnav.sim.copter.modes import Mode
-from vwnav.sim.copter.parameters import Parameters
+from vwnav.sim.copter.parameters import CopterParameters
 from vwnav.sim.scripted_pilot import Sticks
 
 CHANNELS = 8
@@ -30,7 +30,7 @@ class Radio:
         channels_us: () before the first.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: CopterParameters) -> None:
         self._parameters = parameters
         self.sticks = Sticks()
         self.channels_us: tuple[int, ...] = ()

@@ -7,10 +7,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.sim.copter import vision_input
-from vwnav.sim.copter.commands import Context, execute
+from vwnav.sim.copter.commands import CopterCommandContext, execute
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.streams import BUILDERS
-from vwnav.sim.mavlink.command import Command, is_place
+from vwnav.sim.mavlink.command import VehicleCommand, is_place
 from vwnav.sim.mavlink.conversation import Conversation
 from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
@@ -21,7 +21,7 @@ from vwnav.sim.mavlink.velocity_target import setpoint_of
 _ORIGIN = 49
 
 
-class Session(Conversation[SimulatedCopter]):
+class CopterSession(Conversation[SimulatedCopter]):
     """A link's conversation with the simulated ArduCopter."""
 
     BUILDERS = BUILDERS
@@ -68,14 +68,14 @@ class Session(Conversation[SimulatedCopter]):
                 for message in text_messages(severity, text, number % 65536):
                     self._send(message)
 
-    def _perform(self, command: Command) -> tuple[Result, list[int], bool]:
-        context = Context(self._vehicle, self._schedule, [])
+    def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
+        context = CopterCommandContext(self._vehicle, self._schedule, [])
         result = execute(command, context)
         return result, context.send_now, context.reboot
 
     def _set_mode(self, m: Any) -> None:
         nothing = [math.nan] * 5
-        self._perform(Command(176, float(m.base_mode), float(m.custom_mode), *nothing))
+        self._perform(VehicleCommand(176, float(m.base_mode), float(m.custom_mode), *nothing))
 
     def _setpoint(self, m: Any) -> None:
         setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)

@@ -3,19 +3,19 @@
 import math
 from typing import Any
 
-from vwnav.sim.copter.estimator import Estimator, Vector
+from vwnav.sim.copter.estimator import CopterEstimator, Vector
 
 _FARTHEST_M, _FASTEST_M_S, _LARGEST_VARIANCE = 1e7, 1e3, 1e6
 
 
-def feed_position(message: Any, estimator: Estimator) -> None:
+def feed_position(message: Any, estimator: CopterEstimator) -> None:
     """NED about the estimator's origin; what is no place is dropped."""
     if all(abs(value) <= _FARTHEST_M for value in (message.x, message.y, message.z)):
         variance_m2 = _variance((message.covariance[0], message.covariance[6]))
         estimator.handle_position(message.x, message.y, variance_m2, message.reset_counter)
 
 
-def feed_velocity(message: Any, estimator: Estimator) -> None:
+def feed_velocity(message: Any, estimator: CopterEstimator) -> None:
     """NED; what is no velocity is dropped."""
     velocity: Vector = (message.x, message.y, message.z)
     if all(abs(value) <= _FASTEST_M_S for value in velocity):

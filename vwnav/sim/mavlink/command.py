@@ -6,7 +6,7 @@ FORCE_MAGIC = 21196  # param2 of MAV_CMD_COMPONENT_ARM_DISARM
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class VehicleCommand:
     """One command; x and y are degrees when they are a place, NaN is not given."""
 
     number: int

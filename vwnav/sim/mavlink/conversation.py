@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.mavlink.answers import Answers
-from vwnav.sim.mavlink.command import Command
+from vwnav.sim.mavlink.command import VehicleCommand
 from vwnav.sim.mavlink.enums import Result
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
@@ -67,7 +67,7 @@ class Conversation(ABC, Generic[VehicleT]):
     def _is_for_us(self, message: Any) -> bool: ...
 
     @abstractmethod
-    def _perform(self, command: Command) -> tuple[Result, list[int], bool]:
+    def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
         """The result, numbers of messages to send, and whether a reboot is wanted."""
 
     @abstractmethod
@@ -113,14 +113,14 @@ class Conversation(ABC, Generic[VehicleT]):
 
     def _command_long(self, m: Any) -> None:
         place = (m.param5, m.param6, m.param7)
-        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
+        self._execute(m, VehicleCommand(m.command, m.param1, m.param2, m.param3, m.param4, *place))
 
     def _command_int(self, m: Any) -> None:
         scale = 1e-7 if m.command in self.DEGE7_COMMANDS else 1.0
         place = (m.x * scale, m.y * scale, m.z)
-        self._execute(m, Command(m.command, m.param1, m.param2, m.param3, m.param4, *place))
+        self._execute(m, VehicleCommand(m.command, m.param1, m.param2, m.param3, m.param4, *place))
 
-    def _execute(self, message: Any, command: Command) -> None:
+    def _execute(self, message: Any, command: VehicleCommand) -> None:
         result, numbers, reboot = self._perform(command)
         wanted = [self._requested(number, command) for number in numbers]
         if None in wanted and command.number == REQUEST_MESSAGE:
@@ -132,7 +132,7 @@ class Conversation(ABC, Generic[VehicleT]):
                 self._answer(built)
         self._reboot_wanted = self._reboot_wanted or reboot
 
-    def _requested(self, message_id: int, command: Command) -> Any:
+    def _requested(self, message_id: int, command: VehicleCommand) -> Any:
         if message_id == MESSAGE_INTERVAL and command.number == GET_MESSAGE_INTERVAL:
             asked = int(command.p1)
             interval_us = self._schedule.interval_us(asked)

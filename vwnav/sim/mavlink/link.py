@@ -64,7 +64,7 @@ def parse_url(url: str) -> tuple[bool, Address]:
     return kind == "udpin", (host, int(port))
 
 
-class UdpLink:
+class VehicleUdpLink:
     """A socket with whoever speaks valid MAVLink on it.
 
     Args:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from vwnav.errors import ConfigError
 
 
-class ParameterTable:
+class SimulatedParameters:
     """Values by name, integers too as numbers.
 
     Args:

@@ -6,7 +6,7 @@ _GAIN = 0.05
 _JUMP_NS = 100_000_000
 
 
-class Timesync:
+class TimesyncFilter:
     """Offset of the other clock, from answered TIMESYNC requests (PX4's filter, simplified).
 
     Attributes:

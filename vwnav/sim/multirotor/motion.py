@@ -9,7 +9,7 @@ _STOPPED_M_S = 0.5
 _TURNS_BEYOND_M = 5.0
 
 
-class Motion:
+class VelocitySmoother:
     """The velocity asked for, and where it stays once it has stopped.
 
     Attributes:

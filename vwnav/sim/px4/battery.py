@@ -1,15 +1,15 @@
 """A four-cell battery that drains with time in flight, as PX4's battery simulator does."""
 
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 
 CELLS = 4
 _FULL_V, _EMPTY_V = 4.05, 3.6  # per cell, PX4's simulator: 16.2 V full
 
 
-class Battery:
+class Px4Battery:
     """Charge 0..1; `warning` is 0 none, 1 low, 2 critical, 3 emergency (battery_status.warning)."""
 
-    def __init__(self, start: float, parameters: Parameters) -> None:
+    def __init__(self, start: float, parameters: Px4Parameters) -> None:
         self._parameters = parameters
         self.remaining = start
         self.consumed_mah = 0.0

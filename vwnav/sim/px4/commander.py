@@ -3,9 +3,9 @@
 from collections.abc import Callable
 
 from vwnav.sim.mavlink.enums import Landed, Result, Severity
-from vwnav.sim.px4.failsafe import Failsafe, Health
+from vwnav.sim.px4.failsafe import Failsafe, Px4Health
 from vwnav.sim.px4.modes import POSITION_STATES, STICK_STATES, NavState
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 
 _NOT_ARMABLE = frozenset({NavState.RETURN, NavState.LAND, NavState.DESCEND})
 _GONE = ("no position", "heading estimate invalid", "horizontal position unstable")
@@ -14,7 +14,7 @@ _REPEAT_S = 2.0
 Say = Callable[[Severity, str], None]
 
 
-class Commander:
+class Px4Commander:
     """The vehicle's will.
 
     Attributes:
@@ -22,7 +22,7 @@ class Commander:
         armed: rotors may turn.
     """
 
-    def __init__(self, parameters: Parameters, say: Say) -> None:
+    def __init__(self, parameters: Px4Parameters, say: Say) -> None:
         self._parameters = parameters
         self._say = say
         self.failsafe = Failsafe(parameters)
@@ -38,7 +38,7 @@ class Commander:
         self._was_active = False
         self._said_s = -_REPEAT_S
 
-    def problems(self, health: Health) -> tuple[str, ...]:
+    def problems(self, health: Px4Health) -> tuple[str, ...]:
         """What forbids arming in the intended state; () when it may arm."""
         found = []
         if self.intended in POSITION_STATES and not health.local_position_ok:
@@ -59,7 +59,7 @@ class Commander:
             found.append("mode not armable")
         return tuple(found)
 
-    def arm(self, health: Health, forced: bool, t_s: float) -> Result:
+    def arm(self, health: Px4Health, forced: bool, t_s: float) -> Result:
         """MAV_CMD_COMPONENT_ARM_DISARM 1."""
         if self.armed:
             return Result.ACCEPTED
@@ -78,7 +78,7 @@ class Commander:
         self._armed_at_s = self._landed_at_s = t_s
         self.failsafe.reset()
 
-    def disarm(self, health: Health, forced: bool) -> Result:
+    def disarm(self, health: Px4Health, forced: bool) -> Result:
         """MAV_CMD_COMPONENT_ARM_DISARM 0; in the air only by force."""
         if self.armed and not health.landed and not forced:
             self._say(Severity.CRITICAL, "Disarming denied: not landed\t")
@@ -94,7 +94,7 @@ class Commander:
             self.intended = self._before
         self._say(Severity.INFO, text)
 
-    def ask(self, wanted: NavState, health: Health) -> Result:
+    def ask(self, wanted: NavState, health: Px4Health) -> Result:
         """The user asks for a state; refused in the air when what it needs is missing."""
         if not self._may(wanted, health):
             self._say(Severity.CRITICAL, f"Switching to mode '{wanted.name.title()}' is denied")
@@ -105,7 +105,7 @@ class Commander:
         self.failsafe.override(health)
         return Result.ACCEPTED
 
-    def _may(self, wanted: NavState, health: Health) -> bool:
+    def _may(self, wanted: NavState, health: Px4Health) -> bool:
         if not self.armed or wanted is NavState.LAND:
             return True
         if wanted is NavState.OFFBOARD and not health.offboard_ok:
@@ -116,7 +116,7 @@ class Commander:
             return False
         return wanted not in POSITION_STATES or health.local_position_ok
 
-    def take_over(self, health: Health) -> None:
+    def take_over(self, health: Px4Health) -> None:
         """The pilot moved the sticks: Position, or Altitude without a position."""
         if not self.armed or self.intended in STICK_STATES or health.landed:
             return
@@ -130,7 +130,7 @@ class Commander:
         if self.intended is NavState.TAKEOFF:
             self.intended = NavState.HOLD
 
-    def step(self, health: Health, t_s: float) -> NavState:
+    def step(self, health: Px4Health, t_s: float) -> NavState:
         """Decide the state to fly now."""
         self._warn_battery(health)
         if not self.armed:
@@ -145,7 +145,7 @@ class Commander:
         self.state = state
         return state
 
-    def _disarm_when_down(self, health: Health, t_s: float) -> None:
+    def _disarm_when_down(self, health: Px4Health, t_s: float) -> None:
         if not health.landed:
             if not self.flown:
                 self._say(Severity.INFO, "Takeoff detected\t")
@@ -158,7 +158,7 @@ class Commander:
             if 0.0 < self._parameters["COM_DISARM_PRFLT"] < idle_s:
                 self._stop("Disarmed by auto preflight disarming\t")
 
-    def _warn_battery(self, health: Health) -> None:
+    def _warn_battery(self, health: Px4Health) -> None:
         texts = {1: "Low battery\t", 2: "Critical battery\t", 3: "Emergency battery level\t"}
         if health.battery_warning > self._warned:
             severity = Severity.EMERGENCY if health.battery_warning == 3 else Severity.CRITICAL
@@ -177,7 +177,7 @@ class Commander:
             self._say(Severity.CRITICAL, "Failsafe activated\t")
         self._waiting, self._was_active = waiting, active
 
-    def _report_preflight(self, health: Health, t_s: float) -> None:
+    def _report_preflight(self, health: Px4Health, t_s: float) -> None:
         if t_s - self._said_s < _REPEAT_S:
             return
         self._said_s = t_s
@@ -185,7 +185,7 @@ class Commander:
             if problem in _GONE[1:]:
                 self._say(Severity.CRITICAL, f"Preflight Fail: {problem}")
 
-    def landed_state(self, health: Health, landing: bool) -> Landed:
+    def landed_state(self, health: Px4Health, landing: bool) -> Landed:
         """MAV_LANDED_STATE for EXTENDED_SYS_STATE."""
         if health.landed:
             return Landed.ON_GROUND

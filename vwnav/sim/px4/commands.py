@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.sim.mavlink.command import FORCE_MAGIC, Command, is_place, message_id
+from vwnav.sim.mavlink.command import FORCE_MAGIC, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.conversation import MESSAGE_INTERVAL
 from vwnav.sim.mavlink.enums import Result
 from vwnav.sim.mavlink.schedule import Schedule
@@ -15,7 +15,7 @@ _CUSTOM_MODE_ENABLED = 1
 
 
 @dataclass(slots=True)
-class Context:
+class Px4CommandContext:
     """What a command may touch besides the vehicle: its link's streams, and a message to send."""
 
     vehicle: SimulatedPx4
@@ -24,10 +24,10 @@ class Context:
     reboot: bool = False
 
 
-Handler = Callable[[Command, Context], Result]
+Handler = Callable[[VehicleCommand, Px4CommandContext], Result]
 
 
-def execute(command: Command, context: Context) -> Result:
+def execute(command: VehicleCommand, context: Px4CommandContext) -> Result:
     """Do a command and say how it went, in PX4's result codes."""
     handler = _HANDLERS.get(command.number)
     context.vehicle.look()
@@ -36,7 +36,7 @@ def execute(command: Command, context: Context) -> Result:
     return Result.UNSUPPORTED if handler is None else handler(command, context)
 
 
-def _arm(command: Command, context: Context) -> Result:
+def _arm(command: VehicleCommand, context: Px4CommandContext) -> Result:
     v = context.vehicle
     forced = command.p2 == FORCE_MAGIC
     if command.p1 == 1.0:
@@ -49,7 +49,7 @@ def _arm(command: Command, context: Context) -> Result:
     return Result.UNSUPPORTED
 
 
-def _takeoff(command: Command, context: Context) -> Result:
+def _takeoff(command: VehicleCommand, context: Px4CommandContext) -> Result:
     v = context.vehicle
     result = v.commander.ask(NavState.TAKEOFF, v.health)
     if result is Result.ACCEPTED:
@@ -58,13 +58,13 @@ def _takeoff(command: Command, context: Context) -> Result:
 
 
 def _state(wanted: NavState) -> Handler:
-    def ask(_: Command, context: Context) -> Result:
+    def ask(_: VehicleCommand, context: Px4CommandContext) -> Result:
         return context.vehicle.commander.ask(wanted, context.vehicle.health)
 
     return ask
 
 
-def _set_mode(command: Command, context: Context) -> Result:
+def _set_mode(command: VehicleCommand, context: Px4CommandContext) -> Result:
     if not all(map(math.isfinite, (command.p1, command.p2))):
         return Result.DENIED
     if not int(command.p1) & _CUSTOM_MODE_ENABLED:
@@ -78,7 +78,7 @@ def _set_mode(command: Command, context: Context) -> Result:
     return context.vehicle.commander.ask(wanted, context.vehicle.health)
 
 
-def _set_interval(command: Command, context: Context) -> Result:
+def _set_interval(command: VehicleCommand, context: Px4CommandContext) -> Result:
     number = message_id(command.p1)
     known = number is not None and context.schedule.set_interval(
         number, command.p2, context.vehicle.t_s
@@ -86,7 +86,7 @@ def _set_interval(command: Command, context: Context) -> Result:
     return Result.ACCEPTED if known else Result.FAILED
 
 
-def _request(command: Command, context: Context) -> Result:
+def _request(command: VehicleCommand, context: Px4CommandContext) -> Result:
     number = message_id(command.p1)
     if number is None:
         return Result.DENIED
@@ -94,19 +94,19 @@ def _request(command: Command, context: Context) -> Result:
     return Result.ACCEPTED
 
 
-def _request_version(_: Command, context: Context) -> Result:
+def _request_version(_: VehicleCommand, context: Px4CommandContext) -> Result:
     context.send_now.append(148)
     return Result.ACCEPTED
 
 
-def _get_interval(command: Command, context: Context) -> Result:
+def _get_interval(command: VehicleCommand, context: Px4CommandContext) -> Result:
     if message_id(command.p1) is None:
         return Result.DENIED
     context.send_now.append(MESSAGE_INTERVAL)
     return Result.ACCEPTED
 
 
-def _set_home(command: Command, context: Context) -> Result:
+def _set_home(command: VehicleCommand, context: Px4CommandContext) -> Result:
     v = context.vehicle
     if command.p1 == 1.0:
         done = v.set_home_here()
@@ -117,7 +117,7 @@ def _set_home(command: Command, context: Context) -> Result:
     return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
 
 
-def _set_origin(command: Command, context: Context) -> Result:
+def _set_origin(command: VehicleCommand, context: Px4CommandContext) -> Result:
     if not is_place(command.x, command.y, command.z):
         return Result.DENIED
     context.vehicle.estimator.set_origin(command.x, command.y, command.z)
@@ -125,7 +125,7 @@ def _set_origin(command: Command, context: Context) -> Result:
     return Result.ACCEPTED
 
 
-def _reboot(command: Command, context: Context) -> Result:
+def _reboot(command: VehicleCommand, context: Px4CommandContext) -> Result:
     if context.vehicle.commander.armed:
         return Result.TEMPORARILY_REJECTED
     if command.p1 != 1.0:
@@ -134,7 +134,7 @@ def _reboot(command: Command, context: Context) -> Result:
     return Result.ACCEPTED
 
 
-def _accept(_: Command, __: Context) -> Result:
+def _accept(_: VehicleCommand, __: Px4CommandContext) -> Result:
     return Result.ACCEPTED
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.multirotor.inertial_filter import InertialFilter
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 
 EV_HORIZONTAL, EV_HEIGHT, EV_VELOCITY, EV_YAW = 1, 2, 4, 8
 HEIGHT_FROM_VISION = 3
@@ -41,10 +41,10 @@ class VisionSample:
     turned_frame: bool  # LOCAL_FRD: its north is the vehicle's nose at start, not north
 
 
-class Estimator(InertialFilter):
+class Px4Estimator(InertialFilter):
     """As EKF2."""
 
-    def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: Parameters) -> None:
+    def __init__(self, heading_rad: float, alt_amsl_m: float, parameters: Px4Parameters) -> None:
         super().__init__(heading_rad, alt_amsl_m)
         self._parameters = parameters
         self._wrecked_m = (0.0, 0.0)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from vwnav.sim.px4.modes import POSITION_STATES, STICK_STATES, NavState
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 
 
-class Action(IntEnum):
+class FailsafeAction(IntEnum):
     """What a failsafe does, in order of severity."""
 
     NONE = 0
@@ -37,26 +37,31 @@ _DELAYED = frozenset({Cause.MANUAL_LOST, Cause.GCS_LOST, Cause.BATTERY_CRITICAL}
 # These last until the mode is changed or the vehicle disarmed, though the cause be gone.
 _LATCHED = _DELAYED | {Cause.BATTERY_EMERGENCY, Cause.FENCE}
 _STATE_OF = {
-    Action.POSITION: NavState.POSITION,
-    Action.ALTITUDE: NavState.ALTITUDE,
-    Action.HOLD: NavState.HOLD,
-    Action.RETURN: NavState.RETURN,
-    Action.LAND: NavState.LAND,
-    Action.DESCEND: NavState.DESCEND,
+    FailsafeAction.POSITION: NavState.POSITION,
+    FailsafeAction.ALTITUDE: NavState.ALTITUDE,
+    FailsafeAction.HOLD: NavState.HOLD,
+    FailsafeAction.RETURN: NavState.RETURN,
+    FailsafeAction.LAND: NavState.LAND,
+    FailsafeAction.DESCEND: NavState.DESCEND,
 }
 _OFFBOARD_ACTIONS = {
-    0: Action.POSITION,
-    1: Action.ALTITUDE,
-    3: Action.RETURN,
-    4: Action.LAND,
-    5: Action.HOLD,
+    0: FailsafeAction.POSITION,
+    1: FailsafeAction.ALTITUDE,
+    3: FailsafeAction.RETURN,
+    4: FailsafeAction.LAND,
+    5: FailsafeAction.HOLD,
 }
-_LINK_ACTIONS = {1: Action.HOLD, 2: Action.RETURN, 3: Action.LAND}
-_FENCE_ACTIONS = {1: Action.WARN, 2: Action.HOLD, 3: Action.RETURN, 5: Action.LAND}
+_LINK_ACTIONS = {1: FailsafeAction.HOLD, 2: FailsafeAction.RETURN, 3: FailsafeAction.LAND}
+_FENCE_ACTIONS = {
+    1: FailsafeAction.WARN,
+    2: FailsafeAction.HOLD,
+    3: FailsafeAction.RETURN,
+    5: FailsafeAction.LAND,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Health:
+class Px4Health:
     """What the commander looks at, fifty times a second."""
 
     local_position_ok: bool
@@ -78,7 +83,7 @@ class Failsafe:
         active: a failsafe is flying.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Px4Parameters) -> None:
         self._parameters = parameters
         self._since_s: dict[Cause, float] = {}
         self._overridden: set[Cause] = set()
@@ -91,13 +96,13 @@ class Failsafe:
         self._overridden.clear()
         self.active = False
 
-    def override(self, health: Health) -> None:
+    def override(self, health: Px4Health) -> None:
         """The user chose a mode: what lasts until then is over, and is not raised again."""
         self._overridden |= {cause for cause in self._since_s if cause in _LATCHED}
         for cause in _LATCHED:
             self._since_s.pop(cause, None)
 
-    def step(self, intended: NavState, health: Health, t_s: float) -> tuple[NavState, bool]:
+    def step(self, intended: NavState, health: Px4Health, t_s: float) -> tuple[NavState, bool]:
         """(state to fly, whether it waits in Hold before it acts)."""
         self._manual_seen = self._manual_seen or health.manual_ok
         present = self._present(intended, health)
@@ -107,20 +112,20 @@ class Failsafe:
         for cause in list(self._since_s):
             if cause not in present and cause not in _LATCHED:
                 del self._since_s[cause]
-        action, waiting = Action.NONE, False
+        action, waiting = FailsafeAction.NONE, False
         for cause, since_s in self._since_s.items():
             wanted = self._action(cause, intended, health)
             early = t_s - since_s < self._parameters["COM_FAIL_ACT_T"]
-            wait = cause in _DELAYED and early and wanted > Action.HOLD
-            wanted = Action.HOLD if wait else wanted
+            wait = cause in _DELAYED and early and wanted > FailsafeAction.HOLD
+            wanted = FailsafeAction.HOLD if wait else wanted
             if wanted > action:
                 action, waiting = wanted, wait
-        self.active = action > Action.WARN
+        self.active = action > FailsafeAction.WARN
         if not self.active:
             return intended, False
         return self._reachable(_STATE_OF[action], health), waiting
 
-    def _present(self, intended: NavState, health: Health) -> set[Cause]:
+    def _present(self, intended: NavState, health: Px4Health) -> set[Cause]:
         """The causes that hold now."""
         if health.landed:  # what brought it down lasts until it is disarmed; nothing new begins
             return set(self._since_s)
@@ -141,7 +146,7 @@ class Failsafe:
             found.add(Cause.FENCE)
         return found
 
-    def _manual_lost(self, intended: NavState, health: Health) -> bool:
+    def _manual_lost(self, intended: NavState, health: Px4Health) -> bool:
         if health.manual_ok or intended in (NavState.LAND, NavState.DESCEND):
             return False
         if intended in STICK_STATES:
@@ -150,29 +155,31 @@ class Failsafe:
         exempt = bool(int(self._parameters["COM_RCL_EXCEPT"]) & exempt_bit)
         return self._manual_seen and not exempt
 
-    def _action(self, cause: Cause, intended: NavState, health: Health) -> Action:
+    def _action(self, cause: Cause, intended: NavState, health: Px4Health) -> FailsafeAction:
         get = self._parameters
         battery = int(get["COM_LOW_BAT_ACT"])
         match cause:
             case Cause.OFFBOARD_LOST:
-                wanted = _OFFBOARD_ACTIONS.get(int(get["COM_OBL_RC_ACT"]), Action.HOLD)
-                stick = wanted in (Action.POSITION, Action.ALTITUDE)
-                return Action.RETURN if stick and not health.manual_ok else wanted
+                wanted = _OFFBOARD_ACTIONS.get(int(get["COM_OBL_RC_ACT"]), FailsafeAction.HOLD)
+                stick = wanted in (FailsafeAction.POSITION, FailsafeAction.ALTITUDE)
+                return FailsafeAction.RETURN if stick and not health.manual_ok else wanted
             case Cause.POSITION_LOST:
                 sticks = intended is NavState.POSITION and health.manual_ok
-                return Action.ALTITUDE if sticks else Action.DESCEND
+                return FailsafeAction.ALTITUDE if sticks else FailsafeAction.DESCEND
             case Cause.MANUAL_LOST:
-                return _LINK_ACTIONS.get(int(get["NAV_RCL_ACT"]), Action.WARN)
+                return _LINK_ACTIONS.get(int(get["NAV_RCL_ACT"]), FailsafeAction.WARN)
             case Cause.GCS_LOST:
-                return _LINK_ACTIONS.get(int(get["NAV_DLL_ACT"]), Action.NONE)
+                return _LINK_ACTIONS.get(int(get["NAV_DLL_ACT"]), FailsafeAction.NONE)
             case Cause.BATTERY_CRITICAL:
-                return {2: Action.LAND, 3: Action.RETURN}.get(battery, Action.WARN)
+                return {2: FailsafeAction.LAND, 3: FailsafeAction.RETURN}.get(
+                    battery, FailsafeAction.WARN
+                )
             case Cause.BATTERY_EMERGENCY:
-                return Action.LAND if battery in (2, 3) else Action.WARN
+                return FailsafeAction.LAND if battery in (2, 3) else FailsafeAction.WARN
             case Cause.FENCE:
-                return _FENCE_ACTIONS.get(int(get["GF_ACTION"]), Action.WARN)
+                return _FENCE_ACTIONS.get(int(get["GF_ACTION"]), FailsafeAction.WARN)
 
-    def _reachable(self, state: NavState, health: Health) -> NavState:
+    def _reachable(self, state: NavState, health: Px4Health) -> NavState:
         """The state itself, or what PX4 falls back to without what the state needs."""
         if state is NavState.RETURN and not health.global_position_ok:
             state = NavState.LAND

@@ -3,11 +3,11 @@
 import math
 
 from vwnav.sim.multirotor.airframe import GRAVITY_M_S2
-from vwnav.sim.multirotor.motion import Motion
+from vwnav.sim.multirotor.motion import VelocitySmoother
 from vwnav.sim.multirotor.setpoint import Setpoint
-from vwnav.sim.px4.estimator import Estimator
+from vwnav.sim.px4.estimator import Px4Estimator
 from vwnav.sim.px4.modes import NavState
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 from vwnav.sim.scripted_pilot import Sticks
 
 _STICK_DEADZONE = 0.05
@@ -24,18 +24,18 @@ class FlightTasks:
         home: north, east, down (m) of home in the local frame, None before it is known.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Px4Parameters) -> None:
         self._parameters = parameters
         self.home: tuple[float, float, float] | None = None
         self.takeoff_down_m: float | None = None
         self.finished = False
         self.landing = False
         self._state = NavState.HOLD
-        self._motion = Motion()
+        self._motion = VelocitySmoother()
         self._since_s = 0.0
         self._climbed = False
 
-    def enter(self, state: NavState, estimate: Estimator) -> None:
+    def enter(self, state: NavState, estimate: Px4Estimator) -> None:
         """Start a state where the vehicle is, with the velocity it has."""
         self._state = state
         self.finished = self._climbed = False
@@ -45,7 +45,7 @@ class FlightTasks:
 
     def step(
         self,
-        estimate: Estimator,
+        estimate: Px4Estimator,
         sticks: Sticks,
         offboard: Setpoint | None,
         landed: bool,
@@ -76,14 +76,14 @@ class FlightTasks:
             case _:
                 return self._hold(estimate, landed, dt_s)
 
-    def _on_ground_idle(self, sp: Setpoint, estimate: Estimator, landed: bool) -> Setpoint:
+    def _on_ground_idle(self, sp: Setpoint, estimate: Px4Estimator, landed: bool) -> Setpoint:
         """On the ground only a climb starts the rotors."""
         climbs = (sp.vd_m_s or 0.0) < -0.3
         if sp.down_m is not None:
             climbs = climbs or sp.down_m < estimate.down.x - 0.3
         return Setpoint(idle=True) if landed and not climbs else sp
 
-    def _takeoff(self, estimate: Estimator, landed: bool, dt_s: float) -> Setpoint:
+    def _takeoff(self, estimate: Px4Estimator, landed: bool, dt_s: float) -> Setpoint:
         ready_s = self._since_s - self._parameters["COM_SPOOLUP_TIME"]
         target = self.takeoff_down_m
         if ready_s < 0.0 or target is None:
@@ -105,16 +105,16 @@ class FlightTasks:
             yaw_rad=self._motion.yaw_rad,
         )
 
-    def _hold(self, estimate: Estimator, landed: bool, dt_s: float) -> Setpoint:
+    def _hold(self, estimate: Px4Estimator, landed: bool, dt_s: float) -> Setpoint:
         if landed:
             return Setpoint(idle=True)
         return self._brake_and_stay(estimate, dt_s)
 
-    def _brake_and_stay(self, estimate: Estimator, dt_s: float) -> Setpoint:
+    def _brake_and_stay(self, estimate: Px4Estimator, dt_s: float) -> Setpoint:
         """Slow down with MPC_ACC_HOR, then keep the place."""
         return self._motion.stop_and_stay(estimate, self._parameters["MPC_ACC_HOR"] * dt_s)
 
-    def _return(self, estimate: Estimator, landed: bool, dt_s: float) -> Setpoint:
+    def _return(self, estimate: Px4Estimator, landed: bool, dt_s: float) -> Setpoint:
         """Climb over the cone about home, fly there, land (RTL_TYPE 0)."""
         if landed or self.home is None:
             return self._hold(estimate, landed, dt_s)
@@ -154,7 +154,7 @@ class FlightTasks:
         cone = 0.0 < cone_rad < 0.5 * math.pi
         return min(full, distance_m / math.tan(cone_rad)) if cone else full
 
-    def _land(self, estimate: Estimator, dt_s: float) -> Setpoint:
+    def _land(self, estimate: Px4Estimator, dt_s: float) -> Setpoint:
         """Hold the place and come down, slower below MPC_LAND_ALT1."""
         sp = self._brake_and_stay(estimate, dt_s)
         get = self._parameters
@@ -166,7 +166,9 @@ class FlightTasks:
         sp.down_m, sp.vd_m_s = None, slow + share * (fast - slow)
         return sp
 
-    def _position(self, estimate: Estimator, sticks: Sticks, landed: bool, dt_s: float) -> Setpoint:
+    def _position(
+        self, estimate: Px4Estimator, sticks: Sticks, landed: bool, dt_s: float
+    ) -> Setpoint:
         """Sticks are velocities; centred they hold the place."""
         climb = 2.0 * _dead(2.0 * (sticks.throttle - 0.5))
         if landed and climb <= 0.0:
@@ -196,7 +198,7 @@ class FlightTasks:
             sp.yaw_rad = self._motion.yaw_rad = None
             sp.yaw_rate_rad_s = turn * math.radians(get["MPC_MAN_Y_MAX"])
 
-    def _tilt(self, estimate: Estimator, sticks: Sticks, landed: bool) -> Setpoint:
+    def _tilt(self, estimate: Px4Estimator, sticks: Sticks, landed: bool) -> Setpoint:
         """Altitude and Stabilized: sticks are tilt; the throttle climbs or is thrust itself."""
         get = self._parameters
         slope = GRAVITY_M_S2 * math.tan(math.radians(get["MPC_MAN_TILT_MAX"]))

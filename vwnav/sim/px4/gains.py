@@ -3,10 +3,10 @@
 import math
 
 from vwnav.sim.multirotor.controller import Gains
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 
 
-def gains_of(get: Parameters) -> Gains:
+def gains_of(get: Px4Parameters) -> Gains:
     """As the parameters are now."""
     return Gains(
         xy_p=get["MPC_XY_P"],

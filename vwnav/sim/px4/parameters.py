@@ -5,7 +5,7 @@ import struct
 import zlib
 from collections.abc import Iterable
 
-from vwnav.sim.mavlink.parameter_table import ParameterTable
+from vwnav.sim.mavlink.parameter_table import SimulatedParameters
 
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 HASH_CHECK = "_HASH_CHECK"
@@ -153,7 +153,7 @@ NO_GPS: tuple[tuple[str, float], ...] = (
 )
 
 
-class Parameters(ParameterTable):
+class Px4Parameters(SimulatedParameters):
     """Names in PX4's (alphabetical) order with their values; integers travel byte by byte."""
 
     def __init__(self, overrides: Iterable[tuple[str, float]]) -> None:

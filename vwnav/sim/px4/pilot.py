@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from vwnav.sim.px4.modes import NavState
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 from vwnav.sim.scripted_pilot import Sticks
 
 RC_CHANNELS = 8
@@ -47,7 +47,7 @@ class ManualInput:
         wanted: state the mode switch was turned to since `clear`, None when untouched.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Px4Parameters) -> None:
         self._parameters = parameters
         self.sticks = Sticks()
         self.channels: tuple[int, ...] = ()

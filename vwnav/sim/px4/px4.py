@@ -6,21 +6,21 @@ from collections import deque
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.home import Home
+from vwnav.sim.home import HomePosition
 from vwnav.sim.mavlink.enums import Severity
 from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.multirotor.controller import Controller, attitude_of_force
 from vwnav.sim.multirotor.sensors import Imu, Sensors
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.multirotor.wind import Wind
-from vwnav.sim.px4.battery import Battery
-from vwnav.sim.px4.commander import Commander
-from vwnav.sim.px4.estimator import Estimator
-from vwnav.sim.px4.failsafe import Health
+from vwnav.sim.px4.battery import Px4Battery
+from vwnav.sim.px4.commander import Px4Commander
+from vwnav.sim.px4.estimator import Px4Estimator
+from vwnav.sim.px4.failsafe import Px4Health
 from vwnav.sim.px4.flight_tasks import FlightTasks
 from vwnav.sim.px4.gains import gains_of
 from vwnav.sim.px4.modes import STATE_OF, NavState
-from vwnav.sim.px4.parameters import NO_GPS, Parameters
+from vwnav.sim.px4.parameters import NO_GPS, Px4Parameters
 from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
 from vwnav.sim.scripted_pilot import ScriptedPilot
 from vwnav.vehicle import FlightMode
@@ -50,7 +50,7 @@ class SimulatedPx4:
         refuses: numbers of commands that it does not take, whatever the reason.
     """
 
-    def __init__(self, config: VehicleConfig, parameters: Parameters | None = None) -> None:
+    def __init__(self, config: VehicleConfig, parameters: Px4Parameters | None = None) -> None:
         self.config = config
         self.parameters = parameters or _parameters(config)
         rng = random.Random(config.seed)
@@ -63,16 +63,18 @@ class SimulatedPx4:
         self.body = Airframe(heading_rad, _DRAG_PER_S)
         self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
         self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
-        self.estimator = Estimator(heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters)
+        self.estimator = Px4Estimator(
+            heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters
+        )
         self.controller = Controller(gains_of(self.parameters), heading_rad + bias_rad)
-        self.battery = Battery(config.battery_start, self.parameters)
+        self.battery = Px4Battery(config.battery_start, self.parameters)
         self.tasks = FlightTasks(self.parameters)
         self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
         self._texts_said = 0
-        self.commander = Commander(self.parameters, self.say)
+        self.commander = Px4Commander(self.parameters, self.say)
         self.manual = ManualInput(self.parameters)
         self.pilot = ScriptedPilot(config.pilot, self.manual, SWITCH_US)
-        self.home: Home | None = None
+        self.home: HomePosition | None = None
         self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
         self.baro_height_m = 0.0
         self.landed = True
@@ -215,7 +217,7 @@ class SimulatedPx4:
         """Take stock now: a command right behind the first setpoint counts on it."""
         self.health = self._health()
 
-    def _health(self) -> Health:
+    def _health(self) -> Px4Health:
         estimator, t_s = self.estimator, self.t_s
         get = self.parameters
         if not estimator.local_position_ok:
@@ -225,7 +227,7 @@ class SimulatedPx4:
         heard = self.gcs_heard_s
         since_origin_s = t_s - estimator.origin_t_s
         settling = any(a <= since_origin_s < b for a, b in _HEADING_UNSETTLED_S)
-        return Health(
+        return Px4Health(
             local_position_ok=position_ok,
             global_position_ok=position_ok and estimator.origin is not None,
             heading_ok=not settling,
@@ -279,7 +281,7 @@ class SimulatedPx4:
             return False
         estimator = self.estimator
         local_m = (estimator.north.x, estimator.east.x, estimator.down.x)
-        self.home = Home(*place, local_m, self.t_s)
+        self.home = HomePosition(*place, local_m, self.t_s)
         self.tasks.home = local_m
         return True
 
@@ -289,7 +291,7 @@ class SimulatedPx4:
         if origin is None:
             return False
         north, east, down = (float(v) for v in origin.to_ned(lat_deg, lon_deg, alt_amsl_m))
-        self.home = Home(lat_deg, lon_deg, alt_amsl_m, (north, east, down), self.t_s)
+        self.home = HomePosition(lat_deg, lon_deg, alt_amsl_m, (north, east, down), self.t_s)
         self.tasks.home = (north, east, down)
         return True
 
@@ -312,8 +314,8 @@ class SimulatedPx4:
         self.offboard, self.offboard_s = setpoint, self.t_s
 
 
-def _parameters(config: VehicleConfig) -> Parameters:
+def _parameters(config: VehicleConfig) -> Px4Parameters:
     preset = () if config.autopilot_defaults else NO_GPS
     radio = RADIO_SETUP if config.pilot.rc_on else ()
     own = (("MAV_SYS_ID", float(config.system_id)), ("SIM_BAT_DRAIN", config.battery_drain_s))
-    return Parameters((*preset, *radio, *own, *config.parameters))
+    return Px4Parameters((*preset, *radio, *own, *config.parameters))

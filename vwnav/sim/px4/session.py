@@ -6,16 +6,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.mavlink.command import Command, is_place
+from vwnav.sim.mavlink.command import VehicleCommand, is_place
 from vwnav.sim.mavlink.conversation import Conversation
 from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages
-from vwnav.sim.mavlink.timesync import Timesync
+from vwnav.sim.mavlink.timesync import TimesyncFilter
 from vwnav.sim.mavlink.velocity_target import setpoint_of
 from vwnav.sim.px4 import vision_input
-from vwnav.sim.px4.commands import Context, execute
+from vwnav.sim.px4.commands import Px4CommandContext, execute
 from vwnav.sim.px4.parameters import HASH_CHECK
 from vwnav.sim.px4.px4 import SimulatedPx4
 from vwnav.sim.px4.streams import BUILDERS
@@ -37,7 +37,7 @@ _NEVER_BROADCAST = frozenset(
 Clock = Callable[[], float]
 
 
-class Session(Conversation[SimulatedPx4]):
+class Px4Session(Conversation[SimulatedPx4]):
     """A link's conversation with the simulated PX4.
 
     Args:
@@ -60,7 +60,7 @@ class Session(Conversation[SimulatedPx4]):
         asks_time: bool,
     ) -> None:
         super().__init__(link, vehicle, schedule, clock, 0.0 if asks_time else math.inf)
-        self._timesync = Timesync()
+        self._timesync = TimesyncFilter()
         self._text_seen = 0
         self._chunk_id = 0
         self._handlers |= {
@@ -101,15 +101,17 @@ class Session(Conversation[SimulatedPx4]):
         for message in text_messages(severity, text, self._chunk_id):
             self._send(message)
 
-    def _perform(self, command: Command) -> tuple[Result, list[int], bool]:
-        context = Context(self._vehicle, self._schedule, [])
+    def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
+        context = Px4CommandContext(self._vehicle, self._schedule, [])
         result = execute(command, context)
         return result, context.send_now, context.reboot
 
     def _set_mode(self, m: Any) -> None:
         main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
         nothing = (math.nan, math.nan, math.nan)
-        self._perform(Command(176, float(m.base_mode), float(main), float(sub), math.nan, *nothing))
+        self._perform(
+            VehicleCommand(176, float(m.base_mode), float(main), float(sub), math.nan, *nothing)
+        )
 
     def _setpoint(self, m: Any) -> None:
         setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)

@@ -4,14 +4,16 @@ import math
 from typing import Any
 
 from vwnav.sim.px4.estimator import VisionSample
-from vwnav.sim.px4.parameters import Parameters
+from vwnav.sim.px4.parameters import Px4Parameters
 
 _LOCAL_NED, _LOCAL_FRD = 1, 20  # MAV_FRAME
 _BODY_FRD = (8, 12)
 _FARTHEST_M, _FASTEST_M_S, _LARGEST_VARIANCE = 1e7, 1e3, 1e6
 
 
-def from_vision_position(message: Any, t_s: float, parameters: Parameters) -> VisionSample | None:
+def from_vision_position(
+    message: Any, t_s: float, parameters: Px4Parameters
+) -> VisionSample | None:
     """VISION_POSITION_ESTIMATE, NED about the estimator's origin, measured at `t_s`."""
     if not _plausible(_FARTHEST_M, message.x, message.y, message.z):
         return None
@@ -29,7 +31,7 @@ def from_vision_position(message: Any, t_s: float, parameters: Parameters) -> Vi
     )
 
 
-def from_odometry(message: Any, t_s: float, parameters: Parameters) -> VisionSample | None:
+def from_odometry(message: Any, t_s: float, parameters: Px4Parameters) -> VisionSample | None:
     """ODOMETRY in LOCAL_NED or LOCAL_FRD; other frames are dropped in silence, as PX4 does."""
     finite = _plausible(_FARTHEST_M, message.x, message.y, message.z)
     too_poor = 0 < message.quality < parameters["EKF2_EV_QMIN"] or message.quality < 0

@@ -4,7 +4,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vwnav.sim.scenery.landscape import Bend, Building, Cell, Ground, Land, Plant, Strip, Vehicle
+from vwnav.sim.scenery.landscape import (
+    Bend,
+    Building,
+    Cell,
+    Ground,
+    Land,
+    ParkedVehicle,
+    Plant,
+    Strip,
+)
 from vwnav.types import Array
 
 HALF_NORTH_M = 600.0
@@ -27,7 +36,7 @@ class Draft:
     strips: list[Strip] = field(default_factory=list)
     plants: list[Plant] = field(default_factory=list)
     buildings: list[Building] = field(default_factory=list)
-    vehicles: list[Vehicle] = field(default_factory=list)
+    vehicles: list[ParkedVehicle] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.bend = Bend.random(self.rng)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.sim.scenery.noise import Field, NoiseBank, Window
+from vwnav.sim.scenery.noise import Field, NedWindow, NoiseBank
 from vwnav.types import Array
 
 _SUB = 4  # sub-pixels per pixel and axis in masks
@@ -34,7 +34,7 @@ class Patch:
 class Canvas:
     """A picture being drawn: bgr (h, w, 3) float32, 0 to 255, in a window of the plane."""
 
-    window: Window
+    window: NedWindow
     seed: int
     bgr: NDArray[np.float32] = field(init=False)
     noise: NoiseBank = field(init=False)

@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from vwnav.sim.scenery.noise import Window
+from vwnav.sim.scenery.noise import NedWindow
 from vwnav.types import Array
 
 T = TypeVar("T")
@@ -20,7 +20,7 @@ class Index(Generic[T]):
         self._low = np.array([o.min(axis=0) - margin_m for o in outlines]).reshape(-1, 2)
         self._high = np.array([o.max(axis=0) + margin_m for o in outlines]).reshape(-1, 2)
 
-    def near(self, window: Window) -> list[T]:
+    def near(self, window: NedWindow) -> list[T]:
         """The things whose boxes touch the window."""
         south, west, north, east = window.bounds()
         hit = (self._low < (north, east)).all(axis=1) & (self._high > (south, west)).all(axis=1)

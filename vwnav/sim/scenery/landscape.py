@@ -78,7 +78,7 @@ class Building:
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class ParkedVehicle:
     """A car, lorry, light aircraft or bale: what moves between the looks."""
 
     north_m: float
@@ -129,7 +129,7 @@ class Landscape:
     strips: tuple[Strip, ...]
     plants: tuple[Plant, ...]
     buildings: tuple[Building, ...]
-    vehicles: tuple[Vehicle, ...]
+    vehicles: tuple[ParkedVehicle, ...]
 
 
 def to_ne(along_across: Array, origin_ne: Array, azimuth_rad: float) -> Array:

@@ -9,8 +9,8 @@ from vwnav.sim.scenery.landscape import (
     Cell,
     Land,
     Landscape,
+    ParkedVehicle,
     Strip,
-    Vehicle,
     clip_half_plane,
     densified,
     inset,
@@ -200,7 +200,7 @@ def _bales(draft: Draft) -> None:
             for north, east in points[draft.ground.free(points)]:
                 if cv2.pointPolygonTest(cell.inner.astype(np.float32), (north, east), False) > 0:
                     seed = int(rng.integers(2**31))
-                    bale = Vehicle(north, east, cell.row_rad, "bale", seed, (look.name,))
+                    bale = ParkedVehicle(north, east, cell.row_rad, "bale", seed, (look.name,))
                     draft.vehicles.append(bale)
 
 

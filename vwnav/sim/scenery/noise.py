@@ -19,7 +19,7 @@ _SPLINE_STD = float(np.sqrt(1.0 / 3.0) * 151.0 / 315.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class NedWindow:
     """A north-up rectangle of the local NED plane and its pixels.
 
     Attributes:
@@ -53,10 +53,10 @@ class Window:
         south = self.north0_m - self.height * self.m_per_px
         return south, self.east0_m, self.north0_m, self.east0_m + self.width * self.m_per_px
 
-    def grown(self, margin_px: int) -> "Window":
+    def grown(self, margin_px: int) -> "NedWindow":
         """The same pixels with a margin on every side."""
         margin_m = margin_px * self.m_per_px
-        return Window(
+        return NedWindow(
             self.north0_m + margin_m,
             self.east0_m - margin_m,
             self.width + 2 * margin_px,
@@ -97,7 +97,7 @@ def _surface() -> Field:
 class NoiseBank:
     """Octaves of noise over one window, each computed once and shared by all materials."""
 
-    window: Window
+    window: NedWindow
     seed: int
     _octaves: dict[tuple[int, int], Field] = field(default_factory=dict)
     _coarse: "NoiseBank | None" = None
@@ -142,7 +142,7 @@ class NoiseBank:
         if self._coarse is None:
             w, (left, top) = self.window, self._offset()
             self._coarse = NoiseBank(
-                Window(
+                NedWindow(
                     w.north0_m + top * w.m_per_px,
                     w.east0_m - left * w.m_per_px,
                     -(-(w.width + left) // _COARSE) + 2,

@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from vwnav.sim.scenery.buildings import footprint, paint_building, ridge_line
 from vwnav.sim.scenery.drawing import Canvas
 from vwnav.sim.scenery.index import Index
-from vwnav.sim.scenery.landscape import Building, Landscape, Plant, Vehicle, rectangle, spot, to_ne
+from vwnav.sim.scenery.landscape import (
+    Building,
+    Landscape,
+    ParkedVehicle,
+    Plant,
+    rectangle,
+    spot,
+    to_ne,
+)
 from vwnav.sim.scenery.looks import Look
 from vwnav.sim.scenery.trees import paint_plant, shade_plant
 from vwnav.types import Array
@@ -35,7 +43,7 @@ class Standing:
 
     plants: list[Plant]
     buildings: list[Building]
-    vehicles: list[Vehicle]
+    vehicles: list[ParkedVehicle]
 
 
 def paint_objects(canvas: Canvas, standing: Standing, look: Look) -> None:
@@ -57,7 +65,9 @@ def near(land: Landscape, canvas: Canvas, look: Look) -> Standing:
 
 
 @lru_cache(maxsize=16)
-def _indices(land: Landscape, look: Look) -> tuple[Index[Plant], Index[Building], Index[Vehicle]]:
+def _indices(
+    land: Landscape, look: Look
+) -> tuple[Index[Plant], Index[Building], Index[ParkedVehicle]]:
     per_m = look.shadow_per_m()
 
     def reach(north_m: float, east_m: float, radius_m: float, height_m: float) -> Array:
@@ -114,7 +124,7 @@ def _hull(points: Array) -> Array:
     return np.asarray(cv2.convexHull(points.astype(np.float32))[:, 0], np.float64)
 
 
-def _vehicle_size(v: Vehicle) -> tuple[float, float, float]:
+def _vehicle_size(v: ParkedVehicle) -> tuple[float, float, float]:
     return {
         "car": (4.4, 1.8, 1.4),
         "lorry": (8.5, 2.5, 3.2),
@@ -123,13 +133,13 @@ def _vehicle_size(v: Vehicle) -> tuple[float, float, float]:
     }[v.kind]
 
 
-def _aircraft(v: Vehicle) -> list[Array]:
+def _aircraft(v: ParkedVehicle) -> list[Array]:
     halves = (_FUSELAGE, _WING, _TAIL)
     wholes = [np.vstack([half, half[::-1] * np.array([1.0, -1.0])]) for half in halves]
     return [to_ne(whole, v.centre_ne, v.azimuth_rad) for whole in wholes]
 
 
-def _vehicle(canvas: Canvas, v: Vehicle, look: Look) -> None:
+def _vehicle(canvas: Canvas, v: ParkedVehicle, look: Look) -> None:
     rng = np.random.default_rng(v.seed)
     paint = np.array(_CARS[int(rng.integers(len(_CARS)))], np.float32)[::-1]
     length, width, _ = _vehicle_size(v)

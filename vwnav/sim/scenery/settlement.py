@@ -8,9 +8,9 @@ from vwnav.sim.scenery.landscape import (
     Building,
     Cell,
     LookName,
+    ParkedVehicle,
     Roof,
     Strip,
-    Vehicle,
     rectangle,
     spot,
     to_ne,
@@ -231,7 +231,7 @@ def _vehicle(
     north, east = float(place[0]), float(place[1])
     match kind:
         case "car" | "lorry" | "aircraft" | "bale":
-            draft.vehicles.append(Vehicle(north, east, turn_rad, kind, seed, looks))
+            draft.vehicles.append(ParkedVehicle(north, east, turn_rad, kind, seed, looks))
         case _:
             raise ValueError(f"expected car, lorry, aircraft or bale, got {kind}")
 

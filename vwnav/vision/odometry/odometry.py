@@ -80,7 +80,7 @@ class OdometryConfig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
+class _ReducedView:
     """A reduced picture and how it was taken."""
 
     t_s: float
@@ -93,7 +93,7 @@ class _View:
 class _Keyframe:
     """A view with its corners uv (n, 2) and their directions rays (n, 3) in NED."""
 
-    view: _View
+    view: _ReducedView
     uv: Points
     rays: Array
 
@@ -141,7 +141,7 @@ class Odometry:
     def reset(self) -> None:
         """Forget everything."""
         self._keyframe: _Keyframe | None = None
-        self._last: _View | None = None
+        self._last: _ReducedView | None = None
         self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
         self._heading_rad = 0.0
 
@@ -180,7 +180,9 @@ class Odometry:
             self._start(view)
         return result
 
-    def _view(self, frame: Frame, R_ned_body: Array | None, agl_m: float) -> _View | Rejected:
+    def _view(
+        self, frame: Frame, R_ned_body: Array | None, agl_m: float
+    ) -> _ReducedView | Rejected:
         if frame.image.shape[1::-1] != self._full_wh:
             return Rejected(
                 frame.t_s,
@@ -202,21 +204,21 @@ class Odometry:
         contrast = float(cv2.meanStdDev(gray)[1][0, 0])
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
-        return _View(frame.t_s, gray, R_ned_camera, agl_m)
+        return _ReducedView(frame.t_s, gray, R_ned_camera, agl_m)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """A picture that shows nothing: what comes after it starts anew."""
         self._keyframe = None
         return Rejected(t_s, reason, detail)
 
-    def _begin(self, view: _View) -> Rejected:
+    def _begin(self, view: _ReducedView) -> Rejected:
         keyframe = self._start(view)
         if keyframe is None:
             return Rejected(view.t_s, RejectReason.FEW_KEYPOINTS, "no corners on the ground")
         stats = MatchStats(keypoints=len(keyframe.uv))
         return Rejected(view.t_s, RejectReason.NOT_TRIED, "a first picture", stats=stats)
 
-    def _start(self, view: _View) -> _Keyframe | None:
+    def _start(self, view: _ReducedView) -> _Keyframe | None:
         """Make a view the keyframe; None, and no keyframe, when it has too few corners."""
         uv = find_corners(view.gray, self._config.cell_px)
         rays = self._camera.bearings(uv.astype(np.float64)) @ view.R_ned_camera.T
@@ -229,7 +231,7 @@ class Odometry:
         self._course = _Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
         return self._keyframe
 
-    def _guess(self, keyframe: _Keyframe, view: _View) -> Points:
+    def _guess(self, keyframe: _Keyframe, view: _ReducedView) -> Points:
         """Where the corners (n, 2) should be now if the camera flies on as it did."""
         course = self._course
         way = course.way + (view.t_s - course.t_s) * course.way_per_s
@@ -238,7 +240,7 @@ class Odometry:
         guess = self._camera.project((ground - way) @ R_camera_ned.T)
         return np.nan_to_num(guess, nan=-1e3).astype(np.float32)
 
-    def _follow(self, keyframe: _Keyframe, view: _View) -> OdometryMotion | Rejected:
+    def _follow(self, keyframe: _Keyframe, view: _ReducedView) -> OdometryMotion | Rejected:
         config = self._config
         uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
         stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
@@ -264,7 +266,7 @@ class Odometry:
         share = 0.0 if self._alone else tilt_share(motion, prior)
         return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, share)
 
-    def _prior(self, keyframe: _View, view: _View) -> MotionPrior:
+    def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
         c = self._config
         if self._alone:
             return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.sigma_px)
@@ -274,7 +276,7 @@ class Odometry:
         return MotionPrior(tilt_rad, c.slope, c.sigma_px)
 
     def _accept(
-        self, keyframe: _Keyframe, view: _View, motion: Motion, count: int, tilt_share: float
+        self, keyframe: _Keyframe, view: _ReducedView, motion: Motion, count: int, tilt_share: float
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
         heading0_rad = _heading(keyframe.view.R_ned_camera, self._camera)
@@ -304,13 +306,13 @@ class Odometry:
             tilt_share=tilt_share,
         )
 
-    def _turned(self, view: _View, heading_rad: float) -> _View:
+    def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:
         """A level view with the heading that its picture has shown."""
         self._heading_rad = heading_rad
         R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
         return replace(view, R_ned_camera=R_ned_body @ self._camera.R_body_camera)
 
-    def _remember(self, view: _View, motion: Motion) -> None:
+    def _remember(self, view: _ReducedView, motion: Motion) -> None:
         course = self._course
         velocity = (motion.way - course.way) / (view.t_s - course.t_s)
         turn_rad = motion.turn_rad * (0.0 if self._alone else 1.0)

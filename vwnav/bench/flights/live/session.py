@@ -17,7 +17,7 @@ import numpy as np
 from vwnav.bench.flights.live.inside import patch_folder
 from vwnav.bench.flights.live.pilot import MavlinkPilot
 from vwnav.bench.flights.live.relay import Relay
-from vwnav.bench.flights.track import Event, Track, Truth
+from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
@@ -169,7 +169,7 @@ class LiveFlight:
         self.simulator = simulator
         self.process = process
         self.folder = folder
-        self.track = Track()
+        self.track = FlightTrace()
         self.begun_s = time.monotonic()
         self.home = simulator.frame_here()
         self.see: Callable[[], None] = lambda: None
@@ -184,7 +184,7 @@ class LiveFlight:
 
     def note(self, text: str) -> None:
         """A line of ours among the program's."""
-        self.track.events.append(Event(self.t_s, text))
+        self.track.events.append(LogLine(self.t_s, text))
 
     def watch(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Note what happens until `done`; False after `timeout_s`."""
@@ -227,8 +227,8 @@ class LiveFlight:
                 continue
             text = found["text"].strip()
             if text in _PHASES:
-                self.track.phases.append(Event(self.t_s, text))
-            self.track.events.append(Event(self.t_s, text))
+                self.track.phases.append(LogLine(self.t_s, text))
+            self.track.events.append(LogLine(self.t_s, text))
 
 
 @contextlib.contextmanager
