@@ -140,6 +140,19 @@ def test_a_watchdog_that_is_killed_is_replaced_and_it_flies_on(tmp_path):
 
 
 @pytest.mark.long
+def test_a_watchdog_that_hangs_is_replaced_and_the_aircraft_lands_near_by(tmp_path):
+    """The link is silent for two seconds: too long to go on with the route."""
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        os.kill(flight.watchdog_pid(), signal.SIGSTOP)
+        stopped_at = flight.place_ned_m()
+        flight.wait_until_down(90.0)
+        assert flight.said("has not answered")
+        assert flight.fastest_m_s() < 15.0
+        assert np.hypot(*(flight.place_ned_m() - stopped_at)[:2]) < 30.0
+
+
+@pytest.mark.long
 def test_setpoints_come_steadily_for_ten_minutes_beside_a_busy_loop(tmp_path):
     times_s: list[float] = []
 

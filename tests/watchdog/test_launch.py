@@ -248,6 +248,27 @@ def test_a_watchdog_that_died_is_replaced_within_a_second_and_it_flies_on(flown)
     assert len(flown.setpoints(replaced_s)) > 10
 
 
+def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):
+    wait_for(loaded_spares, 20.0)
+    flown.engage()
+    hung = flown.watchdog.process
+    hung.send_signal(signal.SIGSTOP)
+    flown.fly(9.0)
+    assert hung.returncode == -signal.SIGKILL
+    assert flown.watchdog.process is not hung
+    assert flown.state() is GuardState.RELAY
+    assert len(flown.setpoints(time.monotonic() - 1.0)) > 10
+
+
+def test_a_loop_that_slept_has_not_been_left_without_an_answer(flown):
+    wait_for(loaded_spares, 20.0)
+    flown.engage()
+    process = flown.watchdog.process
+    time.sleep(6.0)
+    flown.fly(1.0)
+    assert flown.watchdog.process is process
+
+
 def test_a_watchdog_that_was_told_to_end_and_has_left_is_not_replaced(flown):
     wait_for(lambda: flown.socket.recv(4096))  # the aircraft has been heard, on the ground
     told = flown.watchdog.process

@@ -24,6 +24,7 @@ _REPORT = struct.Struct("<4sBBIf")  # magic, state, flags, sequence of the beat,
 _REPORT_MAGIC = b"VWR2"
 _ENGAGED, _ENDED = 0x01, 0x02
 _RELAYS_ESTIMATES = 0x01
+_MANY_BEATS = 15
 _DATAGRAM_LIMIT_BYTES = 256
 
 
@@ -186,6 +187,8 @@ class KeepAlive:
         self._sequence = 0
         self._epoch = 0
         self._report: WatchdogReport | None = None
+        self._unanswered_since_s: float | None = None
+        self._unanswered = 0
         self.rejoin()
 
     def beat(self, engaged: bool, phase: str = "") -> None:
@@ -198,6 +201,9 @@ class KeepAlive:
         """
         self._read_reports()
         self._sequence += 1
+        if self._unanswered_since_s is None:
+            self._unanswered_since_s = self._clock()
+        self._unanswered += 1
         self._channel.send(Beat(engaged, self._sequence, self._epoch, phase).pack())
 
     def rejoin(self) -> None:
@@ -210,6 +216,14 @@ class KeepAlive:
         self._read_reports()
         return self._report
 
+    @property
+    def unanswered_s(self) -> float:
+        """For how long beats have gone unanswered; 0 while they are few: a loop that slept."""
+        since_s = self._unanswered_since_s
+        if since_s is None or self._unanswered < _MANY_BEATS:
+            return 0.0
+        return self._clock() - since_s
+
     def close(self) -> None:
         """Say that the navigator ends. A watchdog that hears the aircraft fly acts at once."""
         self._sequence += 1
@@ -221,3 +235,4 @@ class KeepAlive:
             report = WatchdogReport.unpack(data)
             if report is not None:
                 self._report = report
+                self._unanswered_since_s, self._unanswered = None, 0

@@ -32,6 +32,9 @@ _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
 _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
 _MOST_DEATHS = 5
+_HANGS_S = 2.0  # of beats without an answer
+_COMES_UP_S = 5.0  # until then it is not expected to answer
+_LOOKS_EVERY_S = 0.25
 
 
 class WatchdogProcess:
@@ -113,7 +116,7 @@ class WatchdogProcess:
 
     def _replace_the_dead(self) -> None:
         for _ in range(_MOST_DEATHS):
-            code = self.process.wait()
+            code = self._wait_for_its_end()
             if self._closing or code == 0:  # it was told to end, has landed what flew, and left
                 return
             self._say(f"the watchdog has died (code {code}): another one takes its place")
@@ -128,6 +131,19 @@ class WatchdogProcess:
                 self._say(f"no spare watchdog can be started, the present one is the last: {error}")
                 return
         self._say("watchdogs die again and again: nobody guards the aircraft any more")
+
+    def _wait_for_its_end(self) -> int:
+        """Its exit status. One that lives and does not answer guards nobody: it is killed."""
+        due_s = time.monotonic() + _COMES_UP_S
+        while True:
+            try:
+                return self.process.wait(_LOOKS_EVERY_S)
+            except subprocess.TimeoutExpired:
+                hangs = self.keepalive.unanswered_s > _HANGS_S and time.monotonic() > due_s
+                if hangs and not self._closing:
+                    self._say(f"the watchdog has not answered for {_HANGS_S:.0f} s: it is ended")
+                    self.process.kill()
+                    return self.process.wait()
 
 
 def start_watchdog(
