@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
 _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
 _MOST_DEATHS = 5
-_HANGS_S = 2.0  # of beats without an answer
+HANGS_S = 2.0  # of beats without an answer
 _COMES_UP_S = 5.0  # until then it is not expected to answer
 _LOOKS_EVERY_S = 0.25
 
@@ -139,9 +139,9 @@ class WatchdogProcess:
             try:
                 return self.process.wait(_LOOKS_EVERY_S)
             except subprocess.TimeoutExpired:
-                hangs = self.keepalive.unanswered_s > _HANGS_S and time.monotonic() > due_s
+                hangs = self.keepalive.unanswered_s > HANGS_S and time.monotonic() > due_s
                 if hangs and not self._closing:
-                    self._say(f"the watchdog has not answered for {_HANGS_S:.0f} s: it is ended")
+                    self._say(f"the watchdog has not answered for {HANGS_S:.0f} s: it is ended")
                     self.process.kill()
                     return self.process.wait()
 

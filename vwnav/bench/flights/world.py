@@ -149,10 +149,10 @@ class World:
         """Since the mission began."""
         return self.clock.now_s - self.begun_s
 
-    def kill_watchdog(self) -> None:
-        """Its process is gone; the spare one takes its place (`safety.watchdog`)."""
-        self.watchdog, self._spare_due_s = None, self.clock.now_s + _SPARE_S
-        self.note("the watchdog has died: another one takes its place")
+    def lose_watchdog(self, silent_s: float = 0.0) -> None:
+        """Its process is gone, for so long unnoticed; the spare one follows (`watchdog.launch`)."""
+        self.watchdog, self._spare_due_s = None, self.clock.now_s + silent_s + _SPARE_S
+        self.note("the watchdog is gone: another one takes its place")
 
     def note(self, text: str) -> None:
         """A line for the judge and the reader."""

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from vwnav.bench.flights.stalled_recorder import StalledRecorder
 from vwnav.bench.flights.world import World
+from vwnav.watchdog.launch import HANGS_S
 
 _SQLITE_PAGE_BYTES = 4096
 
@@ -103,10 +104,22 @@ class WatchdogKilled:
 
     def begin(self, world: World) -> None:
         """Dead."""
-        world.kill_watchdog()
+        world.lose_watchdog()
 
     def end(self, world: World) -> None:
         """It stays dead."""
+
+
+@dataclass(frozen=True)
+class WatchdogHangs:
+    """The watchdog's process is stopped; the navigator ends it when it does not answer."""
+
+    def begin(self, world: World) -> None:
+        """Silent."""
+        world.lose_watchdog(HANGS_S)
+
+    def end(self, world: World) -> None:
+        """Another one has its place."""
 
 
 @dataclass(frozen=True)

@@ -71,5 +71,12 @@ WATCHDOG = [
         ending=Ending.FLIES_ON,
         follows=(said(1.0, "watchdog"),),
     ),
+    Scenario(
+        name="watchdog hangs",
+        setup=setup(),
+        breaks=(Break(fault=computer.WatchdogHangs(), at_s=BREAKS_AT_S),),
+        limit_s=90.0,
+        lands_within_m=40.0,  # ArduCopter coasts while nobody speaks
+    ),
 ]
 NAVIGATOR = [*ENDS, *RAISES, *WATCHDOG]
