@@ -2,7 +2,7 @@
 
 Everything is queued and written by a thread of its own. A chunk is finished and flushed every
 second: a process that is killed leaves a file that lacks its last second and its index, and is read
-to its end by `recording.read_recording` and by Foxglove.
+to its end by `reader.read_recording` and by Foxglove.
 """
 
 import dataclasses

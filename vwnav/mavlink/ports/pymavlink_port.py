@@ -1,4 +1,4 @@
-"""MAVLink messages over any `safety.links.Link`, decoded by pymavlink in the caller's own thread.
+"""MAVLink messages over any `mavlink.links.Link`, decoded by pymavlink in the caller's own thread.
 
 Nothing happens between two calls of `poll`: what a simulated clock drives runs the same every time.
 """
