@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from bench_scenes import ground
 
-from vwnav.bench.features.run import methods, pair_scenes
-from vwnav.bench.features.run import run as features
+from vwnav.bench.features import methods, pair_scenes
+from vwnav.bench.features import run as features
 from vwnav.cli.main import main
 from vwnav.errors import ConfigError
 

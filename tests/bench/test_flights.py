@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from vwnav.bench.flights import folder as flights_flying
+from vwnav.bench.flights import folder
 from vwnav.bench.flights.campaign import Campaign, Sortie, campaign_of
 from vwnav.bench.flights.folder import FLIGHTS, CampaignFolder, fly_campaign
 from vwnav.bench.flights.plots import save_plots
@@ -108,8 +108,8 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         recording.write_text("recorded")
         return flight(sortie.number, 0.1 * (sortie.number + 1), manners=sortie.manners)
 
-    monkeypatch.setattr(flights_flying, "fly_one", fly)
-    monkeypatch.setattr(flights_flying, "_place", lambda site: None)
+    monkeypatch.setattr(folder, "fly_one", fly)
+    monkeypatch.setattr(folder, "_place", lambda site: None)
     return numbers
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from bench_scenes import features, ground
 
-from vwnav.bench.features.run import methods
+from vwnav.bench.features import methods
 from vwnav.errors import ConfigError, ModelError
 from vwnav.types import Features
 from vwnav.vision.matching import match

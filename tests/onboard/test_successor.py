@@ -7,8 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from vwnav.cli.fly import fly
-from vwnav.onboard import program as flying
-from vwnav.onboard import successor
+from vwnav.onboard import program, successor
 
 ASKED = "--arm --map a.mbtiles --route r.plan --camera c.toml --video sim:x --truth udpin:0.0.0.0:2"
 HOME = ["--connection", "udpin://0.0.0.0:14540", "--home", "-33.9,18.4", "--config", "s.toml"]
@@ -16,7 +15,7 @@ HOME = ["--connection", "udpin://0.0.0.0:14540", "--home", "-33.9,18.4", "--conf
 
 def test_the_successors_command_line_reads_as_the_same_flight(monkeypatch, tmp_path):
     read = []
-    monkeypatch.setattr(flying, "fly_route", read.append)
+    monkeypatch.setattr(program, "fly_route", read.append)
     monkeypatch.setattr(successor, "stand_by", read.append)
     app = typer.Typer()
     app.command()(fly)

@@ -24,7 +24,7 @@ _END_BY_THEMSELVES = (FlightMode.TAKEOFF, FlightMode.MISSION, FlightMode.RETURN)
 
 
 class Procedures:
-    """Makes the procedures that requests consist of; `autopilot_commands` says what one is.
+    """Makes the procedures that requests consist of; `commands` says what one is.
 
     Args:
         send_setpoint: sends one.

@@ -159,7 +159,7 @@ def start_watchdog(
         connection: `udpin://`, `udpout://`, `tcpout://` or `serial://` URL of the autopilot.
         log: file for what it has to say; None leaves it on this process' stderr.
         standby: command line of a second navigator, for estimates alone, that takes over when
-            this process ends in flight (see `watchdog_successor`); none when empty.
+            this process ends in flight (see `watchdog.successor`); none when empty.
         clock: of the navigator, and of the watchdog; the wall's when None.
         say: takes a line when it had to be replaced.
 

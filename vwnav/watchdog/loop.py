@@ -1,6 +1,6 @@
 """The watchdog between navigator and autopilot: relays, guards, and acts by `DeadMan`.
 
-`Watchdog.step` handles all that has arrived and never waits: `watchdog_process` calls it whenever
+`Watchdog.step` handles all that has arrived and never waits: `watchdog.process` calls it whenever
 something arrives, a simulation whenever its time advances.
 """
 

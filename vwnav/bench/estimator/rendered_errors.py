@@ -1,6 +1,6 @@
 """How wrong fixes and odometry were in a flight, in units of the fast benchmark's `FilterWorld`.
 
-The error of the attitude is taken out first, as `estimator_streams` puts it in: a tilt error moves
+The error of the attitude is taken out first, as `streams` puts it in: a tilt error moves
 a fix by AGL times angle and turns every way seen. What is left is what pictures and map add.
 """
 

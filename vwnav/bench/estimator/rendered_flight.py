@@ -1,6 +1,6 @@
 """Flights over generated sites: where they go, what the autopilot says, what the camera sees.
 
-The attitudes and heights are those of the fast benchmark (`estimator_streams`), the ground is the
+The attitudes and heights are those of the fast benchmark (`streams`), the ground is the
 renderer's: level, so the height above it is the height above home.
 """
 
@@ -26,7 +26,7 @@ RENDERED_S = 130.0
 _HEIGHTS_M = (40.0, 90.0)
 _CLIMB_M_S = 4.0  # autopilots climb with 1.5 to 5
 _SLOWING_S = 2.0  # at the end of the climb
-_HOVER_S = 5.0  # after it, as `estimator_world` has it
+_HOVER_S = 5.0  # after it, as `world` has it
 _LEG_S = 20.0
 _HALF_NORTH_M, _HALF_EAST_M = 380.0, 550.0  # what the camera sees from there is on the map
 _DRAWS = 50  # of the next turn, until one stays inside

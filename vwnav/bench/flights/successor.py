@@ -14,7 +14,7 @@ _LINK_S = 0.8  # from the watchdog's word until the link is up and the vehicle's
 
 
 class LockstepSuccessor:
-    """A `watchdog_loop.Successor` in this thread.
+    """A `watchdog.loop.Successor` in this thread.
 
     Args:
         make: the navigator, told the reset counter to go on from.
