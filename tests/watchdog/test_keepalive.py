@@ -115,6 +115,27 @@ def test_what_is_no_report_is_none(alive):
     assert keepalive.report == report
 
 
+def test_a_watchdog_is_blamed_for_many_beats_without_an_answer(alive):
+    keepalive, channel, now = alive
+    assert keepalive.unanswered_s == 0.0
+    for _ in range(60):
+        keepalive.beat(True)
+        now[0] += 0.05
+    assert keepalive.unanswered_s == pytest.approx(3.0)
+    channel.answers.append(WatchdogReport(GuardState.RELAY, 60, 0.1, True).pack())
+    keepalive.beat(True)
+    assert keepalive.unanswered_s == 0.0
+
+
+def test_a_loop_that_slept_does_not_blame_the_watchdog(alive):
+    keepalive, _, now = alive
+    keepalive.beat(True)
+    now[0] += 60.0
+    assert keepalive.unanswered_s == 0.0
+    keepalive.beat(True)
+    assert keepalive.unanswered_s == 0.0
+
+
 def test_the_last_word_is_that_it_ends(alive):
     keepalive, channel, _ = alive
     keepalive.beat(True)

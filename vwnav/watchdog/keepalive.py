@@ -24,7 +24,7 @@ _REPORT = struct.Struct("<4sBBIf")  # magic, state, flags, sequence of the beat,
 _REPORT_MAGIC = b"VWR2"
 _ENGAGED, _ENDED = 0x01, 0x02
 _RELAYS_ESTIMATES = 0x01
-_MANY_BEATS = 15
+_MANY_BEATS = 15  # unanswered: fewer may be those of a loop that slept
 _DATAGRAM_LIMIT_BYTES = 256
 
 
@@ -218,7 +218,7 @@ class KeepAlive:
 
     @property
     def unanswered_s(self) -> float:
-        """For how long beats have gone unanswered; 0 while they are few: a loop that slept."""
+        """Since the first of the beats that nobody has answered; 0 while they are few."""
         since_s = self._unanswered_since_s
         if since_s is None or self._unanswered < _MANY_BEATS:
             return 0.0

@@ -38,7 +38,7 @@ _LOOKS_EVERY_S = 0.25
 
 
 class WatchdogProcess:
-    """A running watchdog, and a spare one that takes its place at once should it die.
+    """A running watchdog, and a spare one that takes its place at once should it die or hang.
 
     A second of silence on the link is what an autopilot flies its failsafe for, and a process takes
     that long to start: so the spare has loaded what it needs and waits.
