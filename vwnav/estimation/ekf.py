@@ -343,6 +343,7 @@ class Ekf:
         return None
 
     def _ahead(self, t_s: float) -> bool:
-        head_s = None if self._timeline is None else self._timeline.head.t_s
-        told_s = (self._asked_s, self._attitudes.newest_s, head_s)
-        return t_s > max(each for each in told_s if each is not None) + self._config.ahead_s
+        head_s = -math.inf if self._timeline is None else self._timeline.head.t_s
+        attitude_s = self._attitudes.newest_s
+        newest_s = max(self._asked_s, head_s, -math.inf if attitude_s is None else attitude_s)
+        return t_s > newest_s + self._config.ahead_s
