@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from vwnav.vision.significance import _log10_tail, log10_false_alarms, witnesses
+from vwnav.vision.significance import _log10_tail, log10_nfa, occupied_cells
 
 
 @given(n=st.integers(3, 90), k=st.integers(1, 90), p=st.floats(1e-3, 0.2))
@@ -20,7 +20,7 @@ def agreement(seed: int, right: int, wrong: int):
     uv_map = uv_view + rng.normal(0, 1.0, uv_view.shape)
     uv_map[right:] = rng.uniform(-150, 450, (wrong, 2))
     agree = np.linalg.norm(uv_map - uv_view, axis=1) < 3.0
-    return log10_false_alarms(np.eye(3), uv_view, uv_map, agree, 3.0)
+    return log10_nfa(np.eye(3), uv_view, uv_map, agree, 3.0)
 
 
 def test_unrelated_matches_are_never_significant():
@@ -33,7 +33,7 @@ def test_more_right_matches_are_more_significant():
     assert values[-1] < -30.0
 
 
-def test_matches_of_one_spot_are_one_witness():
+def test_matches_of_one_spot_occupy_one_cell():
     uv = np.random.default_rng(0).uniform(16.0, 31.0, (50, 2))
-    assert witnesses(uv) == 1
-    assert witnesses(uv * 10.0) > 30
+    assert occupied_cells(uv) == 1
+    assert occupied_cells(uv * 10.0) > 30

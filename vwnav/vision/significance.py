@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vwnav.geometry.homography import transform_points
 from vwnav.types import Array, FeatureName
 
-CELL_PX = 16.0  # matches within one cell see the same thing: one witness, not many
+CELL_PX = 16.0  # matches within one cell see the same thing: counted once
 MAX_SAMPLE = 160
 # The test takes matches for independent, which learned features, that see far around them, are
 # least. Measured on 2900, 1000 and 1800 unrelated pairs of overhead pictures: 1 and 0.1 % were
@@ -20,7 +20,7 @@ MAX_SAMPLE = 160
 LOG10_PER_DECADE: dict[FeatureName, float] = {"learned": 5.0, "sift": 1.5, "orb": 2.0}
 
 
-def log10_false_alarms(
+def log10_nfa(
     H_map_view: Array,
     uv_view: Array,
     uv_map: Array,
@@ -40,7 +40,7 @@ def log10_false_alarms(
         agree: (m,) those within the threshold of the fit.
         threshold_px: of agreement.
     """
-    cells, agreeing = witnesses(uv_view), witnesses(uv_view[agree])
+    cells, agreeing = occupied_cells(uv_view), occupied_cells(uv_view[agree])
     if agreeing <= 2:
         return 0.0
     per_cell = len(uv_view) / cells
@@ -49,12 +49,12 @@ def log10_false_alarms(
     return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
 
 
-def decades_of_matches(log10_false_alarms: float, features: FeatureName) -> float:
+def decades_of_matches(log10_nfa: float, features: FeatureName) -> float:
     """How rarely unrelated pictures show so little chance, as a power of ten."""
-    return max(0.0, -log10_false_alarms / LOG10_PER_DECADE[features])
+    return max(0.0, -log10_nfa / LOG10_PER_DECADE[features])
 
 
-def witnesses(uv_view: Array) -> int:
+def occupied_cells(uv_view: Array) -> int:
     """In how many cells of the view the points (m, 2) lie."""
     column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
     return len(np.unique(column + 100_000 * row))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.vision.hypotheses import SimilarityBounds, propose
+from vwnav.vision.consensus import SimilarityBounds, vote
 
 WIDE = SimilarityBounds(1.3, math.radians(20.0))
 MIDDLE = np.array([160.0, 120.0])
@@ -31,37 +31,37 @@ def matches(seed: int, right: int, wrong: int, scale: float, turn_rad: float):
 )
 def test_twenty_right_matches_are_found_among_many_wrong_ones(seed, scale, turn_deg, wrong):
     uv_view, uv_map, center = matches(seed, 20, wrong, scale, math.radians(turn_deg))
-    best = propose(uv_view, uv_map, MIDDLE, WIDE, 3.0, 0)[0]
+    best = vote(uv_view, uv_map, MIDDLE, WIDE, 3.0, 0)[0]
     assert np.linalg.norm(best.center_uv - center) < 2.0
     assert np.count_nonzero(best.near[:20]) >= 18
 
 
-def test_what_the_prior_excludes_is_not_proposed():
+def test_what_the_prior_excludes_is_not_voted_for():
     uv_view, uv_map, _ = matches(1, 40, 0, 1.0, math.radians(40.0))
-    assert all(candidate.count < 10 for candidate in propose(uv_view, uv_map, MIDDLE, WIDE, 3.0, 0))
+    assert all(each.count < 10 for each in vote(uv_view, uv_map, MIDDLE, WIDE, 3.0, 0))
 
 
-def test_two_places_are_two_candidates():
+def test_two_places_are_both_voted_for():
     uv_view, uv_map, center = matches(2, 40, 0, 1.0, 0.0)
     uv_map[20:] += [100.0, 0.0]
-    best, second = propose(uv_view, uv_map, MIDDLE, WIDE, 3.0, 0)[:2]
+    best, second = vote(uv_view, uv_map, MIDDLE, WIDE, 3.0, 0)[:2]
     found = sorted([best.center_uv[0], second.center_uv[0]])
     assert found == pytest.approx([center[0], center[0] + 100.0], abs=2.0)
     assert {best.count, second.count} == {20}
 
 
-def test_candidates_are_the_same_every_time():
+def test_votes_are_the_same_every_time():
     uv_view, uv_map, _ = matches(3, 30, 600, 1.0, 0.1)
-    first, second = (propose(uv_view, uv_map, MIDDLE, WIDE, 3.0, 7) for _ in range(2))
+    first, second = (vote(uv_view, uv_map, MIDDLE, WIDE, 3.0, 7) for _ in range(2))
     assert [c.H_map_view.tolist() for c in first] == [c.H_map_view.tolist() for c in second]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_too_few_matches_propose_nothing(count):
+def test_too_few_matches_vote_for_nothing(count):
     points = np.random.default_rng(0).uniform(0, 99, (count, 2))
-    assert propose(points, points, MIDDLE, WIDE, 3.0, 0) == []
+    assert vote(points, points, MIDDLE, WIDE, 3.0, 0) == []
 
 
-def test_matches_in_one_point_propose_nothing():
+def test_matches_in_one_point_vote_for_nothing():
     points = np.full((30, 2), 50.0)
-    assert propose(points, points, MIDDLE, WIDE, 3.0, 0) == []
+    assert vote(points, points, MIDDLE, WIDE, 3.0, 0) == []

@@ -1,4 +1,7 @@
-"""Where on the map might the view be? Pairs of matches vote, so a tenth of right matches is enough.
+"""What matches between a view and a piece of map agree upon.
+
+Pairs of matches vote for where the view might be, so a tenth of right matches is enough; the best
+place is fitted by a homography where that explains more.
 
 Points are complex numbers here, z = u + i v: a similarity is then `z_map = a z_view + b`, with the
 scale |a| and the clockwise rotation arg(a).
@@ -10,14 +13,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
 from vwnav.types import Array
+from vwnav.vision.significance import log10_nfa, occupied_cells
 
 Complex = NDArray[np.complex128]
 MAX_PAIRS = 40_000
 CELL_PX = 12.0
-CANDIDATES = 6
+PLACES = 6
 MIN_AGREEING = 3
 MIN_BASELINE_RATIO = 0.08  # of the view's diagonal: shorter pairs tell no rotation
+MIN_FOR_HOMOGRAPHY = 16
+HOMOGRAPHY_GAIN = 1.08  # eight unknowns must explain so many times the matches that four do
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +47,7 @@ class SimilarityBounds:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class Similarity:
     """A similarity that several matches agree on.
 
     Attributes:
@@ -59,14 +66,115 @@ class Candidate:
         return int(np.count_nonzero(self.near))
 
 
-def propose(
+@dataclass(frozen=True, slots=True, eq=False)
+class Consensus:
+    """The transform that most matches agree upon.
+
+    Attributes:
+        H_map_view: (3, 3) from view pixels to the piece's pixels.
+        uv_view, uv_map: (k, 2) the inliers.
+        matches: how many matches there were.
+        log10_nfa: expected chance agreements as good as this, see `significance`.
+        cells: of the view that hold an inlier.
+        rival_cells: the same of the best other place.
+    """
+
+    H_map_view: Array
+    uv_view: Array
+    uv_map: Array
+    matches: int
+    log10_nfa: float
+    cells: int
+    rival_cells: int
+
+
+def find_consensus(
+    uv_view: Array,
+    uv_map: Array,
+    size_wh: tuple[int, int],
+    bounds: SimilarityBounds,
+    threshold_px: float,
+    max_stretch: float,
+    seed: int,
+) -> Consensus | None:
+    """Where the matches put the view; None where no two agree.
+
+    Args:
+        uv_view: (m, 2) matched points of the view, pixels.
+        uv_map: (m, 2) their partners on the map.
+        size_wh: of the view.
+        bounds: scale and rotation that the prior allows.
+        threshold_px: largest error of an inlier, map pixels.
+        max_stretch: of a homography against a similarity, along an axis or across the view.
+        seed: of the random choices.
+    """
+    middle = (np.array(size_wh) - 1.0) / 2.0
+    places = vote(uv_view, uv_map, middle, bounds, threshold_px, seed)
+    if not places:
+        return None
+    H, inliers = _fit(uv_view, uv_map, places[0], size_wh, threshold_px, max_stretch, seed)
+    return Consensus(
+        H_map_view=H,
+        uv_view=uv_view[inliers],
+        uv_map=uv_map[inliers],
+        matches=len(uv_view),
+        log10_nfa=log10_nfa(H, uv_view, uv_map, inliers, threshold_px),
+        cells=occupied_cells(uv_view[inliers]),
+        rival_cells=max((occupied_cells(uv_view[each.near]) for each in places[1:]), default=0),
+    )
+
+
+def _fit(
+    uv_view: Array,
+    uv_map: Array,
+    place: Similarity,
+    size_wh: tuple[int, int],
+    threshold_px: float,
+    max_stretch: float,
+    seed: int,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The better of the similarity and a homography about it, and its inliers."""
+    error = np.linalg.norm(transform_points(place.H_map_view, uv_view) - uv_map, axis=1)
+    around = np.flatnonzero(error <= 3.0 * threshold_px)
+    if len(around) < MIN_FOR_HOMOGRAPHY:
+        return place.H_map_view, place.near
+    fit = estimate_homography(uv_view[around], uv_map[around], threshold_px, seed)
+    if (
+        fit is None
+        or fit.count < HOMOGRAPHY_GAIN * place.count
+        or _stretch(fit.H, size_wh) > max_stretch
+    ):
+        return place.H_map_view, place.near
+    inliers = np.zeros(len(uv_view), np.bool_)
+    inliers[around[fit.inliers]] = True
+    return fit.H, inliers
+
+
+def _stretch(H_map_view: Array, size_wh: tuple[int, int]) -> float:
+    """How far a homography is from a similarity: 1 when it is one.
+
+    The largest ratio of local lengths, between directions at the view's middle, or between its
+    middle and the middles of its sides.
+    """
+    w, h = size_wh
+    middle = np.array([(w - 1) / 2.0, (h - 1) / 2.0])
+    lengths = np.linalg.svd(jacobian_at(H_map_view, middle), compute_uv=False)
+    areas = [
+        abs(float(np.linalg.det(jacobian_at(H_map_view, middle + offset))))
+        for offset in ([0, 0], [w / 2, 0], [-w / 2, 0], [0, h / 2], [0, -h / 2])
+    ]
+    across = np.sqrt(max(areas) / max(min(areas), 1e-12))
+    return float(max(lengths[0] / max(lengths[1], 1e-12), across))
+
+
+def vote(
     uv_view: Array,
     uv_map: Array,
     reference_uv: Array,
     bounds: SimilarityBounds,
     threshold_px: float,
     seed: int,
-) -> list[Candidate]:
+) -> list[Similarity]:
     """Similarities that the matches support, best first.
 
     Each pair of matches makes a similarity; those within the bounds vote for where it puts the
@@ -81,21 +189,21 @@ def propose(
         seed: of the choice of pairs where there are too many.
 
     Returns:
-        At most `CANDIDATES`, which put the reference point on different places.
+        At most `PLACES`, which put the reference point on different places.
     """
     if len(uv_view) < MIN_AGREEING:
         return []
     z0 = _complex(uv_view - reference_uv)
     z1 = _complex(uv_map)
     a, centers = _votes(z0, z1, bounds, seed)
-    found: list[Candidate] = []
+    found: list[Similarity] = []
     for center in _peaks(centers):
         # As wide as the corners of the 3 x 3 cells, so that no peak is without votes.
         close = np.abs(centers - center) <= 2.2 * CELL_PX
         start = (_median(a[close]), _median(centers[close]))
         fit = _refine(z0, z1, *start, threshold_px)
         if fit is not None and bounds.allows(np.array([fit[0]]))[0]:
-            found.append(_candidate(*fit, reference_uv))
+            found.append(_similarity(*fit, reference_uv))
     return _apart(found)
 
 
@@ -141,7 +249,7 @@ def _peaks(centers: Complex) -> list[complex]:
     summed = cv2.boxFilter(table, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     is_peak = (summed >= cv2.dilate(summed, np.ones((3, 3), np.uint8))) & (summed >= 2.0)
     peak_rows, peak_columns = np.nonzero(is_peak)
-    best = np.argsort(-summed[peak_rows, peak_columns], kind="stable")[:CANDIDATES]
+    best = np.argsort(-summed[peak_rows, peak_columns], kind="stable")[:PLACES]
     return [origin + CELL_PX * complex(peak_columns[i] + 0.5, peak_rows[i] + 0.5) for i in best]
 
 
@@ -166,20 +274,20 @@ def _refine(
     return a, b, np.abs(a * z0 + b - z1) <= threshold_px
 
 
-def _candidate(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: Array) -> Candidate:
+def _similarity(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: Array) -> Similarity:
     center_uv = np.array([b.real, b.imag])
     linear = np.array([[a.real, -a.imag], [a.imag, a.real]])
     H = np.eye(3)
     H[:2, :2] = linear
     H[:2, 2] = center_uv - linear @ reference_uv
-    return Candidate(H, near, center_uv)
+    return Similarity(H, near, center_uv)
 
 
-def _apart(found: list[Candidate]) -> list[Candidate]:
-    """The best candidate of each place, best first."""
-    kept: list[Candidate] = []
-    for candidate in sorted(found, key=lambda candidate: -candidate.count):
-        distances_px = [np.linalg.norm(candidate.center_uv - other.center_uv) for other in kept]
+def _apart(found: list[Similarity]) -> list[Similarity]:
+    """The best one of each place, best first."""
+    kept: list[Similarity] = []
+    for each in sorted(found, key=lambda each: -each.count):
+        distances_px = [np.linalg.norm(each.center_uv - other.center_uv) for other in kept]
         if min(distances_px, default=np.inf) > CELL_PX:
-            kept.append(candidate)
+            kept.append(each)
     return kept

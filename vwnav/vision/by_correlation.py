@@ -1,0 +1,120 @@
+"""Registering a view by correlation alone, where its keypoints do not.
+
+From 25 m a map of 0.3 m/px shows a view of 140 x 107 pixels. A season later some four of its fifty
+matches are right, which may be chance; its edges together still lie as they do on the map.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.rectify import Rectification
+from vwnav.geometry.rotations import wrap_pi
+from vwnav.maps.pack import MapPack
+from vwnav.types import MapFix
+from vwnav.vision.candidates import Candidate
+from vwnav.vision.correlation import RING_PX, Peak, best_shift, decades_of_shift
+from vwnav.vision.query import Query, QueryMaker, seen
+from vwnav.vision.registration import MAX_RIVALRY, Acceptance
+
+YAW_STEP_RAD = math.radians(2.0)  # a view of 140 px turned by half of it is 1 px off at its ends
+MAX_YAW_STEPS = 3  # to either side
+YAW_SIGMAS = 2.0
+MAX_REACH_PX = 64  # a place that is known worse is not looked for by correlation alone
+SIGMA_PX = 1.5  # of a place, per axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shifted:
+    """A view that lies where it correlates best with the map; `nadir_lat_lon` in degrees."""
+
+    peak: Peak
+    view: Rectification
+    nadir_lat_lon: tuple[float, float]
+
+
+def fix_by_correlation(
+    pack: MapPack,
+    maker: QueryMaker,
+    query: Query,
+    candidate: Candidate,
+    accept: Acceptance,
+    min_decades: float,
+) -> MapFix | None:
+    """Look for a view within a radius of the prior's place; None where no shift stands out.
+
+    Headings that the prior leaves open are tried. Each is a test more, but none is measured: the
+    best one is only good to a step. The fix is a position alone: what heading and height the view
+    was made with is no measurement.
+
+    Args:
+        pack: the map.
+        maker: makes the view.
+        query: with a prior that holds place and tilt; else None comes back.
+        candidate: place, radius, level, heading and height; no other height is tried.
+        accept: holds the errors behind a position.
+        min_decades: unrelated images may pass once in ten to this power.
+    """
+    if not query.attitude_known:
+        return None
+    open_steps = math.floor(YAW_SIGMAS * query.prior.sigma_yaw_rad / YAW_STEP_RAD + 0.5)
+    steps = min(open_steps, MAX_YAW_STEPS)
+    yaw_rad = candidate.hypothesis.yaw_rad
+    yaws_rad = [wrap_pi(yaw_rad + i * YAW_STEP_RAD) for i in range(-steps, steps + 1)]
+    looks = [_correlate(pack, maker, query, candidate, each) for each in yaws_rad]
+    found = [look for look in looks if look is not None]
+    if not found:
+        return None
+    best = max(found, key=lambda look: look.peak.sigmas)
+    if best.peak.rival_sigmas > MAX_RIVALRY * best.peak.sigmas:
+        return None
+    reach_px = math.ceil(candidate.radius_m / best.view.m_per_px)
+    decades = decades_of_shift(best.peak.sigmas, reach_px) - math.log10(len(yaws_rad))
+    return _fix(query, best, accept) if decades >= min_decades else None
+
+
+def _correlate(
+    pack: MapPack, maker: QueryMaker, query: Query, candidate: Candidate, yaw_rad: float
+) -> _Shifted | None:
+    """The best shift with one heading; None where there is too little to compare."""
+    lat_deg, lon_deg, zoom = candidate.lat_deg, candidate.lon_deg, candidate.level.zoom
+    view = maker.rectify(query, yaw_rad, candidate.hypothesis.agl_m, candidate.m_per_px)
+    if view is None:
+        return None
+    reach_px = math.ceil(candidate.radius_m / view.m_per_px)
+    if not RING_PX[0] < reach_px <= MAX_REACH_PX:
+        return None
+    nadir_px = np.array(mercator_px(lat_deg, lon_deg, zoom))
+    corner_px = nadir_px - view.nadir_uv - 0.5
+    low = np.floor(corner_px).astype(np.int64) - reach_px
+    high = low + np.array(view.size_wh) + 2 * reach_px
+    with query.stage("rectify_ms"):
+        gray, shown = maker.warp(query, view), seen(query, view)
+    with query.stage("verify_ms"):
+        map_, known = pack.image(zoom, *low.tolist(), *high.tolist())
+        peak = best_shift(gray, shown, map_, known, reach_px)
+    if peak is None:
+        return None
+    # The map was cut at whole pixels: what was cut off counts as shift.
+    x, y = nadir_px + peak.shift_uv - (corner_px - np.floor(corner_px))
+    return _Shifted(peak, view, lat_lon_from_mercator_px(float(x), float(y), zoom))
+
+
+def _fix(query: Query, best: _Shifted, accept: Acceptance) -> MapFix:
+    tilt_m = best.view.agl_m * accept.sigma_tilt_rad
+    sigma_m = math.hypot(SIGMA_PX * best.view.m_per_px, tilt_m, accept.sigma_georeference_m)
+    return MapFix(
+        t_s=query.t_s,
+        lat_deg=best.nadir_lat_lon[0],
+        lon_deg=best.nadir_lat_lon[1],
+        covariance_ne_m2=sigma_m**2 * np.eye(2),
+        yaw_rad=None,
+        sigma_yaw_rad=None,
+        agl_m=None,
+        sigma_agl_m=None,
+        point="nadir",
+        features=query.features,
+        placed_by="correlation",
+    )

@@ -1,0 +1,276 @@
+"""The query: one image that is to be registered, its rectified views and their features."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.geometry.calibration import check_fits
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.homography import jacobian_at, transform_points
+from vwnav.geometry.rectify import Rectification, rectification
+from vwnav.geometry.rotations import rotation_from_euler
+from vwnav.maps.pack import MapFeatures
+from vwnav.maps.picture import Window
+from vwnav.types import (
+    Array,
+    FeatureExtractor,
+    FeatureName,
+    Features,
+    Frame,
+    Gray,
+    MatchStats,
+    Prior,
+    Rejected,
+    RejectReason,
+)
+from vwnav.vision.features.checks import take
+
+MAX_VIEW_PX = 1400
+EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
+MIN_SHRINK = 0.6  # below this the image is halved first: a warp alone would alias
+MAX_OVERSAMPLING = 2.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Features of a rectified image.
+
+    Attributes:
+        rectification: how the view was made.
+        center_uv: (2,) view pixel of the image's centre.
+        gray: (h, w) the view.
+        features: those inside the image, view pixels, centre convention.
+    """
+
+    rectification: Rectification
+    center_uv: Array
+    gray: Gray
+    features: Features
+
+
+class Undistorted:
+    """An undistorted image, halved as often as was needed so far."""
+
+    def __init__(self, gray: Gray, K: Array) -> None:
+        self._halved = [gray]
+        self.K = K
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height of the whole image."""
+        h, w = self._halved[0].shape
+        return w, h
+
+    @property
+    def contrast(self) -> float:
+        """Standard deviation of the gray values."""
+        _, deviation = cv2.meanStdDev(self._halved[0])
+        return float(deviation[0, 0])
+
+    def at_scale(self, scale: float) -> tuple[Gray, Array]:
+        """The image halved until a warp by `scale` shrinks it little more.
+
+        Returns:
+            The gray image, and H_frame_halved (3, 3) from its pixels to the whole image's.
+        """
+        level = 0
+        while scale * 2**level < MIN_SHRINK and min(self._halved[-1].shape) >= 4:
+            level += 1
+            if level == len(self._halved):
+                # An even size, so that a pixel is the mean of exactly four.
+                h, w = (side - side % 2 for side in self._halved[-1].shape)
+                even = self._halved[-1][:h, :w]
+                size = (w // 2, h // 2)
+                half = cv2.resize(even, size, interpolation=cv2.INTER_AREA)
+                self._halved.append(np.asarray(half, np.uint8))
+        ratio = float(2**level)
+        offset = 0.5 * ratio - 0.5
+        H = np.array([[ratio, 0.0, offset], [0.0, ratio, offset], [0.0, 0.0, 1.0]])
+        return self._halved[level], H
+
+
+class Query:
+    """An image that is to be registered, and what was made of it so far.
+
+    Attributes:
+        t_s: time of exposure.
+        image: undistorted.
+        prior: what is known.
+        seed: of every random choice.
+        features: name of the feature set.
+        views: made so far, by heading and by height in pixels.
+        piece: of the map that was looked at last: its level, its window and its features.
+        ms: milliseconds spent per stage, named as in `MatchStats`.
+    """
+
+    def __init__(
+        self,
+        t_s: float,
+        image: Undistorted,
+        prior: Prior,
+        seed: int,
+        features: FeatureName,
+        clock: Callable[[], float],
+    ) -> None:
+        self.t_s = t_s
+        self.image = image
+        self.prior = prior
+        self.seed = seed
+        self.features = features
+        self.views: dict[tuple[float, float], View] = {}
+        self.piece: tuple[int, Window, MapFeatures] | None = None
+        self.ms: dict[str, float] = {}
+        self._clock = clock
+
+    @property
+    def attitude_known(self) -> bool:
+        """Whether roll and pitch are."""
+        return self.prior.roll_rad is not None and self.prior.pitch_rad is not None
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of a block to a stage."""
+        start = self._clock()
+        try:
+            yield
+        finally:
+            self.ms[name] = self.ms.get(name, 0.0) + 1e3 * (self._clock() - start)
+
+    def footprint_m(self, agl_m: float) -> tuple[float, float]:
+        """Width and height of the ground that a level camera sees."""
+        w, h = self.image.size_wh
+        return w * agl_m / self.image.K[0, 0], h * agl_m / self.image.K[1, 1]
+
+    def timed(self, stats: MatchStats) -> MatchStats:
+        """The counts, with the times until now."""
+        return MatchStats(
+            keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **self.ms
+        )
+
+    def rejected(
+        self,
+        reason: RejectReason,
+        detail: str,
+        *,
+        keypoints: int = 0,
+        matches: int = 0,
+        inliers: int = 0,
+    ) -> Rejected:
+        """Why there is no fix; the times are filled in at the end."""
+        stats = MatchStats(keypoints=keypoints, matches=matches, inliers=inliers)
+        return Rejected(self.t_s, reason, detail, self.features, stats)
+
+
+class QueryMaker:
+    """Makes queries of the images of one camera, rectifies them and extracts their features."""
+
+    def __init__(
+        self, camera: Camera, extractor: FeatureExtractor, clock: Callable[[], float]
+    ) -> None:
+        self._camera = camera
+        self._undistorted = camera.undistorted()
+        self._maps = camera.undistort_maps() if camera.distortion else None
+        self._extractor = extractor
+        self._clock = clock
+
+    def query(self, frame: Frame, prior: Prior, seed: int) -> Query:
+        """A query of a frame, (h, w) gray or (h, w, 3) BGR.
+
+        Raises:
+            CalibrationError: the calibration is for another image size.
+        """
+        start = self._clock()
+        image = frame.image
+        check_fits(self._camera, image.shape[1], image.shape[0])
+        gray = np.asarray(
+            image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8
+        )
+        if self._maps is not None:
+            map1, map2 = self._maps
+            straight = cv2.remap(
+                gray, map1, map2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            gray = np.asarray(straight, np.uint8)
+        undistorted = Undistorted(gray, self._undistorted.K)
+        query = Query(frame.t_s, undistorted, prior, seed, self._extractor.name, self._clock)
+        query.ms["rectify_ms"] = 1e3 * (self._clock() - start)
+        return query
+
+    def rectify(
+        self, query: Query, yaw_rad: float, agl_m: float, m_per_px: float
+    ) -> Rectification | None:
+        """The view's geometry; None when the camera does not look down."""
+        prior = query.prior
+        R_ned_body = rotation_from_euler(prior.roll_rad or 0.0, prior.pitch_rad or 0.0, yaw_rad)
+        return rectification(
+            query.image.K,
+            query.image.size_wh,
+            R_ned_body @ self._camera.R_body_camera,
+            agl_m,
+            m_per_px,
+            MAX_VIEW_PX,
+        )
+
+    def view(self, query: Query, yaw_rad: float, made: Rectification, max_keypoints: int) -> View:
+        """The view with its features; kept, since levels of twice the size share it."""
+        key = (round(yaw_rad, 6), round(made.agl_m / made.m_per_px, 1))
+        if key not in query.views:
+            with query.stage("rectify_ms"):
+                gray = self.warp(query, made)
+            with query.stage("extract_ms"):
+                query.views[key] = self._extract(query, made, gray, max_keypoints)
+        return replace(query.views[key], rectification=made)
+
+    def warp(self, query: Query, made: Rectification) -> Gray:
+        """The gray view; what the image does not show continues its edge."""
+        center = (np.array(query.image.size_wh) - 1.0) / 2.0
+        scale = np.sqrt(abs(np.linalg.det(jacobian_at(made.H_rect_frame, center))))
+        source, H_frame_source = query.image.at_scale(float(scale))
+        view = cv2.warpPerspective(
+            source,
+            made.H_rect_frame @ H_frame_source,
+            made.size_wh,
+            flags=cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        return np.asarray(view, np.uint8)
+
+    def _extract(self, query: Query, made: Rectification, gray: Gray, max_keypoints: int) -> View:
+        """Features of a view, those that the image really shows."""
+        size = np.array(query.image.size_wh, np.float64)
+        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * (size - 1.0)
+        outline = transform_points(made.H_rect_frame, corners)
+        covered = cv2.contourArea(outline.astype(np.float32)) / gray.size
+        oversampling = min(MAX_OVERSAMPLING, 1.0 / max(covered, 1e-3))
+        found = self._extractor.extract(gray, round(max_keypoints * oversampling))
+        inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size)
+        features = take(found, np.flatnonzero(inside)[:max_keypoints])
+        center_uv = transform_points(made.H_rect_frame, (size - 1.0) / 2.0)[0]
+        return View(made, center_uv, gray, features)
+
+
+def seen(query: Query, made: Rectification) -> NDArray[np.bool_]:
+    """Mask (h, w) of the view pixels that the image shows."""
+    everywhere = np.ones(query.image.size_wh[::-1], np.uint8)
+    shown = cv2.warpPerspective(
+        everywhere, made.H_rect_frame, made.size_wh, flags=cv2.INTER_NEAREST
+    )
+    return np.asarray(shown) > 0
+
+
+def _inside(uv: Array, H_rect_frame: Array, size_wh: Array) -> NDArray[np.bool_]:
+    """Which view pixels show the image's inside, `EDGE_PX` of the view away from its edge."""
+    H_frame_rect = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
+    center = transform_points(H_rect_frame, (size_wh - 1.0) / 2.0)[0]
+    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center))))
+    frame_uv = transform_points(H_frame_rect, uv)
+    margin = EDGE_PX * frame_px_per_px
+    low, high = margin, size_wh - 1.0 - margin
+    # Behind the horizon the third coordinate changes its sign.
+    depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
+    ahead = depth * (center @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
+    return np.asarray(ahead & np.all((frame_uv >= low) & (frame_uv <= high), axis=1))
