@@ -189,15 +189,12 @@ class MapPack:
             ModelError: the pack's set of that name was made by another model.
         """
         window = Window(int(x0), int(y0), int(x1), int(y1)).clipped(self.window(zoom))
-        stored = self._stored_set(extractor)
-        found = []
-        for tile in window.tiles(zoom):
-            features = self._tile_features(tile, extractor, stored)
-            if features is not None:
-                shift_px = np.array(tile.window[:2]) - np.array(window[:2])
-                found.append(_moved_into(features, shift_px.astype(np.float32), window.shape))
         origin_px = np.array(window[:2], np.int64)
-        return MapFeatures(zoom, origin_px, _strongest(found, max_keypoints, extractor))
+        features = self._tiled_features(list(window.tiles(zoom)), extractor)
+        if not features:
+            nothing = extractor.extract(np.zeros((64, 64), np.uint8), 1)
+            return MapFeatures(zoom, origin_px, nothing)
+        return MapFeatures(zoom, origin_px, _strongest_in(window, features, max_keypoints))
 
     def check_features(self, extractor: FeatureExtractor) -> None:
         """Check before a flight that the pack's features can be compared with an extractor's.
@@ -269,15 +266,21 @@ class MapPack:
             self._warn_once(tile, f"{self.path}: imagery of {tile} is damaged, unused ({error})")
             return None
 
-    def _tile_features(
-        self, tile: Tile, extractor: FeatureExtractor, stored: FeatureSetInfo | None
-    ) -> Features | None:
-        key = (extractor.feature_set_id, tile)
-        with self._lock:
-            if stored is None and key not in self._features:
-                self._extract(block_of(tile), extractor)
-            read = partial(self._read_features, tile, stored) if stored else lambda: None
-            return self._features.get(key, read)
+    def _tiled_features(
+        self, tiles: list[Tile], extractor: FeatureExtractor
+    ) -> dict[Tile, Features]:
+        """Those of each tile that has any."""
+        stored, set_id = self._stored_set(extractor), extractor.feature_set_id
+        found: dict[Tile, Features] = {}
+        for tile in tiles:
+            with self._lock:
+                if stored is None and (set_id, tile) not in self._features:
+                    self._extract(block_of(tile), extractor)
+                read = partial(self._read_features, tile, stored) if stored else lambda: None
+                features = self._features.get((set_id, tile), read)
+            if features is not None:
+                found[tile] = features
+        return found
 
     def _extract(self, block: Tile, extractor: FeatureExtractor) -> None:
         found = extract_block(partial(self.picture, block.zoom), block, extractor)
@@ -300,25 +303,24 @@ class MapPack:
             _LOG.warning(message)
 
 
-def _moved_into(
-    features: Features, shift_px: NDArray[np.float32], shape: tuple[int, int]
-) -> Features:
-    """A tile's features relative to the window, those outside of it dropped."""
-    uv = features.uv + shift_px
-    h, w = shape
-    corner = uv + np.float32(0.5)
-    inside = ((corner >= 0.0) & (corner < np.array([w, h], np.float32))).all(axis=1)
-    return Features(uv[inside], features.descriptors[inside], features.scores[inside])
+def _strongest_in(window: Window, tiles: dict[Tile, Features], count: int) -> Features:
+    """The tiles' features in a window, relative to it, strongest first.
 
-
-def _strongest(found: list[Features], count: int, extractor: FeatureExtractor) -> Features:
-    """All features, strongest first; where they are too many, the first ones of every tile."""
-    if not found:
-        return extractor.extract(np.zeros((64, 64), np.uint8), 1)
+    Where they are too many, the first ones of every tile.
+    """
+    found = tiles.values()
+    shift_px = np.array([(tile.x, tile.y) for tile in tiles]) * TILE_PX - np.array(window[:2])
+    sizes = [len(features.uv) for features in found]
     uv = np.concatenate([features.uv for features in found])
-    descriptors = np.concatenate([features.descriptors for features in found])
-    scores = np.concatenate([features.scores for features in found])
-    rank = np.concatenate([np.arange(len(features)) for features in found])
+    uv = uv + np.repeat(shift_px.astype(np.float32), sizes, axis=0)
+    corner, size_wh = uv + np.float32(0.5), np.array(window.shape[::-1], np.float32)
+    inside = np.flatnonzero(((corner >= 0.0) & (corner < size_wh)).all(axis=1))
+    owner = np.repeat(np.arange(len(sizes)), sizes)[inside]
+    # Features come strongest first: the rank within a tile is the place in it.
+    rank = np.arange(len(inside)) - np.searchsorted(owner, owner)
     kept = np.argsort(rank, kind="stable")[:count]
+    kept = inside[kept]
+    scores = np.concatenate([features.scores for features in found])
     kept = kept[np.argsort(-scores[kept], kind="stable")]
+    descriptors = np.concatenate([features.descriptors for features in found])
     return Features(uv[kept], descriptors[kept], scores[kept])
