@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, yaw_of
-from vwnav.estimation.inertial.gyro import GyroHistory
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory, yaw_of
 from vwnav.geometry.rotations import quat_from_vector
 from vwnav.types import Attitude
 

@@ -18,9 +18,9 @@ from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
-from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.inertial.gyro import GyroHistory
-from vwnav.estimation.inertial.imu import ImuHistory, push_between
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.preintegration import push_between
 from vwnav.estimation.states import States
 from vwnav.geometry.rotations import (
     euler_from_rotation,

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import (
     Displacement,
@@ -22,8 +23,7 @@ from vwnav.estimation.events import (
 )
 from vwnav.estimation.fusion import apply
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
-from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
-from vwnav.estimation.inertial.gyro import GyroHistory
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, GyroHistory, is_rotation
 from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
 from vwnav.estimation.inertial.imu_trust import ImuTrust
 from vwnav.estimation.inputs import Asked, Input, Measurement
@@ -31,7 +31,7 @@ from vwnav.estimation.odometry_trust import OdometryTrust, of_doubtful_date, pos
 from vwnav.estimation.output import estimate_of
 from vwnav.estimation.process import predict
 from vwnav.estimation.restart import begun_anew, outside
-from vwnav.estimation.states import EkfConfig, FilterState, Start, first_state
+from vwnav.estimation.states import FilterState, Start, first_state
 from vwnav.estimation.timeline import Timeline
 from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States, TrustedPosition
+from vwnav.estimation.states import Dispute, FilterState, States, TrustedPosition
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
+from vwnav.estimation.states import Dispute, FilterState, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,

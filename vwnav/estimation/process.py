@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import (
     GRAVITY_M_S2,
@@ -12,9 +13,9 @@ from vwnav.estimation.inertial.attitudes import (
     thrust_acceleration,
     yaw_of,
 )
-from vwnav.estimation.inertial.imu import Push, push_between
+from vwnav.estimation.inertial.preintegration import Push, push_between
 from vwnav.estimation.inertial.turning import conditioned, gyro_says
-from vwnav.estimation.states import EkfConfig, FilterState, Measured, States
+from vwnav.estimation.states import FilterState, Measured, States
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 

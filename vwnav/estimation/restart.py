@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from vwnav.estimation.states import EkfConfig, FilterState, States, first_variance
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.states import FilterState, States, first_variance
 
 _HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
 _TERRAIN_SIGMA_M = 30.0

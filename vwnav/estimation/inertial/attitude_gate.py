@@ -10,7 +10,8 @@ wrong one among right ones never is.
 import math
 
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
-from vwnav.estimation.inertial.imu import ImuHistory, push_between
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.preintegration import push_between
 from vwnav.estimation.updates import Verdict
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array, Attitude

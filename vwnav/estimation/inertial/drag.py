@@ -15,7 +15,7 @@ import numpy as np
 
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
-from vwnav.estimation.inertial.imu import push_between
+from vwnav.estimation.inertial.preintegration import push_between
 from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import rotation_from_quat

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import level_axes, yaw_of
-from vwnav.estimation.inertial.imu import Push
-from vwnav.estimation.states import EkfConfig, States
+from vwnav.estimation.inertial.preintegration import Push
+from vwnav.estimation.states import States
 from vwnav.estimation.updates import CHI_SQUARE_GATE
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply, vector_from_quat
 from vwnav.types import Array
