@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.estimation.ekf import Ekf, NedFix, Start
-from vwnav.estimation.events import Exposed
+from vwnav.estimation.timeline import Exposed
 from vwnav.estimation.updates import Verdict
 from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
 from vwnav.geometry.geodesy import LocalFrame

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from vwnav.errors import SourceError
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
-from vwnav.estimation.events import Exposed
 from vwnav.estimation.inputs import Asked, decode, encode
+from vwnav.estimation.timeline import Exposed
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range, Stationary
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)

@@ -10,7 +10,23 @@ from functools import partial
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
-from vwnav.estimation.events import (
+from vwnav.estimation.fusion import apply
+from vwnav.estimation.inertial.attitude_gate import AttitudeGate
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, GyroHistory, is_rotation
+from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
+from vwnav.estimation.inertial.imu_trust import ImuTrust
+from vwnav.estimation.inputs import Asked, Input, Measurement
+from vwnav.estimation.odometry_trust import OdometryTrust, of_doubtful_date, possible, shaken
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import (
+    FilterState,
+    Start,
+    begun_anew,
+    estimate_of,
+    first_state,
+    outside,
+)
+from vwnav.estimation.timeline import (
     Displacement,
     Drag,
     Event,
@@ -19,20 +35,9 @@ from vwnav.estimation.events import (
     LateFix,
     NedFix,
     NewKeyframe,
+    Timeline,
     between,
 )
-from vwnav.estimation.fusion import apply
-from vwnav.estimation.inertial.attitude_gate import AttitudeGate
-from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, GyroHistory, is_rotation
-from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
-from vwnav.estimation.inertial.imu_trust import ImuTrust
-from vwnav.estimation.inputs import Asked, Input, Measurement
-from vwnav.estimation.odometry_trust import OdometryTrust, of_doubtful_date, possible, shaken
-from vwnav.estimation.output import estimate_of
-from vwnav.estimation.process import predict
-from vwnav.estimation.restart import begun_anew, outside
-from vwnav.estimation.states import FilterState, Start, first_state
-from vwnav.estimation.timeline import Timeline
 from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
 from vwnav.estimation.states import Dispute, FilterState, States, TrustedPosition
+from vwnav.estimation.timeline import NedFix
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
     Innovation,

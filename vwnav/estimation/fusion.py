@@ -7,7 +7,14 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.events import (
+from vwnav.estimation.fixes import apply_fix, apply_late_fix
+from vwnav.estimation.heights import apply_agl, apply_height, apply_range
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes
+from vwnav.estimation.inertial.drag import apply_drag
+from vwnav.estimation.inertial.preintegration import push_between
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import Anchor, Dispute, Exposure, FilterState, States
+from vwnav.estimation.timeline import (
     Displacement,
     Drag,
     Event,
@@ -16,13 +23,6 @@ from vwnav.estimation.events import (
     NedFix,
     NewKeyframe,
 )
-from vwnav.estimation.fixes import apply_fix, apply_late_fix
-from vwnav.estimation.heights import apply_agl, apply_height, apply_range
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes
-from vwnav.estimation.inertial.drag import apply_drag
-from vwnav.estimation.inertial.preintegration import push_between
-from vwnav.estimation.process import predict
-from vwnav.estimation.states import Anchor, Dispute, Exposure, FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, convinces, fuse, remember
 from vwnav.geometry.rotations import skew, vector_from_quat, wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary

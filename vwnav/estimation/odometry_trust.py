@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import GyroHistory
 from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.timeline import NedFix
 from vwnav.types import Array, OdometryMotion
 
 _WINDOW_S = 1.2

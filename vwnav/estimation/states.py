@@ -8,7 +8,13 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.preintegration import ImuIntegrals
-from vwnav.types import Array
+from vwnav.geometry.rotations import quat_from_rotation, rotation_from_quat, rotation_from_vector
+from vwnav.types import Array, Estimate
+
+_HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
+_TERRAIN_SIGMA_M = 30.0
+_BARO_SIGMA_M = 2.0
+_KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
 
 
 class States:
@@ -195,3 +201,109 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.MAP_TURN] = config.map_turn_rad**2
     variance[States.MAP_SCALE] = config.map_scale**2
     return variance
+
+
+def outside(state: FilterState, config: EkfConfig) -> str | None:
+    """Why a state cannot be that of an aircraft; None while it can."""
+    x, variances = state.x, np.diag(state.P)
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
+        return "it is not finite"
+    north, east, down = x[States.VELOCITY].tolist()
+    if math.hypot(north, east) > config.most_speed_m_s:
+        return f"{math.hypot(north, east):.0f} m/s"
+    if abs(down) > config.most_climb_m_s:
+        return f"{-down:.0f} m/s of climb"
+    tilt_rad = float(np.linalg.norm(x[States.TILT]))
+    if tilt_rad > config.most_tilt_rad:
+        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
+    return None
+
+
+def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
+    """At the last trusted fix, as unsure as an aircraft can have flown since.
+
+    Heights keep their values where they are numbers: they have witnesses of their own, and are open
+    to them. Of the attitude's error nothing is believed but that it is as at first.
+    """
+    x, variance = np.zeros(States.SIZE), first_variance(config)
+    x[States.DRAG] = config.drag_per_s
+    heights = [2, States.BARO.start, States.TERRAIN.start]
+    if np.all(np.isfinite(state.x[heights])):
+        x[heights] = state.x[heights]
+        # Nor may what it took the barometer's bias for be far from what weather does in an hour.
+        x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
+    variance[2], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
+    variance[States.BARO] = _BARO_SIGMA_M**2
+    variance[States.VELOCITY] = config.restart_velocity_m_s**2
+    known = state.trusted is not None
+    sigma_m = config.unknown_sigma_m
+    if state.trusted is not None:
+        x[:2] = state.trusted.position_ne_m
+        flown_m = 0.5 * config.most_speed_m_s * max(state.t_s - state.trusted.t_s, 0.0)
+        sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
+    variance[:2] = sigma_m**2
+    return FilterState(
+        state.t_s,
+        x,
+        np.diag(variance),
+        position_known=known,
+        heading_known=state.heading_known,
+        t_last_fix_s=state.t_last_fix_s,
+        trusted=state.trusted,
+        reset_counter=state.reset_counter + 1,
+    )
+
+
+def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
+    """What a state says of the aircraft.
+
+    Args:
+        state: the filter's.
+        quat_measured_wxyz: (4,) the attitude that it knows of that moment.
+        turned_rad: how far the aircraft may have turned since that was known.
+    """
+    x, P = state.x, state.P
+    kept = np.r_[0:6]
+    down, terrain = 2, States.TERRAIN.start
+    variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
+    return Estimate(
+        t_s=state.t_s,
+        position_ned_m=x[States.POSITION].copy(),
+        velocity_ned_m_s=x[States.VELOCITY].copy(),
+        covariance=P[np.ix_(kept, kept)],
+        quat_wxyz=_true_attitude(x, quat_measured_wxyz),
+        sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
+        agl_m=max(state.agl_m, 0.0),
+        sigma_agl_m=math.sqrt(variance_agl),
+        t_last_fix_s=state.t_last_fix_s,
+        reset_counter=state.reset_counter,
+        wind_ne_m_s=wind_ne_m_s(state),
+    )
+
+
+def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
+    """A tilt error turns the heading of a nose that points up or down: by tan(pitch)."""
+    w, x, y, z = quat_measured_wxyz.tolist()
+    sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
+    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
+    yaw, forward = States.HEADING_BIAS.start, States.TILT.start
+    return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
+
+
+def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
+    """quat_wxyz (4,) with heading bias and tilt removed: R = Rz(-b) exp(-tilt) R_measured."""
+    R_measured = rotation_from_quat(quat_measured_wxyz)
+    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    forward, right = x[States.TILT]
+    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
+    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS.start])])
+    return quat_from_rotation(unturn @ untilt @ R_measured)
+
+
+def wind_ne_m_s(state: FilterState) -> Array | None:
+    """(2,) the wind w = c / k, where it blows to; None until the drag is known to a third."""
+    drag = float(state.x[States.DRAG.start])
+    if state.P[States.DRAG, States.DRAG].item() > (_KNOWN_SHARE * drag) ** 2:
+        return None
+    return np.asarray(state.x[States.WIND_FORCE] / drag)

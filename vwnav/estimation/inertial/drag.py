@@ -19,12 +19,10 @@ from vwnav.estimation.inertial.preintegration import push_between
 from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import rotation_from_quat
-from vwnav.types import Array
 
 FELT_S = 0.2  # over which the force is averaged
 _LOWEST_AGL_M = 3.0  # below it may stand, and rotors blow along the ground
 _MODEL_SHARE = 0.1  # of the drag, by which it is not straight in the speed
-_KNOWN_SHARE = 0.33
 _REFUSED_M_S2 = 0.3  # a wind that is refused may have changed by so much
 _YAW = States.HEADING_BIAS.start
 _DRAG = States.DRAG.start
@@ -66,11 +64,3 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     x = fused.x.copy()
     x[_DRAG] = np.clip(x[_DRAG], *config.drag_range_per_s)
     return replace(fused, x=x), innovation
-
-
-def wind_ne_m_s(state: FilterState) -> Array | None:
-    """(2,) the wind w = c / k, where it blows to; None until the drag is known to a third."""
-    drag = float(state.x[_DRAG])
-    if state.P[_DRAG, _DRAG] > (_KNOWN_SHARE * drag) ** 2:
-        return None
-    return np.asarray(state.x[States.WIND_FORCE] / drag)
