@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory, yaw_of
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, yaw_of
 from vwnav.geometry.rotations import quat_from_vector
 from vwnav.types import Attitude
 
@@ -14,8 +14,8 @@ RATE = np.array([0.2, -0.3, 0.5])  # rad/s
 
 def turning(until_s: float, gyro_until_s: float) -> AttitudeHistory:
     """Attitudes at 50 Hz up to a time, the gyro up to another."""
-    gyro = GyroHistory(10.0)
-    attitudes = AttitudeHistory(10.0, gyro)
+    attitudes = AttitudeHistory(10.0)
+    gyro = attitudes.gyro
     gyro.begin(0.0)
     for i in range(round(50 * gyro_until_s)):
         gyro.turn(0.02 * (i + 1), 0.02 * RATE)

@@ -18,7 +18,7 @@ from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.preintegration import push_between
 from vwnav.estimation.states import States
@@ -70,7 +70,7 @@ def level_attitudes() -> AttitudeHistory:
 
 @given(rates=st.lists(st.tuples(RATE, RATE, RATE), min_size=3, max_size=12))
 def test_turns_are_counted_as_scipy_composes_them(rates):
-    history = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0)
+    history = ImuHistory(level_attitudes(), 10.0)
     for i, rate in enumerate(rates):
         history.add(ImuSample(STEP_S * i, AT_REST, np.array(rate)))
     last_s = STEP_S * (len(rates) - 1)
@@ -85,7 +85,7 @@ def test_turns_are_counted_as_scipy_composes_them(rates):
 
 
 def test_a_silence_is_not_integrated_over():
-    history = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0)
+    history = ImuHistory(level_attitudes(), 10.0)
     for t_s in (0.0, 0.02, 0.04, 1.0, 1.02):
         history.add(ImuSample(t_s, AT_REST, np.zeros(3)))
     assert history.until(0.5) is None
@@ -94,7 +94,7 @@ def test_a_silence_is_not_integrated_over():
 
 
 def test_a_correction_of_our_clock_makes_no_turn_longer():
-    history = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0)
+    history = ImuHistory(level_attitudes(), 10.0)
     rates = np.array([0.0, 0.0, 1.0])
     for i in range(50):
         slipped_s = 0.04 if i > 25 else 0.0
@@ -121,7 +121,7 @@ def test_a_heading_that_the_autopilot_resets_by_15_degrees_is_not_a_turn(imu, wr
 
 
 def test_the_more_rotors_shake_the_imu_the_less_it_is_believed():
-    history, rng = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0), np.random.default_rng(0)
+    history, rng = ImuHistory(level_attitudes(), 10.0), np.random.default_rng(0)
     for i in range(200):
         force, rates = AT_REST + rng.normal(0.0, 2.0, 3), rng.normal(0.0, 0.05, 3)
         history.add(ImuSample(STEP_S * i, force, rates))
@@ -236,7 +236,7 @@ def test_arducopters_realignment_leaves_ours_alone(data_folder):
 
 def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
     """Telemetry 0.1 s late made the covariance none, and no estimate could be computed."""
-    history, rng = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0), np.random.default_rng(1)
+    history, rng = ImuHistory(level_attitudes(), 10.0), np.random.default_rng(1)
     for i in range(50):
         shaken = AT_REST + rng.normal(0.0, 3.0, 3)
         history.add(ImuSample(STEP_S * i, shaken, np.zeros(3)))

@@ -7,8 +7,8 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.heights import apply_agl
-from vwnav.estimation.states import Dispute, FilterState, States, TrustedPosition
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.states import Dispute, Exposure, FilterState, States, TrustedPosition
 from vwnav.estimation.timeline import NedFix
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
@@ -27,12 +27,21 @@ from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
 _NE = slice(0, 2)
+_DOWN = 2
 _ANCHOR_NE = slice(States.ANCHOR_POSITION.start, States.ANCHOR_POSITION.start + 2)
 _YAW = States.HEADING_BIAS.start
 _ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
 _MAP_TURN = States.MAP_TURN.start
 _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
+_CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
+_CLONE_SIGMA_M = 0.01
+_EXPOSED_SIGMAS = (
+    (States.EXPOSED_POSITION, _CLONE_SIGMA_M),
+    (States.EXPOSED_HEADING_BIAS, _CLONE_SIGMA_RAD),
+    (States.EXPOSED_TILT, _CLONE_SIGMA_RAD),
+    (States.EXPOSED_AGL, _CLONE_SIGMA_M),
+)
 _UNSEEN_RAD = 0.1  # by which a picture may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
@@ -82,6 +91,22 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config, by_map=True)
         parts.append(part)
     return state, replace(innovation, parts=tuple(parts))
+
+
+def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
+    """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
+    if attitudes.at(state.t_s) is None:
+        return replace(state, exposure=None)  # nobody knows how it was turned
+    copy = np.eye(States.SIZE)
+    copy[States.EXPOSED_POSITION] = copy[States.POSITION][:2]
+    copy[States.EXPOSED_HEADING_BIAS] = copy[States.HEADING_BIAS]
+    copy[States.EXPOSED_TILT] = copy[States.TILT]
+    copy[States.EXPOSED_AGL] = -copy[_DOWN] - copy[States.TERRAIN]
+    P = copy @ state.P @ copy.T
+    for clone, sigma in _EXPOSED_SIGMAS:
+        P[clone, clone] += sigma**2 * np.eye(clone.stop - clone.start)
+    exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
+    return replace(state, x=copy @ state.x, P=P, exposure=exposure)
 
 
 def apply_late_fix(
@@ -263,3 +288,38 @@ def _apply_heading(
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
     turned = freed(turned, _ANCHOR_YAW, 2.0 * abs(float(residual[0])))
     return replace(turned, disputed_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def apply_agl(
+    state: FilterState,
+    agl_m: float,
+    sigma_m: float,
+    config: EkfConfig,
+    by_map: bool = False,
+    by_tilt: Array | None = None,
+) -> tuple[FilterState, Innovation]:
+    """Fuse a height above ground, of a fix or a rangefinder.
+
+    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
+    Heights `by_map` share the error of its scale; `by_tilt` (2,) is what a radian of tilt error
+    adds to it.
+    """
+    H = np.zeros((1, States.SIZE))
+    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
+    H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
+    if by_tilt is not None:
+        H[0, States.TILT] = by_tilt
+    measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
+    fused, innovation = fuse(state, measurement)
+    if innovation.accepted:
+        return replace(fused, disputed_agls=()), innovation
+    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
+    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
+    state = replace(state, disputed_agls=disputes)
+    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
+        return state, innovation
+    open_m = 2.0 * abs(float(measurement.residual[0]))
+    # Whether the keyframe's ground was believed wrong too is not known.
+    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
+    fused = correct(state, measurement)
+    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -1,4 +1,4 @@
-"""Heights meet the state: barometer, rangefinder, and the height of a fix above ground."""
+"""Heights and the ground meet the state: barometer, rangefinder, standing still."""
 
 import math
 from dataclasses import replace
@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
+from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
+from vwnav.estimation.inertial.preintegration import push_between
 from vwnav.estimation.states import Dispute, FilterState, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
@@ -19,9 +22,12 @@ from vwnav.estimation.updates import (
     fuse,
     remember,
 )
+from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
 _DOWN = 2
+_STILL_S = 0.2
+_REST_SHARE = 0.3
 _CLIMB = 5
 _TERRAIN = States.TERRAIN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
@@ -122,36 +128,30 @@ def apply_range(
     return apply_agl(state, event.distance_m * cos, sigma_m, config, by_tilt=by_tilt)
 
 
-def apply_agl(
-    state: FilterState,
-    agl_m: float,
-    sigma_m: float,
-    config: EkfConfig,
-    by_map: bool = False,
-    by_tilt: Array | None = None,
-) -> tuple[FilterState, Innovation]:
-    """Fuse a height above ground, of a fix or a rangefinder.
+def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
+    """It does not move, and the ground is right below; what the gyro still says is its bias."""
+    config = context.config
+    H = np.zeros((3, States.SIZE))
+    H[:, States.VELOCITY] = np.eye(3)
+    R = config.stationary_sigma_m_s**2 * np.eye(3)
+    velocity = state.x[States.VELOCITY]
+    state, innovation = fuse(state, Measurement(-velocity, H, R))
+    if not innovation.accepted:
+        # Who stands does not move, whatever was believed in the landing: it is open to that.
+        P = state.P.copy()
+        P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)
+        return replace(state, P=P), innovation
+    imu = context.imu
+    felt = push_between(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
+    if felt is not None:
+        state = _at_rest(state, vector_from_quat(felt.turn_wxyz) / _STILL_S, config)
+    state, height = apply_agl(state, config.stationary_agl_m, config.stationary_agl_sigma_m, config)
+    return state, replace(innovation, parts=(height,))
 
-    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    Heights `by_map` share the error of its scale; `by_tilt` (2,) is what a radian of tilt error
-    adds to it.
-    """
-    H = np.zeros((1, States.SIZE))
-    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
-    H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
-    if by_tilt is not None:
-        H[0, States.TILT] = by_tilt
-    measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
-    fused, innovation = fuse(state, measurement)
-    if innovation.accepted:
-        return replace(fused, disputed_agls=()), innovation
-    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
-    state = replace(state, disputed_agls=disputes)
-    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
-        return state, innovation
-    open_m = 2.0 * abs(float(measurement.residual[0]))
-    # Whether the keyframe's ground was believed wrong too is not known.
-    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
-    fused = correct(state, measurement)
-    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
+
+def _at_rest(state: FilterState, rates_rad_s: Array, config: EkfConfig) -> FilterState:
+    """What a gyro (3,) says of an aircraft that stands; one that is carried about is refused."""
+    H = np.zeros((3, States.SIZE))
+    H[:, States.GYRO_BIAS] = np.eye(3)
+    R = config.stationary_sigma_rad_s**2 * np.eye(3)
+    return fuse(state, Measurement(rates_rad_s - state.x[States.GYRO_BIAS], H, R))[0]

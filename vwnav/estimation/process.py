@@ -37,10 +37,8 @@ _LEVEL = np.eye(2)
 
 
 def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
-    """The state at a later time `t_s`; the same state when the time is not later."""
+    """The state at a later time `t_s`."""
     span_s = t_s - state.t_s
-    if span_s <= 0.0:
-        return state
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
     x, P = state.x, state.P

@@ -8,7 +8,7 @@ import bisect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from operator import attrgetter
 
 import numpy as np
 
@@ -16,20 +16,6 @@ from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
-
-
-class EventRank(IntEnum):
-    """Order of events at the same time; clones are last, so that they copy what others left."""
-
-    LATE_FIX = 0
-    STATIONARY = 1
-    HEIGHT = 2
-    RANGE = 3
-    FIX = 4
-    ODOMETRY = 5
-    DRAG = 6
-    ANCHOR = 7
-    EXPOSURE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,14 +57,10 @@ class NedFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """Odometry between its keyframe and a picture."""
+    """Odometry between its keyframe and a picture, at that picture's exposure."""
 
+    t_s: float
     motion: OdometryMotion
-
-    @property
-    def t_s(self) -> float:
-        """Exposure of the later picture."""
-        return self.motion.t1_s
 
     def sensible(self) -> bool:
         """Whether it is finite, forward in time, and its covariances are positive."""
@@ -169,16 +151,11 @@ class Drag:
 
 Event = NedFix | Height | Range | Stationary | Displacement | NewKeyframe | Exposed | LateFix | Drag
 
-_RANKS = {
-    Stationary: EventRank.STATIONARY, Height: EventRank.HEIGHT, Range: EventRank.RANGE,
-    NedFix: EventRank.FIX, Displacement: EventRank.ODOMETRY, NewKeyframe: EventRank.ANCHOR,
-    Exposed: EventRank.EXPOSURE, LateFix: EventRank.LATE_FIX, Drag: EventRank.DRAG,
-}  # fmt: skip
-
-
-def rank_of(event: Event) -> EventRank:
-    """Its place among events of the same time."""
-    return _RANKS[type(event)]
+# Order of events at the same time; clones are last, so that they copy what others left.
+_ORDER: tuple[type[Event], ...] = (
+    LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed,
+)  # fmt: skip
+_RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
 
 def is_covariance(matrix: Array, n: int) -> bool:
@@ -198,13 +175,17 @@ def _pair_sensible(value: float | None, sigma: float | None) -> bool:
 
 
 Apply = Callable[[FilterState, Event], tuple[FilterState, Innovation]]
+Order = tuple[float, int]  # time and rank
 
 
 @dataclass(slots=True)
 class _Entry:
-    order: tuple[float, EventRank]
+    order: Order
     event: Event
     state: FilterState
+
+
+_order_of = attrgetter("order")
 
 
 class Timeline:
@@ -213,68 +194,63 @@ class Timeline:
     The state is always what it would be had every event come in order: inserting one applies all
     later ones again. But for its `reset_counter`, which others have seen: it never falls, and a
     past that has changed by so much that the newest position jumps counts too.
+
+    Attributes:
+        oldest: the state before all events; what is earlier is too late.
+        newest: the state after all of them.
     """
 
     def __init__(self, start: FilterState, apply: Apply, length_s: float, jump_m: float) -> None:
-        self._base = start
+        self.oldest = self.newest = start
         self._apply = apply
         self._length_s = length_s
         self._jump_m = jump_m
         self._entries: list[_Entry] = []
 
-    @property
-    def head(self) -> FilterState:
-        """The state after the newest event."""
-        return self._entries[-1].state if self._entries else self._base
-
-    @property
-    def oldest_s(self) -> float:
-        """Events before this time are too late."""
-        return self._base.t_s
-
-    def holds(self, t_s: float, rank: EventRank) -> bool:
-        """Whether there is an event of that kind at that time."""
-        i = self._place(t_s, rank)
-        return i < len(self._entries) and self._entries[i].order == (t_s, rank)
-
     def keyframe_known(self, t_s: float) -> bool:
         """Whether a keyframe of that time is in the history or in the state before it."""
-        anchor = self._base.anchor
-        return self.holds(t_s, EventRank.ANCHOR) or (anchor is not None and anchor.t_s == t_s)
+        anchor = self.oldest.anchor
+        if anchor is not None and anchor.t_s == t_s:
+            return True
+        order = (t_s, _RANKS[NewKeyframe])
+        return self._holds(self._place(order), order)
 
     def insert(self, event: Event) -> Innovation:
         """Apply an event at its time, and everything after it again."""
-        if event.t_s < self._base.t_s:
+        if event.t_s < self.oldest.t_s:
             return Innovation(Verdict.TOO_LATE)
-        if self.holds(event.t_s, rank_of(event)):
+        order = (event.t_s, _RANKS[type(event)])
+        i = self._place(order)
+        if self._holds(i, order):
             return Innovation(Verdict.DUPLICATE)
-        i = self._place(event.t_s, rank_of(event))
-        told = self.head
         state, innovation = self._apply(self._before(i), event)
-        self._entries.insert(i, _Entry((event.t_s, rank_of(event)), event, state))
-        if i + 1 < len(self._entries):
-            self._apply_again(i + 1, told)
+        self._entries.insert(i, _Entry(order, event, state))
+        if i + 1 == len(self._entries):
+            self.newest = state
+        else:
+            self._apply_again(i + 1)
         self._forget()
         return innovation
 
     def test(self, event: Event) -> Innovation:
         """What `insert` would say of an event, which is left out."""
-        if event.t_s < self._base.t_s:
+        if event.t_s < self.oldest.t_s:
             return Innovation(Verdict.TOO_LATE)
-        return self._apply(self._before(self._place(event.t_s, rank_of(event))), event)[1]
+        before = self._before(self._place((event.t_s, _RANKS[type(event)])))
+        return self._apply(before, event)[1]
 
-    def leave_out(self, *ranks: EventRank) -> None:
+    def leave_out(self, *kinds: type[Event]) -> None:
         """As if no event of these kinds had come in the history."""
-        told = self.head
-        self._entries = [entry for entry in self._entries if entry.order[1] not in ranks]
-        self._apply_again(0, told)
+        self._entries = [entry for entry in self._entries if not isinstance(entry.event, kinds)]
+        self._apply_again(0)
 
-    def _apply_again(self, i: int, told: FilterState) -> None:
-        """The events from `i` on, now that the past is another; `told` was the newest state."""
-        state = self._before(i)
+    def _apply_again(self, i: int) -> None:
+        """The events from `i` on, now that the past is another."""
+        told, state = self.newest, self._before(i)
         for entry in self._entries[i:]:
             state, _ = self._apply(state, entry.event)
             entry.state = state
+        self.newest = state
         missing = told.reset_counter - state.reset_counter
         if missing >= 0 and _apart_m(told, state) > self._jump_m:
             missing += 1
@@ -283,22 +259,25 @@ class Timeline:
 
     def _count(self, resets: int) -> None:
         """As if so many more had been before the history."""
-        self._base = replace(self._base, reset_counter=self._base.reset_counter + resets)
+        self.oldest = replace(self.oldest, reset_counter=self.oldest.reset_counter + resets)
         for entry in self._entries:
             state = entry.state
             entry.state = replace(state, reset_counter=state.reset_counter + resets)
+        self.newest = self._before(len(self._entries))
 
-    def _place(self, t_s: float, rank: EventRank) -> int:
-        return bisect.bisect_left(self._entries, (t_s, rank), key=lambda entry: entry.order)
+    def _place(self, order: Order) -> int:
+        return bisect.bisect_left(self._entries, order, key=_order_of)
+
+    def _holds(self, i: int, order: Order) -> bool:
+        return i < len(self._entries) and self._entries[i].order == order
 
     def _before(self, i: int) -> FilterState:
-        return self._entries[i - 1].state if i > 0 else self._base
+        return self._entries[i - 1].state if i > 0 else self.oldest
 
     def _forget(self) -> None:
-        limit_s = self._entries[-1].state.t_s - self._length_s
-        count = bisect.bisect_left(self._entries, limit_s, key=lambda entry: entry.order[0])
+        count = self._place((self.newest.t_s - self._length_s, 0))
         if count > 0:
-            self._base = self._entries[count - 1].state
+            self.oldest = self._entries[count - 1].state
             del self._entries[:count]
 
 

@@ -9,7 +9,6 @@ from enum import Enum
 import numpy as np
 
 from vwnav.estimation.states import Dispute, FilterState, States
-from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
 # 99.9 % of chi-square by degrees of freedom (scipy.stats.chi2.ppf(0.999, dof)).
@@ -19,11 +18,11 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 _IDENTITY = np.eye(States.SIZE)
 _RIDGE = 1e-12
 _MOST_REMEMBERED = 64  # disputes
-_HEADINGS = (
+_HEADINGS = [
     States.HEADING_BIAS.start,
     States.ANCHOR_HEADING_BIAS.start,
     States.EXPOSED_HEADING_BIAS.start,
-)
+]
 
 
 class Verdict(Enum):
@@ -154,8 +153,7 @@ def _corrected(state: FilterState, measurement: Measurement, K: Array) -> Filter
     P = A @ state.P @ A.T
     P += (K @ measurement.R) @ K.T
     x = state.x + K @ measurement.residual
-    for i in _HEADINGS:
-        x[i] = wrap_pi(float(x[i]))
+    x[_HEADINGS] = (x[_HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
     return replace(state, x=x, P=0.5 * (P + P.T))
 
 

@@ -22,19 +22,19 @@ _FORGET_AT_ONCE = 1000  # samples
 
 
 class GyroHistory:
-    """The product of all turns up to any moment: what lies between two of them is a quotient."""
+    """The product of all turns up to any moment: what lies between two of them is a quotient.
+
+    Attributes:
+        newest_s: time of the newest sample, minus infinity before the first.
+    """
 
     def __init__(self, length_s: float) -> None:
+        self.newest_s = -math.inf
         self._length_s = length_s
         self._times_s: list[float] = []
         self._turned: list[Array] = []
         self._series: list[int] = []  # samples between silences share a number
         self._first_series = 0
-
-    @property
-    def newest_s(self) -> float:
-        """Time of the newest sample, minus infinity before the first."""
-        return self._times_s[-1] if self._times_s else -math.inf
 
     @property
     def newest(self) -> Array:
@@ -43,6 +43,7 @@ class GyroHistory:
 
     def forget(self) -> None:
         """As if no sample had come."""
+        self.newest_s = -math.inf
         self._first_series = self._series[-1] + 1 if self._series else self._first_series
         self._times_s.clear()
         self._turned.clear()
@@ -75,6 +76,7 @@ class GyroHistory:
         return 0.0 if turn is None else 2.0 * math.hypot(*turn[1:3].tolist()) / _RATE_OVER_S
 
     def _append(self, t_s: float, series: int, turned: Array) -> None:
+        self.newest_s = t_s
         self._times_s.append(t_s)
         self._series.append(series)
         self._turned.append(turned)
@@ -100,21 +102,21 @@ class AttitudeHistory:
     """Attitudes in order of time, looked up by time.
 
     Where none came, or none has come yet, the gyro carries the last one on.
+
+    Attributes:
+        gyro: the turns that it has counted.
+        newest_s: time of the newest attitude, minus infinity before the first.
+        refused_s: times of attitudes that were refused and not believed since.
     """
 
-    def __init__(
-        self, length_s: float, gyro: GyroHistory | None = None, max_gap_s: float = MAX_GAP_S
-    ) -> None:
+    def __init__(self, length_s: float, max_gap_s: float = MAX_GAP_S) -> None:
+        self.gyro = GyroHistory(length_s)
+        self.newest_s = -math.inf
+        self.refused_s: set[float] = set()
         self._length_s = length_s
-        self._gyro = gyro if gyro is not None else GyroHistory(length_s)
         self._max_gap_s = max_gap_s
         self._times_s: list[float] = []
         self._quats: list[Array] = []
-
-    @property
-    def newest_s(self) -> float | None:
-        """Time of the newest attitude."""
-        return self._times_s[-1] if self._times_s else None
 
     def add(self, attitude: Attitude) -> None:
         """Keep an attitude, whatever its order; a second one of the same time is dropped."""
@@ -124,6 +126,7 @@ class AttitudeHistory:
         quat = np.asarray(attitude.quat_wxyz, dtype=np.float64)
         self._times_s.insert(i, attitude.t_s)
         self._quats.insert(i, quat / math.sqrt(quat @ quat))
+        self.newest_s = self._times_s[-1]
         # The newest before the window stays: it holds until the next one.
         old = bisect.bisect_left(self._times_s, self._times_s[-1] - self._length_s) - 1
         if old > 0:
@@ -157,7 +160,7 @@ class AttitudeHistory:
 
     def turned_unseen_rad(self, t_s: float) -> float:
         """How far it may have turned by then with neither attitude nor gyro to tell."""
-        if self.newest_s is None or self.tell(t_s):
+        if not self._times_s or self.tell(t_s):
             return 0.0
         return _TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
@@ -175,6 +178,7 @@ class AttitudeHistory:
         i = bisect.bisect_right(self._times_s, t_s)
         del self._times_s[i:]
         del self._quats[i:]
+        self.newest_s = self._times_s[-1] if self._times_s else -math.inf
 
     def quat_at(self, t_s: float) -> Array:
         """quat_wxyz (4,) at a time: interpolated, held before the first one.
@@ -215,7 +219,7 @@ class AttitudeHistory:
             return None
         before_s = self._times_s[after - 1]
         if after == len(self._times_s):
-            is_open = self._gyro.newest_s > before_s and t_s > before_s
+            is_open = self.gyro.newest_s > before_s and t_s > before_s
         else:
             is_open = self._times_s[after] - before_s > self._max_gap_s
         carried = self._carried(after - 1, t_s) if is_open else None
@@ -225,7 +229,7 @@ class AttitudeHistory:
         """The i-th attitude, turned on to `t_s` by the gyro."""
         if t_s - self._times_s[i] > _CARRIED_S:
             return None
-        turn = self._gyro.between(self._times_s[i], t_s)
+        turn = self.gyro.between(self._times_s[i], t_s)
         return None if turn is None else quat_multiply(self._quats[i], turn)
 
     def yaw_at(self, t_s: float) -> float:

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, AttitudeHistory, GyroHistory
+from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, AttitudeHistory
 from vwnav.estimation.inertial.preintegration import ImuIntegrals
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
@@ -23,10 +23,10 @@ _SUDDEN_M_S2, _SUDDEN_RAD_S = 30.0, 8.0
 class ImuHistory:
     """Running integrals over the samples: any span is a difference of two of them."""
 
-    def __init__(self, attitudes: AttitudeHistory, gyro: GyroHistory, length_s: float) -> None:
-        """Prepare; `gyro` is that of the attitudes, and is told every sample."""
+    def __init__(self, attitudes: AttitudeHistory, length_s: float) -> None:
+        """Prepare; the gyro of the attitudes is told every sample."""
         self._attitudes = attitudes
-        self._gyro = gyro
+        self._gyro = attitudes.gyro
         self._length_s = length_s
         self._times_s: list[float] = []
         self._felt: list[ImuIntegrals] = []

@@ -1,4 +1,4 @@
-"""One event meets the state: predict to its time, then correct by what it measured."""
+"""The way that pictures tell meets the state: a keyframe's clone, then displacements from it."""
 
 import math
 from dataclasses import replace
@@ -7,25 +7,12 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.fixes import apply_fix, apply_late_fix
-from vwnav.estimation.heights import apply_agl, apply_height, apply_range
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes
-from vwnav.estimation.inertial.drag import apply_drag
-from vwnav.estimation.inertial.preintegration import push_between
-from vwnav.estimation.process import predict
-from vwnav.estimation.states import Anchor, Dispute, Exposure, FilterState, States
-from vwnav.estimation.timeline import (
-    Displacement,
-    Drag,
-    Event,
-    Exposed,
-    LateFix,
-    NedFix,
-    NewKeyframe,
-)
+from vwnav.estimation.states import Anchor, Dispute, FilterState, States
+from vwnav.estimation.timeline import NewKeyframe
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, convinces, fuse, remember
-from vwnav.geometry.rotations import skew, vector_from_quat, wrap_pi
-from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
+from vwnav.geometry.rotations import skew, wrap_pi
+from vwnav.types import Array, OdometryMotion
 
 _DOWN = 2
 _YAW = States.HEADING_BIAS.start
@@ -34,75 +21,20 @@ _ANCHOR_TURN = States.ANCHOR_TURN.start
 _ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
 _CLONE_SIGMA_M = 0.01
-_EXPOSED_SIGMAS = (
-    (States.EXPOSED_POSITION, _CLONE_SIGMA_M),
-    (States.EXPOSED_HEADING_BIAS, _CLONE_SIGMA_RAD),
-    (States.EXPOSED_TILT, _CLONE_SIGMA_RAD),
-    (States.EXPOSED_AGL, _CLONE_SIGMA_M),
-)
 _ANCHOR_NORTH = States.ANCHOR_POSITION.start
 _ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
 _SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
-_STILL_S = 0.2
-_REST_SHARE = 0.3
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
 _NOWHERE = np.zeros(3)
 _SHORTEST_S = 0.1
 
 
-def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
-    """The state after an event, and what the event said. `event.t_s` is not before the state's."""
-    state = predict(state, event.t_s, context)
-    after, innovation = _meet(state, event, context)
-    apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
-    if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
-        after = replace(after, reset_counter=state.reset_counter + 1)
-    return after, innovation
-
-
-def _meet(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
-    attitudes, config = context.attitudes, context.config
-    match event:
-        case NedFix():
-            return apply_fix(state, event, context)
-        case Displacement(motion):
-            return _apply_displacement(state, motion, context)
-        case LateFix(_, fix):
-            return apply_late_fix(state, fix, context)
-        case Exposed():
-            return _exposed(state, attitudes), Innovation(Verdict.FUSED)
-        case NewKeyframe():
-            return _clone(state, event, attitudes), Innovation(Verdict.FUSED)
-        case Height():
-            return apply_height(state, event, config)
-        case Range():
-            return apply_range(state, event, attitudes, config)
-        case Drag():
-            return apply_drag(state, context)
-        case Stationary():
-            return _apply_stationary(state, context)
-
-
-def _exposed(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
-    """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
-    if attitudes.at(state.t_s) is None:
-        return replace(state, exposure=None)  # nobody knows how it was turned
-    copy = np.eye(States.SIZE)
-    copy[States.EXPOSED_POSITION] = copy[States.POSITION][:2]
-    copy[States.EXPOSED_HEADING_BIAS] = copy[States.HEADING_BIAS]
-    copy[States.EXPOSED_TILT] = copy[States.TILT]
-    copy[States.EXPOSED_AGL] = -copy[_DOWN] - copy[States.TERRAIN]
-    P = copy @ state.P @ copy.T
-    for clone, sigma in _EXPOSED_SIGMAS:
-        P[clone, clone] += sigma**2 * np.eye(clone.stop - clone.start)
-    exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
-    return replace(state, x=copy @ state.x, P=P, exposure=exposure)
-
-
-def _clone(state: FilterState, event: NewKeyframe, attitudes: AttitudeHistory) -> FilterState:
+def apply_keyframe(
+    state: FilterState, event: NewKeyframe, attitudes: AttitudeHistory
+) -> FilterState:
     """Copy position, attitude error and ground to the anchor, and add the keyframe's own error.
 
     The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
@@ -124,7 +56,7 @@ def _clone(state: FilterState, event: NewKeyframe, attitudes: AttitudeHistory) -
     return replace(state, x=copy @ state.x, P=P, anchor=anchor)
 
 
-def _apply_displacement(
+def apply_displacement(
     state: FilterState, motion: OdometryMotion, context: Context
 ) -> tuple[FilterState, Innovation]:
     """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
@@ -247,32 +179,3 @@ def _displacement(
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))
-
-
-def _apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
-    """It does not move, and the ground is right below; what the gyro still says is its bias."""
-    config = context.config
-    H = np.zeros((3, States.SIZE))
-    H[:, States.VELOCITY] = np.eye(3)
-    R = config.stationary_sigma_m_s**2 * np.eye(3)
-    velocity = state.x[States.VELOCITY]
-    state, innovation = fuse(state, Measurement(-velocity, H, R))
-    if not innovation.accepted:
-        # Who stands does not move, whatever was believed in the landing: it is open to that.
-        P = state.P.copy()
-        P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)
-        return replace(state, P=P), innovation
-    imu = context.imu
-    felt = push_between(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
-    if felt is not None:
-        state = _at_rest(state, vector_from_quat(felt.turn_wxyz) / _STILL_S, config)
-    state, height = apply_agl(state, config.stationary_agl_m, config.stationary_agl_sigma_m, config)
-    return state, replace(innovation, parts=(height,))
-
-
-def _at_rest(state: FilterState, rates_rad_s: Array, config: EkfConfig) -> FilterState:
-    """What a gyro (3,) says of an aircraft that stands; one that is carried about is refused."""
-    H = np.zeros((3, States.SIZE))
-    H[:, States.GYRO_BIAS] = np.eye(3)
-    R = config.stationary_sigma_rad_s**2 * np.eye(3)
-    return fuse(state, Measurement(rates_rad_s - state.x[States.GYRO_BIAS], H, R))[0]
