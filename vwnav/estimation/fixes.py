@@ -26,22 +26,8 @@ from vwnav.estimation.updates import (
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
-_NE = slice(0, 2)
-_DOWN = 2
-_ANCHOR_NE = slice(States.ANCHOR_POSITION.start, States.ANCHOR_POSITION.start + 2)
-_YAW = States.HEADING_BIAS.start
-_ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
-_MAP_TURN = States.MAP_TURN.start
-_TERRAIN = States.TERRAIN.start
-_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
-_CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
-_CLONE_SIGMA_M = 0.01
-_EXPOSED_SIGMAS = (
-    (States.EXPOSED_POSITION, _CLONE_SIGMA_M),
-    (States.EXPOSED_HEADING_BIAS, _CLONE_SIGMA_RAD),
-    (States.EXPOSED_TILT, _CLONE_SIGMA_RAD),
-    (States.EXPOSED_AGL, _CLONE_SIGMA_M),
-)
+# A copy without any error of its own would make P singular: metres, radians, metres.
+_CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which a picture may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
@@ -57,12 +43,12 @@ class _PoseSlices:
     agl: int | None
 
 
-_NOW = _PoseSlices(_NE, _YAW, States.TILT, None)
+_NOW = _PoseSlices(States.POSITION_NE, States.HEADING_BIAS, States.TILT, None)
 _THEN = _PoseSlices(
     States.EXPOSED_POSITION,
-    States.EXPOSED_HEADING_BIAS.start,
+    States.EXPOSED_HEADING_BIAS,
     States.EXPOSED_TILT,
-    States.EXPOSED_AGL.start,
+    States.EXPOSED_AGL,
 )
 
 
@@ -97,16 +83,15 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
     if attitudes.at(state.t_s) is None:
         return replace(state, exposure=None)  # nobody knows how it was turned
-    copy = np.eye(States.SIZE)
-    copy[States.EXPOSED_POSITION] = copy[States.POSITION][:2]
-    copy[States.EXPOSED_HEADING_BIAS] = copy[States.HEADING_BIAS]
-    copy[States.EXPOSED_TILT] = copy[States.TILT]
-    copy[States.EXPOSED_AGL] = -copy[_DOWN] - copy[States.TERRAIN]
-    P = copy @ state.P @ copy.T
-    for clone, sigma in _EXPOSED_SIGMAS:
-        P[clone, clone] += sigma**2 * np.eye(clone.stop - clone.start)
+    G = np.eye(States.SIZE)
+    G[States.EXPOSED_POSITION] = G[States.POSITION_NE]
+    G[States.EXPOSED_HEADING_BIAS] = G[States.HEADING_BIAS]
+    G[States.EXPOSED_TILT] = G[States.TILT]
+    G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
+    P = G @ state.P @ G.T
+    P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
     exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
-    return replace(state, x=copy @ state.x, P=P, exposure=exposure)
+    return replace(state, x=G @ state.x, P=P, exposure=exposure)
 
 
 def apply_late_fix(
@@ -213,8 +198,9 @@ def _trusting(state: FilterState, fix: NedFix) -> FilterState:
     before_s = state.t_last_fix_s
     if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
         return state
-    sigma_m = math.sqrt(max(state.P[0, 0], state.P[1, 1]))
-    return replace(state, trusted=TrustedPosition(state.t_s, state.x[_NE].copy(), sigma_m))
+    position_ne_m = state.x[States.POSITION_NE].copy()
+    sigma_m = math.sqrt(max(np.diag(state.P)[States.POSITION_NE]))
+    return replace(state, trusted=TrustedPosition(state.t_s, position_ne_m, sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:
@@ -230,30 +216,30 @@ def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
     The keyframe moves along, so displacements measured from it stay good.
     """
     jump = np.zeros((States.SIZE, 2))
-    jump[_NE] = jump[_ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
+    jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
     moved = _moved_along(state, measurement, jump)
     return replace(moved, position_known=True)
 
 
 def _on_other_ground(before: FilterState, after: FilterState, context: Context) -> FilterState:
     """After a jump the ground below is that of the other place, as far as the table knows."""
-    (n0, e0), (n1, e1) = before.x[_NE].tolist(), after.x[_NE].tolist()
+    (n0, e0), (n1, e1) = before.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
     old, new = context.patch(n0, e0), context.patch(n1, e1)
     if old is None or new is None:
         return after
     x = after.x.copy()
-    x[[_TERRAIN, _ANCHOR_TERRAIN]] += new.height_m - old.height_m
+    x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
     return replace(after, x=x)
 
 
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (n, m) says which states move with the residual. The new error is
-    e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
+    `jump` (n, m) says which states move with the residual. The new error is e' = G e + jump v with
+    G = I - jump H: what was known of the measured states' own error is forgotten.
     """
-    A = np.eye(States.SIZE) - jump @ measurement.H
-    P = A @ state.P @ A.T + jump @ measurement.R @ jump.T
+    G = np.eye(States.SIZE) - jump @ measurement.H
+    P = G @ state.P @ G.T + jump @ measurement.R @ jump.T
     return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
 
 
@@ -265,11 +251,11 @@ def _apply_heading(
     A compass that suddenly errs is refused at first; when several fixes agree, the bias is freed.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, yaw], H[0, _MAP_TURN] = 1.0, -1.0
+    H[0, yaw], H[0, States.MAP_TURN] = 1.0, -1.0
     residual = np.array([wrap_pi(float(bias_rad - H[0] @ state.x))])
     measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
     jump = np.zeros((States.SIZE, 1))
-    jump[[_YAW, _ANCHOR_YAW, _THEN.yaw]] = 1.0
+    jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
         found = replace(_moved_along(state, measurement, jump), heading_known=True)
         return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)
@@ -286,7 +272,7 @@ def _apply_heading(
         return state, innovation
     turned = _moved_along(state, measurement, jump)
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
-    turned = freed(turned, _ANCHOR_YAW, 2.0 * abs(float(residual[0])))
+    turned = freed(turned, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
     return replace(turned, disputed_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
 
 
@@ -305,7 +291,7 @@ def apply_agl(
     adds to it.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
+    H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
     H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
     if by_tilt is not None:
         H[0, States.TILT] = by_tilt
@@ -320,6 +306,6 @@ def apply_agl(
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     # Whether the keyframe's ground was believed wrong too is not known.
-    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
+    state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
     fused = correct(state, measurement)
     return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

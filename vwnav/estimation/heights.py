@@ -9,7 +9,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
-from vwnav.estimation.inertial.preintegration import push_between
+from vwnav.estimation.inertial.preintegration import preintegrated
 from vwnav.estimation.states import Dispute, FilterState, States
 from vwnav.estimation.updates import (
     CHI_SQUARE_GATE,
@@ -25,12 +25,8 @@ from vwnav.estimation.updates import (
 from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
-_DOWN = 2
 _STILL_S = 0.2
 _REST_SHARE = 0.3
-_CLIMB = 5
-_TERRAIN = States.TERRAIN.start
-_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _LEAST_COS_TILT = 0.5
 _CLIMB_SIGMA_M_S = 5.0  # of an aircraft whose barometer was not believed
 _UNTHOUGHT_CLIMB_M_S = 12.0  # by which a climb may differ from the one believed
@@ -50,7 +46,7 @@ def apply_height(
     stepped = _stepped(state, event, config)
     state = replace(state, newest_height=(event.t_s, event.height_m))
     H = np.zeros((1, States.SIZE))
-    H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
+    H[0, States.DOWN], H[0, States.BARO] = -1.0, 1.0
     R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config.height_lag_s)]])
     measurement = Measurement(event.height_m - H @ state.x, H, R)
     fused, innovation = fuse(state, measurement)
@@ -66,16 +62,16 @@ def apply_height(
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     if state.height_stepped:
-        state = freed(state, States.BARO.start, open_m)
+        state = freed(state, States.BARO, open_m)
     else:
-        state = freed(freed(state, _DOWN, open_m), _CLIMB, _CLIMB_SIGMA_M_S)
+        state = freed(freed(state, States.DOWN, open_m), States.VELOCITY_DOWN, _CLIMB_SIGMA_M_S)
     fused = replace(correct(state, measurement), disputed_heights=(), height_stepped=False)
     return fused, replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def _lag_m2(state: FilterState, lag_s: float) -> float:
     """Variance of what a height is wrong by because it is late."""
-    return float((lag_s * state.x[_CLIMB]) ** 2)
+    return float((lag_s * state.x[States.VELOCITY_DOWN]) ** 2)
 
 
 def _stepped(state: FilterState, event: Height, config: EkfConfig) -> bool:
@@ -84,7 +80,7 @@ def _stepped(state: FilterState, event: Height, config: EkfConfig) -> bool:
         return False
     t0_s, height0_m = state.newest_height
     span_s = max(event.t_s - t0_s, 0.0)
-    rose_m = event.height_m - height0_m + span_s * float(state.x[_CLIMB])
+    rose_m = event.height_m - height0_m + span_s * float(state.x[States.VELOCITY_DOWN])
     noise_m = math.sqrt(2.0 * CHI_SQUARE_GATE[1]) * config.height_sigma_m
     return abs(rose_m) > noise_m + _UNTHOUGHT_CLIMB_M_S * span_s
 
@@ -96,13 +92,13 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     if the wind blew it away, at a height where no picture tells otherwise. One that was believed to
     move before it came so low does fly there: the ground may fall away below it.
     """
-    speed_m_s = float(np.hypot(*state.x[States.VELOCITY][:2]))
+    speed_m_s = float(np.hypot(*state.x[States.VELOCITY_NE]))
     if state.agl_m > config.touching_agl_m or speed_m_s > config.touching_speed_m_s:
         return state
     H = np.zeros((2, States.SIZE))
-    H[:, States.VELOCITY.start : States.VELOCITY.start + 2] = np.eye(2)
+    H[:, States.VELOCITY_NE] = np.eye(2)
     R = config.touching_sigma_m_s**2 * np.eye(2)
-    return fuse(state, Measurement(-state.x[States.VELOCITY][:2], H, R))[0]
+    return fuse(state, Measurement(-state.x[States.VELOCITY_NE], H, R))[0]
 
 
 def apply_range(
@@ -142,7 +138,7 @@ def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState,
         P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)
         return replace(state, P=P), innovation
     imu = context.imu
-    felt = push_between(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
+    felt = preintegrated(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
     if felt is not None:
         state = _at_rest(state, vector_from_quat(felt.turn_wxyz) / _STILL_S, config)
     state, height = apply_agl(state, config.stationary_agl_m, config.stationary_agl_sigma_m, config)

@@ -1,29 +1,22 @@
 """The way that pictures tell meets the state: a keyframe's clone, then displacements from it."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes, true_from_autopilot
 from vwnav.estimation.states import Anchor, Dispute, FilterState, States
 from vwnav.estimation.timeline import NewKeyframe
 from vwnav.estimation.updates import Innovation, Measurement, Verdict, convinces, fuse, remember
 from vwnav.geometry.rotations import skew, wrap_pi
 from vwnav.types import Array, OdometryMotion
 
-_DOWN = 2
-_YAW = States.HEADING_BIAS.start
-_ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
-_ANCHOR_TURN = States.ANCHOR_TURN.start
-_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
 _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
 _CLONE_SIGMA_M = 0.01
-_ANCHOR_NORTH = States.ANCHOR_POSITION.start
-_ANCHOR_DOWN = States.ANCHOR_POSITION.start + 2
-_SCALED = np.array([0, 1, 3, 4, 5, 6, 7, 13, 14])  # place, velocity, acceleration, keyframe
+# What odometry measures in units of height.
+_SCALED = np.r_[States.POSITION_NE, States.VELOCITY, States.ACCELERATION, States.ANCHOR_NE]
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _APART_M_S = 20.0  # by which refused ways that agree may part
@@ -40,20 +33,20 @@ def apply_keyframe(
     The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
     attitude of that moment, which the picture does not turn: so that error is a state of its own.
     """
-    copy = np.eye(States.SIZE)
-    copy[States.ANCHOR_POSITION] = copy[States.POSITION]
-    copy[States.ANCHOR_HEADING_BIAS] = copy[States.HEADING_BIAS]
-    copy[States.ANCHOR_TERRAIN] = copy[States.TERRAIN]
-    copy[States.ANCHOR_TILT] = copy[States.TILT]
-    copy[_ANCHOR_TURN] = 0.0
-    P = copy @ state.P @ copy.T
+    G = np.eye(States.SIZE)
+    G[States.ANCHOR_POSITION] = G[States.POSITION]
+    G[States.ANCHOR_HEADING_BIAS] = G[States.HEADING_BIAS]
+    G[States.ANCHOR_TERRAIN] = G[States.TERRAIN]
+    G[States.ANCHOR_TILT] = G[States.TILT]
+    G[States.ANCHOR_TURN] = 0.0
+    P = G @ state.P @ G.T
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += event.covariance_ned_m2
-    P[_ANCHOR_YAW, _ANCHOR_YAW] += _CLONE_SIGMA_RAD**2
+    P[States.ANCHOR_HEADING_BIAS, States.ANCHOR_HEADING_BIAS] += _CLONE_SIGMA_RAD**2
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
-    P[_ANCHOR_TERRAIN, _ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
-    P[_ANCHOR_TURN, _ANCHOR_TURN] = event.sigma_yaw_rad**2
+    P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
+    P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
     anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
-    return replace(state, x=copy @ state.x, P=P, anchor=anchor)
+    return replace(state, x=G @ state.x, P=P, anchor=anchor)
 
 
 def apply_displacement(
@@ -72,10 +65,11 @@ def apply_displacement(
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
     before = state
-    agl_m = _keyframe_agl_m(state)
+    keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
+    agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
     displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
     state, innovation = fuse(state, displacement)
-    if innovation.accepted:
+    if innovation.verdict is Verdict.FUSED:
         state = replace(_in_scale(before, state, agl_m), disputed_ways=())
     else:
         state = _disputed(state, displacement, config)
@@ -98,32 +92,27 @@ def _disputed(state: FilterState, way: Measurement, config: EkfConfig) -> Filter
     first = same[0] if len(same) >= _WAYS_AGREE // 2 else Dispute(state.anchor.t_s, _NOWHERE, way.R)
     grew_m_s = (way.residual - first.offset) / max(state.t_s - first.t_s, _SHORTEST_S)
     P = state.P.copy()
-    for i in range(3):
-        P[_ANCHOR_NORTH + i, _ANCHOR_NORTH + i] += float(way.residual[i]) ** 2
-        P[3 + i, 3 + i] += float(grew_m_s[i]) ** 2
+    P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += np.diag(way.residual**2)
+    P[States.VELOCITY, States.VELOCITY] += np.diag(grew_m_s**2)
     return replace(state, P=P, disputed_ways=())
-
-
-def _keyframe_agl_m(state: FilterState) -> float:
-    """Height of the keyframe above its own ground."""
-    return max(float(-state.x[_ANCHOR_DOWN] - state.x[_ANCHOR_TERRAIN]), _LEAST_AGL_M)
 
 
 def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
     """The covariance after odometry, with what it changed tied to the scale it was measured in.
 
     A correction d made of a way seen is d / AGL heights long: had the AGL another error e, it would
-    be longer by d e / AGL. So the errors of what it changed grow by that (the reset Jacobian of an
-    error state that scales). Without it the way believed and its correlation with the AGL part,
-    and the next pictures seem to say how high the camera is, which no picture can.
+    be longer by d e / AGL. So the errors of what it changed grow by that, the reset Jacobian of an
+    error state that scales: P' = G P G^T with G = I + per_m dAGL/dx, of rank one and written out.
+    Without it the way believed and its correlation with the AGL part, and the next pictures seem
+    to say how high the camera is, which no picture can.
     """
     per_m = np.zeros(States.SIZE)
     change = after.x - before.x
     per_m[_SCALED] = change[_SCALED] / agl_m
-    per_m[_DOWN] = (change[_DOWN] - change[_ANCHOR_DOWN]) / agl_m
+    per_m[States.DOWN] = (change[States.DOWN] - change[States.ANCHOR_DOWN]) / agl_m
     P = after.P
-    by_agl = -(P[:, _ANCHOR_DOWN] + P[:, _ANCHOR_TERRAIN])
-    variance = -(by_agl[_ANCHOR_DOWN] + by_agl[_ANCHOR_TERRAIN])
+    by_agl = -(P[:, States.ANCHOR_DOWN] + P[:, States.ANCHOR_TERRAIN])
+    variance = -(by_agl[States.ANCHOR_DOWN] + by_agl[States.ANCHOR_TERRAIN])
     tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
     return replace(after, P=P + (tied + tied.T))
 
@@ -133,7 +122,7 @@ def _turn(
 ) -> Measurement:
     """What the autopilot turned more than the picture did is the change of its heading bias."""
     H = np.zeros((1, States.SIZE))
-    H[0, _YAW], H[0, _ANCHOR_YAW], H[0, _ANCHOR_TURN] = 1.0, -1.0, 1.0
+    H[0, [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.ANCHOR_TURN]] = 1.0, -1.0, 1.0
     change_rad = turned_rad - motion.yaw_increment_rad
     residual = wrap_pi(float(change_rad - H[0] @ state.x))
     variance = (1.0 - config.anchor_share) * motion.sigma_yaw_rad**2
@@ -151,8 +140,7 @@ def _displacement(
     how far it was.
     """
     x = state.x
-    c, s = math.cos(x[_ANCHOR_YAW]), math.sin(x[_ANCHOR_YAW])
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS]))
     way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
     # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
     # residual and gain alike, and every picture would pull height and place to the same side.
@@ -160,10 +148,10 @@ def _displacement(
     H = np.zeros((3, States.SIZE))
     H[:, States.POSITION] = np.eye(3)
     H[:, States.ANCHOR_POSITION] = -np.eye(3)
-    H[:, _ANCHOR_DOWN] += predicted_m / agl_m
-    H[:, _ANCHOR_TERRAIN] = predicted_m / agl_m
-    H[:, _ANCHOR_YAW] = -predicted_m[1], predicted_m[0], 0.0
-    yaw0_rad = yaw_rad - float(x[_ANCHOR_YAW])
+    H[:, States.ANCHOR_DOWN] += predicted_m / agl_m
+    H[:, States.ANCHOR_TERRAIN] = predicted_m / agl_m
+    H[:, States.ANCHOR_HEADING_BIAS] = -predicted_m[1], predicted_m[0], 0.0
+    yaw0_rad = yaw_rad - float(x[States.ANCHOR_HEADING_BIAS])
     level0, level1 = level_axes(yaw0_rad), level_axes(yaw0_rad + motion.yaw_increment_rad)
     by_tilt0 = -skew(predicted_m)[:, :2] @ level0
     # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
@@ -175,7 +163,7 @@ def _displacement(
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
-    R[_DOWN, _DOWN] += (config.zoom_share * float(predicted_m[_DOWN])) ** 2
+    R[2, 2] += (config.zoom_share * float(predicted_m[2])) ** 2
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
-    return Measurement(residual, H, R, held=(_YAW, _ANCHOR_YAW))
+    return Measurement(residual, H, R, held=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))

@@ -186,7 +186,7 @@ def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
 
     The aircraft was elsewhere then, and leaned otherwise.
     """
-    flown_m = _DATE_OFF_S * state.x[States.VELOCITY][:2]
+    flown_m = _DATE_OFF_S * state.x[States.VELOCITY_NE]
     leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
     doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
     return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)

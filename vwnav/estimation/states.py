@@ -21,32 +21,38 @@ class States:
     """Where each state stands in the vector `x` and in its covariance `P`.
 
     All errors add to their state, the heading bias modulo 2 pi. The attitude itself is the
-    autopilot's stream; its error is three of the states (heading bias and tilt).
+    autopilot's stream; its error is three of the states (heading bias and tilt). What an odometry
+    keyframe (anchor) or a picture at the map's matching (exposed) is compared with later is cloned
+    when it is taken (stochastic cloning, Roumeliotis and Burdick 2002).
     """
 
     POSITION = slice(0, 3)  # m, NED about the origin
+    POSITION_NE, DOWN = slice(0, 2), 2
     VELOCITY = slice(3, 6)  # m/s, NED
+    VELOCITY_NE, VELOCITY_DOWN = slice(3, 5), 5
     ACCELERATION = slice(6, 8)  # m/s^2, north and east, beyond what thrust explains: drag, wind
-    HEADING_BIAS = slice(8, 9)  # rad, heading of the autopilot minus true heading
+    HEADING_BIAS = 8  # rad, heading of the autopilot minus true heading
     TILT = slice(9, 11)  # rad, error of the autopilot's attitude about the body's level fwd, right
-    BARO = slice(11, 12)  # m, barometric height minus height above the origin
-    TERRAIN = slice(12, 13)  # m, height above the origin of the ground below
+    BARO = 11  # m, barometric height minus height above the origin
+    TERRAIN = 12  # m, height above the origin of the ground below
     ANCHOR_POSITION = slice(13, 16)  # m, NED, the position at the keyframe of odometry
-    ANCHOR_HEADING_BIAS = slice(16, 17)  # rad, the heading bias at the keyframe
+    ANCHOR_NE, ANCHOR_DOWN = slice(13, 15), 15
+    ANCHOR_HEADING_BIAS = 16  # rad, the heading bias at the keyframe
     MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
     ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
-    ANCHOR_TURN = slice(22, 23)  # rad, what the keyframe's own picture adds to every turn from it
-    ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
+    ANCHOR_TURN = 22  # rad, what the keyframe's own picture adds to every turn from it
+    ANCHOR_TERRAIN = 23  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
     GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
-    MAP_TURN = slice(29, 30)  # rad, by how much headings by this map, and matching on it, are off
-    MAP_SCALE = slice(30, 31)  # the same of heights above ground, as a share of them
+    MAP_TURN = 29  # rad, by how much headings by this map, and matching on it, are off
+    MAP_SCALE = 30  # the same of heights above ground, as a share of them
+    EXPOSED = slice(31, 37)
     EXPOSED_POSITION = slice(31, 33)  # m, north and east of the picture that is being matched
-    EXPOSED_HEADING_BIAS = slice(33, 34)  # rad, the heading bias at its exposure
+    EXPOSED_HEADING_BIAS = 33  # rad, the heading bias at its exposure
     EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
-    EXPOSED_AGL = slice(36, 37)  # m, the height above ground then
+    EXPOSED_AGL = 36  # m, the height above ground then
     WIND_FORCE = slice(37, 39)  # m/s^2, north and east, what the wind alone pushes by drag
-    DRAG = slice(39, 40)  # 1/s, of a multirotor through air, across its thrust
+    DRAG = 39  # 1/s, of a multirotor through air, across its thrust
     SIZE = 40
 
 
@@ -136,7 +142,7 @@ class FilterState:
     @property
     def agl_m(self) -> float:
         """Height above the ground below."""
-        return float(-self.x[States.POSITION][2] - self.x[States.TERRAIN][0])
+        return float(-self.x[States.DOWN] - self.x[States.TERRAIN])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -177,7 +183,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     x[States.DRAG] = config.drag_per_s
     variance = first_variance(config)
     variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
-    variance[2] = 0.1**2  # the height is counted from here
+    variance[States.DOWN] = 0.1**2  # the height is counted from here
     variance[States.VELOCITY] = start.sigma_velocity_m_s**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
@@ -227,21 +233,21 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
     """
     x, variance = np.zeros(States.SIZE), first_variance(config)
     x[States.DRAG] = config.drag_per_s
-    heights = [2, States.BARO.start, States.TERRAIN.start]
+    heights = [States.DOWN, States.BARO, States.TERRAIN]
     if np.all(np.isfinite(state.x[heights])):
         x[heights] = state.x[heights]
         # Nor may what it took the barometer's bias for be far from what weather does in an hour.
         x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
-    variance[2], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
+    variance[States.DOWN], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
     variance[States.BARO] = _BARO_SIGMA_M**2
     variance[States.VELOCITY] = config.restart_velocity_m_s**2
     known = state.trusted is not None
     sigma_m = config.unknown_sigma_m
     if state.trusted is not None:
-        x[:2] = state.trusted.position_ne_m
+        x[States.POSITION_NE] = state.trusted.position_ne_m
         flown_m = 0.5 * config.most_speed_m_s * max(state.t_s - state.trusted.t_s, 0.0)
         sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
-    variance[:2] = sigma_m**2
+    variance[States.POSITION_NE] = sigma_m**2
     return FilterState(
         state.t_s,
         x,
@@ -264,7 +270,7 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
     """
     x, P = state.x, state.P
     kept = np.r_[0:6]
-    down, terrain = 2, States.TERRAIN.start
+    down, terrain = States.DOWN, States.TERRAIN
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
     return Estimate(
         t_s=state.t_s,
@@ -286,7 +292,7 @@ def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
     w, x, y, z = quat_measured_wxyz.tolist()
     sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
     tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
-    yaw, forward = States.HEADING_BIAS.start, States.TILT.start
+    yaw, forward = States.HEADING_BIAS, States.TILT.start
     return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
 
 
@@ -297,13 +303,13 @@ def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     forward, right = x[States.TILT]
     untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
-    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS.start])])
+    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS])])
     return quat_from_rotation(unturn @ untilt @ R_measured)
 
 
 def wind_ne_m_s(state: FilterState) -> Array | None:
     """(2,) the wind w = c / k, where it blows to; None until the drag is known to a third."""
-    drag = float(state.x[States.DRAG.start])
-    if state.P[States.DRAG, States.DRAG].item() > (_KNOWN_SHARE * drag) ** 2:
+    drag = float(state.x[States.DRAG])
+    if state.P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2:
         return None
     return np.asarray(state.x[States.WIND_FORCE] / drag)

@@ -18,11 +18,7 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 _IDENTITY = np.eye(States.SIZE)
 _RIDGE = 1e-12
 _MOST_REMEMBERED = 64  # disputes
-_HEADINGS = [
-    States.HEADING_BIAS.start,
-    States.ANCHOR_HEADING_BIAS.start,
-    States.EXPOSED_HEADING_BIAS.start,
-]
+_HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
 
 
 class Verdict(Enum):

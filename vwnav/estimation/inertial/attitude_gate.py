@@ -11,7 +11,7 @@ import math
 
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.inertial.preintegration import push_between
+from vwnav.estimation.inertial.preintegration import preintegrated
 from vwnav.estimation.updates import Verdict
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array, Attitude
@@ -99,11 +99,11 @@ class AttitudeGate:
         span_s = after.t_s - before.t_s
         until_s = min(after.t_s, self._imu.newest_s + _CARRIED_S)
         zero, one = self._imu.until(before.t_s), self._imu.until(until_s)
-        push = push_between(zero, one) if until_s >= before.t_s else None
-        if push is None:
+        imu = preintegrated(zero, one) if until_s >= before.t_s else None
+        if imu is None:
             apart = _angle(before.quat_wxyz, after.quat_wxyz)
             return apart <= _SLACK_RAD + _MOST_TURN_RAD_S * span_s
-        turned = quat_multiply(_unit(before.quat_wxyz), push.turn_wxyz)
+        turned = quat_multiply(_unit(before.quat_wxyz), imu.turn_wxyz)
         unheard_s = max(after.t_s - self._imu.newest_s, 0.0)
         open_rad = 0.5 * _UNHEARD_RAD_S2 * unheard_s**2
         open_rad += self._imu.rate_rad_s * (after.t_s - until_s)
@@ -143,7 +143,7 @@ class AttitudeGate:
 
     def _gyro_heard(self, from_s: float, to_s: float) -> bool:
         zero, one = self._imu.until(from_s), self._imu.until(min(to_s, self._imu.newest_s))
-        return push_between(zero, one) is not None and self._imu.newest_s > to_s - MAX_GAP_S
+        return preintegrated(zero, one) is not None and self._imu.newest_s > to_s - MAX_GAP_S
 
     def _refuse(self, t_s: float) -> None:
         refused_s = self._attitudes.refused_s

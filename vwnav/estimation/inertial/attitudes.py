@@ -273,6 +273,12 @@ def level_axes(yaw_rad: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
+def true_from_autopilot(heading_bias_rad: float) -> Array:
+    """(3, 3) from NED as the autopilot's heading has it to true NED: Rz(-bias)."""
+    c, s = math.cos(heading_bias_rad), math.sin(heading_bias_rad)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def is_rotation(attitude: Attitude) -> bool:
     """Whether it has a time, and a quaternion of about unit length."""
     quat = np.asarray(attitude.quat_wxyz)

@@ -32,7 +32,7 @@ class ImuIntegrals:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Push:
+class PreintegratedImu:
     """What the IMU felt over a span, in NED as the autopilot's attitude has it.
 
     Attributes:
@@ -54,7 +54,7 @@ class Push:
     shaken_rad2: float
 
 
-def push_between(zero: ImuIntegrals | None, one: ImuIntegrals | None) -> Push | None:
+def preintegrated(zero: ImuIntegrals | None, one: ImuIntegrals | None) -> PreintegratedImu | None:
     """What was felt from one moment to another; None where a silence lies between."""
     if zero is None or one is None or zero.series != one.series:
         return None
@@ -63,7 +63,7 @@ def push_between(zero: ImuIntegrals | None, one: ImuIntegrals | None) -> Push | 
     # difference is negative, which is no variance, and made the covariance none either.
     shaken = np.maximum(one.shaken - zero.shaken, 0.0)
     turn = quat_multiply(quat_conjugate(zero.turned), one.turned)
-    return Push(
+    return PreintegratedImu(
         one.lasted_s - zero.lasted_s,
         pushed[:, 3],
         pushed[:, 4],
