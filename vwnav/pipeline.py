@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.estimation.ekf import Ekf, NedFix, Start
+from vwnav.estimation.kalman import Verdict
 from vwnav.estimation.timeline import Exposed
-from vwnav.estimation.updates import Verdict
 from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat

@@ -225,7 +225,11 @@ def test_wind_that_takes_hold_at_take_off_does_not_turn_the_heading(monkeypatch,
     """Before the first fix only odometry could turn it, and what it sees is the wind."""
     measure = odometry._displacement
     if not held:
-        monkeypatch.setattr(odometry, "_displacement", lambda *a: replace(measure(*a), held=()))
+
+        def corrects_heading(*args):
+            return replace(measure(*args), considered=())
+
+        monkeypatch.setattr(odometry, "_displacement", corrects_heading)
     windy = FilterWorld(seconds=16.0, wind_m_s=9.0, hover_share=0.0, yaw_bias_deg=0.0, fix_hz=0.01)
     rows = play(stream_of(windy, 0)).rows
     assert (math.degrees(np.max(np.abs(rows.error_yaw_rad))) > 5.0) == turned

@@ -1,7 +1,7 @@
 """The estimator: every measurement at its own time, in any order; the estimate at any time.
 
 Read `states.py` and `config.py` first (what is estimated, with all noises), then `process.py` (how
-it moves), `updates.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
+it moves), `kalman.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
 measurement says), `timeline.py` (late ones).
 """
 
@@ -22,6 +22,7 @@ from vwnav.estimation.inertial.drag import apply_drag
 from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
+from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.odometry import apply_displacement, apply_keyframe
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
@@ -44,7 +45,6 @@ from vwnav.estimation.timeline import (
     NewKeyframe,
     Timeline,
 )
-from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
@@ -85,7 +85,7 @@ class Ekf:
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
-        self._tape: Callable[[Input], None] | None = None
+        self._input_log: Callable[[Input], None] | None = None
         self._say: Callable[[str], None] = lambda _: None
         self._restarted_s = -math.inf
         self._drag_s = -math.inf
@@ -113,12 +113,12 @@ class Ekf:
         """The state after the newest event, for recordings and tests."""
         return None if self._timeline is None else self._timeline.newest
 
-    def record(self, tape: Callable[[Input], None]) -> None:
-        """Hand every input from now on to `tape` too, refused ones as well, in their order.
+    def record(self, input_log: Callable[[Input], None]) -> None:
+        """Hand every input from now on to `input_log` too, refused ones as well, in their order.
 
         A new filter of the same settings and ground that takes them gives the same estimates.
         """
-        self._tape = tape
+        self._input_log = input_log
 
     def on_event(self, say: Callable[[str], None]) -> None:
         """Tell `say` in a sentence when the state has left its envelope and begins anew.
@@ -272,8 +272,8 @@ class Ekf:
         return estimate_of(state, self._attitudes.quat_at(state.t_s), turned_rad)
 
     def _note(self, seen: Input) -> None:
-        if self._tape is not None:
-            self._tape(seen)
+        if self._input_log is not None:
+            self._input_log(seen)
 
     def _handle_event(self, event: Height | Range | Stationary | Exposed) -> Innovation:
         refusal = self._refusal(event)

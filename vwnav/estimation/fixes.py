@@ -8,9 +8,7 @@ import numpy as np
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.states import Dispute, Exposure, FilterState, States, TrustedPosition
-from vwnav.estimation.timeline import NedFix
-from vwnav.estimation.updates import (
+from vwnav.estimation.kalman import (
     CHI_SQUARE_GATE,
     Innovation,
     Measurement,
@@ -20,9 +18,15 @@ from vwnav.estimation.updates import (
     correct,
     freed,
     fuse,
-    innovate,
     remember,
 )
+from vwnav.estimation.states import (
+    Exposure,
+    FilterState,
+    States,
+    TrustedPosition,
+)
+from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
@@ -61,13 +65,9 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     told = attitudes.at(fix.t_s) is not None
     if not told:
         position = _unseen(state, position, fix)
-    before = state
-    state, innovation = _apply_position(state, fix, position, config)
+    state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
-    if innovation.verdict is Verdict.RELOCATED:
-        state = _on_other_ground(before, state, context)
-    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
     if told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(yaw_rad - fix.yaw_rad)
@@ -106,13 +106,9 @@ def apply_late_fix(
         return state, Innovation(Verdict.TOO_LATE)
     position = _position(state, fix, exposure.yaw_rad, _THEN)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
-    before = state
-    state, innovation = _apply_position(state, fix, position, config)
+    state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
-    if innovation.verdict is Verdict.RELOCATED:
-        state = _on_other_ground(before, state, context)
-    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(exposure.yaw_rad - fix.yaw_rad)
         state, _ = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _THEN.yaw)
@@ -159,25 +155,36 @@ def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measureme
 
 
 def _apply_position(
+    state: FilterState, fix: NedFix, measurement: Measurement, context: Context
+) -> tuple[FilterState, Innovation]:
+    """Fuse where a fix shows the aircraft, or jump there."""
+    after, innovation = _fused_or_relocated(state, fix, measurement, context.config)
+    if not innovation.accepted:
+        return after, innovation
+    if innovation.verdict is Verdict.RELOCATED:
+        after = _on_other_ground(state, after, context)
+    return replace(_trusting(after, fix), t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
+
+
+def _fused_or_relocated(
     state: FilterState, fix: NedFix, measurement: Measurement, config: EkfConfig
 ) -> tuple[FilterState, Innovation]:
-    innovation = innovate(state, measurement)
+    fused, innovation = fuse(state, measurement, config.visual_weight)
     if not state.position_known:
         found = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
         return found, replace(innovation, verdict=Verdict.RELOCATED)
-    if innovation.accepted and not _sudden(measurement, config):
-        return correct(state, measurement, config.visual_weight), innovation
-    dispute = Dispute(fix.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_fixes, dispute, config.dispute_window_s)
-    state = replace(state, disputed_fixes=disputes)
+    agrees = innovation.verdict is Verdict.FUSED
+    if agrees and not _sudden(measurement, config):
+        return fused, innovation
+    rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
     drift = config.relocation_drift_m_s
-    if innovation.accepted:
-        if len(agreeing(disputes, drift)) < config.sudden_fixes:
-            return _leaning(state, measurement, config), replace(
-                innovation, verdict=Verdict.UNCONFIRMED
-            )
-        return correct(state, measurement, config.visual_weight), innovation
-    if not convinces(disputes, drift, config.relocation_fixes, config.relocation_span_s):
+    if agrees and len(agreeing(rejected, drift)) >= config.sudden_fixes:
+        return fused, innovation
+    state = replace(state, rejected_fixes=rejected)
+    if agrees:
+        unconfirmed = replace(innovation, verdict=Verdict.UNCONFIRMED)
+        return _leaning(state, measurement, config), unconfirmed
+    if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
         return state, innovation
     jumped = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
     return jumped, replace(innovation, verdict=Verdict.RELOCATED)
@@ -258,22 +265,20 @@ def _apply_heading(
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
         found = replace(_moved_along(state, measurement, jump), heading_known=True)
-        return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)
-    innovation = innovate(state, measurement)
-    if innovation.accepted:
-        fused = correct(state, measurement, config.visual_weight)
-        return replace(fused, disputed_headings=()), innovation
-    dispute = Dispute(state.t_s, residual, measurement.R)
-    disputes = remember(state.disputed_headings, dispute, config.dispute_window_s)
-    state = replace(state, disputed_headings=disputes)
+        return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
+    fused, innovation = fuse(state, measurement, config.visual_weight)
+    if innovation.verdict is Verdict.FUSED:
+        return replace(fused, rejected_headings=()), innovation
+    rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_headings=rejected)
     if not convinces(
-        disputes, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
+        rejected, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
     ):
         return state, innovation
     turned = _moved_along(state, measurement, jump)
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
     turned = freed(turned, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
-    return replace(turned, disputed_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
+    return replace(turned, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def apply_agl(
@@ -297,15 +302,14 @@ def apply_agl(
         H[0, States.TILT] = by_tilt
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
     fused, innovation = fuse(state, measurement)
-    if innovation.accepted:
-        return replace(fused, disputed_agls=()), innovation
-    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
-    state = replace(state, disputed_agls=disputes)
-    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
+    if innovation.verdict is Verdict.FUSED:
+        return replace(fused, rejected_agls=()), innovation
+    rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_agls=rejected)
+    if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
     fused = correct(state, measurement)
-    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
+    return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -10,8 +10,7 @@ from vwnav.estimation.context import Context
 from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.states import Dispute, FilterState, States
-from vwnav.estimation.updates import (
+from vwnav.estimation.kalman import (
     CHI_SQUARE_GATE,
     Innovation,
     Measurement,
@@ -22,6 +21,7 @@ from vwnav.estimation.updates import (
     fuse,
     remember,
 )
+from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
@@ -50,22 +50,21 @@ def apply_height(
     R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config.height_lag_s)]])
     measurement = Measurement(event.height_m - H @ state.x, H, R)
     fused, innovation = fuse(state, measurement)
-    if innovation.accepted:
-        fused = replace(fused, disputed_heights=(), height_stepped=False)
+    if innovation.verdict is Verdict.FUSED:
+        fused = replace(fused, rejected_heights=(), height_stepped=False)
         return _touch(fused, config), innovation
-    first = not state.disputed_heights
+    first = not state.rejected_heights
     state = replace(state, height_stepped=stepped if first else state.height_stepped or stepped)
-    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_heights, dispute, config.dispute_window_s)
-    state = replace(state, disputed_heights=disputes)
-    if not convinces(disputes, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
+    rejected = remember(state.rejected_heights, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_heights=rejected)
+    if not convinces(rejected, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     if state.height_stepped:
         state = freed(state, States.BARO, open_m)
     else:
         state = freed(freed(state, States.DOWN, open_m), States.VELOCITY_DOWN, _CLIMB_SIGMA_M_S)
-    fused = replace(correct(state, measurement), disputed_heights=(), height_stepped=False)
+    fused = replace(correct(state, measurement), rejected_heights=(), height_stepped=False)
     return fused, replace(innovation, verdict=Verdict.RELOCATED)
 
 
@@ -132,7 +131,7 @@ def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState,
     R = config.stationary_sigma_m_s**2 * np.eye(3)
     velocity = state.x[States.VELOCITY]
     state, innovation = fuse(state, Measurement(-velocity, H, R))
-    if not innovation.accepted:
+    if innovation.verdict is Verdict.GATED:
         # Who stands does not move, whatever was believed in the landing: it is open to that.
         P = state.P.copy()
         P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)

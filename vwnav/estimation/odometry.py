@@ -7,9 +7,9 @@ import numpy as np
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes, true_from_autopilot
-from vwnav.estimation.states import Anchor, Dispute, FilterState, States
+from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
+from vwnav.estimation.states import Anchor, FilterState, States
 from vwnav.estimation.timeline import NewKeyframe
-from vwnav.estimation.updates import Innovation, Measurement, Verdict, convinces, fuse, remember
 from vwnav.geometry.rotations import skew, wrap_pi
 from vwnav.types import Array, OdometryMotion
 
@@ -21,7 +21,6 @@ _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
-_NOWHERE = np.zeros(3)
 _SHORTEST_S = 0.1
 
 
@@ -70,31 +69,32 @@ def apply_displacement(
     displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
     state, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
-        state = replace(_in_scale(before, state, agl_m), disputed_ways=())
+        state = replace(_in_scale(before, state, agl_m), rejected_ways=())
     else:
-        state = _disputed(state, displacement, config)
+        state = _rejected(state, displacement, config)
     return state, replace(innovation, parts=parts)
 
 
-def _disputed(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
+def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
     """Ways that are refused and agree: pictures or the push are wrong, and which is not known.
 
     What all of them are off by alike is an error of their keyframe (of its stamp, mostly), which
     becomes as unsure as that. What they part by from picture to picture is an error of the
     velocity, and that becomes as unsure.
     """
-    dispute = Dispute(state.t_s, way.residual, way.R)
-    disputes = remember(state.disputed_ways, dispute, config.dispute_window_s)
-    if not convinces(disputes, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
-        return replace(state, disputed_ways=disputes)
+    rejected = remember(state.rejected_ways, state.t_s, way, config.dispute_window_s)
+    if not convinces(rejected, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
+        return replace(state, rejected_ways=rejected)
     assert state.anchor is not None
-    same = [d for d in disputes if d.t_s > state.anchor.t_s]
-    first = same[0] if len(same) >= _WAYS_AGREE // 2 else Dispute(state.anchor.t_s, _NOWHERE, way.R)
-    grew_m_s = (way.residual - first.offset) / max(state.t_s - first.t_s, _SHORTEST_S)
+    zero_s, zero_m = state.anchor.t_s, np.zeros(3)
+    since = [each for each in rejected if each.t_s > state.anchor.t_s]
+    if len(since) >= _WAYS_AGREE // 2:
+        zero_s, zero_m = since[0].t_s, since[0].residual
+    grew_m_s = (way.residual - zero_m) / max(state.t_s - zero_s, _SHORTEST_S)
     P = state.P.copy()
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += np.diag(way.residual**2)
     P[States.VELOCITY, States.VELOCITY] += np.diag(grew_m_s**2)
-    return replace(state, P=P, disputed_ways=())
+    return replace(state, P=P, rejected_ways=())
 
 
 def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
@@ -166,4 +166,4 @@ def _displacement(
     R[2, 2] += (config.zoom_share * float(predicted_m[2])) ** 2
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
-    return Measurement(residual, H, R, held=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))
+    return Measurement(residual, H, R, considered=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))

@@ -16,9 +16,9 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.kalman import Verdict
 from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.timeline import Displacement, NedFix, NewKeyframe, Timeline, between
-from vwnav.estimation.updates import Verdict
 from vwnav.types import Array, OdometryMotion
 
 _WINDOW_S = 1.2

@@ -82,12 +82,15 @@ class TrustedPosition:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dispute:
-    """A measurement that the gate refused: what it wanted to change (n,), and its covariance."""
+class RejectedInnovation:
+    """Of a measurement that its gate refused: residual (m,) and covariance (m, m) of its noise."""
 
     t_s: float
-    offset: Array
+    residual: Array
     covariance: Array
+
+
+RejectedInnovations = tuple[RejectedInnovation, ...]  # in order of time
 
 
 class Measured(NamedTuple):
@@ -116,7 +119,7 @@ class FilterState:
         trusted: the last fix that agreed with one before it; the start until then.
         newest_height: time and height that the barometer told last, believed or not.
         height_stepped: the heights that are refused began with a step, not with a climb.
-        disputed_fixes, disputed_headings, disputed_agls, disputed_heights, disputed_ways: refused
+        rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
             since the last accepted one.
     """
 
@@ -133,11 +136,11 @@ class FilterState:
     newest_height: tuple[float, float] | None = None
     height_stepped: bool = False
     reset_counter: int = 0
-    disputed_fixes: tuple[Dispute, ...] = ()
-    disputed_headings: tuple[Dispute, ...] = ()
-    disputed_agls: tuple[Dispute, ...] = ()
-    disputed_heights: tuple[Dispute, ...] = ()
-    disputed_ways: tuple[Dispute, ...] = ()
+    rejected_fixes: RejectedInnovations = ()
+    rejected_headings: RejectedInnovations = ()
+    rejected_agls: RejectedInnovations = ()
+    rejected_heights: RejectedInnovations = ()
+    rejected_ways: RejectedInnovations = ()
 
     @property
     def agl_m(self) -> float:

@@ -12,8 +12,8 @@ from operator import attrgetter
 
 import numpy as np
 
+from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.states import FilterState, States
-from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, Height, OdometryMotion, Range, Stationary
 

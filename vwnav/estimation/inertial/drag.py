@@ -16,8 +16,8 @@ import numpy as np
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, true_from_autopilot
 from vwnav.estimation.inertial.preintegration import preintegrated
+from vwnav.estimation.kalman import Innovation, Measurement, Verdict, fuse
 from vwnav.estimation.states import FilterState, States
-from vwnav.estimation.updates import Innovation, Measurement, Verdict, fuse
 from vwnav.geometry.rotations import rotation_from_quat
 
 FELT_S = 0.2  # over which the force is averaged
@@ -54,7 +54,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     noise = config.drag_noise_m_s2**2 + rough**2 + felt.shaken_m2_s2 / felt.lasted_s**2
     residual = felt_m_s2[:2] - drag - x[States.ACCELEROMETER_BIAS][:2]
     fused, innovation = fuse(state, Measurement(residual, H, noise * np.eye(2)))
-    if not innovation.accepted:
+    if innovation.verdict is Verdict.GATED:
         P = state.P.copy()
         P[States.WIND_FORCE, States.WIND_FORCE] += _REFUSED_M_S2**2 * np.eye(2)
         return replace(state, P=P), innovation

@@ -10,7 +10,7 @@ import numpy as np
 
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.updates import Verdict
+from vwnav.estimation.kalman import Verdict
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 
