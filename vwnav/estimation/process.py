@@ -44,7 +44,7 @@ class Transition(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class TimeStep:
     """The time between `state` and a later one, and what the autopilot tells of it.
 
     Attributes:
@@ -84,7 +84,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
         known0, known = known, attitudes.tell(end_s)
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
-        step = Step(dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu)
+        step = TimeStep(dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu)
         x, P = _propagate(x, P, step, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
 
@@ -94,7 +94,7 @@ def _measured(t_s: float, context: Context) -> Measured:
     return Measured(attitudes.quat_at(t_s), context.imu.until(t_s), attitudes.carried_rad(t_s))
 
 
-def _propagate(x: Array, P: Array, step: Step, context: Context) -> tuple[Array, Array]:
+def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Array, Array]:
     """One step; with an IMU its gyro is heard in the same breath (`gyro_aiding.py`)."""
     if step.imu is None:
         x, F, Q = thrust_model(x, step, context)
@@ -109,7 +109,7 @@ def _propagate(x: Array, P: Array, step: Step, context: Context) -> tuple[Array,
     return x, 0.5 * (P + P.T)
 
 
-def thrust_model(x: Array, step: Step, context: Context) -> Transition:
+def thrust_model(x: Array, step: TimeStep, context: Context) -> Transition:
     """Without an IMU: thrust as the attitude has it, and the slow acceleration of drag and wind.
 
     Where attitudes are missing nothing is known of the acceleration but its white noise.
@@ -135,7 +135,7 @@ def thrust_model(x: Array, step: Step, context: Context) -> Transition:
     return Transition(moved, F, Q)
 
 
-def imu_model(x: Array, step: Step, imu: PreintegratedImu, context: Context) -> Transition:
+def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context) -> Transition:
     """With an IMU: its accelerometer, less its bias, stands in for thrust and drag."""
     config, dt_s = context.config, step.dt_s
     R_true_autopilot = true_from_autopilot(float(x[States.HEADING_BIAS]))
@@ -173,7 +173,7 @@ def _less_tilt(acceleration: Array, x: Array, quat_wxyz: Array) -> Array:
 
 
 def _transition(
-    x: Array, acceleration: Array, turned: Array, step: Step, context: Context
+    x: Array, acceleration: Array, turned: Array, step: TimeStep, context: Context
 ) -> Transition:
     """What both models share: motion by an acceleration (3,), Gauss-Markov states, the ground.
 
@@ -201,7 +201,7 @@ def _transition(
     return Transition(moved, F, _walks(x, dt_s, flown_m, known, config))
 
 
-def _tilt_turn(step: Step) -> Array:
+def _tilt_turn(step: TimeStep) -> Array:
     """(2, 2) how the tilt error turns about the body: the autopilot's goes with it, mostly.
 
     That of an attitude which the gyro carries on stays where it was, whichever way the body turns,
