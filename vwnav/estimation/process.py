@@ -115,23 +115,27 @@ def thrust_model(x: Array, step: TimeStep, context: Context) -> Transition:
     Where attitudes are missing nothing is known of the acceleration but its white noise.
     """
     config, dt_s = context.config, step.dt_s
+    heading_walk = config.heading_walk_rad**2 * dt_s
     if not step.attitude_known:
-        unknown = _transition(x, np.zeros(3), np.zeros(2), step, context)
-        noises = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
-        _add_white(unknown.Q, x, noises, config.heading_walk_rad, dt_s, config)
-        return unknown
+        moved, F, Q = _transition(x, np.zeros(3), np.zeros(2), step, context)
+        level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
+        Q[States.MOTION, States.MOTION] = _white_acceleration(x, level, vertical, dt_s, config)
+        Q[States.HEADING_BIAS, States.HEADING_BIAS] = heading_walk
+        return Transition(moved, F, Q)
     slow = np.array([*x[States.ACCELERATION], 0.0])
     acceleration, by_tilt = slow, np.zeros((2, 2))
     if config.thrust_aided:
         thrust = np.array([*thrust_acceleration(step.quat_wxyz), 0.0])
-        acceleration = true_from_autopilot(float(x[States.HEADING_BIAS])) @ thrust + slow
-        by_tilt = _less_tilt(acceleration, x, step.quat_wxyz)
-    moved, F, Q = _transition(x, acceleration, acceleration[:2] - slow[:2], step, context)
+        tilted, by_tilt = _gravity_by_tilt(x, step.quat_wxyz)
+        R_true_autopilot = true_from_autopilot(float(x[States.HEADING_BIAS]))
+        acceleration = R_true_autopilot @ thrust + slow + tilted
+    moved, F, Q = _transition(x, acceleration, (acceleration - slow)[:2], step, context)
     F[States.POSITION_NE, States.ACCELERATION] = 0.5 * dt_s**2 * _LEVEL
     F[States.VELOCITY_NE, States.ACCELERATION] = dt_s * _LEVEL
     F[States.VELOCITY_NE, States.TILT] = dt_s * by_tilt
-    noises = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
-    _add_white(Q, x, noises, config.heading_walk_rad, dt_s, config)
+    level, vertical = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
+    Q[States.MOTION, States.MOTION] = _white_acceleration(x, level, vertical, dt_s, config)
+    Q[States.HEADING_BIAS, States.HEADING_BIAS] = heading_walk
     return Transition(moved, F, Q)
 
 
@@ -140,36 +144,48 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     config, dt_s = context.config, step.dt_s
     R_true_autopilot = true_from_autopilot(float(x[States.HEADING_BIAS]))
     by_bias = -R_true_autopilot @ imu.rotation_s / dt_s
-    acceleration = R_true_autopilot @ imu.velocity_m_s / dt_s
-    acceleration += by_bias @ x[States.ACCELEROMETER_BIAS]
-    acceleration[2] += GRAVITY_M_S2 * imu.lasted_s / dt_s
-    by_tilt = _less_tilt(acceleration, x, step.quat_wxyz)
+    tilted, by_tilt = _gravity_by_tilt(x, step.quat_wxyz)
+    felt = R_true_autopilot @ imu.velocity_m_s / dt_s + by_bias @ x[States.ACCELEROMETER_BIAS]
+    gravity = np.array([0.0, 0.0, GRAVITY_M_S2 * imu.lasted_s / dt_s])
+    acceleration = felt + gravity + tilted
     moved, F, Q = _transition(x, acceleration, acceleration[:2], step, context)
     F[States.VELOCITY, States.ACCELEROMETER_BIAS] = dt_s * by_bias
     F[States.VELOCITY_NE, States.TILT] = dt_s * by_tilt
     white = config.imu_noise_m_s2**2 + imu.shaken_m2_s2 / dt_s
-    _add_white(Q, x, (white, white), config.heading_slew_rad, dt_s, config)
     wind_walk_m_s2 = config.wind_walk_m_s * float(x[States.DRAG])
-    np.fill_diagonal(
-        Q[States.ACCELEROMETER_BIAS, States.ACCELEROMETER_BIAS],
-        config.accelerometer_walk_m_s2**2 * dt_s,
-    )
-    np.fill_diagonal(Q[States.GYRO_BIAS, States.GYRO_BIAS], config.gyro_walk_rad_s**2 * dt_s)
-    np.fill_diagonal(Q[States.WIND_FORCE, States.WIND_FORCE], wind_walk_m_s2**2 * dt_s)
+    Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
+    Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
+    for states, walk in (
+        (States.ACCELEROMETER_BIAS, config.accelerometer_walk_m_s2),
+        (States.GYRO_BIAS, config.gyro_walk_rad_s),
+        (States.WIND_FORCE, wind_walk_m_s2),
+    ):
+        Q[states, states] = walk**2 * dt_s * np.eye(states.stop - states.start)
     Q[States.DRAG, States.DRAG] = config.drag_walk_per_s**2 * dt_s
     return Transition(moved, F, Q)
 
 
-def _less_tilt(acceleration: Array, x: Array, quat_wxyz: Array) -> Array:
-    """Take the tilt error's share out of an acceleration (3,), in place; (2, 2) how it goes by it.
+def _gravity_by_tilt(x: Array, quat_wxyz: Array) -> tuple[Array, Array]:
+    """What the tilt error hides of the acceleration (3,), and how that goes by it (2, 2).
 
     A tilt error d = (d_n, d_e) shows the thrust g (-d_e, d_n) off.
     """
     yaw_rad = yaw_of(quat_wxyz) - float(x[States.HEADING_BIAS])
     c, s = GRAVITY_M_S2 * math.cos(yaw_rad), GRAVITY_M_S2 * math.sin(yaw_rad)
     forward, right = x[States.TILT].tolist()
-    acceleration[:2] += s * forward + c * right, -c * forward + s * right
-    return np.array([[s, c], [-c, s]])
+    hidden = np.array([s * forward + c * right, -c * forward + s * right, 0.0])
+    return hidden, np.array([[s, c], [-c, s]])
+
+
+def _white_acceleration(
+    x: Array, level: float, vertical: float, dt_s: float, config: EkfConfig
+) -> Array:
+    """(6, 6) of Q: white acceleration, (m/s^2)^2 per hertz; near the ground it may be struck."""
+    if -x[States.DOWN] - x[States.TERRAIN] < config.blow_agl_m:
+        level = max(level, config.blow_noise_m_s2**2)
+    q = np.diag([level, level, vertical])
+    both = q * dt_s**2 / 2.0
+    return np.block([[q * dt_s**3 / 3.0, both], [both, q * dt_s]])
 
 
 def _transition(
@@ -246,22 +262,3 @@ def _walks(x: Array, dt_s: float, flown_m: float, ground_known: bool, config: Ek
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
     Q[States.TERRAIN, States.TERRAIN] = walk_m**2 * flown_m
     return Q
-
-
-def _add_white(
-    Q: Array,
-    x: Array,
-    noises: tuple[float, float],
-    heading_walk_rad: float,
-    dt_s: float,
-    config: EkfConfig,
-) -> None:
-    """White acceleration, horizontal and vertical (m^2/s^4 per hertz), and the heading's walk."""
-    level, vertical = noises
-    if -x[States.DOWN] - x[States.TERRAIN] < config.blow_agl_m:
-        level = max(level, config.blow_noise_m_s2**2)
-    q = np.diag([level, level, vertical])
-    Q[States.POSITION, States.POSITION] = q * dt_s**3 / 3.0
-    Q[States.POSITION, States.VELOCITY] = Q[States.VELOCITY, States.POSITION] = q * dt_s**2 / 2.0
-    Q[States.VELOCITY, States.VELOCITY] = q * dt_s
-    Q[States.HEADING_BIAS, States.HEADING_BIAS] = heading_walk_rad**2 * dt_s

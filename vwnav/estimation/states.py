@@ -30,6 +30,7 @@ class States:
     POSITION_NE, DOWN = slice(0, 2), 2
     VELOCITY = slice(3, 6)  # m/s, NED
     VELOCITY_NE, VELOCITY_DOWN = slice(3, 5), 5
+    MOTION = slice(0, 6)  # position and velocity
     ACCELERATION = slice(6, 8)  # m/s^2, north and east, beyond what thrust explains: drag, wind
     HEADING_BIAS = 8  # rad, heading of the autopilot minus true heading
     TILT = slice(9, 11)  # rad, error of the autopilot's attitude about the body's level fwd, right
@@ -272,14 +273,13 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
         turned_rad: how far the aircraft may have turned since that was known.
     """
     x, P = state.x, state.P
-    kept = np.r_[0:6]
     down, terrain = States.DOWN, States.TERRAIN
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
     return Estimate(
         t_s=state.t_s,
         position_ned_m=x[States.POSITION].copy(),
         velocity_ned_m_s=x[States.VELOCITY].copy(),
-        covariance=P[np.ix_(kept, kept)],
+        covariance=P[States.MOTION, States.MOTION].copy(),
         quat_wxyz=_true_attitude(x, quat_measured_wxyz),
         sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
         agl_m=max(state.agl_m, 0.0),
