@@ -8,10 +8,10 @@ from tests.house import measure
 
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.
 BOUNDS = {
-    "step_files": 44,
-    "step_functions": 268,
-    "step_crossings": 353,
-    "import_chain": 28,
+    "step_files": 37,
+    "step_functions": 254,
+    "step_crossings": 266,
+    "import_chain": 26,
     "files_in_a_folder": 14,
     "largest_file": 350,
     "circles": 0,
