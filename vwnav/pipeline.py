@@ -298,7 +298,7 @@ class Pipeline:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         with self._lock:
-            if not self._ekf.initialised:
+            if self._ekf.state is None:
                 self._begin_at(fix, ned_m)
             innovation = self._ekf.handle(
                 NedFix(

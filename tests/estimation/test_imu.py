@@ -202,7 +202,7 @@ def headings_deg(path):
         attitude = telemetry.newest_attitude
         if attitude is None or (rows and t_s < rows[-1][0] + STEP_S):
             continue
-        if not ekf.initialised:
+        if ekf.state is None:
             ekf.initialise(Start(t_s=t_s, position_ned_m=np.zeros(3)))
         state = telemetry.state(t_s)
         ekf.handle(attitude)

@@ -44,6 +44,7 @@ from vwnav.estimation.timeline import (
     NedFix,
     NewKeyframe,
     Timeline,
+    Told,
 )
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
@@ -90,11 +91,6 @@ class Ekf:
         self._restarted_s = -math.inf
         self._drag_s = -math.inf
 
-    @property
-    def initialised(self) -> bool:
-        """Whether there is a state."""
-        return self._timeline is not None
-
     def covers(self, t_s: float) -> bool:
         """Whether waiting for telemetry tells no more of the attitude at an exposure.
 
@@ -110,7 +106,7 @@ class Ekf:
 
     @property
     def state(self) -> FilterState | None:
-        """The state after the newest event, for recordings and tests."""
+        """The state after the newest event; None before a start."""
         return None if self._timeline is None else self._timeline.newest
 
     def record(self, input_log: Callable[[Input], None]) -> None:
@@ -296,7 +292,7 @@ class Ekf:
                 self._say(f"the estimate left its envelope ({why}) and begins anew")
         return innovation
 
-    def _refusal(self, event: Event) -> Verdict | None:
+    def _refusal(self, event: Told) -> Verdict | None:
         if not event.sensible():
             return Verdict.NOT_FINITE
         if self._timeline is None:

@@ -107,10 +107,6 @@ class NewKeyframe:
     covariance_ned_m2: Array
     sigma_yaw_rad: float
 
-    def sensible(self) -> bool:
-        """Always: it is made of a sensible displacement."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
@@ -133,10 +129,6 @@ class LateFix:
     t_s: float
     fix: NedFix
 
-    def sensible(self) -> bool:
-        """Whether its fix is."""
-        return self.fix.sensible()
-
 
 @dataclass(frozen=True, slots=True)
 class Drag:
@@ -144,12 +136,9 @@ class Drag:
 
     t_s: float
 
-    def sensible(self) -> bool:
-        """Always: it is made of samples that were believed."""
-        return True
 
-
-Event = NedFix | Height | Range | Stationary | Displacement | NewKeyframe | Exposed | LateFix | Drag
+Told = NedFix | Height | Range | Stationary | Displacement | Exposed
+Event = Told | NewKeyframe | LateFix | Drag  # the others are the filter's own
 
 # Order of events at the same time; clones are last, so that they copy what others left.
 _ORDER: tuple[type[Event], ...] = (
