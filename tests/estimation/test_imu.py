@@ -101,7 +101,7 @@ def test_a_correction_of_our_clock_makes_no_turn_longer():
         history.add(ImuSample(STEP_S * i + slipped_s, AT_REST, rates, STEP_S))
     imu = preintegrated(history.until(0.0), history.until(STEP_S * 49 + 0.04))
     assert 2.0 * math.atan2(imu.turn_wxyz[3], imu.turn_wxyz[0]) == pytest.approx(STEP_S * 49)
-    assert imu.lasted_s == pytest.approx(STEP_S * 49)
+    assert imu.span_s == pytest.approx(STEP_S * 49)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.06])
@@ -126,8 +126,8 @@ def test_the_more_rotors_shake_the_imu_the_less_it_is_believed():
         force, rates = AT_REST + rng.normal(0.0, 2.0, 3), rng.normal(0.0, 0.05, 3)
         history.add(ImuSample(STEP_S * i, force, rates))
     imu = preintegrated(history.until(2.0), history.until(3.0))
-    assert imu.shaken_m2_s2 == pytest.approx(2.0**2 * STEP_S, rel=0.3)
-    assert imu.shaken_rad2 == pytest.approx(0.05**2 * STEP_S, rel=0.3)
+    assert imu.velocity_variance_m2_s2 == pytest.approx(2.0**2 * STEP_S, rel=0.3)
+    assert imu.turn_variance_rad2 == pytest.approx(0.05**2 * STEP_S, rel=0.3)
 
 
 def test_an_imu_that_is_shaken_hard_does_not_lead_the_filter_astray():
@@ -245,5 +245,5 @@ def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
     for i in range(1, 10):
         history.add(ImuSample(newest_s + 0.0101 * i, AT_REST, np.zeros(3)))
     imu = preintegrated(guessed, history.until(newest_s + 0.0905))
-    assert imu.shaken_m2_s2 >= 0.0
-    assert imu.shaken_rad2 >= 0.0
+    assert imu.velocity_variance_m2_s2 >= 0.0
+    assert imu.turn_variance_rad2 >= 0.0

@@ -77,11 +77,11 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     dt_s = span_s / count
     x, P, attitudes = state.x, state.P, context.attitudes
     one = state.measured or _measured(state.t_s, context)
-    known = attitudes.tell(state.t_s)
+    known = attitudes.knows(state.t_s)
     for i in range(count):
         end_s = state.t_s + (i + 1) * dt_s
         zero, one = one, _measured(end_s, context)
-        known0, known = known, attitudes.tell(end_s)
+        known0, known = known, attitudes.knows(end_s)
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
         step = TimeStep(dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu)
@@ -146,12 +146,12 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     by_bias = -R_true_autopilot @ imu.rotation_s / dt_s
     tilted, by_tilt = _gravity_by_tilt(x, step.quat_wxyz)
     felt = R_true_autopilot @ imu.velocity_m_s / dt_s + by_bias @ x[States.ACCELEROMETER_BIAS]
-    gravity = np.array([0.0, 0.0, GRAVITY_M_S2 * imu.lasted_s / dt_s])
+    gravity = np.array([0.0, 0.0, GRAVITY_M_S2 * imu.span_s / dt_s])
     acceleration = felt + gravity + tilted
     moved, F, Q = _transition(x, acceleration, acceleration[:2], step, context)
     F[States.VELOCITY, States.ACCELEROMETER_BIAS] = dt_s * by_bias
     F[States.VELOCITY_NE, States.TILT] = dt_s * by_tilt
-    white = config.imu_noise_m_s2**2 + imu.shaken_m2_s2 / dt_s
+    white = config.imu_noise_m_s2**2 + imu.velocity_variance_m2_s2 / dt_s
     wind_walk_m_s2 = config.wind_walk_m_s * float(x[States.DRAG])
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
     Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s

@@ -160,11 +160,11 @@ class AttitudeHistory:
 
     def turned_unseen_rad(self, t_s: float) -> float:
         """How far it may have turned by then with neither attitude nor gyro to tell."""
-        if not self._times_s or self.tell(t_s):
+        if not self._times_s or self.knows(t_s):
             return 0.0
         return _TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
-    def tell(self, t_s: float) -> bool:
+    def knows(self, t_s: float) -> bool:
         """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""
         i = bisect.bisect_right(self._times_s, t_s)
         if i == 0:

@@ -35,7 +35,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
         return state, Innovation(Verdict.NO_ATTITUDE)
     if state.agl_m < _LOWEST_AGL_M:
         return state, Innovation(Verdict.ON_GROUND)
-    felt_m_s2 = felt.body_m_s / felt.lasted_s
+    felt_m_s2 = felt.body_m_s / felt.span_s
     x = state.x
     R_true_autopilot = true_from_autopilot(float(x[States.HEADING_BIAS]))
     R_ned_body = R_true_autopilot @ rotation_from_quat(attitude.quat_wxyz)
@@ -51,7 +51,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     drag = across[:, :2] @ x[States.WIND_FORCE] - x[States.DRAG] * through_m_s
     sigma_yaw_rad = min(math.sqrt(state.P[States.HEADING_BIAS, States.HEADING_BIAS]), 1.0)
     rough = (_MODEL_SHARE + sigma_yaw_rad) * float(np.hypot(*drag))
-    noise = config.drag_noise_m_s2**2 + rough**2 + felt.shaken_m2_s2 / felt.lasted_s**2
+    noise = config.drag_noise_m_s2**2 + rough**2 + felt.velocity_variance_m2_s2 / felt.span_s**2
     residual = felt_m_s2[:2] - drag - x[States.ACCELEROMETER_BIAS][:2]
     fused, innovation = fuse(state, Measurement(residual, H, noise * np.eye(2)))
     if innovation.verdict is Verdict.GATED:

@@ -71,7 +71,7 @@ def gyro_measurement(
     C[:2, States.TILT] = level1 @ F_tilt - level0
     C[:, States.GYRO_BIAS] = -imu.rotation_s
     turn_rad = vector_from_quat(imu.turn_wxyz)
-    variance = config.gyro_noise_rad**2 * span_s + imu.shaken_rad2
+    variance = config.gyro_noise_rad**2 * span_s + imu.turn_variance_rad2
     variance += config.gyro_share**2 * float(turn_rad @ turn_rad)
     unsure = _TURN_UNSURE * config.tilt_sigma_rad * float(turn_rad[2])
     R = np.diag([variance + unsure**2, variance + unsure**2, variance])

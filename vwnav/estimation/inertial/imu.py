@@ -121,10 +121,10 @@ class ImuHistory:
         turned = (1.0 - fraction) * zero.turned + fraction * one.turned
         return ImuIntegrals(
             one.series,
-            zero.lasted_s + fraction * (one.lasted_s - zero.lasted_s),
-            zero.pushed + fraction * (one.pushed - zero.pushed),
+            zero.span_s + fraction * (one.span_s - zero.span_s),
+            zero.integrals + fraction * (one.integrals - zero.integrals),
             turned / math.sqrt(turned @ turned),
-            zero.shaken + fraction * (one.shaken - zero.shaken),
+            zero.variances + fraction * (one.variances - zero.variances),
         )
 
     def _span_s(self, sample: ImuSample) -> float | None:
@@ -148,17 +148,19 @@ class ImuHistory:
         turned = self._gyro.newest
         if not self._felt:
             return ImuIntegrals(self._series, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
-        zero, (pushed, before) = self._felt[-1], self._newest
-        if span_s is None or not self._attitudes.tell(t_s):
-            return ImuIntegrals(zero.series + 1, zero.lasted_s, zero.pushed, turned, zero.shaken)
+        zero, (integrand, before) = self._felt[-1], self._newest
+        if span_s is None or not self._attitudes.knows(t_s):
+            return ImuIntegrals(
+                zero.series + 1, zero.span_s, zero.integrals, turned, zero.variances
+            )
         self._learn_scatter(values - before, span_s)
         doubted, self._doubted = self._doubted, np.zeros(2)
         return ImuIntegrals(
             zero.series,
-            zero.lasted_s + span_s,
-            zero.pushed + (0.5 * span_s) * (pushed + now),
+            zero.span_s + span_s,
+            zero.integrals + (0.5 * span_s) * (integrand + now),
             turned,
-            zero.shaken + span_s**2 * self._scatter + doubted,
+            zero.variances + span_s**2 * self._scatter + doubted,
         )
 
     def _learn_scatter(self, slope: Array, span_s: float) -> None:

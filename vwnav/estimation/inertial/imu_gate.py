@@ -63,7 +63,7 @@ class ImuGate:
         if not self._imu.believes(sample):
             return Verdict.GATED
         t_s = sample.t_s
-        if self._attitudes.tell(t_s):
+        if self._attitudes.knows(t_s):
             changed = self._learn(sample, self._attitudes.quat_at(t_s))
             if changed and self.lost:
                 self._imu.forget()
