@@ -16,7 +16,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline
-from vwnav.recording.tape import About
+from vwnav.recording.input_log import About
 from vwnav.types import FeatureExtractor, PointKind
 from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from vwnav.errors import ConfigError
-from vwnav.estimation.states import EkfConfig
+from vwnav.estimation.config import EkfConfig
 from vwnav.guidance.controller import LimitsConfig
 from vwnav.mission.mission import FlightConfig
 from vwnav.pipeline import PipelineConfig

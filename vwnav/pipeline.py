@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.estimation.ekf import Ekf, NedFix, Start
-from vwnav.estimation.events import Exposed
-from vwnav.estimation.updates import Verdict
+from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.timeline import Exposed
 from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
@@ -298,7 +298,7 @@ class Pipeline:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         with self._lock:
-            if not self._ekf.initialised:
+            if self._ekf.state is None:
                 self._begin_at(fix, ned_m)
             innovation = self._ekf.handle(
                 NedFix(

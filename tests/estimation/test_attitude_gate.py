@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
-from vwnav.estimation.updates import Verdict
+from vwnav.estimation.kalman import Verdict
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 

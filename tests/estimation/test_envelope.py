@@ -10,8 +10,7 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
-from vwnav.estimation.restart import begun_anew, outside
-from vwnav.estimation.states import States
+from vwnav.estimation.states import States, begun_anew, outside
 from vwnav.types import Attitude, Height, OdometryMotion, Stationary
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

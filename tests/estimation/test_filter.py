@@ -12,7 +12,7 @@ from vwnav.bench.estimator.run import Run, accepted_wrong, play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
-from vwnav.estimation import fusion
+from vwnav.estimation import odometry
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
 from vwnav.estimation.states import States
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
@@ -223,9 +223,13 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_agl_m
 @pytest.mark.parametrize(("held", "turned"), [(True, False), (False, True)])
 def test_wind_that_takes_hold_at_take_off_does_not_turn_the_heading(monkeypatch, held, turned):
     """Before the first fix only odometry could turn it, and what it sees is the wind."""
-    measure = fusion._displacement
+    measure = odometry._displacement
     if not held:
-        monkeypatch.setattr(fusion, "_displacement", lambda *a: replace(measure(*a), held=()))
+
+        def corrects_heading(*args):
+            return replace(measure(*args), considered=())
+
+        monkeypatch.setattr(odometry, "_displacement", corrects_heading)
     windy = FilterWorld(seconds=16.0, wind_m_s=9.0, hover_share=0.0, yaw_bias_deg=0.0, fix_hz=0.01)
     rows = play(stream_of(windy, 0)).rows
     assert (math.degrees(np.max(np.abs(rows.error_yaw_rad))) > 5.0) == turned

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, yaw_of
-from vwnav.estimation.inertial.gyro import GyroHistory
 from vwnav.geometry.rotations import quat_from_vector
 from vwnav.types import Attitude
 
@@ -15,8 +14,8 @@ RATE = np.array([0.2, -0.3, 0.5])  # rad/s
 
 def turning(until_s: float, gyro_until_s: float) -> AttitudeHistory:
     """Attitudes at 50 Hz up to a time, the gyro up to another."""
-    gyro = GyroHistory(10.0)
-    attitudes = AttitudeHistory(10.0, gyro)
+    attitudes = AttitudeHistory(10.0)
+    gyro = attitudes.gyro
     gyro.begin(0.0)
     for i in range(round(50 * gyro_until_s)):
         gyro.turn(0.02 * (i + 1), 0.02 * RATE)
@@ -32,7 +31,7 @@ def off_rad(attitudes: AttitudeHistory, t_s: float) -> float:
 @pytest.mark.parametrize("t_s", [1.05, 1.5, 3.0])
 def test_beyond_the_newest_attitude_it_turns_as_the_gyro_says(t_s):
     attitudes = turning(1.0, 3.0)
-    assert attitudes.tell(t_s)
+    assert attitudes.knows(t_s)
     turned_rad = yaw_of(quat_from_vector(t_s * RATE)) - yaw_of(quat_from_vector(RATE))
     assert attitudes.carried_rad(t_s) == pytest.approx(turned_rad, abs=1e-3)
     assert off_rad(attitudes, t_s) < 1e-3
@@ -40,10 +39,10 @@ def test_beyond_the_newest_attitude_it_turns_as_the_gyro_says(t_s):
 
 def test_without_the_gyro_nobody_tells():
     attitudes = turning(1.0, 1.0)
-    assert not attitudes.tell(1.5)
+    assert not attitudes.knows(1.5)
     assert attitudes.at(1.5) is None
     assert attitudes.carried_rad(1.5) == 0.0
 
 
 def test_it_is_not_carried_on_for_ever():
-    assert not turning(1.0, 7.0).tell(6.5)
+    assert not turning(1.0, 7.0).knows(6.5)

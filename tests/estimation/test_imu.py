@@ -19,8 +19,8 @@ from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.inertial.gyro import GyroHistory
-from vwnav.estimation.inertial.imu import ImuHistory, push_between
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.preintegration import preintegrated
 from vwnav.estimation.states import States
 from vwnav.geometry.rotations import (
     euler_from_rotation,
@@ -70,38 +70,38 @@ def level_attitudes() -> AttitudeHistory:
 
 @given(rates=st.lists(st.tuples(RATE, RATE, RATE), min_size=3, max_size=12))
 def test_turns_are_counted_as_scipy_composes_them(rates):
-    history = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0)
+    history = ImuHistory(level_attitudes(), 10.0)
     for i, rate in enumerate(rates):
         history.add(ImuSample(STEP_S * i, AT_REST, np.array(rate)))
     last_s = STEP_S * (len(rates) - 1)
-    push = push_between(history.until(0.0), history.until(last_s))
+    imu = preintegrated(history.until(0.0), history.until(last_s))
     expected = Rotation.identity()
     for before, after in itertools.pairwise(rates):
         mean = 0.5 * (np.array(before) + np.array(after))
         expected *= Rotation.from_rotvec(STEP_S * mean)
-    w, x, y, z = push.turn_wxyz
+    w, x, y, z = imu.turn_wxyz
     assert (expected.inv() * Rotation.from_quat([x, y, z, w])).magnitude() < 1e-9
-    assert push.velocity_m_s == pytest.approx(AT_REST * last_s)
+    assert imu.velocity_m_s == pytest.approx(AT_REST * last_s)
 
 
 def test_a_silence_is_not_integrated_over():
-    history = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0)
+    history = ImuHistory(level_attitudes(), 10.0)
     for t_s in (0.0, 0.02, 0.04, 1.0, 1.02):
         history.add(ImuSample(t_s, AT_REST, np.zeros(3)))
     assert history.until(0.5) is None
-    assert push_between(history.until(0.02), history.until(1.01)) is None
-    assert push_between(history.until(1.0), history.until(1.02)) is not None
+    assert preintegrated(history.until(0.02), history.until(1.01)) is None
+    assert preintegrated(history.until(1.0), history.until(1.02)) is not None
 
 
 def test_a_correction_of_our_clock_makes_no_turn_longer():
-    history = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0)
+    history = ImuHistory(level_attitudes(), 10.0)
     rates = np.array([0.0, 0.0, 1.0])
     for i in range(50):
         slipped_s = 0.04 if i > 25 else 0.0
         history.add(ImuSample(STEP_S * i + slipped_s, AT_REST, rates, STEP_S))
-    push = push_between(history.until(0.0), history.until(STEP_S * 49 + 0.04))
-    assert 2.0 * math.atan2(push.turn_wxyz[3], push.turn_wxyz[0]) == pytest.approx(STEP_S * 49)
-    assert push.lasted_s == pytest.approx(STEP_S * 49)
+    imu = preintegrated(history.until(0.0), history.until(STEP_S * 49 + 0.04))
+    assert 2.0 * math.atan2(imu.turn_wxyz[3], imu.turn_wxyz[0]) == pytest.approx(STEP_S * 49)
+    assert imu.span_s == pytest.approx(STEP_S * 49)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.06])
@@ -121,13 +121,13 @@ def test_a_heading_that_the_autopilot_resets_by_15_degrees_is_not_a_turn(imu, wr
 
 
 def test_the_more_rotors_shake_the_imu_the_less_it_is_believed():
-    history, rng = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0), np.random.default_rng(0)
+    history, rng = ImuHistory(level_attitudes(), 10.0), np.random.default_rng(0)
     for i in range(200):
         force, rates = AT_REST + rng.normal(0.0, 2.0, 3), rng.normal(0.0, 0.05, 3)
         history.add(ImuSample(STEP_S * i, force, rates))
-    push = push_between(history.until(2.0), history.until(3.0))
-    assert push.shaken_m2_s2 == pytest.approx(2.0**2 * STEP_S, rel=0.3)
-    assert push.shaken_rad2 == pytest.approx(0.05**2 * STEP_S, rel=0.3)
+    imu = preintegrated(history.until(2.0), history.until(3.0))
+    assert imu.velocity_variance_m2_s2 == pytest.approx(2.0**2 * STEP_S, rel=0.3)
+    assert imu.turn_variance_rad2 == pytest.approx(0.05**2 * STEP_S, rel=0.3)
 
 
 def test_an_imu_that_is_shaken_hard_does_not_lead_the_filter_astray():
@@ -202,7 +202,7 @@ def headings_deg(path):
         attitude = telemetry.newest_attitude
         if attitude is None or (rows and t_s < rows[-1][0] + STEP_S):
             continue
-        if not ekf.initialised:
+        if ekf.state is None:
             ekf.initialise(Start(t_s=t_s, position_ned_m=np.zeros(3)))
         state = telemetry.state(t_s)
         ekf.handle(attitude)
@@ -236,7 +236,7 @@ def test_arducopters_realignment_leaves_ours_alone(data_folder):
 
 def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
     """Telemetry 0.1 s late made the covariance none, and no estimate could be computed."""
-    history, rng = ImuHistory(level_attitudes(), GyroHistory(10.0), 10.0), np.random.default_rng(1)
+    history, rng = ImuHistory(level_attitudes(), 10.0), np.random.default_rng(1)
     for i in range(50):
         shaken = AT_REST + rng.normal(0.0, 3.0, 3)
         history.add(ImuSample(STEP_S * i, shaken, np.zeros(3)))
@@ -244,6 +244,6 @@ def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
     guessed = history.until(newest_s + 0.09)
     for i in range(1, 10):
         history.add(ImuSample(newest_s + 0.0101 * i, AT_REST, np.zeros(3)))
-    push = push_between(guessed, history.until(newest_s + 0.0905))
-    assert push.shaken_m2_s2 >= 0.0
-    assert push.shaken_rad2 >= 0.0
+    imu = preintegrated(guessed, history.until(newest_s + 0.0905))
+    assert imu.velocity_variance_m2_s2 >= 0.0
+    assert imu.turn_variance_rad2 >= 0.0

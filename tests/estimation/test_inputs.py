@@ -1,4 +1,4 @@
-"""The filter's inputs as JSON and back, and the tape that gives its estimates again."""
+"""The filter's inputs as JSON and back, and the log that gives its estimates again."""
 
 import json
 from contextlib import suppress
@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from vwnav.errors import SourceError
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
-from vwnav.estimation.events import Exposed
 from vwnav.estimation.inputs import Asked, decode, encode
+from vwnav.estimation.timeline import Exposed
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range, Stationary
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
@@ -84,11 +84,11 @@ def test_what_is_no_input_says_so(content):
 @given(told=st.lists(INPUTS, max_size=12))
 def test_a_filter_gives_the_same_again_whatever_it_was_told(told):
     """Also of refused inputs, and of starts and times so absurd that it raises."""
-    tape = []
-    first, again = flying(tape), Ekf(EkfConfig())
+    input_log = []
+    first, again = flying(input_log), Ekf(EkfConfig())
     with np.errstate(all="ignore"):
         estimates = play(first, [*told, Asked(2.0)])
-        recorded = [decode(json.loads(json.dumps(encode(seen)))) for seen in tape]
+        recorded = [decode(json.loads(json.dumps(encode(seen)))) for seen in input_log]
         assert play(again, recorded) == estimates
     assert bits(first.state.x) == bits(again.state.x)
     assert bits(first.state.P) == bits(again.state.P)
@@ -105,9 +105,9 @@ def play(ekf: Ekf, told: list) -> list:
     return found
 
 
-def flying(tape: list) -> Ekf:
+def flying(input_log: list) -> Ekf:
     ekf = Ekf(EkfConfig())
-    ekf.record(tape.append)
+    ekf.record(input_log.append)
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), agl_m=50.0))
     for i in range(6):
         ekf.handle(Attitude(0.2 * i, np.array([1.0, 0.0, 0.0, 0.0])))
@@ -115,10 +115,10 @@ def flying(tape: list) -> Ekf:
     return ekf
 
 
-def test_the_tape_holds_every_kind_of_input_in_its_order():
-    tape = []
-    ekf = flying(tape)
-    del tape[:]
+def test_the_input_log_holds_every_kind_of_input_in_its_order():
+    input_log = []
+    ekf = flying(input_log)
+    del input_log[:]
     told = [
         Range(1.1, 49.0),
         Stationary(1.1),
@@ -133,4 +133,4 @@ def test_the_tape_holds_every_kind_of_input_in_its_order():
     ]
     for seen in told:
         ekf.take(seen)
-    assert [encode(seen) for seen in tape] == [encode(seen) for seen in told]
+    assert [encode(seen) for seen in input_log] == [encode(seen) for seen in told]

@@ -11,7 +11,7 @@ import pytest
 
 from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
 from vwnav.estimation.inputs import Asked
-from vwnav.recording.tape import PictureSeen, read_tape
+from vwnav.recording.input_log import PictureSeen, read_input_log
 from vwnav.types import Array, Estimate
 
 MOST_SIGMAS = 5.0
@@ -30,7 +30,7 @@ class Truth:
         return np.array([np.interp(t_s, self.t_s, axis) for axis in self.position_ned_m.T])
 
     def near(self, fix: NedFix) -> bool:
-        """On the tapes some fixes are wrong themselves: no filter is right by one of those."""
+        """In the logs some fixes are wrong themselves: no filter is right by one of those."""
         return bool(np.hypot(*(fix.position_ne_m - self.at(fix.t_s)[:2])) < MOST_ERROR_M)
 
     def covers(self, t_s: float) -> bool:
@@ -45,10 +45,10 @@ def truth_of(folder: Path) -> Truth:
     return Truth(rows[:, 0], np.column_stack([rows[:, 1:3], down_m]))
 
 
-def replayed(tape: Path, ekf: Ekf, truth: Truth) -> Iterator[tuple[Estimate, float]]:
+def replayed(input_log: Path, ekf: Ekf, truth: Truth) -> Iterator[tuple[Estimate, float]]:
     """Each fourth estimate asked for in flight, and the exposure of the newest right fix."""
     fix_s, asked = -math.inf, 0
-    for seen in read_tape(tape):
+    for seen in read_input_log(input_log):
         asked += isinstance(seen, Asked)
         if isinstance(seen, PictureSeen) or (isinstance(seen, Asked) and asked % 4):
             continue

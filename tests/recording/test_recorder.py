@@ -126,7 +126,7 @@ from vwnav.recording.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), {})
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 for i in range(260):
-    recorder.tape("/filter", i / 100, lambda i=i: {"text": str(hash(str(i))), "number": i})
+    recorder.sequence("/filter", i / 100, lambda i=i: {"text": str(hash(str(i))), "number": i})
     recorder.event(i / 100, str(i))
     time.sleep(0.01)
 recorder.close()
@@ -151,16 +151,16 @@ def test_a_full_disk_ends_the_recording_with_one_line_and_not_the_flight(tmp_pat
 def test_a_sequence_ends_where_the_disk_falls_too_far_behind(tmp_path, caplog):
     recorder = Recorder(tmp_path / "a.mcap", {})
     stalled = threading.Event()
-    recorder.tape("/filter", 0.0, lambda: {"number": 0, "late": stalled.wait()})
+    recorder.sequence("/filter", 0.0, lambda: {"number": 0, "late": stalled.wait()})
     for i in range(1, 30_000):
-        recorder.tape("/filter", i / 100, lambda i=i: {"number": i})
+        recorder.sequence("/filter", i / 100, lambda i=i: {"number": i})
     stalled.set()
     dropped = -1
     while dropped < recorder.dropped:  # until the disk has caught up and takes messages again
         dropped = recorder.dropped
         time.sleep(0.1)
         recorder.event(300.0, "x")
-    recorder.tape("/filter", 301.0, lambda: {"number": -1})
+    recorder.sequence("/filter", 301.0, lambda: {"number": -1})
     recorder.close()
     filtered = read_recording(tmp_path / "a.mcap", frozenset({"/filter"}))
     numbers = [r.content["number"] for r in filtered]

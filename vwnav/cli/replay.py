@@ -51,10 +51,10 @@ def replay(
     options = ReplayOptions(
         source, map_path, camera, hfov_deg, telemetry, features, model, config_path, output
     )
-    if options.from_tape:
-        from vwnav.offline.replay_tape import replay_tape
+    if options.from_input_log:
+        from vwnav.offline.replay_inputs import replay_inputs
 
-        replay_tape(options)
+        replay_inputs(options)
     else:
         from vwnav.offline.replay_pictures import replay_source
 

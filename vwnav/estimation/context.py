@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.states import EkfConfig
 
 # Height of the ground in metres at (north, east) about the origin, None where it is not known.
 # Only differences are used: the table may have another datum.

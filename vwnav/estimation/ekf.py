@@ -1,39 +1,51 @@
 """The estimator: every measurement at its own time, in any order; the estimate at any time.
 
-Read `states.py` first (what is estimated, with all noises), then `process.py` (how it moves),
-`fusion.py` and `fixes.py` (what each measurement says), `timeline.py` (late ones).
+Read `states.py` and `config.py` first (what is estimated, with all noises), then `process.py` (how
+it moves), `kalman.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
+measurement says), `timeline.py` (late ones).
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
-from vwnav.estimation.events import (
+from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
+from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
+from vwnav.estimation.inertial.attitude_gate import AttitudeGate
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
+from vwnav.estimation.inertial.drag import apply_drag
+from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
+from vwnav.estimation.inertial.imu_gate import ImuGate
+from vwnav.estimation.inputs import Asked, Input, Measurement
+from vwnav.estimation.kalman import Innovation, Verdict
+from vwnav.estimation.odometry import apply_displacement, apply_keyframe
+from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import (
+    FilterState,
+    Start,
+    States,
+    begun_anew,
+    estimate_of,
+    first_state,
+    outside,
+)
+from vwnav.estimation.timeline import (
     Displacement,
     Drag,
     Event,
-    EventRank,
     Exposed,
     LateFix,
     NedFix,
     NewKeyframe,
-    between,
+    Timeline,
+    Told,
 )
-from vwnav.estimation.fusion import apply
-from vwnav.estimation.inertial.attitude_gate import AttitudeGate
-from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
-from vwnav.estimation.inertial.gyro import GyroHistory
-from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
-from vwnav.estimation.inertial.imu_trust import ImuTrust
-from vwnav.estimation.inputs import Asked, Input, Measurement
-from vwnav.estimation.odometry_trust import OdometryTrust, of_doubtful_date, possible, shaken
-from vwnav.estimation.output import estimate_of
-from vwnav.estimation.process import predict
-from vwnav.estimation.restart import begun_anew, outside
-from vwnav.estimation.states import EkfConfig, FilterState, Start, first_state
-from vwnav.estimation.timeline import Timeline
-from vwnav.estimation.updates import Innovation, Verdict
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
 __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
@@ -41,7 +53,6 @@ __all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
 _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
-_IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
 
 
 class Ekf:
@@ -50,6 +61,10 @@ class Ekf:
     Not thread-safe: one thread, or a lock around it. `estimate` tells it the time; a measurement
     far ahead of the newest time known is refused. No measurement ever raises: what is not sensible
     is refused and said so.
+
+    Attributes:
+        counts_heading: a video alone, by its settings: its attitude is level with the heading of
+            odometry.
     """
 
     def __init__(self, config: EkfConfig, ground: Ground | None = None) -> None:
@@ -59,43 +74,32 @@ class Ekf:
             config: noises and limits.
             ground: terrain heights of the map in the filter's own frame, where it has them.
         """
+        self.counts_heading = config.odometry_turns_attitude
         self._config = config
         length_s = config.history_s + _ATTITUDE_MARGIN_S
-        gap_s = math.inf if config.odometry_turns_attitude else MAX_GAP_S
-        self._gyro = GyroHistory(length_s)
-        self._attitudes = AttitudeHistory(length_s, self._gyro, gap_s)
-        self._imu = ImuHistory(self._attitudes, self._gyro, length_s)
-        self._gate = AttitudeGate(self._attitudes, self._imu)
+        gap_s = math.inf if self.counts_heading else MAX_GAP_S
+        self._attitudes = AttitudeHistory(length_s, gap_s)
+        self._imu = ImuHistory(self._attitudes, length_s)
+        self._attitude_gate = AttitudeGate(self._attitudes, self._imu)
+        self._imu_gate = ImuGate(self._attitudes, self._imu)
+        self._odometry_gate = OdometryGate(self._attitudes, config)
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
-        self._tape: Callable[[Input], None] | None = None
+        self._input_log: Callable[[Input], None] | None = None
         self._say: Callable[[str], None] = lambda _: None
         self._restarted_s = -math.inf
-        self._newest_way: OdometryMotion | None = None
-        self._trust = OdometryTrust()
-        self._imu_trust = ImuTrust()
         self._drag_s = -math.inf
-
-    @property
-    def initialised(self) -> bool:
-        """Whether there is a state."""
-        return self._timeline is not None
-
-    @property
-    def counts_heading(self) -> bool:
-        """A video alone, by its settings: its attitude is level with the heading of odometry."""
-        return self._config.odometry_turns_attitude
 
     def covers(self, t_s: float) -> bool:
         """Whether waiting for telemetry tells no more of the attitude at an exposure.
 
         An attitude has come since, or the gyro alone reaches far beyond: attitudes are late.
         """
-        newest_s = self._attitudes.newest_s
-        if self.counts_heading or (newest_s is not None and newest_s >= t_s):
+        if self.counts_heading or self._attitudes.newest_s >= t_s:
             return True
-        return self._gyro.newest_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.tell(t_s)
+        gyro_s = self._attitudes.gyro.newest_s
+        return gyro_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.knows(t_s)
 
     def attitude_at(self, t_s: float) -> Attitude | None:
         """The autopilot's attitude at an exposure; None where telemetry does not reach."""
@@ -103,15 +107,15 @@ class Ekf:
 
     @property
     def state(self) -> FilterState | None:
-        """The state after the newest event, for recordings and tests."""
-        return None if self._timeline is None else self._timeline.head
+        """The state after the newest event; None before a start."""
+        return None if self._timeline is None else self._timeline.newest
 
-    def record(self, tape: Callable[[Input], None]) -> None:
-        """Hand every input from now on to `tape` too, refused ones as well, in their order.
+    def record(self, input_log: Callable[[Input], None]) -> None:
+        """Hand every input from now on to `input_log` too, refused ones as well, in their order.
 
         A new filter of the same settings and ground that takes them gives the same estimates.
         """
-        self._tape = tape
+        self._input_log = input_log
 
     def on_event(self, say: Callable[[str], None]) -> None:
         """Tell `say` in a sentence when the state has left its envelope and begins anew.
@@ -155,6 +159,7 @@ class Ekf:
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
+        self._note(seen)
         match seen:
             case Attitude():
                 return self._handle_attitude(seen)
@@ -169,15 +174,14 @@ class Ekf:
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
-        self._note(attitude)
         if not is_rotation(attitude):
             return Innovation(Verdict.NOT_FINITE)
-        if self._timeline is not None and self._ahead(attitude.t_s):
+        if self._ahead(attitude.t_s):
             return Innovation(Verdict.AHEAD)
-        if self._config.odometry_turns_attitude:
+        if self.counts_heading:
             self._attitudes.add(attitude)
             return Innovation(Verdict.FUSED)
-        return Innovation(self._gate.take(attitude))
+        return Innovation(self._attitude_gate.take(attitude))
 
     def _handle_imu(self, sample: ImuSample) -> Innovation:
         """Take a sample of the IMU, in order of time and after the attitude of its moment.
@@ -185,34 +189,22 @@ class Ekf:
         While samples come, they move the estimate between measurements, instead of the attitude's
         thrust and the slow acceleration.
         """
-        self._note(sample)
         if not is_sensible(sample):
             return Innovation(Verdict.NOT_FINITE)
-        if self._timeline is not None and self._ahead(sample.t_s):
+        if self._ahead(sample.t_s):
             return Innovation(Verdict.AHEAD)
-        self._gate.heard(sample.t_s)
-        if not self._imu.believes(sample):
-            return Innovation(Verdict.GATED)
-        if not self._feels_gravity(sample):
-            return Innovation(Verdict.DISTRUSTED)
-        if not self._imu.add(sample):
-            return Innovation(Verdict.TOO_LATE)
-        if self._timeline is not None and sample.t_s >= self._drag_s + self._config.drag_interval_s:
+        self._attitude_gate.heard(sample.t_s)
+        was_lost = self._imu_gate.lost
+        verdict = self._imu_gate.take(sample)
+        if self._imu_gate.lost != was_lost:
+            if self._imu_gate.lost and self._timeline is not None:
+                self._timeline.leave_out(Drag)
+            self._say(self._imu_gate.words)
+        due_s = self._drag_s + self._config.drag_interval_s
+        if verdict is Verdict.FUSED and self._timeline is not None and sample.t_s >= due_s:
             self._drag_s = sample.t_s
             self._insert(Drag(sample.t_s))
-        return Innovation(Verdict.FUSED)
-
-    def _feels_gravity(self, sample: ImuSample) -> bool:
-        """Else nothing that it has told in the history counts, nor does what comes."""
-        if not self._attitudes.tell(sample.t_s):
-            return not self._imu_trust.lost
-        if self._imu_trust.saw(sample, self._attitudes.quat_at(sample.t_s)):
-            if self._imu_trust.lost:
-                self._imu.forget()
-                if self._timeline is not None:
-                    self._timeline.leave_out(EventRank.DRAG)
-            self._say(self._imu_trust.words)
-        return not self._imu_trust.lost
+        return Innovation(verdict)
 
     def _handle_fix(self, fix: NedFix) -> Innovation:
         """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
@@ -220,17 +212,16 @@ class Ekf:
         One that is older than the history meets the clone of its picture's pose, if it was told
         when that was taken (`Exposed`).
         """
-        self._note(fix)
         refusal = self._refusal(fix)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
-        if self._trust.lost:
-            fix = of_doubtful_date(fix, self._timeline.head)
+        if self._odometry_gate.lost:
+            fix = of_doubtful_date(fix, self._timeline.newest)
         # At the beginning of the history: a picture taken since may have been cloned in its place.
-        oldest_s = self._timeline.oldest_s
+        oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if innovation.accepted:
-            self._trust.saw_fix()
+            self._odometry_gate.saw_fix()
         return innovation
 
     def _handle_odometry(self, motion: OdometryMotion) -> Innovation:
@@ -238,58 +229,26 @@ class Ekf:
 
         One of ways that mostly contradict the IMU is refused, and those before it too.
         """
-        self._note(motion)
-        innovation = self._meet_way(motion)
+        innovation, gate = self._meet_way(motion), self._odometry_gate
         if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
-            self._judge_ways(innovation.accepted)
-        return Innovation(Verdict.DISTRUSTED) if self._trust.lost else innovation
+            assert self._timeline is not None
+            agrees = innovation.verdict is Verdict.FUSED
+            if gate.learn(agrees, self._timeline.newest):
+                if gate.lost:
+                    self._timeline.leave_out(Displacement, NedFix)
+                self._say(gate.words)
+        return Innovation(Verdict.DISTRUSTED) if gate.lost else innovation
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:
         """Insert it, or only ask what would become of it while none is believed."""
-        event = Displacement(shaken(motion, self._gyro, self._config))
+        event = self._odometry_gate.displacement(motion)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
-        if not possible(motion, self._timeline.head, self._config):
-            return Innovation(Verdict.IMPOSSIBLE)
-        before, self._newest_way = self._newest_way, motion
-        if not self._timeline.keyframe_known(motion.t0_s) and motion.t0_s < self._timeline.oldest_s:
-            if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
-                return Innovation(Verdict.NO_ANCHOR)
-            event = Displacement(shaken(between(before, motion), self._gyro, self._config))
-        if not self._seen_upright(event.motion):
-            return Innovation(Verdict.NO_ATTITUDE)
-        if not self._anchored(event.motion):
-            return Innovation(Verdict.NO_ANCHOR)
-        if event.t_s > self._gyro.newest_s + _IMU_OF_NOW_S:
-            self._trust = OdometryTrust()  # nothing contradicts them any more
-        return self._timeline.test(event) if self._trust.lost else self._insert(event)
-
-    def _judge_ways(self, agrees: bool) -> None:
-        assert self._timeline is not None
-        if self._trust.saw(agrees, self._timeline.head):
-            if self._trust.lost:
-                self._timeline.leave_out(EventRank.ODOMETRY, EventRank.FIX)
-            self._say(self._trust.words)
-
-    def _anchored(self, motion: OdometryMotion) -> bool:
-        """Whether its keyframe is cloned, from now on if not before."""
-        assert self._timeline is not None
-        if self._timeline.keyframe_known(motion.t0_s):
-            return True
-        share = self._config.anchor_share
-        covariance = share * motion.covariance_ned_m2
-        sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
-        return self._timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
-
-    def _seen_upright(self, motion: OdometryMotion) -> bool:
-        """Whether attitudes that are believed tell how its pictures were turned to the ground."""
-        assert self._timeline is not None
-        refused = self._gate.refused(motion.t1_s) or self._gate.refused(motion.t0_s)
-        if refused or self._attitudes.at(motion.t1_s) is None:
-            return False
-        known = self._timeline.keyframe_known(motion.t0_s)
-        return known or self._attitudes.at(motion.t0_s) is not None
+        admitted = self._odometry_gate.admit(motion, event, self._timeline)
+        if isinstance(admitted, Verdict):
+            return Innovation(admitted)
+        return self._timeline.test(admitted) if self._odometry_gate.lost else self._insert(admitted)
 
     def estimate(self, t_s: float) -> Estimate | None:
         """The estimate at `t_s` by prediction (at the newest event if that is later).
@@ -301,39 +260,40 @@ class Ekf:
         self._note(Asked(t_s))
         if math.isfinite(t_s):
             self._asked_s = t_s
-        if self._attitudes.newest_s is None:
+        if self._attitudes.newest_s == -math.inf:
             return None
-        state = predict(self._timeline.head, t_s, self._context)
+        state = self._timeline.newest
+        if t_s > state.t_s:
+            state = predict(state, t_s, self._context)
         turned_rad = self._attitudes.turned_unseen_rad(state.t_s)
         return estimate_of(state, self._attitudes.quat_at(state.t_s), turned_rad)
 
     def _note(self, seen: Input) -> None:
-        if self._tape is not None:
-            self._tape(seen)
+        if self._input_log is not None:
+            self._input_log(seen)
 
     def _handle_event(self, event: Height | Range | Stationary | Exposed) -> Innovation:
-        self._note(event)
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if isinstance(event, Height | Range | Stationary):
-            self._gate.heard(event.t_s)
+            self._attitude_gate.heard(event.t_s)
         return self._insert(event)
 
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""
         assert self._timeline is not None
         innovation = self._timeline.insert(event)
-        why = outside(self._timeline.head, self._config)
+        newest = self._timeline.newest
+        why = outside(newest, self._config)
         if why is not None:
-            head = self._timeline.head
-            self._begin(begun_anew(head, self._config))
-            again, self._restarted_s = head.t_s < self._restarted_s + _SAID_S, head.t_s
+            self._begin(begun_anew(newest, self._config))
+            again, self._restarted_s = newest.t_s < self._restarted_s + _SAID_S, newest.t_s
             if not again:
                 self._say(f"the estimate left its envelope ({why}) and begins anew")
         return innovation
 
-    def _refusal(self, event: Event) -> Verdict | None:
+    def _refusal(self, event: Told) -> Verdict | None:
         if not event.sensible():
             return Verdict.NOT_FINITE
         if self._timeline is None:
@@ -343,7 +303,45 @@ class Ekf:
         return None
 
     def _ahead(self, t_s: float) -> bool:
-        head_s = -math.inf if self._timeline is None else self._timeline.head.t_s
-        attitude_s = self._attitudes.newest_s
-        newest_s = max(self._asked_s, head_s, -math.inf if attitude_s is None else attitude_s)
+        """Whether a time is far beyond the newest one known; before the start none is."""
+        if self._timeline is None:
+            return False
+        newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
         return t_s > newest_s + self._config.ahead_s
+
+
+def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
+    """Predict to an event's time, which is not before the state's, then correct by what it says."""
+    if event.t_s > state.t_s:
+        state = predict(state, event.t_s, context)
+    after, innovation = _corrected(state, event, context)
+    apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
+    if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
+        after = replace(after, reset_counter=state.reset_counter + 1)
+    return after, innovation
+
+
+def _corrected(
+    state: FilterState, event: Event, context: Context
+) -> tuple[FilterState, Innovation]:
+    """A state by an event of its own time."""
+    attitudes, config = context.attitudes, context.config
+    match event:
+        case NedFix():
+            return apply_fix(state, event, context)
+        case Displacement(_, motion):
+            return apply_displacement(state, motion, context)
+        case LateFix(_, fix):
+            return apply_late_fix(state, fix, context)
+        case Exposed():
+            return apply_exposure(state, attitudes), Innovation(Verdict.FUSED)
+        case NewKeyframe():
+            return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
+        case Height():
+            return apply_height(state, event, config)
+        case Range():
+            return apply_range(state, event, attitudes, config)
+        case Drag():
+            return apply_drag(state, context)
+        case Stationary():
+            return apply_stationary(state, context)

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.events import NedFix
 from vwnav.estimation.heights import apply_agl
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States, TrustedPosition
-from vwnav.estimation.updates import (
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.kalman import (
     CHI_SQUARE_GATE,
     Innovation,
     Measurement,
@@ -19,19 +19,20 @@ from vwnav.estimation.updates import (
     correct,
     freed,
     fuse,
-    innovate,
     remember,
 )
+from vwnav.estimation.states import (
+    Exposure,
+    FilterState,
+    States,
+    TrustedPosition,
+)
+from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
-_NE = slice(0, 2)
-_ANCHOR_NE = slice(States.ANCHOR_POSITION.start, States.ANCHOR_POSITION.start + 2)
-_YAW = States.HEADING_BIAS.start
-_ANCHOR_YAW = States.ANCHOR_HEADING_BIAS.start
-_MAP_TURN = States.MAP_TURN.start
-_TERRAIN = States.TERRAIN.start
-_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
+# A copy without any error of its own would make P singular: metres, radians, metres.
+_CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which a picture may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
@@ -47,12 +48,12 @@ class _PoseSlices:
     agl: int | None
 
 
-_NOW = _PoseSlices(_NE, _YAW, States.TILT, None)
+_NOW = _PoseSlices(States.POSITION_NE, States.HEADING_BIAS, States.TILT, None)
 _THEN = _PoseSlices(
     States.EXPOSED_POSITION,
-    States.EXPOSED_HEADING_BIAS.start,
+    States.EXPOSED_HEADING_BIAS,
     States.EXPOSED_TILT,
-    States.EXPOSED_AGL.start,
+    States.EXPOSED_AGL,
 )
 
 
@@ -65,13 +66,9 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     told = attitudes.at(fix.t_s) is not None
     if not told:
         position = _unseen(state, position, fix)
-    before = state
-    state, innovation = _apply_position(state, fix, position, config)
+    state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
-    if innovation.verdict is Verdict.RELOCATED:
-        state = _on_other_ground(before, state, context)
-    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     parts = []
     if told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(yaw_rad - fix.yaw_rad)
@@ -81,6 +78,21 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
         state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config, by_map=True)
         parts.append(part)
     return state, replace(innovation, parts=tuple(parts))
+
+
+def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
+    """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
+    if attitudes.at(state.t_s) is None:
+        return replace(state, exposure=None)  # nobody knows how it was turned
+    G = np.eye(States.SIZE)
+    G[States.EXPOSED_POSITION] = G[States.POSITION_NE]
+    G[States.EXPOSED_HEADING_BIAS] = G[States.HEADING_BIAS]
+    G[States.EXPOSED_TILT] = G[States.TILT]
+    G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
+    P = G @ state.P @ G.T
+    P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
+    exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
+    return replace(state, x=G @ state.x, P=P, exposure=exposure)
 
 
 def apply_late_fix(
@@ -95,13 +107,9 @@ def apply_late_fix(
         return state, Innovation(Verdict.TOO_LATE)
     position = _position(state, fix, exposure.yaw_rad, _THEN)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
-    before = state
-    state, innovation = _apply_position(state, fix, position, config)
+    state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
-    if innovation.verdict is Verdict.RELOCATED:
-        state = _on_other_ground(before, state, context)
-    state = replace(_trusting(state, fix), t_last_fix_s=fix.t_s, disputed_fixes=())
     if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         bias_rad = wrap_pi(exposure.yaw_rad - fix.yaw_rad)
         state, _ = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _THEN.yaw)
@@ -148,25 +156,36 @@ def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measureme
 
 
 def _apply_position(
+    state: FilterState, fix: NedFix, measurement: Measurement, context: Context
+) -> tuple[FilterState, Innovation]:
+    """Fuse where a fix shows the aircraft, or jump there."""
+    after, innovation = _fused_or_relocated(state, fix, measurement, context.config)
+    if not innovation.accepted:
+        return after, innovation
+    if innovation.verdict is Verdict.RELOCATED:
+        after = _on_other_ground(state, after, context)
+    return replace(_trusting(after, fix), t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
+
+
+def _fused_or_relocated(
     state: FilterState, fix: NedFix, measurement: Measurement, config: EkfConfig
 ) -> tuple[FilterState, Innovation]:
-    innovation = innovate(state, measurement)
+    fused, innovation = fuse(state, measurement, config.visual_weight)
     if not state.position_known:
         found = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
         return found, replace(innovation, verdict=Verdict.RELOCATED)
-    if innovation.accepted and not _sudden(measurement, config):
-        return correct(state, measurement, config.visual_weight), innovation
-    dispute = Dispute(fix.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_fixes, dispute, config.dispute_window_s)
-    state = replace(state, disputed_fixes=disputes)
+    agrees = innovation.verdict is Verdict.FUSED
+    if agrees and not _sudden(measurement, config):
+        return fused, innovation
+    rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
     drift = config.relocation_drift_m_s
-    if innovation.accepted:
-        if len(agreeing(disputes, drift)) < config.sudden_fixes:
-            return _leaning(state, measurement, config), replace(
-                innovation, verdict=Verdict.UNCONFIRMED
-            )
-        return correct(state, measurement, config.visual_weight), innovation
-    if not convinces(disputes, drift, config.relocation_fixes, config.relocation_span_s):
+    if agrees and len(agreeing(rejected, drift)) >= config.sudden_fixes:
+        return fused, innovation
+    state = replace(state, rejected_fixes=rejected)
+    if agrees:
+        unconfirmed = replace(innovation, verdict=Verdict.UNCONFIRMED)
+        return _leaning(state, measurement, config), unconfirmed
+    if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
         return state, innovation
     jumped = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
     return jumped, replace(innovation, verdict=Verdict.RELOCATED)
@@ -187,8 +206,9 @@ def _trusting(state: FilterState, fix: NedFix) -> FilterState:
     before_s = state.t_last_fix_s
     if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
         return state
-    sigma_m = math.sqrt(max(state.P[0, 0], state.P[1, 1]))
-    return replace(state, trusted=TrustedPosition(state.t_s, state.x[_NE].copy(), sigma_m))
+    position_ne_m = state.x[States.POSITION_NE].copy()
+    sigma_m = math.sqrt(max(np.diag(state.P)[States.POSITION_NE]))
+    return replace(state, trusted=TrustedPosition(state.t_s, position_ne_m, sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:
@@ -204,30 +224,30 @@ def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
     The keyframe moves along, so displacements measured from it stay good.
     """
     jump = np.zeros((States.SIZE, 2))
-    jump[_NE] = jump[_ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
+    jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
     moved = _moved_along(state, measurement, jump)
     return replace(moved, position_known=True)
 
 
 def _on_other_ground(before: FilterState, after: FilterState, context: Context) -> FilterState:
     """After a jump the ground below is that of the other place, as far as the table knows."""
-    (n0, e0), (n1, e1) = before.x[_NE].tolist(), after.x[_NE].tolist()
+    (n0, e0), (n1, e1) = before.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
     old, new = context.patch(n0, e0), context.patch(n1, e1)
     if old is None or new is None:
         return after
     x = after.x.copy()
-    x[[_TERRAIN, _ANCHOR_TERRAIN]] += new.height_m - old.height_m
+    x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
     return replace(after, x=x)
 
 
 def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
     """The measured states, and those tied to them, move so that the measurement fits.
 
-    `jump` (n, m) says which states move with the residual. The new error is
-    e' = (I - jump H) e + jump v: what was known of the measured states' own error is forgotten.
+    `jump` (n, m) says which states move with the residual. The new error is e' = G e + jump v with
+    G = I - jump H: what was known of the measured states' own error is forgotten.
     """
-    A = np.eye(States.SIZE) - jump @ measurement.H
-    P = A @ state.P @ A.T + jump @ measurement.R @ jump.T
+    G = np.eye(States.SIZE) - jump @ measurement.H
+    P = G @ state.P @ G.T + jump @ measurement.R @ jump.T
     return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
 
 
@@ -239,26 +259,24 @@ def _apply_heading(
     A compass that suddenly errs is refused at first; when several fixes agree, the bias is freed.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, yaw], H[0, _MAP_TURN] = 1.0, -1.0
+    H[0, yaw], H[0, States.MAP_TURN] = 1.0, -1.0
     residual = np.array([wrap_pi(float(bias_rad - H[0] @ state.x))])
     measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
     jump = np.zeros((States.SIZE, 1))
-    jump[[_YAW, _ANCHOR_YAW, _THEN.yaw]] = 1.0
+    jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
         found = replace(_moved_along(state, measurement, jump), heading_known=True)
-        return found, replace(innovate(found, measurement), verdict=Verdict.RELOCATED)
-    innovation = innovate(state, measurement)
-    if innovation.accepted:
-        fused = correct(state, measurement, config.visual_weight)
-        return replace(fused, disputed_headings=()), innovation
-    dispute = Dispute(state.t_s, residual, measurement.R)
-    disputes = remember(state.disputed_headings, dispute, config.dispute_window_s)
-    state = replace(state, disputed_headings=disputes)
+        return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
+    fused, innovation = fuse(state, measurement, config.visual_weight)
+    if innovation.verdict is Verdict.FUSED:
+        return replace(fused, rejected_headings=()), innovation
+    rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_headings=rejected)
     if not convinces(
-        disputes, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
+        rejected, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
     ):
         return state, innovation
     turned = _moved_along(state, measurement, jump)
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
-    turned = freed(turned, _ANCHOR_YAW, 2.0 * abs(float(residual[0])))
-    return replace(turned, disputed_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
+    turned = freed(turned, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
+    return replace(turned, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -1,13 +1,15 @@
-"""Heights meet the state: barometer, rangefinder, and the height of a fix above ground."""
+"""Heights meet the state: barometer, rangefinder, height above ground of a fix, standing."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
-from vwnav.estimation.states import Dispute, EkfConfig, FilterState, States
-from vwnav.estimation.updates import (
+from vwnav.estimation.inertial.preintegration import preintegrated
+from vwnav.estimation.kalman import (
     CHI_SQUARE_GATE,
     Innovation,
     Measurement,
@@ -18,12 +20,12 @@ from vwnav.estimation.updates import (
     fuse,
     remember,
 )
+from vwnav.estimation.states import FilterState, States
+from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
-_DOWN = 2
-_CLIMB = 5
-_TERRAIN = States.TERRAIN.start
-_ANCHOR_TERRAIN = States.ANCHOR_TERRAIN.start
+_STILL_S = 0.2
+_REST_SHARE = 0.3
 _LEAST_COS_TILT = 0.5
 _CLIMB_SIGMA_M_S = 5.0  # of an aircraft whose barometer was not believed
 _UNTHOUGHT_CLIMB_M_S = 12.0  # by which a climb may differ from the one believed
@@ -43,32 +45,31 @@ def apply_height(
     stepped = _stepped(state, event, config)
     state = replace(state, newest_height=(event.t_s, event.height_m))
     H = np.zeros((1, States.SIZE))
-    H[0, _DOWN], H[0, States.BARO.start] = -1.0, 1.0
+    H[0, States.DOWN], H[0, States.BARO] = -1.0, 1.0
     R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config.height_lag_s)]])
     measurement = Measurement(event.height_m - H @ state.x, H, R)
     fused, innovation = fuse(state, measurement)
-    if innovation.accepted:
-        fused = replace(fused, disputed_heights=(), height_stepped=False)
+    if innovation.verdict is Verdict.FUSED:
+        fused = replace(fused, rejected_heights=(), height_stepped=False)
         return _touch(fused, config), innovation
-    first = not state.disputed_heights
+    first = not state.rejected_heights
     state = replace(state, height_stepped=stepped if first else state.height_stepped or stepped)
-    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_heights, dispute, config.dispute_window_s)
-    state = replace(state, disputed_heights=disputes)
-    if not convinces(disputes, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
+    rejected = remember(state.rejected_heights, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_heights=rejected)
+    if not convinces(rejected, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     if state.height_stepped:
-        state = freed(state, States.BARO.start, open_m)
+        state = freed(state, States.BARO, open_m)
     else:
-        state = freed(freed(state, _DOWN, open_m), _CLIMB, _CLIMB_SIGMA_M_S)
-    fused = replace(correct(state, measurement), disputed_heights=(), height_stepped=False)
+        state = freed(freed(state, States.DOWN, open_m), States.VELOCITY_DOWN, _CLIMB_SIGMA_M_S)
+    fused = replace(correct(state, measurement), rejected_heights=(), height_stepped=False)
     return fused, replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def _lag_m2(state: FilterState, lag_s: float) -> float:
     """Variance of what a height is wrong by because it is late."""
-    return float((lag_s * state.x[_CLIMB]) ** 2)
+    return float((lag_s * state.x[States.VELOCITY_DOWN]) ** 2)
 
 
 def _stepped(state: FilterState, event: Height, config: EkfConfig) -> bool:
@@ -77,7 +78,7 @@ def _stepped(state: FilterState, event: Height, config: EkfConfig) -> bool:
         return False
     t0_s, height0_m = state.newest_height
     span_s = max(event.t_s - t0_s, 0.0)
-    rose_m = event.height_m - height0_m + span_s * float(state.x[_CLIMB])
+    rose_m = event.height_m - height0_m + span_s * float(state.x[States.VELOCITY_DOWN])
     noise_m = math.sqrt(2.0 * CHI_SQUARE_GATE[1]) * config.height_sigma_m
     return abs(rose_m) > noise_m + _UNTHOUGHT_CLIMB_M_S * span_s
 
@@ -89,13 +90,13 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     if the wind blew it away, at a height where no picture tells otherwise. One that was believed to
     move before it came so low does fly there: the ground may fall away below it.
     """
-    speed_m_s = float(np.hypot(*state.x[States.VELOCITY][:2]))
+    speed_m_s = float(np.hypot(*state.x[States.VELOCITY_NE]))
     if state.agl_m > config.touching_agl_m or speed_m_s > config.touching_speed_m_s:
         return state
     H = np.zeros((2, States.SIZE))
-    H[:, States.VELOCITY.start : States.VELOCITY.start + 2] = np.eye(2)
+    H[:, States.VELOCITY_NE] = np.eye(2)
     R = config.touching_sigma_m_s**2 * np.eye(2)
-    return fuse(state, Measurement(-state.x[States.VELOCITY][:2], H, R))[0]
+    return fuse(state, Measurement(-state.x[States.VELOCITY_NE], H, R))[0]
 
 
 def apply_range(
@@ -136,21 +137,49 @@ def apply_agl(
     adds to it.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, _DOWN] = H[0, _TERRAIN] = -1.0
+    H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
     H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
     if by_tilt is not None:
         H[0, States.TILT] = by_tilt
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
     fused, innovation = fuse(state, measurement)
-    if innovation.accepted:
-        return replace(fused, disputed_agls=()), innovation
-    dispute = Dispute(state.t_s, measurement.residual, measurement.R)
-    disputes = remember(state.disputed_agls, dispute, config.dispute_window_s)
-    state = replace(state, disputed_agls=disputes)
-    if not convinces(disputes, 1.0, config.offset_count, config.offset_span_s):
+    if innovation.verdict is Verdict.FUSED:
+        return replace(fused, rejected_agls=()), innovation
+    rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_agls=rejected)
+    if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     # Whether the keyframe's ground was believed wrong too is not known.
-    state = freed(freed(state, _TERRAIN, open_m), _ANCHOR_TERRAIN, open_m)
+    state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
     fused = correct(state, measurement)
-    return replace(fused, disputed_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
+    return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
+    """It does not move, and the ground is right below; what the gyro still says is its bias."""
+    config = context.config
+    H = np.zeros((3, States.SIZE))
+    H[:, States.VELOCITY] = np.eye(3)
+    R = config.stationary_sigma_m_s**2 * np.eye(3)
+    velocity = state.x[States.VELOCITY]
+    state, innovation = fuse(state, Measurement(-velocity, H, R))
+    if innovation.verdict is Verdict.GATED:
+        # Who stands does not move, whatever was believed in the landing: it is open to that.
+        P = state.P.copy()
+        P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)
+        return replace(state, P=P), innovation
+    imu = context.imu
+    felt = preintegrated(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
+    if felt is not None:
+        state = _at_rest(state, vector_from_quat(felt.turn_wxyz) / _STILL_S, config)
+    state, height = apply_agl(state, config.stationary_agl_m, config.stationary_agl_sigma_m, config)
+    return state, replace(innovation, parts=(height,))
+
+
+def _at_rest(state: FilterState, rates_rad_s: Array, config: EkfConfig) -> FilterState:
+    """What a gyro (3,) says of an aircraft that stands; one that is carried about is refused."""
+    H = np.zeros((3, States.SIZE))
+    H[:, States.GYRO_BIAS] = np.eye(3)
+    R = config.stationary_sigma_rad_s**2 * np.eye(3)
+    return fuse(state, Measurement(rates_rad_s - state.x[States.GYRO_BIAS], H, R))[0]

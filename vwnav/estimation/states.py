@@ -1,150 +1,60 @@
 """The filter as a table: what is estimated, how sure it is at first, and how fast it may change."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.inertial.imu import ImuIntegrals
-from vwnav.types import Array
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.inertial.preintegration import ImuIntegrals
+from vwnav.geometry.rotations import quat_from_rotation, rotation_from_quat, rotation_from_vector
+from vwnav.types import Array, Estimate
+
+_HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
+_TERRAIN_SIGMA_M = 30.0
+_BARO_SIGMA_M = 2.0
+_KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
 
 
 class States:
     """Where each state stands in the vector `x` and in its covariance `P`.
 
     All errors add to their state, the heading bias modulo 2 pi. The attitude itself is the
-    autopilot's stream; its error is three of the states (heading bias and tilt).
+    autopilot's stream; its error is three of the states (heading bias and tilt). What an odometry
+    keyframe (anchor) or a picture at the map's matching (exposed) is compared with later is cloned
+    when it is taken (stochastic cloning, Roumeliotis and Burdick 2002).
     """
 
     POSITION = slice(0, 3)  # m, NED about the origin
+    POSITION_NE, DOWN = slice(0, 2), 2
     VELOCITY = slice(3, 6)  # m/s, NED
+    VELOCITY_NE, VELOCITY_DOWN = slice(3, 5), 5
+    MOTION = slice(0, 6)  # position and velocity
     ACCELERATION = slice(6, 8)  # m/s^2, north and east, beyond what thrust explains: drag, wind
-    HEADING_BIAS = slice(8, 9)  # rad, heading of the autopilot minus true heading
+    HEADING_BIAS = 8  # rad, heading of the autopilot minus true heading
     TILT = slice(9, 11)  # rad, error of the autopilot's attitude about the body's level fwd, right
-    BARO = slice(11, 12)  # m, barometric height minus height above the origin
-    TERRAIN = slice(12, 13)  # m, height above the origin of the ground below
+    BARO = 11  # m, barometric height minus height above the origin
+    TERRAIN = 12  # m, height above the origin of the ground below
     ANCHOR_POSITION = slice(13, 16)  # m, NED, the position at the keyframe of odometry
-    ANCHOR_HEADING_BIAS = slice(16, 17)  # rad, the heading bias at the keyframe
+    ANCHOR_NE, ANCHOR_DOWN = slice(13, 15), 15
+    ANCHOR_HEADING_BIAS = 16  # rad, the heading bias at the keyframe
     MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
     ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
-    ANCHOR_TURN = slice(22, 23)  # rad, what the keyframe's own picture adds to every turn from it
-    ANCHOR_TERRAIN = slice(23, 24)  # m, height of the keyframe's own ground, which scales its ways
+    ANCHOR_TURN = 22  # rad, what the keyframe's own picture adds to every turn from it
+    ANCHOR_TERRAIN = 23  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
     GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
-    MAP_TURN = slice(29, 30)  # rad, by how much headings by this map, and matching on it, are off
-    MAP_SCALE = slice(30, 31)  # the same of heights above ground, as a share of them
+    MAP_TURN = 29  # rad, by how much headings by this map, and matching on it, are off
+    MAP_SCALE = 30  # the same of heights above ground, as a share of them
+    EXPOSED = slice(31, 37)
     EXPOSED_POSITION = slice(31, 33)  # m, north and east of the picture that is being matched
-    EXPOSED_HEADING_BIAS = slice(33, 34)  # rad, the heading bias at its exposure
+    EXPOSED_HEADING_BIAS = 33  # rad, the heading bias at its exposure
     EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
-    EXPOSED_AGL = slice(36, 37)  # m, the height above ground then
+    EXPOSED_AGL = 36  # m, the height above ground then
     WIND_FORCE = slice(37, 39)  # m/s^2, north and east, what the wind alone pushes by drag
-    DRAG = slice(39, 40)  # 1/s, of a multirotor through air, across its thrust
+    DRAG = 39  # 1/s, of a multirotor through air, across its thrust
     SIZE = 40
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EkfConfig:
-    """Noises and limits. Sigmas are one standard deviation; densities are per root second."""
-
-    # How the states change
-    acceleration_noise_m_s2: float = 0.3  # per root hertz, horizontal, white
-    vertical_noise_m_s2: float = 0.4  # per root hertz, white
-    acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
-    acceleration_time_s: float = 5.0
-    heading_walk_rad: float = math.radians(0.15)  # per root second
-    heading_slew_rad: float = math.radians(0.3)  # the same while a gyro tells: filters realign
-    tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
-    tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
-    baro_walk_m: float = 0.13  # per root second: 3.2 m in 10 minutes, as weather and warming do
-    baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air
-    imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
-    accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
-    accelerometer_walk_m_s2: float = 0.003  # per root second
-    gyro_noise_rad: float = math.radians(0.1)  # per root second: what a gyro's turn wanders
-    gyro_share: float = 0.001  # of a turn: scale factor, and what happens between samples
-    gyro_sigma_rad_s: float = math.radians(0.5)  # bias at first
-    gyro_walk_rad_s: float = math.radians(0.005)  # per root second
-    drag_per_s: float = 0.35  # at first; from 0.1 of a slick large one to 1 of PX4's simulated one
-    drag_sigma_per_s: float = 0.3  # at first
-    drag_walk_per_s: float = 0.001  # per root second
-    drag_range_per_s: tuple[float, float] = (0.02, 2.0)
-    drag_noise_m_s2: float = 0.1  # of the force across the thrust, averaged, beyond what is shaken
-    drag_interval_s: float = 0.4  # between two
-    wind_force_sigma_m_s2: float = 2.0  # at first
-    wind_walk_m_s: float = 0.3  # per root second: gusts of 1 m/s that last 30 s
-    terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
-    terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
-    map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
-    map_turn_rad: float = math.radians(0.25)  # likewise: a tilt that matching took for a turn, too
-    map_scale: float = 0.008
-    map_length_m: float = 100.0  # waves of 50 m, and ways that lead back over the same ground
-    lost_noise_m_s2: float = 5.0  # per root hertz, horizontal, while no attitude tells the thrust
-    lost_climb_noise_m_s2: float = 2.0  # per root hertz, likewise
-    thrust_aided: bool = True  # horizontal acceleration of a multirotor from its attitude
-    # How sure the states are at first
-    heading_sigma_rad: float = math.radians(15.0)  # a compass near motors and steel
-    unknown_sigma_m: float = 2000.0  # stands for no idea of the position
-    baro_sigma_m: float = 1.0
-    # Measurements
-    height_sigma_m: float = 0.25  # barometer, white part
-    height_lag_s: float = 0.05  # of the barometer, beyond what its stamps say
-    rangefinder_lag_s: float = 0.15  # likewise: it is polled before it is stamped
-    rangefinder_sigma_m: float = 0.05
-    rangefinder_sigma_ratio: float = 0.02  # of the distance
-    stationary_sigma_m_s: float = 0.05
-    stationary_sigma_rad_s: float = math.radians(0.4)  # of its turning, by the gyro
-    stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
-    stationary_agl_sigma_m: float = 0.15
-    blow_agl_m: float = 2.0  # lower than this it may strike the ground, shorter than an IMU hears
-    blow_noise_m_s2: float = 1.0  # per root hertz, horizontal, instead of less
-    touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
-    touching_speed_m_s: float = 1.5  # and no faster than this sideways
-    touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
-    zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
-    picture_date_s: float = 0.005  # error of a picture's date, its read-out's part included
-    anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
-    odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
-    visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
-    # What no aircraft does: a state beyond these begins anew from the last trusted fix
-    most_speed_m_s: float = 35.0
-    most_climb_m_s: float = 25.0
-    most_tilt_rad: float = math.radians(15.0)  # of the autopilot's attitude, its error
-    restart_sigma_m: float = 10.0  # and half the way it may have flown since that fix
-    restart_velocity_m_s: float = 15.0
-    # Time
-    history_s: float = 2.0  # how late a measurement may be
-    ahead_s: float = 2.0  # how far ahead of the newest time known one may be
-    # Re-localisation
-    relocation_fixes: int = 12  # refused fixes that must agree before the filter jumps to them
-    relocation_span_s: float = 4.0  # and the least time between first and last of them
-    relocation_drift_m_s: float = 0.5  # by which agreeing fixes may drift apart
-    dispute_window_s: float = 30.0  # refused measurements are remembered this long
-    sudden_sigma_m: float = 5.0  # a pull beyond what this explains needs ...
-    sudden_fixes: int = 2  # ... so many fixes that agree, however unsure the filter is
-    lone_fix_sigma_m: float = 40.0  # by how much a sudden one that none agrees with may be wrong
-    jump_m: float = 3.0  # a correction that is longer counts as a reset
-    offset_count: int = 4  # refused headings or AGLs that must agree before their state is freed
-    offset_span_s: float = 0.5  # and the least time they span
-    heading_drift_rad_s: float = math.radians(2.0)  # by which agreeing headings may drift apart
-
-    def without_telemetry(self) -> "EkfConfig":
-        """For a video alone: the position is that of the picture's centre, and nothing is felt.
-
-        The centre swings with the camera, so accelerations are larger and unexplained; the heading
-        stream is the one odometry turns from pictures.
-        """
-        return replace(
-            self,
-            acceleration_noise_m_s2=1.5,
-            vertical_noise_m_s2=1.0,
-            acceleration_sigma_m_s2=1.5,
-            heading_walk_rad=math.radians(0.5),
-            tilt_sigma_rad=math.radians(0.01),
-            heading_sigma_rad=math.pi,
-            thrust_aided=False,
-            odometry_turns_attitude=True,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,12 +83,15 @@ class TrustedPosition:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dispute:
-    """A measurement that the gate refused: what it wanted to change (n,), and its covariance."""
+class RejectedInnovation:
+    """Of a measurement that its gate refused: residual (m,) and covariance (m, m) of its noise."""
 
     t_s: float
-    offset: Array
+    residual: Array
     covariance: Array
+
+
+RejectedInnovations = tuple[RejectedInnovation, ...]  # in order of time
 
 
 class Measured(NamedTuple):
@@ -207,7 +120,7 @@ class FilterState:
         trusted: the last fix that agreed with one before it; the start until then.
         newest_height: time and height that the barometer told last, believed or not.
         height_stepped: the heights that are refused began with a step, not with a climb.
-        disputed_fixes, disputed_headings, disputed_agls, disputed_heights, disputed_ways: refused
+        rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
             since the last accepted one.
     """
 
@@ -224,16 +137,16 @@ class FilterState:
     newest_height: tuple[float, float] | None = None
     height_stepped: bool = False
     reset_counter: int = 0
-    disputed_fixes: tuple[Dispute, ...] = ()
-    disputed_headings: tuple[Dispute, ...] = ()
-    disputed_agls: tuple[Dispute, ...] = ()
-    disputed_heights: tuple[Dispute, ...] = ()
-    disputed_ways: tuple[Dispute, ...] = ()
+    rejected_fixes: RejectedInnovations = ()
+    rejected_headings: RejectedInnovations = ()
+    rejected_agls: RejectedInnovations = ()
+    rejected_heights: RejectedInnovations = ()
+    rejected_ways: RejectedInnovations = ()
 
     @property
     def agl_m(self) -> float:
         """Height above the ground below."""
-        return float(-self.x[States.POSITION][2] - self.x[States.TERRAIN][0])
+        return float(-self.x[States.DOWN] - self.x[States.TERRAIN])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -274,7 +187,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     x[States.DRAG] = config.drag_per_s
     variance = first_variance(config)
     variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
-    variance[2] = 0.1**2  # the height is counted from here
+    variance[States.DOWN] = 0.1**2  # the height is counted from here
     variance[States.VELOCITY] = start.sigma_velocity_m_s**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
@@ -298,3 +211,108 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.MAP_TURN] = config.map_turn_rad**2
     variance[States.MAP_SCALE] = config.map_scale**2
     return variance
+
+
+def outside(state: FilterState, config: EkfConfig) -> str | None:
+    """Why a state cannot be that of an aircraft; None while it can."""
+    x, variances = state.x, np.diag(state.P)
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
+        return "it is not finite"
+    north, east, down = x[States.VELOCITY].tolist()
+    if math.hypot(north, east) > config.most_speed_m_s:
+        return f"{math.hypot(north, east):.0f} m/s"
+    if abs(down) > config.most_climb_m_s:
+        return f"{-down:.0f} m/s of climb"
+    tilt_rad = float(np.linalg.norm(x[States.TILT]))
+    if tilt_rad > config.most_tilt_rad:
+        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
+    return None
+
+
+def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
+    """At the last trusted fix, as unsure as an aircraft can have flown since.
+
+    Heights keep their values where they are numbers: they have witnesses of their own, and are open
+    to them. Of the attitude's error nothing is believed but that it is as at first.
+    """
+    x, variance = np.zeros(States.SIZE), first_variance(config)
+    x[States.DRAG] = config.drag_per_s
+    heights = [States.DOWN, States.BARO, States.TERRAIN]
+    if np.all(np.isfinite(state.x[heights])):
+        x[heights] = state.x[heights]
+        # Nor may what it took the barometer's bias for be far from what weather does in an hour.
+        x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
+    variance[States.DOWN], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
+    variance[States.BARO] = _BARO_SIGMA_M**2
+    variance[States.VELOCITY] = config.restart_velocity_m_s**2
+    known = state.trusted is not None
+    sigma_m = config.unknown_sigma_m
+    if state.trusted is not None:
+        x[States.POSITION_NE] = state.trusted.position_ne_m
+        flown_m = 0.5 * config.most_speed_m_s * max(state.t_s - state.trusted.t_s, 0.0)
+        sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
+    variance[States.POSITION_NE] = sigma_m**2
+    return FilterState(
+        state.t_s,
+        x,
+        np.diag(variance),
+        position_known=known,
+        heading_known=state.heading_known,
+        t_last_fix_s=state.t_last_fix_s,
+        trusted=state.trusted,
+        reset_counter=state.reset_counter + 1,
+    )
+
+
+def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
+    """What a state says of the aircraft.
+
+    Args:
+        state: the filter's.
+        quat_measured_wxyz: (4,) the attitude that it knows of that moment.
+        turned_rad: how far the aircraft may have turned since that was known.
+    """
+    x, P = state.x, state.P
+    down, terrain = States.DOWN, States.TERRAIN
+    variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
+    return Estimate(
+        t_s=state.t_s,
+        position_ned_m=x[States.POSITION].copy(),
+        velocity_ned_m_s=x[States.VELOCITY].copy(),
+        covariance=P[States.MOTION, States.MOTION].copy(),
+        quat_wxyz=_true_attitude(x, quat_measured_wxyz),
+        sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
+        agl_m=max(state.agl_m, 0.0),
+        sigma_agl_m=math.sqrt(variance_agl),
+        t_last_fix_s=state.t_last_fix_s,
+        reset_counter=state.reset_counter,
+        wind_ne_m_s=wind_ne_m_s(state),
+    )
+
+
+def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
+    """A tilt error turns the heading of a nose that points up or down: by tan(pitch)."""
+    w, x, y, z = quat_measured_wxyz.tolist()
+    sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
+    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
+    yaw, forward = States.HEADING_BIAS, States.TILT.start
+    return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
+
+
+def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
+    """quat_wxyz (4,) with heading bias and tilt removed: R = Rz(-b) exp(-tilt) R_measured."""
+    R_measured = rotation_from_quat(quat_measured_wxyz)
+    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    forward, right = x[States.TILT]
+    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
+    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS])])
+    return quat_from_rotation(unturn @ untilt @ R_measured)
+
+
+def wind_ne_m_s(state: FilterState) -> Array | None:
+    """(2,) the wind w = c / k, where it blows to; None until the drag is known to a third."""
+    drag = float(state.x[States.DRAG])
+    if state.P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2:
+        return None
+    return np.asarray(state.x[States.WIND_FORCE] / drag)

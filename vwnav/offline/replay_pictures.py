@@ -17,9 +17,9 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord, Tally
 from vwnav.pipeline import ATTITUDE_WAIT_S, InlineExecutor, Pipeline
+from vwnav.recording.input_log import InputLog
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import make_run_folder
-from vwnav.recording.tape import Tape
 from vwnav.recording.telemetry_files import load_telemetry
 from vwnav.screen import LiveLine, say
 from vwnav.types import Attitude, Frame, FrameSource, Telemetry
@@ -65,9 +65,9 @@ def replay_source(options: ReplayOptions) -> None:
             about = about_run(assembled, options.features, "center" if alone else "nadir")
             settings = config.model_dump(mode="json")
             with closing(Recorder(folder / "flight.mcap", settings)) as recorder:
-                tape = Tape(recorder, about)
-                assembled.ekf.record(tape.input)
-                _run(options, folder, source, first, told, assembled, tape)
+                input_log = InputLog(recorder, about)
+                assembled.ekf.record(input_log.input)
+                _run(options, folder, source, first, told, assembled, input_log)
         finally:
             source.close()
 
@@ -105,9 +105,9 @@ def _run(
     first: Frame,
     told: list[Telemetry],
     assembled: Assembled,
-    tape: Tape,
+    input_log: InputLog,
 ) -> None:
-    record = ReplayRecord(folder, tape.about, assembled.pack, first.t_s)
+    record = ReplayRecord(folder, input_log.about, assembled.pack, first.t_s)
     tally = record.tally
     trouble: VwnavError | None = None
     frame: Frame | None = first
@@ -118,7 +118,7 @@ def _run(
             _feed(assembled.pipeline, coming, frame.t_s)
             step = assembled.pipeline.step(frame)
             tally.busy_s += time.perf_counter() - start_s
-            tape.picture(step, None)
+            input_log.picture(step, None)
             record.add(step, None)
             line.show(frame.t_s, _status(tally, frame.t_s - first.t_s))
             try:

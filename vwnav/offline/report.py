@@ -8,8 +8,8 @@ from pathlib import Path
 from vwnav import __version__
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import StepResult
+from vwnav.recording.input_log import About
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
-from vwnav.recording.tape import About
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import print_table
 from vwnav.types import MapFix, Rejected, RejectReason
@@ -30,7 +30,7 @@ class ReplayOptions:
     output: Path | None
 
     @property
-    def from_tape(self) -> bool:
+    def from_input_log(self) -> bool:
         """Whether the filter's recorded inputs are wanted: a recording, nothing about pictures."""
         asked = (self.camera, self.hfov_deg, self.telemetry, self.model, self.config_path)
         return (

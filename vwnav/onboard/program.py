@@ -136,7 +136,7 @@ def _fly(
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, options.features, "nadir")
     record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
-    assembled.ekf.record(record.tape.input)
+    assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)
     # Of one that flies nothing is known: the first fix begins.
     if not (vehicle.armed and vehicle.in_air):

@@ -15,9 +15,9 @@ from vwnav.maps.pack import MapPack
 from vwnav.onboard.options import FlyOptions
 from vwnav.pipeline import Pipeline, StepResult
 from vwnav.recording.flight_recorder import FlightRecorder, was_tried
+from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
-from vwnav.recording.tape import About
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import LiveLine, print_table, say
 from vwnav.sim.score import Score, summarise
@@ -32,7 +32,7 @@ class FlightRecord:
     """A `vwnav.runtime.Watcher` that keeps and shows everything.
 
     Attributes:
-        tape: what the filter is told, from before its start: `Ekf.record(tape.input)`.
+        input_log: what the filter is told, from before its start: `Ekf.record(input_log.input)`.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class FlightRecord:
         self._trajectory: TrajectoryWriter | None = None
         settings = config.model_dump(mode="json")
         self._recorder = FlightRecorder(Recorder(folder / "flight.mcap", settings), about)
-        self.tape = self._recorder.tape
+        self.input_log = self._recorder.input_log
         self._picture = TrackPicture(pack, about.local_frame)
         self._score = Score(about.local_frame) if truth is not None else None
         self._line = LiveLine()
@@ -84,7 +84,7 @@ class FlightRecord:
         self._saw_outcome(step.outcome)
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
-            self._trajectory = TrajectoryWriter(path, self.tape.about.local_frame, frame.t_s)
+            self._trajectory = TrajectoryWriter(path, self.input_log.about.local_frame, frame.t_s)
         yaw_rad = setpoint.yaw_rad if setpoint else None
         self._trajectory.write(step, yaw_rad)  # last: a full disk takes nothing else along
 
@@ -159,7 +159,7 @@ class FlightRecord:
             "version": __version__,
             "simulated": options.sim,
             "map": assembled.pack.name,
-            **self.tape.about.as_json(),
+            **self.input_log.about.as_json(),
             "completed": end is not None and end.reason is None,
             "reason": end.reason if end else "the flight loop broke off",
             "frames": self._frames,

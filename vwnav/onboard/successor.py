@@ -126,7 +126,7 @@ def _succeed(
         folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,
         clock,
     )  # fmt: skip
-    assembled.ekf.record(record.tape.input)
+    assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)
     if handover.lat_lon_deg is not None:
         assembled.ekf.initialise(_start(plan, handover, handover.lat_lon_deg, vehicle.t_s))

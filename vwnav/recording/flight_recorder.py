@@ -1,8 +1,8 @@
 """Which parts of a flight go into its recording, and how often."""
 
 from vwnav.pipeline import StepResult
+from vwnav.recording.input_log import About, InputLog
 from vwnav.recording.recorder import Recorder
-from vwnav.recording.tape import About, Tape
 from vwnav.types import Estimate, Frame, MapFix, Rejected, RejectReason
 from vwnav.vehicle import VehicleState, VelocitySetpoint
 
@@ -13,12 +13,12 @@ class FlightRecorder:
     """The recording of a flight: everything that the filter is told, and the rest now and then.
 
     Attributes:
-        tape: what the filter is told, from before its start: `Ekf.record(tape.input)`.
+        input_log: what the filter is told, from before its start: `Ekf.record(input_log.input)`.
     """
 
     def __init__(self, recorder: Recorder, about: About) -> None:
         self._recorder = recorder
-        self.tape = Tape(self._recorder, about)
+        self.input_log = InputLog(self._recorder, about)
         self._next_tick_s = 0.0
 
     def event(self, t_s: float, text: str) -> None:
@@ -27,7 +27,7 @@ class FlightRecorder:
 
     def picture(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
         """What a picture brought; to be called close behind its step."""
-        self.tape.picture(step, setpoint.yaw_rad if setpoint else None)
+        self.input_log.picture(step, setpoint.yaw_rad if setpoint else None)
         if was_tried(step.outcome):
             self._recorder.outcome(step.outcome)
 

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import FlightConfig, Phase
+from vwnav.recording.input_log import INPUT_TOPIC
 from vwnav.recording.reader import VEHICLE_TOPIC, Record, read_metadata, read_recording
-from vwnav.recording.tape import INPUT_TOPIC
 from vwnav.rules.flight_log import (
     At,
     FlightLimits,

@@ -32,7 +32,7 @@ from vwnav.vehicle import VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
 _QUEUE_ITEMS = 10_000  # half a minute of all that is kept, in which the disk may stall
-_QUEUED_TAPE = 20_000  # the tape's own limit, after all else is left out; some 20 MB
+_QUEUED_SEQUENCE = 20_000  # a sequence's own limit, after all else is left out; some 20 MB
 _QUEUED_PICTURES = 4
 _FLUSH_S = 1.0
 _CHUNK_BYTES = 1 << 18
@@ -45,8 +45,8 @@ class Recorder:
     """An MCAP file in the making.
 
     Topics: /camera (JPEG), /vehicle, /fix, /estimate, /setpoint, /event; JSON with the field names
-    of `vwnav.types`, angles in radians, NaN as null. `log_time` is `t_s`, in nanoseconds. `Tape`
-    adds what the filter was told.
+    of `vwnav.types`, angles in radians, NaN as null. `log_time` is `t_s`, in nanoseconds.
+    `InputLog` adds what the filter was told.
 
     Args:
         path: must not exist.
@@ -126,7 +126,7 @@ class Recorder:
         """Keep a dataclass or mapping on a topic of its own."""
         self._put(lambda: self._write_json(topic, t_s, {"t_s": t_s} | plain(content)))
 
-    def tape(self, topic: str, t_s: float, content: Callable[[], dict[str, Any]]) -> None:
+    def sequence(self, topic: str, t_s: float, content: Callable[[], dict[str, Any]]) -> None:
         """Keep a message of a sequence that is worth nothing after a gap.
 
         Costs a microsecond: `content` is called by the thread that writes. When the disk falls
@@ -134,7 +134,7 @@ class Recorder:
         """
         if self._stopped or self._torn:
             return
-        if self._queue.qsize() >= _QUEUED_TAPE:
+        if self._queue.qsize() >= _QUEUED_SEQUENCE:
             self._torn = True
             _log.warning("the disk is too slow: from here on the flight cannot be replayed")
             return

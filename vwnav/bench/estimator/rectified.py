@@ -11,8 +11,8 @@ import numpy as np
 
 from vwnav.bench.estimator.streams import MeasurementStream
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
+from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
 from vwnav.types import Array, OdometryMotion
 

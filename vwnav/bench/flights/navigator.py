@@ -168,7 +168,7 @@ class Navigator:
     def keep(self, writer: Recorder) -> None:
         """Record this flight as `vwnav fly` does, pictures left out."""
         recorder = FlightRecorder(writer, self._about)
-        self.ekf.record(recorder.tape.input)
+        self.ekf.record(recorder.input_log.input)
         self.record.setpoint = lambda: self.flight.setpoint
         self.record.recorder = recorder
 

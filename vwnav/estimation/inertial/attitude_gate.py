@@ -10,8 +10,9 @@ wrong one among right ones never is.
 import math
 
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
-from vwnav.estimation.inertial.imu import ImuHistory, push_between
-from vwnav.estimation.updates import Verdict
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.preintegration import preintegrated
+from vwnav.estimation.kalman import Verdict
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array, Attitude
 
@@ -39,7 +40,6 @@ class AttitudeGate:
         self._jumped = False  # what waits could not be turned to
         self._others_s = -math.inf  # time of the newest other measurement of the autopilot
         self._spacing_s = 0.0  # of those: heights of some logs come once a second
-        self._refused_s: set[float] = set()
 
     def heard(self, t_s: float) -> None:
         """Something else of the autopilot came."""
@@ -50,14 +50,10 @@ class AttitudeGate:
             self._spacing_s = max(since_s, _FORGET * self._spacing_s)
         self._others_s = t_s
 
-    def refused(self, t_s: float) -> bool:
-        """Whether an attitude of that very time was refused and not believed since."""
-        return t_s in self._refused_s
-
     def take(self, attitude: Attitude) -> Verdict:
         """Put an attitude into the history, or say why not."""
         newest_s = self._attitudes.newest_s
-        if newest_s is None:
+        if newest_s == -math.inf:
             self._attitudes.add(attitude)
             return Verdict.FUSED
         if attitude.t_s <= newest_s:
@@ -70,7 +66,7 @@ class AttitudeGate:
         if not self._convinced(newest_s):
             return Verdict.GATED
         for waited in self._waiting:
-            self._refused_s.discard(waited.t_s)
+            self._attitudes.refused_s.discard(waited.t_s)
             self._attitudes.add(waited)
         self._waiting.clear()
         return Verdict.RELOCATED
@@ -103,11 +99,11 @@ class AttitudeGate:
         span_s = after.t_s - before.t_s
         until_s = min(after.t_s, self._imu.newest_s + _CARRIED_S)
         zero, one = self._imu.until(before.t_s), self._imu.until(until_s)
-        push = push_between(zero, one) if until_s >= before.t_s else None
-        if push is None:
+        imu = preintegrated(zero, one) if until_s >= before.t_s else None
+        if imu is None:
             apart = _angle(before.quat_wxyz, after.quat_wxyz)
             return apart <= _SLACK_RAD + _MOST_TURN_RAD_S * span_s
-        turned = quat_multiply(_unit(before.quat_wxyz), push.turn_wxyz)
+        turned = quat_multiply(_unit(before.quat_wxyz), imu.turn_wxyz)
         unheard_s = max(after.t_s - self._imu.newest_s, 0.0)
         open_rad = 0.5 * _UNHEARD_RAD_S2 * unheard_s**2
         open_rad += self._imu.rate_rad_s * (after.t_s - until_s)
@@ -147,13 +143,14 @@ class AttitudeGate:
 
     def _gyro_heard(self, from_s: float, to_s: float) -> bool:
         zero, one = self._imu.until(from_s), self._imu.until(min(to_s, self._imu.newest_s))
-        return push_between(zero, one) is not None and self._imu.newest_s > to_s - MAX_GAP_S
+        return preintegrated(zero, one) is not None and self._imu.newest_s > to_s - MAX_GAP_S
 
     def _refuse(self, t_s: float) -> None:
-        self._refused_s.add(t_s)
-        if len(self._refused_s) > 1000:
-            newest_s = max(self._refused_s)
-            self._refused_s = {t for t in self._refused_s if t > newest_s - 10.0}
+        refused_s = self._attitudes.refused_s
+        refused_s.add(t_s)
+        if len(refused_s) > 1000:
+            newest_s = max(refused_s)
+            refused_s.difference_update([t for t in refused_s if t <= newest_s - 10.0])
 
 
 def _unit(quat_wxyz: Array) -> Array:

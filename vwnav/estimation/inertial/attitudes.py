@@ -1,12 +1,11 @@
-"""The autopilot's attitude over the last seconds, and what is read from it."""
+"""The autopilot's attitude over the last seconds, and the turns that its gyro has counted."""
 
 import bisect
 import math
 
 import numpy as np
 
-from vwnav.estimation.inertial.gyro import GyroHistory
-from vwnav.geometry.rotations import quat_multiply, wrap_pi
+from vwnav.geometry.rotations import quat_conjugate, quat_from_vector, quat_multiply, wrap_pi
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
@@ -17,27 +16,107 @@ _KNOWN_AHEAD_S = 0.04  # for so long it is known well enough for a picture
 _CARRIED_S = 5.0  # the same by the gyro, which drifts by some tenths of a degree a second at worst
 _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
+LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
+_RATE_OVER_S = 0.04
+_FORGET_AT_ONCE = 1000  # samples
+
+
+class GyroHistory:
+    """The product of all turns up to any moment: what lies between two of them is a quotient.
+
+    Attributes:
+        newest_s: time of the newest sample, minus infinity before the first.
+    """
+
+    def __init__(self, length_s: float) -> None:
+        self.newest_s = -math.inf
+        self._length_s = length_s
+        self._times_s: list[float] = []
+        self._turned: list[Array] = []
+        self._series: list[int] = []  # samples between silences share a number
+        self._first_series = 0
+
+    @property
+    def newest(self) -> Array:
+        """(4,) the product up to the newest sample; there is one."""
+        return self._turned[-1]
+
+    def forget(self) -> None:
+        """As if no sample had come."""
+        self.newest_s = -math.inf
+        self._first_series = self._series[-1] + 1 if self._series else self._first_series
+        self._times_s.clear()
+        self._turned.clear()
+        self._series.clear()
+
+    def begin(self, t_s: float) -> None:
+        """Take a sample after a silence: how the body turned in that, nobody knows."""
+        series = self._series[-1] + 1 if self._series else self._first_series
+        turned = self._turned[-1] if self._turned else np.array([1.0, 0.0, 0.0, 0.0])
+        self._append(t_s, series, turned)
+
+    def turn(self, t_s: float, rotation_rad: Array) -> None:
+        """Take a sample, until which the body turned by a rotation vector (3,) about its axes."""
+        turned = quat_multiply(self._turned[-1], quat_from_vector(rotation_rad))
+        self._append(t_s, self._series[-1], turned / math.sqrt(turned @ turned))
+
+    def between(self, t0_s: float, t1_s: float) -> Array | None:
+        """quat_wxyz (4,) of R_body0_body1; None where a silence lies between, and outside.
+
+        The newest rate holds for a moment.
+        """
+        zero, one = self._until(t0_s), self._until(t1_s)
+        if zero is None or one is None or zero[0] != one[0]:
+            return None
+        return quat_multiply(quat_conjugate(zero[1]), one[1])
+
+    def rate_rad_s(self, t_s: float) -> float:
+        """How fast the body tilted about then; 0 where nothing tells."""
+        turn = self.between(t_s - _RATE_OVER_S, t_s)
+        return 0.0 if turn is None else 2.0 * math.hypot(*turn[1:3].tolist()) / _RATE_OVER_S
+
+    def _append(self, t_s: float, series: int, turned: Array) -> None:
+        self.newest_s = t_s
+        self._times_s.append(t_s)
+        self._series.append(series)
+        self._turned.append(turned)
+        old = bisect.bisect_left(self._times_s, t_s - self._length_s) - 1
+        if old >= _FORGET_AT_ONCE:
+            del self._times_s[:old], self._series[:old], self._turned[:old]
+
+    def _until(self, t_s: float) -> tuple[int, Array] | None:
+        if not self._times_s or not self._times_s[0] <= t_s <= self._times_s[-1] + LONGEST_GAP_S:
+            return None
+        i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
+        if i == 0:
+            return self._series[0], self._turned[0]
+        if self._series[i] != self._series[i - 1]:
+            return (self._series[i], self._turned[i]) if t_s >= self._times_s[i] else None
+        t0_s, t1_s = self._times_s[i - 1], self._times_s[i]
+        fraction = (t_s - t0_s) / (t1_s - t0_s)
+        turned = (1.0 - fraction) * self._turned[i - 1] + fraction * self._turned[i]
+        return self._series[i], turned / math.sqrt(turned @ turned)
 
 
 class AttitudeHistory:
     """Attitudes in order of time, looked up by time.
 
     Where none came, or none has come yet, the gyro carries the last one on.
+
+    Attributes:
+        gyro: the turns that it has counted.
+        newest_s: time of the newest attitude, minus infinity before the first.
+        refused_s: times of attitudes that were refused and not believed since.
     """
 
-    def __init__(
-        self, length_s: float, gyro: GyroHistory | None = None, max_gap_s: float = MAX_GAP_S
-    ) -> None:
+    def __init__(self, length_s: float, max_gap_s: float = MAX_GAP_S) -> None:
+        self.gyro = GyroHistory(length_s)
+        self.newest_s = -math.inf
+        self.refused_s: set[float] = set()
         self._length_s = length_s
-        self._gyro = gyro if gyro is not None else GyroHistory(length_s)
         self._max_gap_s = max_gap_s
         self._times_s: list[float] = []
         self._quats: list[Array] = []
-
-    @property
-    def newest_s(self) -> float | None:
-        """Time of the newest attitude."""
-        return self._times_s[-1] if self._times_s else None
 
     def add(self, attitude: Attitude) -> None:
         """Keep an attitude, whatever its order; a second one of the same time is dropped."""
@@ -47,6 +126,7 @@ class AttitudeHistory:
         quat = np.asarray(attitude.quat_wxyz, dtype=np.float64)
         self._times_s.insert(i, attitude.t_s)
         self._quats.insert(i, quat / math.sqrt(quat @ quat))
+        self.newest_s = self._times_s[-1]
         # The newest before the window stays: it holds until the next one.
         old = bisect.bisect_left(self._times_s, self._times_s[-1] - self._length_s) - 1
         if old > 0:
@@ -80,11 +160,11 @@ class AttitudeHistory:
 
     def turned_unseen_rad(self, t_s: float) -> float:
         """How far it may have turned by then with neither attitude nor gyro to tell."""
-        if self.newest_s is None or self.tell(t_s):
+        if not self._times_s or self.knows(t_s):
             return 0.0
         return _TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
-    def tell(self, t_s: float) -> bool:
+    def knows(self, t_s: float) -> bool:
         """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""
         i = bisect.bisect_right(self._times_s, t_s)
         if i == 0:
@@ -98,6 +178,7 @@ class AttitudeHistory:
         i = bisect.bisect_right(self._times_s, t_s)
         del self._times_s[i:]
         del self._quats[i:]
+        self.newest_s = self._times_s[-1] if self._times_s else -math.inf
 
     def quat_at(self, t_s: float) -> Array:
         """quat_wxyz (4,) at a time: interpolated, held before the first one.
@@ -138,7 +219,7 @@ class AttitudeHistory:
             return None
         before_s = self._times_s[after - 1]
         if after == len(self._times_s):
-            is_open = self._gyro.newest_s > before_s and t_s > before_s
+            is_open = self.gyro.newest_s > before_s and t_s > before_s
         else:
             is_open = self._times_s[after] - before_s > self._max_gap_s
         carried = self._carried(after - 1, t_s) if is_open else None
@@ -148,7 +229,7 @@ class AttitudeHistory:
         """The i-th attitude, turned on to `t_s` by the gyro."""
         if t_s - self._times_s[i] > _CARRIED_S:
             return None
-        turn = self._gyro.between(self._times_s[i], t_s)
+        turn = self.gyro.between(self._times_s[i], t_s)
         return None if turn is None else quat_multiply(self._quats[i], turn)
 
     def yaw_at(self, t_s: float) -> float:
@@ -190,6 +271,12 @@ def level_axes(yaw_rad: float) -> Array:
     """(2, 2) the body's level forward and right, north and east, as columns."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([[c, -s], [s, c]])
+
+
+def true_from_autopilot(heading_bias_rad: float) -> Array:
+    """(3, 3) from NED as the autopilot's heading has it to true NED: Rz(-bias)."""
+    c, s = math.cos(heading_bias_rad), math.sin(heading_bias_rad)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def is_rotation(attitude: Attitude) -> bool:

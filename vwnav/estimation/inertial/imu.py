@@ -2,17 +2,12 @@
 
 import bisect
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.inertial.gyro import LONGEST_GAP_S, GyroHistory
-from vwnav.geometry.rotations import (
-    quat_conjugate,
-    quat_multiply,
-    rotation_from_quat,
-)
+from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, AttitudeHistory
+from vwnav.estimation.inertial.preintegration import ImuIntegrals
+from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 
 _FORGET_AT_ONCE = 1000  # samples
@@ -25,79 +20,13 @@ _FELT_M_S2, _FELT_RAD_S = 60.0, 17.0
 _SUDDEN_M_S2, _SUDDEN_RAD_S = 30.0, 8.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuIntegrals:
-    """Integrals since the first sample, in NED as the autopilot's attitude has it.
-
-    In an hour they grow to some 4e4 m/s: differences of them keep ten digits for days.
-
-    Attributes:
-        series: samples between silences share it, of attitudes too: forces that nobody can turn
-            into NED are not counted.
-        lasted_s: by the sensor's own clock.
-        pushed: (3, 5) integrals of R_ned_body, of R_ned_body f and of f, side by side.
-        turned: (4,) quaternion, the product of all turns of the body.
-        shaken: (2,) variances per axis of the integrals of force and of rates by what happened
-            between samples: rotors shake the sensors faster than they are heard.
-    """
-
-    series: int
-    lasted_s: float
-    pushed: Array
-    turned: Array
-    shaken: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Push:
-    """What the IMU felt over a span, in NED as the autopilot's attitude has it.
-
-    Attributes:
-        lasted_s: its length by the sensor's own clock.
-        velocity_m_s: (3,) integral of R_ned_body f, gravity still in it.
-        body_m_s: (3,) integral of f itself, which no attitude has turned.
-        rotation_s: (3, 3) integral of R_ned_body: what a bias of the accelerometer or of the gyro
-            adds up to.
-        turn_wxyz: (4,) the rotation that the gyro counted, R_body0_body1.
-        shaken_m2_s2, shaken_rad2: variance per axis of velocity and of turn.
-    """
-
-    lasted_s: float
-    velocity_m_s: Array
-    body_m_s: Array
-    rotation_s: Array
-    turn_wxyz: Array
-    shaken_m2_s2: float
-    shaken_rad2: float
-
-
-def push_between(zero: ImuIntegrals | None, one: ImuIntegrals | None) -> Push | None:
-    """What was felt from one moment to another; None where a silence lies between."""
-    if zero is None or one is None or zero.series != one.series:
-        return None
-    pushed = one.pushed - zero.pushed
-    # What was felt beyond the newest sample was guessed from it: where less came after that, the
-    # difference is negative, which is no variance, and made the covariance none either.
-    shaken = np.maximum(one.shaken - zero.shaken, 0.0)
-    turn = quat_multiply(quat_conjugate(zero.turned), one.turned)
-    return Push(
-        one.lasted_s - zero.lasted_s,
-        pushed[:, 3],
-        pushed[:, 4],
-        pushed[:, :3],
-        turn,
-        float(shaken[0]),
-        float(shaken[1]),
-    )
-
-
 class ImuHistory:
     """Running integrals over the samples: any span is a difference of two of them."""
 
-    def __init__(self, attitudes: AttitudeHistory, gyro: GyroHistory, length_s: float) -> None:
-        """Prepare; `gyro` is that of the attitudes, and is told every sample."""
+    def __init__(self, attitudes: AttitudeHistory, length_s: float) -> None:
+        """Prepare; the gyro of the attitudes is told every sample."""
         self._attitudes = attitudes
-        self._gyro = gyro
+        self._gyro = attitudes.gyro
         self._length_s = length_s
         self._times_s: list[float] = []
         self._felt: list[ImuIntegrals] = []
@@ -192,10 +121,10 @@ class ImuHistory:
         turned = (1.0 - fraction) * zero.turned + fraction * one.turned
         return ImuIntegrals(
             one.series,
-            zero.lasted_s + fraction * (one.lasted_s - zero.lasted_s),
-            zero.pushed + fraction * (one.pushed - zero.pushed),
+            zero.span_s + fraction * (one.span_s - zero.span_s),
+            zero.integrals + fraction * (one.integrals - zero.integrals),
             turned / math.sqrt(turned @ turned),
-            zero.shaken + fraction * (one.shaken - zero.shaken),
+            zero.variances + fraction * (one.variances - zero.variances),
         )
 
     def _span_s(self, sample: ImuSample) -> float | None:
@@ -219,17 +148,19 @@ class ImuHistory:
         turned = self._gyro.newest
         if not self._felt:
             return ImuIntegrals(self._series, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
-        zero, (pushed, before) = self._felt[-1], self._newest
-        if span_s is None or not self._attitudes.tell(t_s):
-            return ImuIntegrals(zero.series + 1, zero.lasted_s, zero.pushed, turned, zero.shaken)
+        zero, (integrand, before) = self._felt[-1], self._newest
+        if span_s is None or not self._attitudes.knows(t_s):
+            return ImuIntegrals(
+                zero.series + 1, zero.span_s, zero.integrals, turned, zero.variances
+            )
         self._learn_scatter(values - before, span_s)
         doubted, self._doubted = self._doubted, np.zeros(2)
         return ImuIntegrals(
             zero.series,
-            zero.lasted_s + span_s,
-            zero.pushed + (0.5 * span_s) * (pushed + now),
+            zero.span_s + span_s,
+            zero.integrals + (0.5 * span_s) * (integrand + now),
             turned,
-            zero.shaken + span_s**2 * self._scatter + doubted,
+            zero.variances + span_s**2 * self._scatter + doubted,
         )
 
     def _learn_scatter(self, slope: Array, span_s: float) -> None:

@@ -16,9 +16,9 @@ from vwnav.estimation.inputs import Asked, Input
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord
 from vwnav.pipeline import StepResult
+from vwnav.recording.input_log import About, PictureSeen, read_about, read_input_log
 from vwnav.recording.reader import is_cut_off
 from vwnav.recording.run_folder import make_run_folder
-from vwnav.recording.tape import About, PictureSeen, read_about, read_tape
 from vwnav.screen import LiveLine, say
 from vwnav.types import Estimate, Rejected, RejectReason
 
@@ -27,8 +27,8 @@ _ESTIMATES_KEPT = 1000  # between a picture's estimate and its mark other thread
 Row = tuple[StepResult, float | None]  # with the commanded yaw, radians
 
 
-def replay_tape(options: ReplayOptions) -> None:
-    """Play a recording's tape and write the run folder.
+def replay_inputs(options: ReplayOptions) -> None:
+    """Play a recording's input log and write the run folder.
 
     Raises:
         VwnavError: nothing of it can be replayed, or the map is another than in flight.
@@ -62,7 +62,7 @@ def replay_tape(options: ReplayOptions) -> None:
 
 
 class Player:
-    """Plays a tape into a filter and collects what `trajectory.csv` is made of.
+    """Plays an input log into a filter and collects what `trajectory.csv` is made of.
 
     Attributes:
         rows: one for each picture.
@@ -82,7 +82,7 @@ class Player:
         start_s = time.perf_counter()
         try:
             with LiveLine() as line:
-                for seen in read_tape(path):
+                for seen in read_input_log(path):
                     if not isinstance(seen, PictureSeen):
                         self._take(seen)
                         continue

@@ -1,6 +1,6 @@
 """The Kalman update: one function for every measurement, and what it says about it.
 
-Measurements that the gates refuse may be right after all: enough of them must agree.
+Innovations that the gates reject may be right after all: enough of them must agree.
 """
 
 from dataclasses import dataclass, replace
@@ -8,22 +8,16 @@ from enum import Enum
 
 import numpy as np
 
-from vwnav.estimation.states import Dispute, FilterState, States
-from vwnav.geometry.rotations import wrap_pi
+from vwnav.estimation.states import FilterState, RejectedInnovation, RejectedInnovations, States
 from vwnav.types import Array
 
 # 99.9 % of chi-square by degrees of freedom (scipy.stats.chi2.ppf(0.999, dof)).
 CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 
 
-_IDENTITY = np.eye(States.SIZE)
 _RIDGE = 1e-12
-_MOST_REMEMBERED = 64  # disputes
-_HEADINGS = (
-    States.HEADING_BIAS.start,
-    States.ANCHOR_HEADING_BIAS.start,
-    States.EXPOSED_HEADING_BIAS.start,
-)
+_MOST_REMEMBERED = 64  # rejected innovations
+_HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
 
 
 class Verdict(Enum):
@@ -73,55 +67,49 @@ class Measurement:
     """A linearised measurement: residual (m,), its Jacobian H (m, n) and noise R (m, m).
 
     Attributes:
-        held: states that are uncertain in it, but that it may not correct (Schmidt 1966): its model
-            of them is too rough. Nor does it correct what their errors have done to other states:
-            a place that is wrong because the heading is wrong stays so until one of them is told.
+        considered: consider states (Schmidt 1966), uncertain in it but not corrected by it: its
+            model of them is too rough. Nor does it correct what their errors have done to other
+            states: a place that is wrong because the heading is stays so until one of them is told.
     """
 
     residual: Array
     H: Array
     R: Array
-    held: tuple[int, ...] = ()
+    considered: tuple[int, ...] = ()
 
 
-def innovate(state: FilterState, measurement: Measurement) -> Innovation:
-    """Compare with the prediction, by the chi-square gate of its degrees of freedom."""
-    return _compare(state, measurement)[0]
-
-
-def correct(
+def fuse(
     state: FilterState, measurement: Measurement, visual_weight: float = 0.0
-) -> FilterState:
-    """Apply a measurement.
+) -> tuple[FilterState, Innovation]:
+    """Correct by a measurement unless its gate refuses it, by chi-square of its dimension.
 
     `visual_weight` is the lambda of the thesis' eq. 3.30: x + K r, then a part lambda of what is
     still missing. That part goes along the least change of the measured states that explains it:
     K' = K + lambda H^+ (I - H K).
     """
-    _, K = _compare(state, measurement)
+    innovation, K = _compare(state, measurement)
+    if innovation.verdict is Verdict.GATED:
+        return state, innovation
     if visual_weight > 0.0:
         H = measurement.H
         K = K + visual_weight * np.linalg.pinv(H) @ (np.eye(len(H)) - H @ K)
-    return _corrected(state, measurement, K)
-
-
-def fuse(state: FilterState, measurement: Measurement) -> tuple[FilterState, Innovation]:
-    """Correct by a measurement unless its gate refuses it."""
-    innovation, K = _compare(state, measurement)
-    if not innovation.accepted:
-        return state, innovation
     return _corrected(state, measurement, K), innovation
 
 
+def correct(state: FilterState, measurement: Measurement) -> FilterState:
+    """Correct by a measurement, whatever its gate says."""
+    return _corrected(state, measurement, _compare(state, measurement)[1])
+
+
 def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """What the measurement says, and the gain K (n, m) for it: optimal but for held states."""
+    """The innovation, and the gain K (n, m) for it: optimal but for consider states."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
     if len(r) == 1:
         K, nis = PHt / S[0, 0], float(r[0] ** 2 / S[0, 0])
-    elif measurement.held:
-        K = _gain_given(state.P, PHt, measurement)
+    elif measurement.considered:
+        K = _schmidt_gain(state.P, PHt, measurement)
         nis = float(r @ np.linalg.solve(S, r))
     else:
         solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
@@ -130,32 +118,31 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
     return Innovation(verdict, nis, len(r), r), K
 
 
-def _gain_given(P: Array, PHt: Array, measurement: Measurement) -> Array:
-    """The gain (n, m) that would be optimal if the held states were known as they are.
+def _schmidt_gain(P: Array, PHt: Array, measurement: Measurement) -> Array:
+    """The gain (n, m) that would be optimal if the consider states c were known as they are.
 
-    P given the held states is P - P_h own^-1 P_h^T; only its product with H^T is needed.
+    P given c is P - P_c P_cc^-1 P_c^T; only its product with H^T is needed.
 
-    With the optimal gain and its held rows at zero, places far from the last fix were moved by the
+    With the optimal gain and its rows of c at zero, places far from the last fix were moved by the
     heading error that the residual seemed to show, metres at a time, and the heading was not.
     """
-    held, H = list(measurement.held), measurement.H
-    with_held = P[:, held]
+    c, H = list(measurement.considered), measurement.H
+    P_c = P[:, c]
     # A clone of a state that is cloned anew has all but its covariance: the ridge keeps it regular.
-    own = with_held[held] + _RIDGE * np.eye(len(held))
-    given = PHt - with_held @ np.linalg.solve(own, PHt[held])
+    P_cc = P_c[c] + _RIDGE * np.eye(len(c))
+    given = PHt - P_c @ np.linalg.solve(P_cc, PHt[c])
     K = np.array(np.linalg.solve(H @ given + measurement.R, given.T).T, dtype=np.float64)
-    K[held] = 0.0
+    K[c] = 0.0
     return K
 
 
 def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:
-    """Joseph's form keeps P symmetric and positive for any gain."""
-    A = _IDENTITY - K @ measurement.H
+    """Joseph's form keeps P symmetric and positive for any gain; headings stay in [-pi, pi)."""
+    A = np.eye(States.SIZE) - K @ measurement.H
     P = A @ state.P @ A.T
     P += (K @ measurement.R) @ K.T
     x = state.x + K @ measurement.residual
-    for i in _HEADINGS:
-        x[i] = wrap_pi(float(x[i]))
+    x[_HEADINGS] = (x[_HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
     return replace(state, x=x, P=0.5 * (P + P.T))
 
 
@@ -169,36 +156,37 @@ def freed(state: FilterState, index: int, sigma: float) -> FilterState:
 
 
 def remember(
-    disputes: tuple[Dispute, ...], newest: Dispute, window_s: float
-) -> tuple[Dispute, ...]:
-    """The disputes of the last `window_s` with the newest one at the end."""
-    recent = [d for d in disputes if d.t_s >= newest.t_s - window_s]
+    rejected: RejectedInnovations, t_s: float, measurement: Measurement, window_s: float
+) -> RejectedInnovations:
+    """The rejected innovations of the last `window_s`, with that of a measurement at the end."""
+    newest = RejectedInnovation(t_s, measurement.residual, measurement.R)
+    recent = [before for before in rejected if before.t_s >= t_s - window_s]
     return (*recent, newest)[-_MOST_REMEMBERED:]
 
 
-def agreeing(disputes: tuple[Dispute, ...], drift_per_s: float) -> tuple[Dispute, ...]:
+def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnovations:
     """Those that want the same change as the newest one, itself included.
 
-    Two agree when their offsets differ by no more than their covariances, and the drift that the
+    Two agree when their residuals differ by no more than their covariances, and the drift that the
     prediction may have made between them, explain at 99.9 %.
     """
-    newest = disputes[-1]
-    gate = CHI_SQUARE_GATE[len(newest.offset)]
-    unit = np.eye(len(newest.offset))
+    newest = rejected[-1]
+    gate = CHI_SQUARE_GATE[len(newest.residual)]
+    unit = np.eye(len(newest.residual))
     same = []
-    for d in disputes:
-        drift = drift_per_s * (newest.t_s - d.t_s)
-        spread = d.covariance + newest.covariance + drift**2 * unit
-        apart = newest.offset - d.offset
+    for before in rejected:
+        drift = drift_per_s * (newest.t_s - before.t_s)
+        spread = before.covariance + newest.covariance + drift**2 * unit
+        apart = newest.residual - before.residual
         if apart @ np.linalg.solve(spread, apart) <= gate:
-            same.append(d)
+            same.append(before)
     return tuple(same)
 
 
-def convinces(disputes: tuple[Dispute, ...], drift_per_s: float, count: int, span_s: float) -> bool:
+def convinces(rejected: RejectedInnovations, drift_per_s: float, count: int, span_s: float) -> bool:
     """Whether at least `count` over at least `span_s` agree, and at most a third does not."""
-    same = agreeing(disputes, drift_per_s)
-    recent = sum(d.t_s >= same[0].t_s for d in disputes)
+    same = agreeing(rejected, drift_per_s)
+    recent = sum(each.t_s >= same[0].t_s for each in rejected)
     return (
         len(same) >= count
         and same[-1].t_s - same[0].t_s >= span_s

@@ -14,9 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.events import NedFix
-from vwnav.estimation.inertial.gyro import GyroHistory
-from vwnav.estimation.states import EkfConfig, FilterState, States
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.timeline import Displacement, NedFix, NewKeyframe, Timeline, between
 from vwnav.types import Array, OdometryMotion
 
 _WINDOW_S = 1.2
@@ -29,6 +31,7 @@ _DATE_OFF_S = 0.5  # ... in the time by which pictures may be dated wrongly
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
+_IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
 _LEAN_DOUBT_RAD = 0.15
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
@@ -45,20 +48,75 @@ def _time(way: _Way) -> float:
     return way.t_s
 
 
-class OdometryTrust:
-    """Learns what the filter's gate said of each way.
+class OdometryGate:
+    """Lets ways into the timeline, and learns what the filter's gate said of each.
 
     Attributes:
         lost: none is to be believed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, attitudes: AttitudeHistory, config: EkfConfig) -> None:
+        self._attitudes = attitudes
+        self._config = config
+        self._newest: OdometryMotion | None = None
+        self._trust_all()
+
+    def _trust_all(self) -> None:
         self._seen: deque[_Way] = deque()
         self._begun_s = math.inf  # of what is in the window
         self._lost_s = -math.inf
         self._agree_s = _AGREE_S
         self._fixed = True
         self.lost = False
+
+    def displacement(self, motion: OdometryMotion) -> Displacement:
+        """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
+        gyro = self._attitudes.gyro
+        tilts_rad_s = math.hypot(gyro.rate_rad_s(motion.t0_s), gyro.rate_rad_s(motion.t1_s))
+        off_m = self._config.picture_date_s * motion.agl_m * tilts_rad_s
+        unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
+        covariance = motion.covariance_ned_m2 + unsure_m2
+        return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
+
+    def admit(
+        self, motion: OdometryMotion, event: Displacement, timeline: Timeline
+    ) -> Displacement | Verdict:
+        """What may meet the filter of a way, whose keyframe is cloned from now on; or why not.
+
+        `event` is the `displacement` of `motion`.
+        """
+        if not possible(motion, timeline.newest, self._config):
+            return Verdict.IMPOSSIBLE
+        before, self._newest = self._newest, motion
+        known = timeline.keyframe_known(motion.t0_s)
+        if not known and motion.t0_s < timeline.oldest.t_s:
+            if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
+                return Verdict.NO_ANCHOR
+            event = self.displacement(between(before, motion))
+            known = timeline.keyframe_known(event.motion.t0_s)
+        if not self._seen_upright(event.motion, known):
+            return Verdict.NO_ATTITUDE
+        if not (known or self._cloned(event.motion, timeline)):
+            return Verdict.NO_ANCHOR
+        if event.t_s > self._attitudes.gyro.newest_s + _IMU_OF_NOW_S:
+            self._trust_all()  # nothing contradicts them any more
+        return event
+
+    def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
+        """Whether attitudes that are believed tell how its pictures were turned to the ground."""
+        refused_s = self._attitudes.refused_s
+        if motion.t0_s in refused_s or motion.t1_s in refused_s:
+            return False
+        if self._attitudes.at(motion.t1_s) is None:
+            return False
+        return known or self._attitudes.at(motion.t0_s) is not None
+
+    def _cloned(self, motion: OdometryMotion, timeline: Timeline) -> bool:
+        """Whether its keyframe's pose is cloned now."""
+        share = self._config.anchor_share
+        covariance = share * motion.covariance_ned_m2
+        sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
+        return timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
 
     def saw_fix(self) -> None:
         """A map fix was where the aircraft is believed: its pictures are of here, and upright."""
@@ -69,7 +127,7 @@ class OdometryTrust:
         """What a change has come to."""
         return _CONTRADICTS if self.lost else _AGREES
 
-    def saw(self, agrees: bool, state: FilterState) -> bool:
+    def learn(self, agrees: bool, state: FilterState) -> bool:
         """Whether a way has made a change of `lost`.
 
         Args:
@@ -116,14 +174,6 @@ class OdometryTrust:
         self._begun_s = math.inf
 
 
-def shaken(motion: OdometryMotion, gyro: GyroHistory, config: EkfConfig) -> OdometryMotion:
-    """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
-    rates = [gyro.rate_rad_s(t_s) for t_s in (motion.t0_s, motion.t1_s)]
-    off_m = config.picture_date_s * motion.agl_m * math.hypot(*rates)
-    unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
-    return replace(motion, covariance_ned_m2=motion.covariance_ned_m2 + unsure_m2)
-
-
 def possible(motion: OdometryMotion, state: FilterState, config: EkfConfig) -> bool:
     """Whether an aircraft flies that far in that time, at the height that is believed."""
     scale = max(state.agl_m, 0.0) / motion.agl_m
@@ -136,7 +186,7 @@ def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
 
     The aircraft was elsewhere then, and leaned otherwise.
     """
-    flown_m = _DATE_OFF_S * state.x[States.VELOCITY][:2]
+    flown_m = _DATE_OFF_S * state.x[States.VELOCITY_NE]
     leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
     doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
     return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)

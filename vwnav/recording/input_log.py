@@ -1,4 +1,4 @@
-"""The tape in a recording: all that the filter was told, in its order, and what pictures brought.
+"""The input log of a recording: all that the filter was told, in order, and what pictures brought.
 
 With the settings and the ground of the flight it gives every estimate again, to the last bit.
 """
@@ -68,8 +68,8 @@ class PictureSeen:
     commanded_yaw_rad: float | None
 
 
-class Tape:
-    """Writes the tape into a recording; every call costs microseconds and none ever fails."""
+class InputLog:
+    """Writes the input log into a recording; every call costs microseconds and none ever fails."""
 
     def __init__(self, recorder: Recorder, about: About) -> None:
         self.about = about
@@ -78,11 +78,11 @@ class Tape:
 
     def input(self, seen: Input) -> None:
         """Keep an input of the filter; hand this to `Ekf.record`."""
-        self._recorder.tape(INPUT_TOPIC, time_of(seen), lambda: encode(seen))
+        self._recorder.sequence(INPUT_TOPIC, time_of(seen), lambda: encode(seen))
 
     def picture(self, step: StepResult, commanded_yaw_rad: float | None) -> None:
         """Keep what a picture brought, right after the pipeline's step."""
-        self._recorder.tape(
+        self._recorder.sequence(
             PICTURE_TOPIC,
             step.t_s,
             lambda: {
@@ -97,7 +97,7 @@ def read_about(path: Path) -> tuple[About, Any]:
     """What holds for a recorded run, and its resolved settings as JSON has them.
 
     Raises:
-        SourceError: no MCAP file, or one without a tape.
+        SourceError: no MCAP file, or one without an input log.
     """
     found = read_metadata(path)
     if _ABOUT not in found or "config" not in found:
@@ -115,8 +115,8 @@ def read_about(path: Path) -> tuple[About, Any]:
         raise SourceError(f"{path} does not say what it is of: {error}") from error
 
 
-def read_tape(path: Path) -> Generator[Input | PictureSeen]:
-    """The tape, in its order.
+def read_input_log(path: Path) -> Generator[Input | PictureSeen]:
+    """The input log, in its order.
 
     Raises:
         SourceError: no MCAP file, or what it holds is none.

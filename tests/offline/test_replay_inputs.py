@@ -29,9 +29,9 @@ from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
+from vwnav.recording.input_log import About, InputLog, PictureSeen, read_input_log
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
-from vwnav.recording.tape import About, PictureSeen, Tape, read_tape
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -169,7 +169,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
         assembled = Assembled(pipeline, ekf, pack, SimpleNamespace(feature_set_id="fake"))
         about = about_run(assembled, "learned", "nadir")
         record = FlightRecord(folder, about, pack, config, None, WallClock())
-        ekf.record(record.tape.input)
+        ekf.record(record.input_log.input)
         above_m = np.array([0.0, 0.0, -50.0])
         ekf.initialise(
             Start(t_s=began_s, position_ned_m=above_m, agl_m=50.0, sigma_velocity_m_s=9.0)
@@ -212,7 +212,9 @@ def test_a_flight_replays_to_the_identical_trajectory(flown, pack_file, tmp_path
 def test_not_only_the_rounded_rows_but_every_bit_of_the_estimates_comes_back(flown, pack_file):
     with MapPack.open(pack_file) as pack:
         ekf = Ekf(Config().ekf, ground_of(pack, HOME))
-        told = [seen for seen in read_tape(flown / "flight.mcap") if type(seen) is not PictureSeen]
+        told = [
+            seen for seen in read_input_log(flown / "flight.mcap") if type(seen) is not PictureSeen
+        ]
         again = [plain(estimate) for estimate in map(ekf.take, told) if estimate is not None]
     in_flight = [
         record.content for record in read_recording(flown / "flight.mcap", frozenset({"/estimate"}))
@@ -223,7 +225,7 @@ def test_not_only_the_rounded_rows_but_every_bit_of_the_estimates_comes_back(flo
 
 def test_the_ground_of_the_map_entered_the_filter(flown, pack_file, tmp_path, monkeypatch):
     """Or the check of the map would be idle: without it the trajectory is another."""
-    monkeypatch.setattr("vwnav.offline.replay_tape.ground_of", lambda *_: None)
+    monkeypatch.setattr("vwnav.offline.replay_inputs.ground_of", lambda *_: None)
     done = replay(flown / "flight.mcap", pack_file, tmp_path / "out")
     assert done.exit_code == 0
     assert "NOT identical" in done.stderr
@@ -273,10 +275,10 @@ def about() -> About:
     return About("learned", "fake", "nadir", HOME, None)
 
 
-def record_nothing(path: Path, config: dict, tape: bool) -> Path:
+def record_nothing(path: Path, config: dict, input_log: bool) -> Path:
     recorder = Recorder(path, config)
-    if tape:
-        Tape(recorder, about())
+    if input_log:
+        InputLog(recorder, about())
     recorder.close()
     return path
 
@@ -285,7 +287,7 @@ SETTINGS = Config().model_dump(mode="json")
 
 
 @pytest.mark.parametrize(
-    ("config", "tape", "why"),
+    ("config", "input_log", "why"),
     [
         (SETTINGS, False, "holds no filter inputs"),
         (SETTINGS, True, "broke off before the first picture"),
@@ -294,8 +296,8 @@ SETTINGS = Config().model_dump(mode="json")
         ({}, True, "no settings of the filter"),
     ],
 )
-def test_what_cannot_be_replayed_says_why(pack_file, tmp_path, config, tape, why):
-    path = record_nothing(tmp_path / "flight.mcap", config, tape)
+def test_what_cannot_be_replayed_says_why(pack_file, tmp_path, config, input_log, why):
+    path = record_nothing(tmp_path / "flight.mcap", config, input_log)
     done = replay(path, pack_file, tmp_path / "out")
     with pytest.raises(SourceError, match=why):
         raise done.exception

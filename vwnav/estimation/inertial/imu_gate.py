@@ -8,7 +8,9 @@ import math
 
 import numpy as np
 
-from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.kalman import Verdict
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 
@@ -28,14 +30,18 @@ _LOST = (
 _AGREES = "the autopilot's IMU feels gravity where its attitude has it again: it is used"
 
 
-class ImuTrust:
-    """Averages what the samples feel, in the body and as the attitude turns it into NED.
+class ImuGate:
+    """Lets samples into the history.
+
+    It averages what they feel, in the body and as the attitude turns it into NED.
 
     Attributes:
         lost: none is to be believed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, attitudes: AttitudeHistory, imu: ImuHistory) -> None:
+        self._attitudes = attitudes
+        self._imu = imu
         self._body = _Average(_SHORT_S)
         self._ned = _Average(_SHORT_S)
         self._ned_long = _Average(_LONG_S)
@@ -52,7 +58,20 @@ class ImuTrust:
         """What a change has come to."""
         return _LOST.format(self.off_m_s2) if self.lost else _AGREES
 
-    def saw(self, sample: ImuSample, quat_wxyz: Array) -> bool:
+    def take(self, sample: ImuSample) -> Verdict:
+        """Put a sample into the history, or say why not; what was believed before goes with it."""
+        if not self._imu.believes(sample):
+            return Verdict.GATED
+        t_s = sample.t_s
+        if self._attitudes.knows(t_s):
+            changed = self._learn(sample, self._attitudes.quat_at(t_s))
+            if changed and self.lost:
+                self._imu.forget()
+        if self.lost:
+            return Verdict.DISTRUSTED
+        return Verdict.FUSED if self._imu.add(sample) else Verdict.TOO_LATE
+
+    def _learn(self, sample: ImuSample, quat_wxyz: Array) -> bool:
         """Whether a sample, felt in an attitude (4,), has made a change of `lost`."""
         span_s = min(max(sample.t_s - self._newest_s, 0.0), _LONGEST_S)
         self._newest_s = sample.t_s

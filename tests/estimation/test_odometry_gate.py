@@ -1,0 +1,63 @@
+"""Ways that contradict the IMU are not believed, until they and a fix agree again."""
+
+import numpy as np
+
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.odometry_gate import OdometryGate
+from vwnav.estimation.states import FilterState, States
+
+
+def tell(
+    gate: OdometryGate, begin_s: float, seconds: float, agrees: bool, brakes_m_s2: float = 3.0
+) -> float:
+    """Ten ways a second; returns when the next one is due."""
+    P = 0.3**2 * np.eye(States.SIZE)
+    for i in range(round(10 * seconds)):
+        x = np.zeros(States.SIZE)
+        x[States.VELOCITY.start] = 8.0 - 0.1 * i * brakes_m_s2
+        state = FilterState(begin_s + 0.1 * i, x, P, position_known=True, heading_known=True)
+        gate.learn(agrees, state)
+    return begin_s + seconds
+
+
+def test_ways_that_are_refused_are_lost_and_come_back_with_a_fix_only():
+    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    t_s = tell(gate, 0.0, 5.0, True)
+    t_s = tell(gate, t_s, 1.3, False)
+    assert gate.lost
+    t_s = tell(gate, t_s, 6.0, True)
+    assert gate.lost
+    gate.saw_fix()
+    t_s = tell(gate, t_s, 0.1, True)
+    assert not gate.lost
+
+
+def test_lost_again_they_have_to_agree_for_longer():
+    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    t_s = tell(gate, 0.0, 1.5, False)
+    gate.saw_fix()
+    t_s = tell(gate, t_s, 3.0, True)
+    assert not gate.lost
+    t_s = tell(gate, t_s, 1.5, False)
+    gate.saw_fix()
+    t_s = tell(gate, t_s, 10.0, True)
+    assert gate.lost
+    tell(gate, t_s, 12.0, True)
+    assert not gate.lost
+
+
+def test_in_steady_flight_ways_of_another_moment_agree_and_that_proves_nothing():
+    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    t_s = tell(gate, 0.0, 1.5, False, brakes_m_s2=0.0)
+    gate.saw_fix()
+    t_s = tell(gate, t_s, 30.0, True, brakes_m_s2=0.0)
+    assert gate.lost
+    tell(gate, t_s, 4.0, True)
+    assert not gate.lost
+
+
+def test_after_a_gap_of_pictures_it_may_be_the_filter_that_is_wrong():
+    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    tell(gate, tell(gate, 0.0, 0.8, False) + 1.0, 1.0, False)
+    assert not gate.lost

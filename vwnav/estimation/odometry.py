@@ -1,0 +1,169 @@
+"""The way that pictures tell meets the state: a keyframe's clone, then displacements from it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes, true_from_autopilot
+from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
+from vwnav.estimation.states import Anchor, FilterState, States
+from vwnav.estimation.timeline import NewKeyframe
+from vwnav.geometry.rotations import skew, wrap_pi
+from vwnav.types import Array, OdometryMotion
+
+_CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
+_CLONE_SIGMA_M = 0.01
+# What odometry measures in units of height.
+_SCALED = np.r_[States.POSITION_NE, States.VELOCITY, States.ACCELERATION, States.ANCHOR_NE]
+_LEAST_AGL_M = 0.1
+_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
+_APART_M_S = 20.0  # by which refused ways that agree may part
+_WAYS_AGREE = 6
+_SHORTEST_S = 0.1
+
+
+def apply_keyframe(
+    state: FilterState, event: NewKeyframe, attitudes: AttitudeHistory
+) -> FilterState:
+    """Copy position, attitude error and ground to the anchor, and add the keyframe's own error.
+
+    The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
+    attitude of that moment, which the picture does not turn: so that error is a state of its own.
+    """
+    G = np.eye(States.SIZE)
+    G[States.ANCHOR_POSITION] = G[States.POSITION]
+    G[States.ANCHOR_HEADING_BIAS] = G[States.HEADING_BIAS]
+    G[States.ANCHOR_TERRAIN] = G[States.TERRAIN]
+    G[States.ANCHOR_TILT] = G[States.TILT]
+    G[States.ANCHOR_TURN] = 0.0
+    P = G @ state.P @ G.T
+    P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += event.covariance_ned_m2
+    P[States.ANCHOR_HEADING_BIAS, States.ANCHOR_HEADING_BIAS] += _CLONE_SIGMA_RAD**2
+    P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
+    P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
+    P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
+    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
+    return replace(state, x=G @ state.x, P=P, anchor=anchor)
+
+
+def apply_displacement(
+    state: FilterState, motion: OdometryMotion, context: Context
+) -> tuple[FilterState, Innovation]:
+    """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
+    attitudes, config = context.attitudes, context.config
+    anchor = state.anchor
+    if anchor is None or anchor.t_s != motion.t0_s:
+        return state, Innovation(Verdict.NO_ANCHOR)
+    if not state.heading_known:
+        return state, Innovation(Verdict.HEADING_UNKNOWN)
+    parts: tuple[Innovation, ...] = ()
+    if not config.odometry_turns_attitude:
+        turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
+        state, heading = fuse(state, _turn(state, motion, turned_rad, config))
+        parts = (heading,)
+    before = state
+    keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
+    agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
+    displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
+    state, innovation = fuse(state, displacement)
+    if innovation.verdict is Verdict.FUSED:
+        state = replace(_in_scale(before, state, agl_m), rejected_ways=())
+    else:
+        state = _rejected(state, displacement, config)
+    return state, replace(innovation, parts=parts)
+
+
+def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
+    """Ways that are refused and agree: pictures or the push are wrong, and which is not known.
+
+    What all of them are off by alike is an error of their keyframe (of its stamp, mostly), which
+    becomes as unsure as that. What they part by from picture to picture is an error of the
+    velocity, and that becomes as unsure.
+    """
+    rejected = remember(state.rejected_ways, state.t_s, way, config.dispute_window_s)
+    if not convinces(rejected, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
+        return replace(state, rejected_ways=rejected)
+    assert state.anchor is not None
+    zero_s, zero_m = state.anchor.t_s, np.zeros(3)
+    since = [each for each in rejected if each.t_s > state.anchor.t_s]
+    if len(since) >= _WAYS_AGREE // 2:
+        zero_s, zero_m = since[0].t_s, since[0].residual
+    grew_m_s = (way.residual - zero_m) / max(state.t_s - zero_s, _SHORTEST_S)
+    P = state.P.copy()
+    P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += np.diag(way.residual**2)
+    P[States.VELOCITY, States.VELOCITY] += np.diag(grew_m_s**2)
+    return replace(state, P=P, rejected_ways=())
+
+
+def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
+    """The covariance after odometry, with what it changed tied to the scale it was measured in.
+
+    A correction d made of a way seen is d / AGL heights long: had the AGL another error e, it would
+    be longer by d e / AGL. So the errors of what it changed grow by that, the reset Jacobian of an
+    error state that scales: P' = G P G^T with G = I + per_m dAGL/dx, of rank one and written out.
+    Without it the way believed and its correlation with the AGL part, and the next pictures seem
+    to say how high the camera is, which no picture can.
+    """
+    per_m = np.zeros(States.SIZE)
+    change = after.x - before.x
+    per_m[_SCALED] = change[_SCALED] / agl_m
+    per_m[States.DOWN] = (change[States.DOWN] - change[States.ANCHOR_DOWN]) / agl_m
+    P = after.P
+    by_agl = -(P[:, States.ANCHOR_DOWN] + P[:, States.ANCHOR_TERRAIN])
+    variance = -(by_agl[States.ANCHOR_DOWN] + by_agl[States.ANCHOR_TERRAIN])
+    tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
+    return replace(after, P=P + (tied + tied.T))
+
+
+def _turn(
+    state: FilterState, motion: OdometryMotion, turned_rad: float, config: EkfConfig
+) -> Measurement:
+    """What the autopilot turned more than the picture did is the change of its heading bias."""
+    H = np.zeros((1, States.SIZE))
+    H[0, [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.ANCHOR_TURN]] = 1.0, -1.0, 1.0
+    change_rad = turned_rad - motion.yaw_increment_rad
+    residual = wrap_pi(float(change_rad - H[0] @ state.x))
+    variance = (1.0 - config.anchor_share) * motion.sigma_yaw_rad**2
+    return Measurement(np.array([residual]), H, np.array([[variance]]))
+
+
+def _displacement(
+    state: FilterState, motion: OdometryMotion, agl_m: float, yaw_rad: float, config: EkfConfig
+) -> Measurement:
+    """The way in units of the keyframe's AGL, scaled by the AGL believed now.
+
+    The way seen is u AGL0 with AGL0 = -(down0 + terrain0); the true way d is seen turned by the
+    attitude's error at the keyframe, Rz(-b0) u AGL0 = d + tilt x d. So uncertainties of AGL and
+    attitude come in by the Jacobian, and what ways tell about them when fixes and barometer say
+    how far it was.
+    """
+    x = state.x
+    turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS]))
+    way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
+    # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
+    # residual and gain alike, and every picture would pull height and place to the same side.
+    predicted_m: Array = x[States.POSITION] - x[States.ANCHOR_POSITION]
+    H = np.zeros((3, States.SIZE))
+    H[:, States.POSITION] = np.eye(3)
+    H[:, States.ANCHOR_POSITION] = -np.eye(3)
+    H[:, States.ANCHOR_DOWN] += predicted_m / agl_m
+    H[:, States.ANCHOR_TERRAIN] = predicted_m / agl_m
+    H[:, States.ANCHOR_HEADING_BIAS] = -predicted_m[1], predicted_m[0], 0.0
+    yaw0_rad = yaw_rad - float(x[States.ANCHOR_HEADING_BIAS])
+    level0, level1 = level_axes(yaw0_rad), level_axes(yaw0_rad + motion.yaw_increment_rad)
+    by_tilt0 = -skew(predicted_m)[:, :2] @ level0
+    # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
+    by_tilt1 = np.zeros((3, 2))
+    by_tilt1[:2] = motion.tilt_share * agl_m * _QUARTER_TURN @ level1
+    by_tilt0[:2] -= motion.tilt_share * agl_m * _QUARTER_TURN @ level0
+    H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
+    residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
+    residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
+    scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
+    R = scale * turn @ motion.covariance_ned_m2 @ turn.T
+    R[2, 2] += (config.zoom_share * float(predicted_m[2])) ** 2
+    # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
+    # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
+    return Measurement(residual, H, R, considered=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))
