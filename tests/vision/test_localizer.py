@@ -4,7 +4,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from vision_scenes import CAMERA, HOME, M_PER_PX, ground_pack, picture, texture
+from vision_scenes import CAMERA, GROUND_PX, HOME, M_PER_PX, ground_pack, picture, texture
 
 from vwnav.errors import CalibrationError, ModelError
 from vwnav.geometry.camera import Camera
@@ -186,6 +186,30 @@ def test_a_map_that_repeats_itself_is_ambiguous(tmp_path, orb):
             picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0, sigma_m=30.0), 0
         )
     assert isinstance(outcome, Rejected)
+
+
+@pytest.fixture(scope="module")
+def half_turned(tmp_path_factory, orb):
+    """A map that is the same turned by a half: a runway, a crossing."""
+    ground = texture(5)
+    ground[GROUND_PX // 2 :] = np.rot90(ground, 2)[GROUND_PX // 2 :]
+    path = tmp_path_factory.mktemp("turned") / "turned.mbtiles"
+    with MapPack.open(ground_pack(path, ground, (orb,))) as pack:
+        yield ground, pack
+
+
+def test_a_map_that_looks_the_same_turned_by_a_half_is_ambiguous_to_a_search(half_turned, orb):
+    ground, pack = half_turned
+    frame = picture(ground, 30.0, -20.0, AGL_M, rng=np.random.default_rng(0))
+    outcome = Localizer(pack, orb, CAMERA).localize(frame, Prior(), 0)
+    assert outcome.reason is RejectReason.AMBIGUOUS
+
+
+def test_with_a_heading_it_is_not(half_turned, orb):
+    ground, pack = half_turned
+    frame = picture(ground, 30.0, -20.0, AGL_M, rng=np.random.default_rng(0))
+    fix = Localizer(pack, orb, CAMERA).localize(frame, prior_at(24.0, -24.0, sigma_m=20.0), 0)
+    assert np.linalg.norm(error_ne_m(fix, 30.0, -20.0)) < 2 * M_PER_PX
 
 
 class Blind:

@@ -13,11 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from vwnav.geometry.camera import Camera
-from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.geometry.rectify import Rectification
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
-from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
+from vwnav.types import FeatureExtractor, Frame, MapFix, Prior, Rejected, RejectReason
 from vwnav.vision.by_correlation import fix_by_correlation
 from vwnav.vision.candidates import (
     PRIOR_SIGMAS,
@@ -29,6 +28,8 @@ from vwnav.vision.candidates import (
     is_finite,
 )
 from vwnav.vision.correlation import decades_of_correlation
+from vwnav.vision.lookalikes import share_beside, share_turned
+from vwnav.vision.map_fix import fix_of, implausible
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
     MAX_RIVALRY,
@@ -41,13 +42,10 @@ from vwnav.vision.significance import decades_of_matches
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 REFINED_COARSE = 3  # of what a search found, the best
-MAX_PRIOR_SIGMAS = 4.0
-UNKNOWN_TILT = 0.3  # the image's centre may be so far off the nadir, in heights: 17 degrees
-SYSTEMATIC_YAW_RAD = math.radians(0.3)
-SYSTEMATIC_SCALE = 0.01
 WORTH_LOG10_NFA = -4.0  # less is not verified
 WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that are worth refining
-SURE_LOG10_NFA = -20.0  # so little chance that the rest need not be searched
+SURE_DECADES = 10.0  # so little chance that the rest need not be searched
+MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
@@ -129,7 +127,7 @@ class Localizer:
         query = self._maker.query(frame, prior, seed)
         outcome = self._located(query)
         if isinstance(outcome, MapFix):
-            outcome = self._implausible(query, outcome) or outcome
+            outcome = implausible(query, outcome, self._config.max_sigma_m) or outcome
         return replace(outcome, stats=query.timed(outcome.stats))
 
     def _located(self, query: Query) -> MapFix | Rejected:
@@ -146,18 +144,20 @@ class Localizer:
             found = self._register(query, candidate)
             if isinstance(found, Registration) and candidate.coarse:
                 coarse.append(found)
-                if found.consensus.log10_nfa >= SURE_LOG10_NFA:
+                if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
                 found = self._verified(query, self._refined(query, found))
-            if isinstance(found, Registration):
-                return self._fix(query, found)
+                if isinstance(found, Registration):
+                    return fix_of(query, found)
+                if found.reason is RejectReason.AMBIGUOUS:
+                    return found
             refusal = refusal or found
             if found.reason in HOPELESS and not candidate.coarse:
                 return refusal
         if candidates[0].coarse:
             best = self._best(query, coarse, len(candidates))
-            return self._fix(query, best) if isinstance(best, Registration) else best
+            return fix_of(query, best) if isinstance(best, Registration) else best
         decades = self._config.min_decades
         first, accept = candidates[0], self._acceptance(candidates[0])
         fix = fix_by_correlation(self._pack, self._maker, query, first, accept, decades)
@@ -272,11 +272,34 @@ class Localizer:
         if found.candidate.coarse:
             return may_be_chance(query, consensus)
         needed = self._config.min_decades + math.log10(found.candidate.tests)
-        decades = decades_of_matches(consensus.log10_nfa, self._extractor.name)
+        decades = self._decades(found)
         if decades < needed:
             with query.stage("verify_ms"):
                 decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
-        return found if decades >= needed else may_be_chance(query, consensus)
+        if decades < needed:
+            return may_be_chance(query, consensus)
+        with query.stage("verify_ms"):
+            return self._ambiguous(query, found) or found
+
+    def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
+        """A refusal where the map shows the like at other places, or turned, that are open too."""
+        cells, where = found.consensus.cells, "beside it"
+        share = share_beside(self._pack, self._extractor, query, found)
+        if (1.0 - share) * cells >= MIN_UNLIKE_CELLS and query.heading_open:
+            where = "turned by a quarter or a half"
+            share = share_turned(self._pack, self._extractor, found)
+        if (1.0 - share) * cells >= MIN_UNLIKE_CELLS:
+            return None
+        return query.rejected(
+            RejectReason.AMBIGUOUS,
+            f"{share:.0%} of what was seen is {where} too",
+            matches=found.consensus.matches,
+            inliers=len(found.consensus.uv_view),
+        )
+
+    def _decades(self, found: Registration) -> float:
+        """How rarely unrelated images agree so well, as a power of ten."""
+        return decades_of_matches(found.consensus.log10_nfa, self._extractor.name)
 
     def _best(
         self, query: Query, coarse: list[Registration], tests: int
@@ -294,11 +317,11 @@ class Localizer:
             closer = self._verified(query, self._refined(query, hit))
             if isinstance(closer, Registration):
                 verified.append(closer)
-            elif len(tried) == 1:
+            elif len(tried) == 1 or closer.reason is RejectReason.AMBIGUOUS:
                 refusal = closer
             if len(tried) == REFINED_COARSE:
                 break
-        if not verified:
+        if not verified or refusal.reason is RejectReason.AMBIGUOUS:
             return refusal
         best, *rivals = sorted(verified, key=lambda each: each.consensus.log10_nfa)
         for rival in rivals:
@@ -307,43 +330,3 @@ class Localizer:
                 detail = "two places on the map fit as well"
                 return query.rejected(RejectReason.AMBIGUOUS, detail)
         return best
-
-    def _fix(self, query: Query, found: Registration) -> MapFix:
-        pose, consensus = found.pose, found.consensus
-        lat_deg, lon_deg = found.lat_lon(pose.nadir_px)
-        return MapFix(
-            t_s=query.t_s,
-            lat_deg=lat_deg,
-            lon_deg=lon_deg,
-            covariance_ne_m2=pose.covariance_ne_m2,
-            yaw_rad=found.hypothesis.yaw_rad,
-            sigma_yaw_rad=math.hypot(pose.sigma_yaw_rad, SYSTEMATIC_YAW_RAD),
-            agl_m=pose.agl_m,
-            sigma_agl_m=math.hypot(pose.sigma_agl_m, SYSTEMATIC_SCALE * pose.agl_m),
-            point="nadir" if query.attitude_known else "center",
-            features=query.features,
-            stats=MatchStats(
-                keypoints=len(found.view.features),
-                matches=consensus.matches,
-                inliers=len(consensus.uv_view),
-            ),
-        )
-
-    def _implausible(self, query: Query, fix: MapFix) -> Rejected | None:
-        """A refusal of a fix that is too uncertain, or too far from the prior."""
-        prior = query.prior
-        matches, inliers = fix.stats.matches, fix.stats.inliers
-        if fix.sigma_m > self._config.max_sigma_m:
-            geometry = RejectReason.GEOMETRY
-            detail = f"the matches fix the position to {fix.sigma_m:.0f} m only"
-            return query.rejected(geometry, detail, matches=matches, inliers=inliers)
-        if prior.lat_deg is None or prior.lon_deg is None:
-            return None
-        off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
-        allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, fix.sigma_m)
-        if fix.point == "center" and fix.agl_m is not None:
-            allowed_m += UNKNOWN_TILT * fix.agl_m
-        if off_m <= allowed_m:
-            return None
-        detail = f"{off_m:.0f} m from the prior of {prior.sigma_m:.0f} m sigma"
-        return query.rejected(RejectReason.PRIOR, detail, matches=matches, inliers=inliers)

@@ -49,6 +49,17 @@ def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> N
     return np.stack([best_first, chosen[best_first]], axis=1)
 
 
+def similarities(queries: Descriptors, references: Descriptors) -> NDArray[np.float32]:
+    """Similarity (n0, n1) of every descriptor with every other, as `match` has it."""
+    if queries.dtype != np.uint8:
+        return np.asarray(queries @ references.T, np.float32)
+    signs0, signs1 = (
+        2.0 * np.unpackbits(each.astype(np.uint8), axis=1).astype(np.float32) - 1.0
+        for each in (queries, references)
+    )
+    return np.asarray(signs0 @ signs1.T / signs0.shape[1], np.float32)
+
+
 def _nearest_cosine(
     queries: Descriptors, references: Descriptors
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

@@ -33,6 +33,7 @@ MAX_VIEW_PX = 1400
 EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
 MIN_SHRINK = 0.6  # below this the image is halved first: a warp alone would alias
 MAX_OVERSAMPLING = 2.5
+MAX_YAW_SIGMA_RAD = 0.5  # beyond this a view may be turned by a quarter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +131,12 @@ class Query:
     def attitude_known(self) -> bool:
         """Whether roll and pitch are."""
         return self.prior.roll_rad is not None and self.prior.pitch_rad is not None
+
+    @property
+    def heading_open(self) -> bool:
+        """Whether nothing, or next to nothing, is known of it."""
+        known = self.prior.yaw_rad is not None and self.prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
+        return not known
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

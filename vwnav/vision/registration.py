@@ -13,11 +13,13 @@ from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px_per_m
 from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.pack import MapFeatures, MapPack
-from vwnav.types import Array, Rejected, RejectReason
+from vwnav.maps.picture import Window
+from vwnav.types import Array, Features, Rejected, RejectReason
 from vwnav.vision.candidates import Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import match
+from vwnav.vision.features.checks import take
+from vwnav.vision.matching import match, similarities
 from vwnav.vision.query import Query, View, seen
 
 MIN_KEYPOINTS = 12
@@ -29,6 +31,7 @@ MAX_STRETCH_UNKNOWN_TILT = 1.6
 # Registered again is what had to be turned or scaled by more than the features like.
 MAX_TURN_RAD = math.radians(8.0)
 MAX_RESCALE = 1.1
+SAME_TURN_RAD = math.radians(30.0)  # views turned by more are two places
 REFINED = SimilarityBounds(1.12, math.radians(8.0))  # what is left open then
 MIN_SIGMA_PX = 0.5
 SYSTEMATIC_PX = 0.3  # errors that all matches share, map pixels
@@ -60,6 +63,8 @@ class Registration:
         candidate, view: what was registered.
         origin_px: (2,) global pixel (corner convention) that map pixels count from.
         consensus: of the matches.
+        landmarks: the map's features that carry it, uv as in `consensus.uv_map`.
+        likeness: (k,) similarity of each with the query's feature that was matched to it.
         pose: of the point that is reported: below the camera, or the image's centre.
     """
 
@@ -67,6 +72,8 @@ class Registration:
     view: View
     origin_px: Array
     consensus: Consensus
+    landmarks: Features
+    likeness: NDArray[np.float32]
     pose: MapPose
 
     def lat_lon(self, map_uv: Array) -> tuple[float, float]:
@@ -92,22 +99,32 @@ class Registration:
         return scaled or abs(self.pose.yaw_correction_rad) > MAX_TURN_RAD
 
     def is_place_of(self, other: "Registration") -> bool:
-        """Whether both put the image's centre within a tenth of a view of each other."""
+        """Whether both put the image's centre within a tenth of a view, turned alike."""
         place, other_place = (each.lat_lon_of_view(each.view.center_uv) for each in (self, other))
         view = self.view.rectification
         apart_m = horizontal_distance_m(*place, *other_place)
-        return bool(apart_m <= 0.1 * max(view.size_wh) * view.m_per_px)
+        turn_rad = abs(wrap_pi(self.hypothesis.yaw_rad - other.hypothesis.yaw_rad))
+        return bool(
+            apart_m <= 0.1 * max(view.size_wh) * view.m_per_px and turn_rad <= SAME_TURN_RAD
+        )
+
+    @property
+    def window(self) -> Window:
+        """The map under the view, global pixels."""
+        h, w = self.view.gray.shape
+        corners = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
+        uv = transform_points(self.consensus.H_map_view, corners) + self.origin_px
+        low, high = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int)
+        return Window(*low.tolist(), *high.tolist())
 
     def correlation_sigmas(self, pack: MapPack, query: Query) -> float:
         """How far the view's correlation with the map there stands above that beside it."""
         H, (h, w) = self.consensus.H_map_view, self.view.gray.shape
-        corners = transform_points(H, np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5)
-        low = np.floor(corners.min(axis=0) + self.origin_px).astype(np.int64) - 2
-        high = np.ceil(corners.max(axis=0) + self.origin_px).astype(np.int64) + 2
+        window = self.window.grown(2)
         # Pixels of the piece of map that the matches refer to start at `origin_px`.
         shift = np.eye(3)
-        shift[:2, 2] = self.origin_px - low
-        gray, data = pack.image(self.candidate.level.zoom, *low.tolist(), *high.tolist())
+        shift[:2, 2] = self.origin_px - np.array(window[:2])
+        gray, data = pack.image(self.candidate.level.zoom, *window)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         on_view = cv2.warpPerspective(gray, shift @ H, (w, h), flags=flags)
         known = cv2.warpPerspective(data.astype(np.uint8), shift @ H, (w, h), flags=flags)
@@ -154,7 +171,12 @@ def register(
     if pose is None:
         geometry = RejectReason.GEOMETRY
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
-    return Registration(candidate, view, origin_px, consensus, pose)
+    matched, landmarks = (
+        take(features, pairs[consensus.inliers, i])
+        for i, features in enumerate((view.features, map_.features))
+    )
+    likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
+    return Registration(candidate, view, origin_px, consensus, landmarks, likeness, pose)
 
 
 def _matches(query: Query, view: View, map_: MapFeatures) -> NDArray[np.int64] | Rejected:
