@@ -135,6 +135,51 @@ def test_without_a_start_the_whole_map_is_searched_and_the_first_fix_begins():
     assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([100.0, 50.0], abs=1.0)
 
 
+def test_what_a_search_finds_once_is_not_believed():
+    localizer = FakeLocalizer((100.0, 50.0))
+    pipeline = make_pipeline(localizer)
+    steps = fly(pipeline, 0.1)
+    localizer.north_east_m = (400.0, -50.0)
+    steps += fly(pipeline, 1.0, t0_s=0.1)
+    reasons = [each.outcome.reason for each in steps if isinstance(each.outcome, Rejected)]
+    assert reasons.count(RejectReason.UNCONFIRMED) == 2  # there, and then elsewhere
+    assert localizer.priors[1].sigma_m < 10.0  # the second picture is looked for about the first
+
+
+def test_what_was_found_once_and_not_again_is_searched_for_everywhere():
+    localizer = FakeLocalizer((100.0, 50.0))
+    pipeline = make_pipeline(localizer)
+    fly(pipeline, 0.1)
+    localizer.north_east_m = None
+    fly(pipeline, 2.0, t0_s=0.1)
+    assert localizer.priors[1].lat_deg is not None
+    assert localizer.priors[-1].lat_deg is None
+
+
+def test_a_wrong_beginning_is_found_out_within_ten_attempts():
+    localizer = FakeLocalizer((100.0, 50.0))
+    pipeline = make_pipeline(localizer)
+    fly(pipeline, 1.0)
+    wrong = len(localizer.priors)
+    localizer.north_east_m = None  # ground that looked alike is left behind
+    fly(pipeline, 1.2, t0_s=1.0)
+    localizer.north_east_m = (-300.0, 80.0)
+    steps = fly(pipeline, 3.0, t0_s=2.2)
+    assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([-300.0, 80.0], abs=1.0)
+    searched = [prior.lat_deg is None for prior in localizer.priors[wrong:]]
+    assert searched.index(True) < 8
+
+
+def test_a_beginning_that_was_right_for_long_is_not_searched_for_again():
+    localizer = FakeLocalizer((100.0, 50.0))
+    pipeline = make_pipeline(localizer)
+    fly(pipeline, 5.0)
+    before = len(localizer.priors)
+    localizer.north_east_m = None
+    fly(pipeline, 5.0, t0_s=5.0)
+    assert all(prior.lat_deg is not None for prior in localizer.priors[before:])
+
+
 def test_a_start_of_unknown_position_searches_but_knows_the_height():
     localizer = FakeLocalizer(None)
     start = Start(t_s=0.0, position_ned_m=None, agl_m=50.0)
@@ -346,7 +391,7 @@ def test_a_fix_is_used_however_long_its_search_took(late_s, known):
 def test_without_any_start_a_first_fix_of_long_ago_begins():
     localizer, executor = FakeLocalizer(), SlowExecutor(6.0)
     pipeline = make_pipeline(localizer, executor=executor)
-    found = drift(pipeline, executor, localizer, 26.0)[-1].estimate
+    found = drift(pipeline, executor, localizer, 32.0)[-1].estimate  # the first is confirmed
     error_m = found.position_ned_m[:2] - (100.0 + SPEED_M_S * found.t_s, 50.0)
     assert pipeline.accepted >= 3
     assert np.hypot(*error_m) < min(3.0, 3.0 * found.sigma_horizontal_m)

@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.estimation.ekf import Ekf, NedFix, Start
+from vwnav.estimation.ekf import Ekf, NedFix
+from vwnav.estimation.first_fix import FirstFix, start_at
 from vwnav.estimation.kalman import Verdict
 from vwnav.estimation.timeline import Exposed
 from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
@@ -44,8 +45,6 @@ MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
-UNKNOWN_AGL_M = 50.0
-AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +145,7 @@ class Pipeline:
         self._pending: _Attempt | None = None
         self._next_attempt_s = -np.inf
         self._misses = 0  # attempts since the last fix
+        self._first_fix = FirstFix()
         self.attempts = 0
         self.accepted = 0
 
@@ -216,6 +216,8 @@ class Pipeline:
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
         prior = self._prior(now, attitude)
+        if now is None or self._first_fix.doubted:
+            prior = self._first_fix.prior(prior, frame.t_s)
         searching = prior.lat_deg is None
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval
@@ -254,6 +256,10 @@ class Pipeline:
             return outcome  # nothing was tried: the map shows nothing that small
         if isinstance(outcome, MapFix):
             outcome = self._fuse_fix(outcome)
+        if isinstance(outcome, Rejected) and outcome.reason is RejectReason.UNCONFIRMED:
+            self.attempts += 1  # found, which is no failure, and not believed yet
+            self._next_attempt_s = attempt.t_s + self._config.fix_interval_s
+            return outcome
         self._count(attempt.localizer, isinstance(outcome, MapFix))
         return outcome
 
@@ -261,6 +267,8 @@ class Pipeline:
         self.attempts += 1
         self.accepted += succeeded
         self._misses = 0 if succeeded else self._misses + 1
+        if not succeeded:
+            self._first_fix.missed()
         self._features.report(localizer, succeeded)
 
     def _prior(self, now: Estimate | None, measured: Attitude | None) -> Prior:
@@ -298,8 +306,11 @@ class Pipeline:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         with self._lock:
-            if self._ekf.state is None:
-                self._begin_at(fix, ned_m)
+            if self._ekf.state is None or self._first_fix.doubted:
+                if not self._first_fix.confirmed(fix):
+                    once = RejectReason.UNCONFIRMED
+                    return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
+                self._ekf.initialise(start_at(fix, ned_m))
             innovation = self._ekf.handle(
                 NedFix(
                     t_s=fix.t_s,
@@ -313,22 +324,10 @@ class Pipeline:
                 )
             )
         if innovation.accepted:
+            self._first_fix.fused()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
-
-    def _begin_at(self, fix: MapFix, ned_m: Array) -> None:
-        """A recording begins in the air: its first fix is where the filter starts."""
-        agl_m = fix.agl_m if fix.agl_m is not None else UNKNOWN_AGL_M
-        start = Start(
-            t_s=fix.t_s,
-            position_ned_m=np.array([ned_m[0], ned_m[1], -agl_m]),
-            sigma_m=max(fix.sigma_m, 1.0),
-            agl_m=agl_m,
-            sigma_agl_m=fix.sigma_agl_m or 0.3 * agl_m,
-            sigma_velocity_m_s=AIRBORNE_VELOCITY_SIGMA_M_S,
-        )
-        self._ekf.initialise(start)
 
 
 def to_gray(image: NDArray[np.uint8]) -> Gray:

@@ -100,6 +100,7 @@ class RejectReason(Enum):
     AMBIGUOUS = "a second place fits as well"
     GEOMETRY = "the homography is not that of level ground"
     PRIOR = "too far from the prior"
+    UNCONFIRMED = "no second picture agrees yet"
     NO_FRAME = "no picture"
     NOT_TRIED = "not tried on this frame"
     GIVEN_UP = "the search took too long"

@@ -1,0 +1,113 @@
+"""Where a flight that begins anywhere begins: what a search found, once a second image agrees.
+
+One image of ground that repeats may be found at a wrong place with as much agreement as at the
+right one. The next image shows other ground; around what was found it is found again, or nothing
+was. A beginning that finds nothing more soon after is doubted, and searched for again.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.estimation.states import Start
+from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.geometry.rotations import wrap_pi
+from vwnav.types import Array, MapFix, Prior
+
+FASTEST_M_S = 30.0
+UNKNOWN_AGL_M = 50.0
+AIRBORNE_VELOCITY_SIGMA_M_S = 15.0
+FASTEST_TURN_RAD_S = math.radians(75.0)
+SIGMA_M = 5.0  # of a place that one image alone told
+SIGMA_YAW_RAD = 0.1
+SIGMA_AGL_RATIO = 0.1
+PRIOR_SIGMAS = 3.0  # that are looked at around a prior
+MISSES = 2  # then what was found is dropped
+DOUBTED_AFTER = 4  # images in a row without a fix, of a beginning that ...
+TRUSTED_AFTER = 12  # ... has not had so many fixes yet
+
+
+class FirstFix:
+    """The search for the beginning, and the doubt in it.
+
+    Attributes:
+        doubted: whether a beginning that a search found is searched for again.
+    """
+
+    def __init__(self) -> None:
+        self._found: MapFix | None = None
+        self._misses = 0
+        self._fixes: int | None = None  # since a beginning that a search found
+        self.doubted = False
+
+    def prior(self, prior: Prior, t_s: float) -> Prior:
+        """Around what was found, as far as an aircraft comes since; else the attitude alone.
+
+        Args:
+            prior: of the filter; what it was told of the place, heading and height is in doubt.
+            t_s: of the image.
+        """
+        found = self._found
+        if found is None:
+            return Prior(roll_rad=prior.roll_rad, pitch_rad=prior.pitch_rad)
+        since_s = max(t_s - found.t_s, 0.0)
+        reach_m = FASTEST_M_S / PRIOR_SIGMAS * since_s
+        return replace(
+            prior,
+            lat_deg=found.lat_deg,
+            lon_deg=found.lon_deg,
+            sigma_m=math.hypot(SIGMA_M, found.sigma_m) + reach_m,
+            yaw_rad=found.yaw_rad,
+            sigma_yaw_rad=SIGMA_YAW_RAD + FASTEST_TURN_RAD_S / PRIOR_SIGMAS * since_s,
+            agl_m=found.agl_m,
+            sigma_agl_ratio=SIGMA_AGL_RATIO,
+        )
+
+    def confirmed(self, fix: MapFix) -> bool:
+        """Take what a search found: whether it agrees with what the one before found."""
+        before, self._found, self._misses = self._found, fix, 0
+        if before is None or not _agree(before, fix):
+            return False
+        self._found, self._fixes, self.doubted = None, 0, False
+        return True
+
+    def fused(self) -> None:
+        """A fix was fused by a filter that has its beginning."""
+        self._misses = 0
+        if self._fixes is not None:
+            self._fixes += 1
+
+    def missed(self) -> None:
+        """An image gave no fix."""
+        self._misses += 1
+        if self._found is not None and self._misses >= MISSES:
+            self._found = None
+        young = self._fixes is not None and self._fixes < TRUSTED_AFTER
+        self.doubted = self.doubted or (young and self._misses >= DOUBTED_AFTER)
+
+
+def _agree(before: MapFix, fix: MapFix) -> bool:
+    """Whether an aircraft comes from one to the other in the time between."""
+    since_s = abs(fix.t_s - before.t_s)
+    apart_m = horizontal_distance_m(before.lat_deg, before.lon_deg, fix.lat_deg, fix.lon_deg)
+    sigma_m = math.hypot(SIGMA_M, before.sigma_m, fix.sigma_m)
+    if apart_m > FASTEST_M_S * since_s + PRIOR_SIGMAS * sigma_m:
+        return False
+    if before.yaw_rad is None or fix.yaw_rad is None:
+        return True
+    turn_rad = abs(wrap_pi(fix.yaw_rad - before.yaw_rad))
+    return bool(turn_rad <= FASTEST_TURN_RAD_S * since_s + PRIOR_SIGMAS * SIGMA_YAW_RAD)
+
+
+def start_at(fix: MapFix, ned_m: Array) -> Start:
+    """The start of a filter at a fix in the air; `ned_m` (3,) is its place in the run's frame."""
+    agl_m = fix.agl_m if fix.agl_m is not None else UNKNOWN_AGL_M
+    return Start(
+        t_s=fix.t_s,
+        position_ned_m=np.array([ned_m[0], ned_m[1], -agl_m]),
+        sigma_m=max(fix.sigma_m, 1.0),
+        agl_m=agl_m,
+        sigma_agl_m=fix.sigma_agl_m or 0.3 * agl_m,
+        sigma_velocity_m_s=AIRBORNE_VELOCITY_SIGMA_M_S,
+    )
