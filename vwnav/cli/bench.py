@@ -40,6 +40,9 @@ def features(
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Folder for report.json, a plot and pictures of matches."
     ),
+    sequence: bool = typer.Option(
+        False, "--sequence", help="Instead: the whole pipeline over a real video, begun anywhere."
+    ),
     as_json: bool = typer.Option(False, "--json", help="One JSON object on stdout."),
 ) -> None:
     """Match, place and time every feature set on the same scenes, on one thread.
@@ -57,6 +60,9 @@ def features(
     from vwnav.bench.features.run import bench_features, data_folder
     from vwnav.recording.run_folder import make_run_folder
 
+    if sequence:
+        _sequence(data_folder(data), model[0] if model else None, as_json)
+        return
     folder = None if output is None else make_run_folder(output, "bench")
     with progress_bar() as progress:
         report = bench_features(data_folder(data), model, views, repeats, progress)
@@ -79,6 +85,16 @@ def features(
         (folder / "report.json").write_text(json.dumps(values, indent=1))
         write_plot(folder / "features.png", report)
         say(f"bench: wrote report.json, features.png and matches/ to {folder}")
+
+
+def _sequence(data: Path | None, model: Path | None, as_json: bool) -> None:
+    from vwnav.bench.features import sequence
+
+    scores = sequence.bench_sequence(data, model, say)
+    if as_json:
+        print(json.dumps(sequence.as_json(scores)))
+        return
+    print_table("a video without a start, 5 s of it black", list(sequence.rows(scores)))
 
 
 @app.command()

@@ -1,0 +1,190 @@
+"""The whole pipeline over a real video, begun anywhere: how soon it is found, and how wrongly.
+
+Forwards, backwards and from random starts, without any position, each with a stretch that shows
+nothing. Truth is the track of the ground below, as in `flight_scenes`.
+"""
+
+import csv
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.assemble import assemble
+from vwnav.bench.features.scenes import generator
+from vwnav.cameras.video_file import VideoFile
+from vwnav.config import Config
+from vwnav.errors import ConfigError
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import InlineExecutor
+from vwnav.types import Frame, Gray, MapFix
+from vwnav.vision.features.load import load_features
+
+EVERY = 3  # of the video's 30 frames a second: 10
+HFOV_DEG = 70.0  # nobody knows it; places do not depend on it
+BLACK_S = 5.0
+STARTS, START_S = 20, 15.0  # random starts, and how long each is followed
+NEAR_M, WRONG_M = 8.0, 20.0
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Film:
+    """Frames (n, h, w), their times and the places (n, 2) of the ground below, degrees."""
+
+    gray: list[Gray]
+    t_s: NDArray[np.float64]
+    lat_lon: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SequenceScore:
+    """Of one run, or of several together.
+
+    Attributes:
+        near: share of the frames from the first fix on, dark ones too, that are within 8 m.
+        first_fix_s: of video until the first fix; of several runs the longest.
+        fixes: that were believed.
+        wrong: of them more than 20 m off.
+        worst_m: the largest error of any estimate after the first fix.
+        worst_sigmas: the largest in its own sigmas.
+    """
+
+    name: str
+    near: float
+    first_fix_s: float
+    fixes: int
+    wrong: int
+    worst_m: float
+    worst_sigmas: float
+
+
+def bench_sequence(folder: Path | None, model: Path | None, say: Say) -> list[SequenceScore]:
+    """Run all of them.
+
+    Raises:
+        ConfigError: there is no such video.
+        VwnavError: of the model, the video or the map.
+    """
+    flight = None if folder is None else folder / "flights" / "islamabad"
+    if flight is None or not flight.is_dir():
+        raise ConfigError("--sequence wants flights/islamabad of the data folder: give --data")
+    from vwnav.maps.build.geotiff import RasterFile
+
+    cv2.setNumThreads(1)
+    film = _film(flight)
+    with tempfile.TemporaryDirectory() as temporary:
+        path = Path(temporary) / "map.mbtiles"
+        extractors = [load_features("learned", model), load_features("sift")]
+        build_pack([RasterFile(flight / "1.tif")], path, extractors, BuildOptions())
+        with MapPack.open(path) as pack:
+            scores = []
+            for name, chosen in _runs(len(film.gray)):
+                scores.append(_run(name, film, chosen, pack, model))
+                say(f"bench: {name}")
+    starts = [each for each in scores if each.name.startswith("start")]
+    return [*scores[:2], _together(f"{len(starts)} random starts", starts)]
+
+
+def _film(flight: Path) -> _Film:
+    rows = list(csv.DictReader((flight / "sift_track_every10.csv").open()))
+    known = {int(row["frame"]): (float(row["lat"]), float(row["lon"])) for row in rows}
+    numbers = np.array(sorted(known))
+    gray, indices, times = [], [], []
+    video = VideoFile(flight / "our_data.mp4")
+    while (frame := video.next_frame()) is not None and frame.index <= numbers[-1]:
+        if frame.index % EVERY == 0:
+            gray.append(np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY), np.uint8))
+            indices.append(frame.index)
+            times.append(frame.t_s)
+    video.close()
+    places = np.array([known[int(number)] for number in numbers])
+    lat_lon = np.column_stack([np.interp(indices, numbers, places[:, i]) for i in (0, 1)])
+    return _Film(gray, np.array(times), lat_lon)
+
+
+def _runs(count: int) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Names, and the frames in their order."""
+    yield "forwards", np.arange(count)
+    yield "backwards", np.arange(count)[::-1]
+    length = round(START_S * 30.0 / EVERY)
+    rng = generator("sequence", 0)
+    for number in range(STARTS):
+        start = int(rng.integers(0, count - length))
+        order = np.arange(start, start + length)
+        yield f"start {number}", order if rng.random() < 0.5 else order[::-1]
+
+
+def _run(
+    name: str, film: _Film, chosen: NDArray[np.int64], pack: MapPack, model: Path | None
+) -> SequenceScore:
+    h, w = film.gray[0].shape
+    south, west, north, east = pack.bounds
+    frame = LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
+    config = Config()
+    config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})
+    camera = Camera.from_hfov(w, h, HFOV_DEG)
+    assembled = assemble(
+        pack, camera, "learned", model, frame, config, InlineExecutor(), lambda _: None
+    )
+    t_s = np.abs(film.t_s[chosen] - film.t_s[chosen[0]])
+    dark = (t_s >= t_s[-1] / 2.0) & (t_s < t_s[-1] / 2.0 + BLACK_S)
+    errors_m, sigmas_m, fixed_s, fix_errors_m = [], [], [], []
+    for number, (i, at_s) in enumerate(zip(chosen, t_s, strict=True)):
+        image = np.zeros_like(film.gray[i]) if dark[number] else film.gray[i]
+        step = assembled.pipeline.step(Frame(float(at_s), image, number))
+        if isinstance(step.outcome, MapFix):
+            fixed_s.append(float(at_s))
+            place = step.outcome.lat_deg, step.outcome.lon_deg
+            fix_errors_m.append(horizontal_distance_m(*place, *film.lat_lon[i]))
+        if fixed_s and step.estimate is not None:
+            lat_deg, lon_deg, _ = frame.to_geodetic(step.estimate.position_ned_m)
+            place = float(lat_deg), float(lon_deg)
+            errors_m.append(horizontal_distance_m(*place, *film.lat_lon[i]))
+            sigmas_m.append(step.estimate.sigma_horizontal_m)
+    errors, sigmas = np.array(errors_m or [np.inf]), np.array(sigmas_m or [1.0])
+    return SequenceScore(
+        name=name,
+        near=float(np.mean(errors <= NEAR_M)),
+        first_fix_s=fixed_s[0] if fixed_s else float("inf"),
+        fixes=len(fixed_s),
+        wrong=int(np.count_nonzero(np.array(fix_errors_m) > WRONG_M)),
+        worst_m=float(errors.max()),
+        worst_sigmas=float((errors / sigmas).max()),
+    )
+
+
+def _together(name: str, scores: list[SequenceScore]) -> SequenceScore:
+    return SequenceScore(
+        name=name,
+        near=float(np.mean([each.near for each in scores])),
+        first_fix_s=max(each.first_fix_s for each in scores),
+        fixes=sum(each.fixes for each in scores),
+        wrong=sum(each.wrong for each in scores),
+        worst_m=max(each.worst_m for each in scores),
+        worst_sigmas=max(each.worst_sigmas for each in scores),
+    )
+
+
+def as_json(scores: list[SequenceScore]) -> dict[str, object]:
+    """Plain values."""
+    return {"near_m": NEAR_M, "wrong_m": WRONG_M, "runs": [asdict(each) for each in scores]}
+
+
+def rows(scores: list[SequenceScore]) -> Iterator[tuple[str, str]]:
+    """A line of a table for each."""
+    for each in scores:
+        yield (
+            each.name,
+            f"{each.near:.1%} within {NEAR_M:.0f} m, first fix after {each.first_fix_s:.1f} s, "
+            f"{each.fixes} fixes, {each.wrong} wrong; worst {each.worst_m:.1f} m, "
+            f"{each.worst_sigmas:.1f} sigmas",
+        )
