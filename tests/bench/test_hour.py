@@ -32,8 +32,8 @@ def test_an_hour_of_flight_does_not_grow_and_leaves_its_recording_readable(tmp_p
     assert [each["t_s"] for each in minutes] == list(range(60, HOUR_S + 1, 60))
     assert all(b["fixes"] - a["fixes"] > 100 for a, b in pairwise(minutes[1:]))  # it flies
     resident_mb = [each["resident_mb"] for each in minutes]
-    assert max(resident_mb[5:]) - resident_mb[4] < 15.0, resident_mb
-    assert max(resident_mb[-20:]) - resident_mb[-21] < 1.0, resident_mb
+    assert max(resident_mb[5:]) - resident_mb[4] < 15.0, minutes
+    assert max(resident_mb[-20:]) - resident_mb[-21] < 1.0, minutes
 
     assert is_cut_off(recording)
     times_s = [each.t_s for each in read_recording(recording, frozenset({"/estimate"}))]

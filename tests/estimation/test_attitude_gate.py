@@ -1,11 +1,15 @@
 """Attitudes that could have been turned to are believed, and only those."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from vwnav.estimation.ekf import Ekf, EkfConfig, Start
+from vwnav.estimation.inertial.attitude_gate import AttitudeGate
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory
+from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.kalman import Verdict
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
@@ -136,3 +140,16 @@ def test_heights_of_once_a_second_are_company_enough():
         if i % 20 == 0:
             ekf.handle(Height(0.05 * i, 50.0))
     assert verdicts[100:].count(Verdict.FUSED) == 99
+
+
+def test_attitudes_that_nothing_vouches_for_are_not_kept_for_ever():
+    gyro = GyroHistory(10.0)
+    attitudes = AttitudeHistory(10.0, gyro)
+    gate = AttitudeGate(attitudes, ImuHistory(attitudes, 10.0))
+    gate.heard(0.0)
+    tracemalloc.start()
+    verdicts = {gate.take(Attitude(STEP_S * i, LEVEL)) for i in range(20_000)}
+    kept_bytes = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert Verdict.GATED in verdicts
+    assert kept_bytes < 6e5

@@ -2,6 +2,7 @@
 
 import math
 import random
+import tracemalloc
 
 import pytest
 from hypothesis import given, settings
@@ -271,3 +272,14 @@ def test_a_longer_way_of_crystals_that_part_is_followed_slowly():
     autopilot.set_rate(1.0 + 10e-6)
     autopilot.down_s = 0.2
     assert worst(autopilot.run(600.0)) < 0.015
+
+
+def test_stamps_that_are_times_of_no_clock_are_not_kept():
+    clock, rng = BootClock(), random.Random(1)
+    clock.handle_stamp(1e6, 1e6)
+    tracemalloc.start()
+    for _ in range(20_000):
+        assert not clock.handle_stamp(rng.uniform(0.0, 9e5), 1e6)
+    kept_bytes = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert kept_bytes < 10_000

@@ -13,6 +13,7 @@ from vwnav.estimation.inertial.imu import ImuHistory
 Ground = Callable[[float, float], float | None]
 
 _NODE_M = 5.0  # the table is read at nodes so far apart, and is a smooth patch between them
+_MOST_NODES = 10_000  # kept: some 15 km of the way, 2 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class Context:
     def patch(self, north_m: float, east_m: float) -> TerrainPatch | None:
         """The ground at a place, as the table has it; bilinear between nodes.
 
-        Each node is asked for once: a table on disk or behind a map projection is slow.
+        Nodes are kept: a table on disk or behind a map projection is slow.
         """
         if self.ground is None:
             return None
@@ -55,5 +56,7 @@ class Context:
         key = (row, column)
         if key not in self._nodes:
             assert self.ground is not None
+            if len(self._nodes) >= _MOST_NODES:
+                self._nodes.clear()
             self._nodes[key] = self.ground(row * _NODE_M, column * _NODE_M)
         return self._nodes[key]

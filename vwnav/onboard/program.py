@@ -21,6 +21,7 @@ from vwnav.flight import Flight
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import FlightPlan, plan_flight
 from vwnav.onboard.record import FlightRecord
@@ -52,6 +53,7 @@ def fly_route(options: FlyOptions) -> None:
         PreflightError: not safe to fly: the map does not cover the route.
     """
     cv2.setNumThreads(1)
+    keep_heap_small()
     options = _with_simulated_defaults(options)
     with ExitStack() as stack:
         plan = plan_flight(options, stack)

@@ -24,6 +24,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import FlightPlan, plan_flight
 from vwnav.onboard.record import FlightRecord
@@ -85,6 +86,7 @@ def _handover(told: dict[str, Any]) -> Handover:
 
 def stand_by(options: FlyOptions) -> None:
     """Load everything, wait to be woken, then send estimates until the aircraft is down."""
+    keep_heap_small()
     with ExitStack() as stack:
         plan = plan_flight(options, stack)
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))

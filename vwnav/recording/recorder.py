@@ -3,6 +3,8 @@
 Everything is queued and written by a thread of its own. A chunk is finished and flushed every
 second: a process that is killed leaves a file that lacks its last second and its index, and is read
 to its end by `reader.read_recording` and by Foxglove.
+
+In memory only the index grows that ends the file: 0.35 kB with each chunk, 1.3 MB an hour.
 """
 
 import dataclasses

@@ -1,6 +1,7 @@
 """A picture of the flight over the map: estimate, fixes, one-sigma ellipses, and truth if known."""
 
 from pathlib import Path
+from typing import Generic, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -12,11 +13,12 @@ from vwnav.geometry.mercator import mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
 from vwnav.pipeline import StepResult
-from vwnav.types import Array, Estimate, MapFix
+from vwnav.types import Array, MapFix
 
 MARGIN_M = 60.0
 MAX_SIDE_PX = 1600
 ELLIPSE_EVERY_S = 2.0
+MOST_POINTS = 10_000  # of a line: after an hour of pictures at 10 Hz one every 0.4 s
 _ESTIMATE_BGR = (0, 200, 255)
 _FIX_BGR = (90, 220, 60)
 _TRUTH_BGR = (255, 255, 255)
@@ -24,26 +26,62 @@ _SUBPIXEL_BITS = 4
 _FARTHEST_PX = 20_000.0
 
 
+Item = TypeVar("Item")
+
+
+class Thinned(Generic[Item]):
+    """At most `most` of a sequence, spread evenly: when it is full, every second one goes.
+
+    Attributes:
+        items: those that are kept, oldest first.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.items: list[Item] = []
+        self._most = most
+        self._every = 1
+        self._added = 0
+
+    def add(self, item: Item) -> None:
+        """The next one."""
+        if self._added % self._every == 0:
+            self.items.append(item)
+        self._added += 1
+        if len(self.items) > self._most:
+            del self.items[1::2]
+            self._every *= 2
+
+
+class _Spot(NamedTuple):
+    """Where an estimate was: (3,) and (2, 2)."""
+
+    t_s: float
+    position_ned_m: Array
+    covariance_ne_m2: Array
+
+
 class TrackPicture:
-    """Collects a track and draws it at the end."""
+    """Collects a track and draws it at the end; a long one with fewer points, not with more."""
 
     def __init__(self, pack: MapPack, local_frame: LocalFrame) -> None:
         self._pack = pack
         self._local_frame = local_frame
-        self._estimates: list[Estimate] = []
-        self._fixes: list[tuple[float, float]] = []
-        self._truth_ned_m: list[Array] = []
+        self._track: Thinned[_Spot] = Thinned(MOST_POINTS)
+        self._fixes: Thinned[tuple[float, float]] = Thinned(MOST_POINTS)
+        self._truth_ned_m: Thinned[Array] = Thinned(MOST_POINTS)
 
     def add(self, step: StepResult) -> None:
         """One picture of the flight."""
-        if step.estimate is not None and step.estimate.t_last_fix_s is not None:
-            self._estimates.append(step.estimate)
+        estimate = step.estimate
+        if estimate is not None and estimate.t_last_fix_s is not None:
+            covariance_ne_m2 = estimate.covariance[:2, :2].copy()  # a view would keep all of it
+            self._track.add(_Spot(estimate.t_s, estimate.position_ned_m, covariance_ne_m2))
         if isinstance(step.outcome, MapFix):
-            self._fixes.append((step.outcome.lat_deg, step.outcome.lon_deg))
+            self._fixes.add((step.outcome.lat_deg, step.outcome.lon_deg))
 
     def add_truth(self, ned_m: Array) -> None:
         """The true position (3,), from a simulator."""
-        self._truth_ned_m.append(ned_m)
+        self._truth_ned_m.add(ned_m)
 
     def save(self, path: Path) -> None:
         """Draw and write a PNG.
@@ -60,9 +98,9 @@ class TrackPicture:
         A track that leaves the map is drawn as far as the map goes: an estimate that ran away must
         not ask for a picture of the way to the moon.
         """
-        track = self._lat_lon([e.position_ned_m for e in self._estimates])
-        fixes = np.array(self._fixes).reshape(-1, 2)
-        truth = self._lat_lon(self._truth_ned_m)
+        track = self._lat_lon([spot.position_ned_m for spot in self._track.items])
+        fixes = np.array(self._fixes.items).reshape(-1, 2)
+        truth = self._lat_lon(self._truth_ned_m.items)
         south, west, north, east = self._bounds(np.vstack([track, fixes, truth]))
         zoom = self._zoom(south, west, north, east)
         x0, y0 = (int(v) for v in mercator_px(north, west, zoom))
@@ -116,11 +154,11 @@ class TrackPicture:
 
     def _draw_ellipses(self, canvas: NDArray[np.uint8], uv: Array, zoom: int) -> None:
         last_s = -np.inf
-        for estimate, at in zip(self._estimates, uv, strict=True):
-            if estimate.t_s - last_s < ELLIPSE_EVERY_S or not len(_on_paper(at[None])):
+        for spot, at in zip(self._track.items, uv, strict=True):
+            if spot.t_s - last_s < ELLIPSE_EVERY_S or not len(_on_paper(at[None])):
                 continue
-            last_s = estimate.t_s
-            variances, axes = np.linalg.eigh(estimate.covariance[:2, :2])
+            last_s = spot.t_s
+            variances, axes = np.linalg.eigh(spot.covariance_ne_m2)
             px_per_m = mercator_px_per_m(self._local_frame.lat_deg, zoom)[0]
             semi_px = np.sqrt(np.maximum(variances, 0.0)) * px_per_m
             # Columns are (north, east): on the picture east is right and north is up.

@@ -82,6 +82,7 @@ class CameraRenderer:
         edge[1:-1, 1:-1] = False
         self._rim = np.column_stack([self._rays[edge][::16], np.ones(len(self._rays[edge][::16]))])
         self._mosaic: tuple[Region, Tile] | None = None
+        self._canvas = np.empty(0, np.uint8)  # what mosaics are laid out in, one after the other
 
     def prepare(
         self,
@@ -187,9 +188,8 @@ class CameraRenderer:
         """The block as one picture; kept while it serves and all of it was really drawn."""
         if self._mosaic is not None and self._mosaic[0] == region:
             return self._mosaic[1]
-        rows, cols = region.row1 - region.row0, region.col1 - region.col0
-        mosaic = np.empty((rows * TILE_PX, cols * TILE_PX, 3), np.uint8)
-        whole = True
+        self._mosaic, whole = None, True
+        mosaic = self._blank(region)
         for key in region.tiles():
             tile = self._tiles.get(key)
             if tile is None:
@@ -199,6 +199,14 @@ class CameraRenderer:
             mosaic[v : v + TILE_PX, u : u + TILE_PX] = tile
         self._mosaic = (region, mosaic) if whole else None
         return mosaic
+
+    def _blank(self, region: Region) -> Tile:
+        """Memory for a block, where the last one was: new ones of ever other sizes leave holes."""
+        rows, cols = region.row1 - region.row0, region.col1 - region.col0
+        shape = (rows * TILE_PX, cols * TILE_PX, 3)
+        if self._canvas.size < math.prod(shape):
+            self._canvas = np.empty(math.prod(shape), np.uint8)
+        return self._canvas[: math.prod(shape)].reshape(shape)
 
     def _stand_in(self, key: Key) -> Tile:
         """A coarser drawing of a tile that is still being made in the background."""

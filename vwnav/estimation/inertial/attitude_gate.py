@@ -24,6 +24,7 @@ _LEVEL_RAD = math.radians(4.0)  # a reset that leaves the tilt within this is on
 _ANYWHERE_S = 1.0  # after so long without one an attitude may be any
 _ALONE_S = 0.5  # an autopilot that tells its attitude tells its height or its IMU too
 _LONG_S, _FORGET = 2.0, 0.9
+_MOST_WAITING = 1000  # where nothing ever vouches for them
 # How long those that join each other must last, and how many they must be, after ...
 _SILENCE = (0.04, 3)  # ... a silence in which it could be turned to
 _HEADING_RESET = (0.15, 4)
@@ -117,6 +118,8 @@ class AttitudeGate:
         joined = last is not None and attitude.t_s - last.t_s <= MAX_GAP_S
         if last is not None and joined and self._joins(last, attitude):
             self._waiting.append(attitude)
+            if len(self._waiting) > _MOST_WAITING:
+                del self._waiting[1]  # the first tells since when they join
             return
         self._waiting = [attitude]
         newest = self._attitudes.at(newest_s)

@@ -50,7 +50,7 @@ class BootClock:
         self._drift = 0.0  # seconds by which ours gains on the autopilot's, a second
         self._lower_s = self._upper_s = 0.0  # of how late the newest stamp is at least, and at most
         self._spent_s: deque[float] = deque(maxlen=_RECENT_TRIPS)
-        self._strange: list[Point] = []
+        self._strange: deque[Point] = deque(maxlen=_NEW_CLOCK)
         self._forget()
 
     @property
@@ -62,7 +62,7 @@ class BootClock:
         """Learn from a message stamped at `boot_s`; False when that is no time of this clock."""
         if self._stamps and self._is_strange(boot_s, received_s):
             self._strange.append((boot_s, received_s - boot_s))
-            if not _agree(self._strange[-_NEW_CLOCK:]):
+            if not _agree(self._strange):
                 return False
             self.restarts += boot_s < self._newest_boot_s
             self._forget()
@@ -206,7 +206,7 @@ def _drop_before(points: deque[Point], boot_s: float) -> None:
         points.popleft()
 
 
-def _agree(points: list[Point]) -> bool:
+def _agree(points: deque[Point]) -> bool:
     """Whether they may be stamps of one clock that goes."""
     if len(points) < _NEW_CLOCK:
         return False
