@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +26,10 @@ def localizer(
         str, typer.Option("--features", help="Names, or paths of models, with commas between.")
     ] = "default,nano,default_open,sift",
     looks: Annotated[
-        int, typer.Option("--looks", min=1, help="Of each kind, for each group; about.")
+        int,
+        typer.Option(
+            "--looks", min=1, help="With a prior, for each group; a quarter as many without."
+        ),
     ] = 16,
     only: Annotated[str | None, typer.Option("--only", help="This group alone.")] = None,
     output: Annotated[
@@ -49,7 +53,9 @@ def localizer(
     folder = None if output is None else make_run_folder(output, "bench")
     chosen, names = _scenes(scenes), [name for name in features.split(",") if name]
     with LiveLine() as line:
-        report = bench_localizer(chosen, data, names, looks, only, line.show)
+        report = bench_localizer(
+            chosen, data, names, looks, only, lambda text: line.show(time.monotonic(), text)
+        )
     values = as_json(report)
     if json_:
         print(json.dumps(values))

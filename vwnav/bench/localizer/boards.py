@@ -39,19 +39,22 @@ from vwnav.maps.build.raster import DrawnSource, array_source, level_georeferenc
 from vwnav.types import Array, Prior
 
 ELSEWHERE = "elsewhere"
-LOOKS_A_PICTURE = 4  # of each kind
+LOOKS_A_PICTURE = 4  # with a prior
+SEARCHES_A_PICTURE = 1  # without: each takes as long as ten others
 LEVELS = (ZOOM, ZOOM - 1, ZOOM - 2)
 _CELL_PX = 1152  # pictures of a map lie so far apart: the largest and a gap without data
 _COLUMNS = 3
+_ATTEMPTS = 100
 
 
 def boards(folder: Path, split: Split, looks: int, only: str | None) -> Iterator[Board]:
-    """Maps of one picture of each source, until each source has so many looks of each kind.
+    """Maps of one picture of each source, until each source has so many looks with a prior.
 
     Args:
         folder: of the data.
         split: which pairs.
-        looks: of each kind, for each source and for all wrong places.
+        looks: with a prior, for each source; a quarter as many without, and as many of all sources
+            together at wrong places.
         only: this source alone.
     """
     by_source: dict[str, list[Pair]] = {}
@@ -106,9 +109,14 @@ def _board(
 
 
 def pair_looks(
-    group: str, name: str, ground: SeenGround, corner_px: tuple[int, int], label_px: float
+    group: str,
+    name: str,
+    ground: SeenGround,
+    corner_px: tuple[int, int],
+    label_px: float,
+    searches: int = SEARCHES_A_PICTURE,
 ) -> Iterator[LookCase]:
-    """Frames of a place that the map shows, each with a rough prior and without place."""
+    """Frames of a place that the map shows, with a rough prior, and some without place."""
     for number in range(LOOKS_A_PICTURE):
         rng = generator(f"{group} {name}", number)
         cut = cut_frame(ground, rng)
@@ -117,8 +125,8 @@ def pair_looks(
         pose = _pose(cut, corner_px)
         m_per_px = ground_resolution_m_per_px(pose.lat_deg, ZOOM)
         prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
-        asked: tuple[tuple[LookKind, Prior], ...]
-        asked = (("prior", prior), ("search", without_place(prior)))
+        asked: list[tuple[LookKind, Prior]] = [("prior", prior)]
+        asked += [("search", without_place(prior))] if number < searches else []
         for kind, known in asked:
             yield LookCase(
                 group=group,
@@ -146,7 +154,10 @@ def _wrong_looks(
     """Frames of other places, said to be at a random place of the map."""
     for number in range(LOOKS_A_PICTURE * len(masks)):
         rng = generator(f"{ELSEWHERE} {name}", number)
-        photo, cut = _stranger(photos, rng)
+        found = stranger(photos, rng)
+        if found is None:
+            return
+        photo, cut = found
         corner_px, mask = masks[int(rng.integers(len(masks)))]
         uv = np.argwhere(mask)[int(rng.integers(np.count_nonzero(mask)))][::-1]
         lat_deg, lon_deg = place_of_pixel(corner_px, uv.astype(np.float64))
@@ -160,8 +171,8 @@ def wrong_looks(
 ) -> Iterator[LookCase]:
     """A frame that the map does not show, with a rough prior and without place."""
     prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
-    asked: tuple[tuple[LookKind, Prior], ...]
-    asked = (("wrong", prior), ("wrong_search", without_place(prior)))
+    asked: list[tuple[LookKind, Prior]] = [("wrong", prior)]
+    asked += [("wrong_search", without_place(prior))] if seed % LOOKS_A_PICTURE == 0 else []
     for kind, known in asked:
         yield LookCase(
             group=ELSEWHERE,
@@ -177,16 +188,17 @@ def wrong_looks(
         )
 
 
-def _stranger(photos: list[Photo], rng: np.random.Generator) -> tuple[Photo, Cut]:
-    """A frame of one of the pictures, of one place as likely as of another."""
+def stranger(photos: list[Photo], rng: np.random.Generator) -> tuple[Photo, Cut] | None:
+    """A frame of one of the pictures, of each place as likely as of another; None if none will."""
     places = sorted({photo.place for photo in photos})
-    while True:
+    for _ in range(_ATTEMPTS if places else 0):
         place = places[int(rng.integers(len(places)))]
         of_place = [photo for photo in photos if photo.place == place]
         photo = of_place[int(rng.integers(len(of_place)))]
         cut = cut_of(photo, rng)
         if cut is not None:
             return photo, cut
+    return None
 
 
 def cut_of(photo: Photo, rng: np.random.Generator) -> Cut | None:

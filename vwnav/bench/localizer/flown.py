@@ -9,7 +9,12 @@ import numpy as np
 
 from vwnav.bench.features.flight_scenes import ISLAMABAD_LOGO_WH, Shot, islamabad_shots
 from vwnav.bench.features.scenes import generator
-from vwnav.bench.localizer.boards import ELSEWHERE, cut_of, wrong_looks
+from vwnav.bench.localizer.boards import (
+    ELSEWHERE,
+    LOOKS_A_PICTURE,
+    stranger,
+    wrong_looks,
+)
 from vwnav.bench.localizer.looks import Board, LookCase, TruePose, rough_prior, without_place
 from vwnav.bench.localizer.pictures import Photo, other_photos
 from vwnav.geometry.camera import Camera
@@ -48,7 +53,7 @@ def _flight_looks(shot: Shot, number: int) -> Iterator[LookCase]:
     K = np.array([[f_px, 0.0, (w - 1) / 2.0], [0.0, f_px, (h - 1) / 2.0], [0.0, 0.0, 1.0]])
     camera = Camera(width_px=w, height_px=h, K=K)
     prior = rough_prior(pose, None, PRIOR_M, rng)
-    for search in (False, True):
+    for search in (False, True) if number % LOOKS_A_PICTURE == 0 else (False,):
         yield LookCase(
             group=ISLAMABAD,
             name=f"{shot.name}.{number}",
@@ -66,10 +71,10 @@ def _flight_looks(shot: Shot, number: int) -> Iterator[LookCase]:
 def _strange_looks(photos: list[Photo], shots: list[Shot], looks: int) -> Iterator[LookCase]:
     for number in range(looks):
         rng = generator(f"{ELSEWHERE} {ISLAMABAD}", number)
-        photo, cut = photos[int(rng.integers(len(photos)))], None
-        while cut is None:
-            photo = photos[int(rng.integers(len(photos)))]
-            cut = cut_of(photo, rng)
+        found = stranger(photos, rng)
+        if found is None:
+            return
+        photo, cut = found
         over = shots[int(rng.integers(len(shots)))]
         agl_m = cut.agl_px * MAP_M_PER_PX
         pose = TruePose(over.lat_deg, over.lon_deg, cut.rpy_rad[2], agl_m)

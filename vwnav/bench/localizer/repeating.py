@@ -14,6 +14,7 @@ from vwnav.maps.build.raster import array_source, level_georeference
 from vwnav.types import Gray
 
 SIDE_PX = 1000
+DRAWN_PX = 0.1  # error of the truth: none but that of drawing
 _CANVAS_PX = 1480  # turned by any angle it fills the picture
 _LASTING, _PASSING = 3.0, 6.0  # gray values: texture that both days have, and that one day has
 
@@ -34,7 +35,9 @@ def repeating_boards(looks: int, only: str | None) -> Iterator[Board]:
                 name=f"{kind} {number}",
             )
             ground = SeenGround(today, everywhere, np.eye(3), everywhere)
-            found = pair_looks(kind, f"{kind} {number}", ground, corner_px, 0.1)
+            found = pair_looks(
+                kind, f"{kind} {number}", ground, corner_px, DRAWN_PX, searches=LOOKS_A_PICTURE
+            )
             yield Board([source], LEVELS, list(found))
 
 

@@ -14,13 +14,11 @@ import cv2
 import vwnav
 from vwnav.bench.localizer.boards import boards
 from vwnav.bench.localizer.flown import flown_boards
-from vwnav.bench.localizer.looks import LOOK_KINDS, Board, LookKind
+from vwnav.bench.localizer.looks import LOOK_KINDS, Board, LookKind, open_board
 from vwnav.bench.localizer.repeating import repeating_boards
 from vwnav.bench.localizer.scoring import LookScore, Outcome, judge, score
 from vwnav.errors import ConfigError
 from vwnav.geometry.camera import Camera
-from vwnav.maps.build.builder import BuildOptions, build_pack
-from vwnav.maps.pack import MapPack
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
 from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer, LocalizerConfig
@@ -29,7 +27,7 @@ SceneSet = Literal["own", "judge", "repeats"]
 SCENE_SETS: tuple[SceneSet, ...] = ("own", "judge", "repeats")
 FEATURES = ("default", "nano", "default_open", "sift")
 ALL = "all"
-Progress = Callable[[float, str], None]  # seconds, and a line about it
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +105,7 @@ def bench_localizer(
         for name, extractor in extractors.items():
             outcomes[name] += look_at_board(board, extractor)
         done += len(board.looks)
-        progress(time.monotonic(), f"{done} looks of each feature set, {board.looks[-1].name}")
+        progress(f"{done} looks of each feature set, {board.looks[-1].name}")
     if not done:
         raise ConfigError(f"nothing to look at: the set {scenes} has no group {only or ALL!r}")
     return LocalizerReport(outcomes)
@@ -142,11 +140,3 @@ def look_at_board(board: Board, extractor: FeatureExtractor) -> Iterator[Outcome
             start_s = time.process_time()
             said = localizers[look.camera].localize(look.frame(), look.prior, look.seed)
             yield judge(look, said, time.process_time() - start_s)
-
-
-def open_board(board: Board, extractor: FeatureExtractor, folder: str) -> MapPack:
-    """The map of a board as a pack in a folder."""
-    path = Path(folder) / "board.mbtiles"
-    options = BuildOptions(levels=board.levels, georeference_sigma_m=0.0)
-    build_pack(board.sources, path, [extractor], options)
-    return MapPack.open(path)
