@@ -197,7 +197,8 @@ class Looker:
             min_decades: unrelated pictures may pass once in ten to this power.
         """
         placement = found.placement
-        decades = decades_of_matches(placement.log10_false_alarms, self._extractor.name)
+        per_decade = self._extractor.log10_per_decade
+        decades = decades_of_matches(placement.log10_false_alarms, per_decade)
         if decades < min_decades:
             with job.watch.stage("verify"):
                 decades += decades_of_correlation(self._correlation(job, found))
