@@ -80,7 +80,8 @@ class LearnedFeatures:
         self._session = _open(self._path, threads)
         facts = _check(self._session, self._path)
         self._feature_set_id = facts["feature_set_id"]
-        self._log10_per_decade = _log10_per_decade(facts, self._path)
+        # `vwnav bench significance --write` puts it there.
+        self.log10_per_decade = _log10_per_decade(facts, self._path)
         # The first run allocates and compiles; and a graph that loads may still not run.
         self.extract(np.zeros((2 * SIZE_MULTIPLE_PX, 2 * SIZE_MULTIPLE_PX), np.uint8), 1)
 
@@ -93,11 +94,6 @@ class LearnedFeatures:
     def feature_set_id(self) -> str:
         """Identifies the model, as its metadata say."""
         return self._feature_set_id
-
-    @property
-    def log10_per_decade(self) -> float:
-        """As its metadata say, which `vwnav bench significance --write` puts there."""
-        return self._log10_per_decade
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
         """Detect and describe.

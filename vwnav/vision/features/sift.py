@@ -13,7 +13,6 @@ from vwnav.vision.features.checks import check_gray, no_features
 DESCRIPTOR_SIZE = 128
 MIN_SIDE_PX = 16
 CONTRAST_THRESHOLD = 0.02  # half of OpenCV's: ground seen through haze has little contrast
-LOG10_PER_DECADE = 1.5  # of 1000 unrelated pairs 1 and 0.1 % were below -0.7 and -1.2
 
 
 class SiftFeatures:
@@ -23,6 +22,9 @@ class SiftFeatures:
     fixed instead of taken from the gradient, which makes it more distinctive. `upright=False` is
     for pictures whose rotation is unknown; the two kinds cannot be compared.
     """
+
+    # Measured: of 1000 unrelated pairs 1 and 0.1 % were below -0.7 and -1.2.
+    log10_per_decade: float = 1.5
 
     def __init__(self, *, upright: bool = True) -> None:
         self._upright = upright
@@ -36,11 +38,6 @@ class SiftFeatures:
     def feature_set_id(self) -> str:
         """Identifies what the descriptors can be compared with."""
         return "sift-root-upright-1" if self._upright else "sift-root-1"
-
-    @property
-    def log10_per_decade(self) -> float:
-        """Measured by `vwnav bench significance`."""
-        return LOG10_PER_DECADE
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
         """Detect and describe.
