@@ -82,6 +82,11 @@ class FeatureExtractor(Protocol):
         """Identifies what the descriptors can be compared with."""
         ...
 
+    @property
+    def log10_per_decade(self) -> float:
+        """By how much its matches overrate themselves: see `vwnav.vision.significance`."""
+        ...
+
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
         """The strongest keypoints of a picture (h, w)."""
         ...

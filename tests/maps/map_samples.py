@@ -21,6 +21,7 @@ class SiftStub:
 
     def __init__(self, feature_set_id: str = "sift-test-1", name: str = "sift") -> None:
         self.feature_set_id, self.name = feature_set_id, name
+        self.log10_per_decade = 1.5
         self.calls = 0
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
@@ -40,7 +41,7 @@ class SiftStub:
 class DotFinder:
     """Finds single bright pixels: what it must find is known exactly."""
 
-    name, feature_set_id = "learned", "dots-1"
+    name, feature_set_id, log10_per_decade = "learned", "dots-1", 5.0
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
         rows, columns = np.nonzero(gray == 255)

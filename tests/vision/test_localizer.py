@@ -217,6 +217,7 @@ class Blind:
 
     def __init__(self, extractor) -> None:
         self.name, self.feature_set_id = extractor.name, extractor.feature_set_id
+        self.log10_per_decade = extractor.log10_per_decade
 
     def extract(self, gray, max_keypoints):
         return no_features(32, np.uint8)
@@ -282,7 +283,7 @@ def test_a_calibration_for_another_size_is_an_error(pack, orb):
 class OtherModel:
     """Features of the pack's name but of another model."""
 
-    name, feature_set_id = "orb", "orb-of-someone-else"
+    name, feature_set_id, log10_per_decade = "orb", "orb-of-someone-else", 2.0
 
     def extract(self, gray: np.ndarray, max_keypoints: int) -> Features:
         raise AssertionError("a pack of another model must be refused before")

@@ -11,6 +11,8 @@ import typer
 
 from vwnav.cli.bench_estimator import estimator
 from vwnav.cli.bench_flights import flights
+from vwnav.cli.bench_localizer import localizer
+from vwnav.cli.bench_significance import significance
 from vwnav.cli.bench_waypoints import waypoints
 from vwnav.screen import print_table, progress_bar, say
 
@@ -19,6 +21,8 @@ _WIDTH = 120
 app = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
 app.command("estimator")(estimator)
 app.command("flights")(flights)
+app.command("localizer")(localizer)
+app.command("significance")(significance)
 app.command("waypoints")(waypoints)
 
 

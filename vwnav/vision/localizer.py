@@ -299,7 +299,7 @@ class Localizer:
 
     def _decades(self, found: Registration) -> float:
         """How rarely unrelated images agree so well, as a power of ten."""
-        return decades_of_matches(found.consensus.log10_nfa, self._extractor.name)
+        return decades_of_matches(found.consensus.log10_nfa, self._extractor.log10_per_decade)
 
     def _best(
         self, query: Query, coarse: list[Registration], tests: int

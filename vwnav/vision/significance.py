@@ -10,14 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.homography import transform_points
-from vwnav.types import Array, FeatureName
+from vwnav.types import Array
 
 CELL_PX = 16.0  # matches within one cell see the same thing: counted once
 MAX_SAMPLE = 160
-# The test takes matches for independent, which learned features, that see far around them, are
-# least. Measured on 2900, 1000 and 1800 unrelated pairs of overhead pictures: 1 and 0.1 % were
-# below -9.7 and -14.9 for learned features, -0.7 and -1.2 for SIFT, -1.7 and -3.9 for ORB.
-LOG10_PER_DECADE: dict[FeatureName, float] = {"learned": 5.0, "sift": 1.5, "orb": 2.0}
 
 
 def log10_nfa(
@@ -49,9 +45,16 @@ def log10_nfa(
     return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
 
 
-def decades_of_matches(log10_nfa: float, features: FeatureName) -> float:
-    """How rarely unrelated pictures show so little chance, as a power of ten."""
-    return max(0.0, -log10_nfa / LOG10_PER_DECADE[features])
+def decades_of_matches(log10_nfa: float, log10_per_decade: float) -> float:
+    """How rarely unrelated pictures show so little chance, as a power of ten.
+
+    Args:
+        log10_nfa: of a registration.
+        log10_per_decade: of the features. The test takes matches for independent, which learned
+            features, that see far around them, are least: `vwnav bench significance` measures on
+            unrelated pictures how many powers of ten of it a true one is worth.
+    """
+    return max(0.0, -log10_nfa / log10_per_decade)
 
 
 def occupied_cells(uv_view: Array) -> int:

@@ -97,7 +97,7 @@ def view_pairs(
     Raises:
         SourceError: a pair shares too little ground.
     """
-    masks = [(_ground(pair.a), _ground(pair.b)) for pair in pairs]
+    masks = [(ground_mask(pair.a), ground_mask(pair.b)) for pair in pairs]
     for index in range(count):
         pair, mask = pairs[index % len(pairs)], masks[index % len(pairs)]
         for attempt in range(_ATTEMPTS):
@@ -173,7 +173,7 @@ def _another_hour(gray: Gray, rng: np.random.Generator) -> Gray:
     return np.asarray(np.clip(np.round(changed + noise), 0, 255), np.uint8)
 
 
-def _ground(picture: NDArray[np.uint8]) -> Mask:
+def ground_mask(picture: NDArray[np.uint8]) -> Mask:
     """True where a picture shows ground, not the black corners that its registration left."""
     black = (picture.max(axis=2) < _DIRTY_BLACK).astype(np.uint8)
     black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))

@@ -31,6 +31,7 @@ class BreakableFeatures:
         self._features = features
         self.name = features.name
         self.feature_set_id = features.feature_set_id
+        self.log10_per_decade = features.log10_per_decade
         self.broken = False
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:

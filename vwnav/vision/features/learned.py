@@ -15,6 +15,9 @@ from vwnav.vision.features.checks import check_gray
 
 SIZE_MULTIPLE_PX = 32  # the graph halves the picture five times
 BORDER_PX = 4  # the graph finds nothing nearer to an edge; here the same at edges it cannot see
+LOG10_PER_DECADE = "log10_per_decade"  # in the metadata: see `vwnav.vision.significance`
+# Of a model whose own value has not been measured: more than any that was (docs/benchmarks.md).
+CAUTIOUS_LOG10_PER_DECADE = 5.0
 _INPUTS = {"image": "tensor(uint8)", "max_keypoints": "tensor(int64)"}
 _OUTPUTS = ("keypoints", "scores", "descriptors")
 
@@ -75,7 +78,10 @@ class LearnedFeatures:
         """
         self._path = find_model(path)
         self._session = _open(self._path, threads)
-        self._feature_set_id = _check(self._session, self._path)
+        facts = _check(self._session, self._path)
+        self._feature_set_id = facts["feature_set_id"]
+        # `vwnav bench significance --write` puts it there.
+        self.log10_per_decade = _log10_per_decade(facts, self._path)
         # The first run allocates and compiles; and a graph that loads may still not run.
         self.extract(np.zeros((2 * SIZE_MULTIPLE_PX, 2 * SIZE_MULTIPLE_PX), np.uint8), 1)
 
@@ -150,15 +156,32 @@ def _open(path: Path, threads: int) -> onnxruntime.InferenceSession:
         ) from error
 
 
-def _check(session: onnxruntime.InferenceSession, path: Path) -> str:
+def _check(session: onnxruntime.InferenceSession, path: Path) -> dict[str, str]:
+    """The model's facts about itself."""
     inputs = {value.name: value.type for value in session.get_inputs()}
     outputs = {value.name for value in session.get_outputs()}
-    feature_set_id = session.get_modelmeta().custom_metadata_map.get("feature_set_id", "")
-    if inputs != _INPUTS or not outputs.issuperset(_OUTPUTS) or not feature_set_id:
+    facts: dict[str, str] = session.get_modelmeta().custom_metadata_map
+    if inputs != _INPUTS or not outputs.issuperset(_OUTPUTS) or not facts.get("feature_set_id"):
         raise ModelError(
             f"the model {path} is not one of vwnav: make one with export/export_onnx.py"
         )
-    return str(feature_set_id)
+    return facts
+
+
+def _log10_per_decade(facts: dict[str, str], path: Path) -> float:
+    said = facts.get(LOG10_PER_DECADE, "")
+    if not said:
+        return CAUTIOUS_LOG10_PER_DECADE
+    try:
+        value = float(said)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise ModelError(
+            f"the model {path} says {LOG10_PER_DECADE} {said!r}: "
+            "measure it with `vwnav bench significance --write`"
+        )
+    return value
 
 
 def _first_line(error: Exception) -> str:

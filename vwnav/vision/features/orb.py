@@ -19,6 +19,9 @@ FAST_THRESHOLD = 8  # grass and fields have few corners of OpenCV's 20 gray leve
 class OrbFeatures:
     """OpenCV's ORB behind the `FeatureExtractor` protocol, without rotation (that is, BRIEF)."""
 
+    # Measured: of 1800 unrelated pairs 1 and 0.1 % were below -1.7 and -3.9.
+    log10_per_decade: float = 2.0
+
     @property
     def name(self) -> Literal["orb"]:
         """Always "orb"."""

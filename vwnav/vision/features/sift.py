@@ -23,6 +23,9 @@ class SiftFeatures:
     for pictures whose rotation is unknown; the two kinds cannot be compared.
     """
 
+    # Measured: of 1000 unrelated pairs 1 and 0.1 % were below -0.7 and -1.2.
+    log10_per_decade: float = 1.5
+
     def __init__(self, *, upright: bool = True) -> None:
         self._upright = upright
 

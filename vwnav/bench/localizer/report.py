@@ -1,0 +1,97 @@
+"""The report as one JSON object, and as tables for a person."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from vwnav.bench.localizer.looks import LookKind
+from vwnav.bench.localizer.run import LocalizerReport
+from vwnav.bench.localizer.scoring import LookScore
+
+_DIGITS = 4
+_TITLES: dict[LookKind, str] = {
+    "prior": "the right place, a rough prior",
+    "search": "the right place, no position and no heading",
+    "wrong": "places that the map does not show, with a prior",
+    "wrong_search": "places that the map does not show, without",
+}
+
+
+def as_json(report: LocalizerReport) -> dict[str, object]:
+    """Plain values; `docs/benchmarks.md` says what each means."""
+    return {
+        "scores": [
+            {
+                "group": group,
+                "kind": kind,
+                "features": {n: _rounded(asdict(s)) for n, s in by.items()},
+            }
+            for group, kind, by in report.scores()
+        ],
+        "false": {
+            name: [_rounded(asdict(each)) for each in outcomes if each.false]
+            for name, outcomes in report.outcomes.items()
+        },
+    }
+
+
+def tables(report: LocalizerReport) -> Iterator[Table]:
+    """One for each group and kind of look."""
+    for group, kind, by_features in report.scores():
+        columns = [
+            "features",
+            "looks",
+            "located %",
+            "held",
+            "false",
+            "< %",
+            "error",
+            "95 %",
+            "NEES",
+        ]
+        columns += ["inside %", "worst", "looks/s", "rejected"]
+        table = Table(
+            title=f"{group}: {_TITLES[kind]}",
+            title_justify="left",
+            box=SIMPLE_HEAD,
+            padding=(0, 1, 0, 0),
+        )
+        for column in columns:
+            left = column in ("features", "rejected")
+            table.add_column(column, justify="left" if left else "right", no_wrap=not left)
+        for name, each in by_features.items():
+            table.add_row(name, *_cells(each))
+        yield table
+
+
+def _cells(each: LookScore) -> list[str]:
+    return [
+        f"{each.looks}",
+        _percent(each.located),
+        f"{each.held}",
+        f"{each.false}",
+        f"{100.0 * each.false_bound:.2f}",
+        _number(each.error_median),
+        _number(each.error_95),
+        _number(each.nees),
+        _percent(each.inside),
+        _number(each.worst_sigmas),
+        f"{each.per_s:.1f}",
+        ", ".join(f"{reason} {count}" for reason, count in each.rejected.items()),
+    ]
+
+
+def _percent(ratio: float | None) -> str:
+    return "-" if ratio is None else f"{100.0 * ratio:.1f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    return round(value, _DIGITS) if isinstance(value, float) else value
