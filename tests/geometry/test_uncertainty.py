@@ -1,13 +1,21 @@
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vwnav.geometry.homography import transform_points
-from vwnav.geometry.uncertainty import homography_covariance, similarity_covariance
+from vwnav.geometry.uncertainty import (
+    homography_covariance,
+    regional_covariance,
+    similarity_covariance,
+    with_regions,
+)
 
 H_TRUE = np.array([[0.9, -0.2, 30.0], [0.2, 0.9, -12.0], [1e-4, -2e-4, 1.0]])
 S_TRUE = np.array([[0.9, -0.2, 30.0], [0.2, 0.9, -12.0], [0.0, 0.0, 1.0]])
 AT_UV = np.array([700.0, 100.0])
+MIDDLE = np.array([150.0, 150.0])
 
 
 def fit_homography(uv0: np.ndarray, uv1: np.ndarray) -> np.ndarray:
@@ -58,3 +66,52 @@ def test_points_that_fix_nothing_give_none() -> None:
     assert homography_covariance(line, line, np.eye(3), 1.0, AT_UV) is None
     assert similarity_covariance(np.ones((9, 2)), np.ones((9, 2)), np.eye(3), 1.0, AT_UV) is None
     assert homography_covariance(line[:3], line[:3], np.eye(3), 1.0, AT_UV) is None
+
+
+FITS = [(fit_homography, homography_covariance), (fit_similarity, similarity_covariance)]
+
+
+def leaning(fit, seed: int, lean_px: float):
+    """Pairs whose truth is the identity, half a pixel of noise, a corner shifted; and their fit."""
+    rng = np.random.default_rng(seed)
+    uv0 = rng.uniform(0.0, 300.0, (120, 2))
+    uv1 = uv0 + rng.normal(0.0, 0.5, uv0.shape)
+    uv1[(uv0 < 150.0).all(axis=1)] += [lean_px, 0.0]
+    return uv0, uv1, fit(uv0, uv1)
+
+
+@pytest.mark.parametrize(("fit", "covariance"), FITS)
+def test_regions_left_out_show_scatter_as_the_fit_does(fit, covariance):
+    """Of errors that nothing shares both tell the same, on average."""
+    told = []
+    for seed in range(60):
+        uv0, uv1, H = leaning(fit, seed, 0.0)
+        both = (regional_covariance(uv0, uv1, H, MIDDLE), covariance(uv0, uv1, H, 0.0, MIDDLE))
+        told.append([np.trace(each) for each in both])
+    regional, scatter = np.mean(told, axis=0)
+    assert 0.6 < regional / scatter < 2.5
+
+
+@pytest.mark.parametrize(("fit", "covariance"), FITS)
+def test_what_a_region_shares_is_in_the_covariance(fit, covariance):
+    """A corner of houses that lean by three pixels moves the fit; its scatter hardly says so."""
+    of_scatter, of_both = [], []
+    for seed in range(60):
+        uv0, uv1, H = leaning(fit, seed, 3.0)
+        error = transform_points(H, MIDDLE)[0] - MIDDLE
+        scatter = covariance(uv0, uv1, H, 0.0, MIDDLE)
+        both = with_regions(scatter, regional_covariance(uv0, uv1, H, MIDDLE))
+        of_scatter.append(error @ np.linalg.solve(scatter, error))
+        of_both.append(error @ np.linalg.solve(both, error))
+    assert np.mean(of_scatter) > 8.0  # two are honest
+    assert np.mean(of_both) < 3.0
+
+
+@given(st.integers(0, 10_000))
+def test_regions_only_ever_enlarge_a_covariance(seed):
+    rng = np.random.default_rng(seed)
+    one, other = (A @ A.T + 1e-3 * np.eye(2) for A in rng.normal(size=(2, 2, 2)))
+    told = with_regions(one, other)
+    assert np.linalg.eigvalsh(told - one).min() > -1e-9 * np.trace(told)
+    assert np.linalg.eigvalsh(one + other - told).min() > -1e-9 * np.trace(told)
+    assert with_regions(one, 1e6 * other) == pytest.approx(1e6 * other, rel=0.2)

@@ -11,7 +11,12 @@ import numpy as np
 
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.rectify import Rectification
-from vwnav.geometry.uncertainty import homography_covariance, similarity_covariance
+from vwnav.geometry.uncertainty import (
+    homography_covariance,
+    regional_covariance,
+    similarity_covariance,
+    with_regions,
+)
 from vwnav.types import Array
 
 _CROSS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -88,6 +93,8 @@ def pose_from_rectified(
     nadir_px = transform_points(H_map_rect, view.nadir_uv)[0]
     if covariance_px2 is None or turn is None or not np.all(np.isfinite(nadir_px)):
         return None
+    regional_px2 = regional_covariance(uv_rect, uv_map, H_map_rect, view.nadir_uv)
+    covariance_px2 = with_regions(covariance_px2, regional_px2)
     agl_m = view.agl_m * turn.scale
     return MapPose(
         nadir_px=nadir_px,

@@ -74,6 +74,7 @@ class Consensus:
         H_map_view: (3, 3) from view pixels to the piece's pixels.
         uv_view, uv_map: (k, 2) the inliers.
         inliers: (m,) bool, which of the matches they are.
+        matches: how many there were, m.
         log10_nfa: expected chance agreements as good as this, see `significance`.
         cells: of the view that hold an inlier.
         rival_cells: the same of the best other place.
@@ -83,14 +84,10 @@ class Consensus:
     uv_view: Array
     uv_map: Array
     inliers: NDArray[np.bool_]
+    matches: int
     log10_nfa: float
     cells: int
     rival_cells: int
-
-    @property
-    def matches(self) -> int:
-        """How many matches there were."""
-        return len(self.inliers)
 
 
 def find_consensus(
@@ -123,6 +120,7 @@ def find_consensus(
         uv_view=uv_view[inliers],
         uv_map=uv_map[inliers],
         inliers=inliers,
+        matches=len(inliers),
         log10_nfa=log10_nfa(H, uv_view, uv_map, inliers, threshold_px),
         cells=occupied_cells(uv_view[inliers]),
         rival_cells=max((occupied_cells(uv_view[each.near]) for each in places[1:]), default=0),

@@ -38,7 +38,6 @@ from vwnav.vision.registration import (
     may_be_chance,
     register,
 )
-from vwnav.vision.significance import decades_of_matches
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 REFINED_COARSE = 3  # of what a search found, the best
@@ -298,8 +297,12 @@ class Localizer:
         )
 
     def _decades(self, found: Registration) -> float:
-        """How rarely unrelated images agree so well, as a power of ten."""
-        return decades_of_matches(found.consensus.log10_nfa, self._extractor.log10_per_decade)
+        """How rarely unrelated images agree so well, as a power of ten.
+
+        The test takes matches for independent, which learned features, that see far around them,
+        are least: `vwnav bench significance` measures how many of its powers of ten are a true one.
+        """
+        return max(0.0, -found.consensus.log10_nfa / self._extractor.log10_per_decade)
 
     def _best(
         self, query: Query, coarse: list[Registration], tests: int

@@ -38,16 +38,16 @@ def fix_of(query: Query, found: Registration) -> MapFix:
 
 def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | None:
     """A refusal of a fix that is too uncertain, or too far from the prior."""
-    prior = query.prior
+    prior, sigma_m = query.prior, fix.sigma_m
     matches, inliers = fix.stats.matches, fix.stats.inliers
-    if fix.sigma_m > max_sigma_m:
+    if sigma_m > max_sigma_m:
         geometry = RejectReason.GEOMETRY
-        detail = f"the matches fix the position to {fix.sigma_m:.0f} m only"
+        detail = f"the matches fix the position to {sigma_m:.0f} m only"
         return query.rejected(geometry, detail, matches=matches, inliers=inliers)
     if prior.lat_deg is None or prior.lon_deg is None:
         return None
     off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
-    allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, fix.sigma_m)
+    allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, sigma_m)
     if fix.point == "center" and fix.agl_m is not None:
         allowed_m += UNKNOWN_TILT * fix.agl_m
     if off_m <= allowed_m:

@@ -226,8 +226,8 @@ def _pose(
     accept: Acceptance,
 ) -> MapPose | None:
     """Pose of the point that is reported: below the camera, or the image's centre."""
-    H, made = consensus.H_map_view, view.rectification
-    point_uv = made.nadir_uv if query.attitude_known else view.center_uv
+    H, made, known = consensus.H_map_view, view.rectification, query.attitude_known
+    point_uv = made.nadir_uv if known else view.center_uv
     x, y = origin_px + transform_points(H, point_uv)[0] + 0.5
     lat_deg, _ = lat_lon_from_mercator_px(float(x), float(y), candidate.level.zoom)
     error = transform_points(H, consensus.uv_view) - consensus.uv_map
@@ -237,8 +237,8 @@ def _pose(
     tilt_rad = accept.sigma_tilt_rad
     errors = PoseErrors(
         sigma_px=scatter_px * math.sqrt(repeats),
-        sigma_tilt_rad=tilt_rad if query.attitude_known else 0.0,
-        sigma_lean_rad=tilt_rad if query.attitude_known else SIGMA_LEVEL_RAD,
+        sigma_tilt_rad=tilt_rad if known else 0.0,
+        sigma_lean_rad=tilt_rad if known else SIGMA_LEVEL_RAD,
         sigma_georeference_m=math.hypot(accept.sigma_georeference_m, SYSTEMATIC_PX * made.m_per_px),
     )
     return pose_from_rectified(

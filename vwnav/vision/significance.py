@@ -45,18 +45,6 @@ def log10_nfa(
     return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
 
 
-def decades_of_matches(log10_nfa: float, log10_per_decade: float) -> float:
-    """How rarely unrelated pictures show so little chance, as a power of ten.
-
-    Args:
-        log10_nfa: of a registration.
-        log10_per_decade: of the features. The test takes matches for independent, which learned
-            features, that see far around them, are least: `vwnav bench significance` measures on
-            unrelated pictures how many powers of ten of it a true one is worth.
-    """
-    return max(0.0, -log10_nfa / log10_per_decade)
-
-
 def occupied_cells(uv_view: Array) -> int:
     """In how many cells of the view the points (m, 2) lie."""
     column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
