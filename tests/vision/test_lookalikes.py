@@ -52,3 +52,13 @@ def test_neither_itself_nor_what_is_too_far_off_counts():
     twice = features(np.vstack([uv, uv + SHIFT_PX]), 1, np.tile(np.arange(60), 2))
     assert share_alike(features(uv, 1), likeness(60), twice, 100.0) == 0.0
     assert share_alike(features(uv, 1), likeness(60), features(uv, 1), math.inf) == 0.0
+
+
+def test_features_that_are_all_alike_by_half_are_not_alike():
+    """SIFT's descriptors have no negative values: unrelated ones are alike by half and more."""
+    rng = np.random.default_rng(2)
+    descriptors = np.sqrt(rng.dirichlet(np.full(128, 0.5), 300)).astype(np.float32)
+    uv = rng.uniform(0.0, 60.0, (300, 2)).astype(np.float32)
+    everything = Features(uv, descriptors, np.ones(300, np.float32))
+    some = Features(uv[:12], descriptors[:12], np.ones(12, np.float32))
+    assert share_alike(some, np.full(12, 0.9, np.float32), everything, 30.0) < 0.3

@@ -44,6 +44,7 @@ REFINED_COARSE = 3  # of what a search found, the best
 WORTH_LOG10_NFA = -4.0  # less is not verified
 WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that are worth refining
 SURE_DECADES = 10.0  # so little chance that the rest need not be searched
+MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
 MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
@@ -284,10 +285,10 @@ class Localizer:
         """A refusal where the map shows the like at other places, or turned, that are open too."""
         cells, where = found.consensus.cells, "beside it"
         share = share_beside(self._pack, self._extractor, query, found)
-        if (1.0 - share) * cells >= MIN_UNLIKE_CELLS and query.heading_open:
+        if not _is_mistakable(share, cells) and query.heading_open:
             where = "turned by a quarter or a half"
             share = share_turned(self._pack, self._extractor, found)
-        if (1.0 - share) * cells >= MIN_UNLIKE_CELLS:
+        if not _is_mistakable(share, cells):
             return None
         return query.rejected(
             RejectReason.AMBIGUOUS,
@@ -333,3 +334,8 @@ class Localizer:
                 detail = "two places on the map fit as well"
                 return query.rejected(RejectReason.AMBIGUOUS, detail)
         return best
+
+
+def _is_mistakable(share: float, cells: int) -> bool:
+    """Whether most landmarks have their like elsewhere, and too few have not."""
+    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS

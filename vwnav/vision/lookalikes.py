@@ -39,12 +39,12 @@ def share_beside(
     Without a place in the prior that is some views around.
     """
     reach_m = PRIOR_SIGMAS * query.prior.sigma_m
-    if query.prior.lat_deg is not None and found.candidate.radius_m >= reach_m and query.piece:
+    if query.prior.lat_deg is not None and found.candidate.radius_m >= reach_m:
         # What was searched is all that the prior leaves open.
-        return share_alike(found.landmarks, found.likeness, query.piece[2].features)
+        return share_alike(found.landmarks, found.likeness, found.piece.features)
     window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
     around = pack.features_in(found.candidate.level.zoom, *window, extractor)
-    moved = found.landmarks.uv + (found.origin_px - around.origin_px).astype(np.float32)
+    moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
     landmarks = replace(found.landmarks, uv=moved)
     within_px = math.inf
     if query.prior.lat_deg is not None:
@@ -78,8 +78,13 @@ def share_alike(
     """
     step = math.ceil(len(landmarks) / MAX_SAMPLE)
     uv, onto = landmarks.uv[::step], others.uv
+    if len(others) == 0:
+        return 0.0
     alike = similarities(landmarks.descriptors[::step], others.descriptors)
-    owners, twins = np.nonzero(alike >= AS_LIKE * likeness[::step, None])
+    # Of some kinds of features unrelated ones are alike by half: what counts is more than that.
+    unrelated = np.median(alike, axis=1)
+    least = unrelated + AS_LIKE * (likeness[::step] - unrelated)
+    owners, twins = np.nonzero(alike >= least[:, None])
     shifts = (onto[twins] - uv[owners]).astype(np.float64)
     length_px = np.linalg.norm(shifts, axis=1)
     counted = (length_px > MIN_SHIFT_PX) & (length_px <= within_px)

@@ -61,7 +61,7 @@ class Registration:
 
     Attributes:
         candidate, view: what was registered.
-        origin_px: (2,) global pixel (corner convention) that map pixels count from.
+        piece: of the map, that it was registered on.
         consensus: of the matches.
         landmarks: the map's features that carry it, uv as in `consensus.uv_map`.
         likeness: (k,) similarity of each with the query's feature that was matched to it.
@@ -70,7 +70,7 @@ class Registration:
 
     candidate: Candidate
     view: View
-    origin_px: Array
+    piece: MapFeatures
     consensus: Consensus
     landmarks: Features
     likeness: NDArray[np.float32]
@@ -78,7 +78,7 @@ class Registration:
 
     def lat_lon(self, map_uv: Array) -> tuple[float, float]:
         """Of a pixel (2,) of the piece of map, centre convention."""
-        x, y = self.origin_px + map_uv + 0.5
+        x, y = self.piece.origin_px + map_uv + 0.5
         return lat_lon_from_mercator_px(float(x), float(y), self.candidate.level.zoom)
 
     def lat_lon_of_view(self, view_uv: Array) -> tuple[float, float]:
@@ -113,7 +113,7 @@ class Registration:
         """The map under the view, global pixels."""
         h, w = self.view.gray.shape
         corners = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
-        uv = transform_points(self.consensus.H_map_view, corners) + self.origin_px
+        uv = transform_points(self.consensus.H_map_view, corners) + self.piece.origin_px
         low, high = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int)
         return Window(*low.tolist(), *high.tolist())
 
@@ -123,7 +123,7 @@ class Registration:
         window = self.window.grown(2)
         # Pixels of the piece of map that the matches refer to start at `origin_px`.
         shift = np.eye(3)
-        shift[:2, 2] = self.origin_px - np.array(window[:2])
+        shift[:2, 2] = self.piece.origin_px - np.array(window[:2])
         gray, data = pack.image(self.candidate.level.zoom, *window)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         on_view = cv2.warpPerspective(gray, shift @ H, (w, h), flags=flags)
@@ -176,7 +176,7 @@ def register(
         for i, features in enumerate((view.features, map_.features))
     )
     likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
-    return Registration(candidate, view, origin_px, consensus, landmarks, likeness, pose)
+    return Registration(candidate, view, map_, consensus, landmarks, likeness, pose)
 
 
 def _matches(query: Query, view: View, map_: MapFeatures) -> NDArray[np.int64] | Rejected:
