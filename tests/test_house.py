@@ -9,7 +9,7 @@ from tests.house import measure
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.
 BOUNDS = {
     "step_files": 39,
-    "step_functions": 266,
+    "step_functions": 265,
     "step_crossings": 247,
     "import_chain": 28,
     "files_in_a_folder": 14,

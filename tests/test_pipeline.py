@@ -146,6 +146,17 @@ def test_what_a_search_finds_once_is_not_believed():
     assert localizer.priors[1].sigma_m < 10.0  # the second picture is looked for about the first
 
 
+def test_nor_in_a_flight_that_knows_its_height_and_not_its_place():
+    localizer = FakeLocalizer((100.0, 50.0))
+    pipeline = make_pipeline(localizer, start=Start(t_s=0.0, position_ned_m=None, agl_m=50.0))
+    (once,) = fly(pipeline, 0.1)
+    assert once.outcome.reason is RejectReason.UNCONFIRMED
+    steps = fly(pipeline, 1.0, t0_s=0.1)
+    assert localizer.priors[1].sigma_m < 10.0
+    assert localizer.priors[0].agl_m == pytest.approx(50.0, abs=1.0)
+    assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([100.0, 50.0], abs=1.0)
+
+
 def test_what_was_found_once_and_not_again_is_searched_for_everywhere():
     localizer = FakeLocalizer((100.0, 50.0))
     pipeline = make_pipeline(localizer)

@@ -100,11 +100,16 @@ class InlineExecutor(Executor):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """A picture that is being matched to the map."""
+    """A picture that is being matched to the map.
+
+    Attributes:
+        begins: nothing that is believed said where on the map it was taken.
+    """
 
     t_s: float
     localizer: Localizing
     future: Future[MapFix | Rejected]
+    begins: bool
 
 
 class Pipeline:
@@ -216,7 +221,9 @@ class Pipeline:
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
         prior = self._prior(now, attitude)
-        if now is None or self._first_fix.doubted:
+        state = self._ekf.state
+        begins = state is None or not state.position_known or self._first_fix.doubted
+        if begins:
             prior = self._first_fix.prior(prior, frame.t_s)
         searching = prior.lat_deg is None
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
@@ -225,7 +232,7 @@ class Pipeline:
         with self._lock:
             self._ekf.handle(Exposed(frame.t_s))
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
-        self._pending = _Attempt(frame.t_s, localizer, future)
+        self._pending = _Attempt(frame.t_s, localizer, future, begins)
         return self._collect()
 
     def _give_up(self, t_s: float) -> Rejected | None:
@@ -255,7 +262,7 @@ class Pipeline:
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.TOO_LOW:
             return outcome  # nothing was tried: the map shows nothing that small
         if isinstance(outcome, MapFix):
-            outcome = self._fuse_fix(outcome)
+            outcome = self._fuse_fix(outcome, attempt.begins)
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.UNCONFIRMED:
             self.attempts += 1  # found, which is no failure, and not believed yet
             self._next_attempt_s = attempt.t_s + self._config.fix_interval_s
@@ -302,15 +309,16 @@ class Pipeline:
         sigma_m = doubt * max(now.sigma_horizontal_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 
-    def _fuse_fix(self, fix: MapFix) -> MapFix | Rejected:
+    def _fuse_fix(self, fix: MapFix, begins: bool) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         with self._lock:
+            if begins and not self._first_fix.confirmed(fix):
+                once = RejectReason.UNCONFIRMED
+                return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
             if self._ekf.state is None or self._first_fix.doubted:
-                if not self._first_fix.confirmed(fix):
-                    once = RejectReason.UNCONFIRMED
-                    return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
                 self._ekf.initialise(start_at(fix, ned_m))
+                self._first_fix.began()
             innovation = self._ekf.handle(
                 NedFix(
                     t_s=fix.t_s,

@@ -42,15 +42,17 @@ class FirstFix:
         self.doubted = False
 
     def prior(self, prior: Prior, t_s: float) -> Prior:
-        """Around what was found, as far as an aircraft comes since; else the attitude alone.
+        """Around what was found, as far as an aircraft comes since; else without a place.
 
         Args:
-            prior: of the filter; what it was told of the place, heading and height is in doubt.
+            prior: of the filter; of one that is doubted the attitude alone counts.
             t_s: of the image.
         """
         found = self._found
-        if found is None:
+        if found is None and self.doubted:
             return Prior(roll_rad=prior.roll_rad, pitch_rad=prior.pitch_rad)
+        if found is None:
+            return replace(prior, lat_deg=None, lon_deg=None)
         since_s = max(t_s - found.t_s, 0.0)
         reach_m = FASTEST_M_S / PRIOR_SIGMAS * since_s
         return replace(
@@ -69,8 +71,12 @@ class FirstFix:
         before, self._found, self._misses = self._found, fix, 0
         if before is None or not _agree(before, fix):
             return False
-        self._found, self._fixes, self.doubted = None, 0, False
+        self._found = None
         return True
+
+    def began(self) -> None:
+        """A filter began at what was confirmed: nothing else says where it is."""
+        self._fixes, self.doubted = 0, False
 
     def fused(self) -> None:
         """A fix was fused by a filter that has its beginning."""

@@ -40,8 +40,8 @@ def regional_covariance(uv0: Array, uv1: Array, H_1_0: Array, at_uv: Array) -> A
 
     What pairs of one region share, their scatter does not show: roofs that lean alike, shadows
     that moved, a part of the map that was rectified otherwise. The fit is made anew, to first
-    order, without each quadrant of the pairs (delete-a-group jackknife: Shao and Tu, The Jackknife
-    and Bootstrap, 1995, section 2.3). Zero where the other quadrants fix no fit.
+    order, without each quadrant of the pairs (a grouped jackknife: Shao and Tu, "The Jackknife and
+    Bootstrap", 1995). Zero where the other quadrants fix no fit.
     """
     designs = _designs(uv0, H_1_0, at_uv, homography=bool(np.any(H_1_0[2, :2])))
     if designs is None:

@@ -16,7 +16,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rectify import Rectification
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
-from vwnav.types import FeatureExtractor, Frame, MapFix, Prior, Rejected, RejectReason
+from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
 from vwnav.vision.by_correlation import fix_by_correlation
 from vwnav.vision.candidates import (
     PRIOR_SIGMAS,
@@ -128,7 +128,11 @@ class Localizer:
         outcome = self._located(query)
         if isinstance(outcome, MapFix):
             outcome = implausible(query, outcome, self._config.max_sigma_m) or outcome
-        return replace(outcome, stats=query.timed(outcome.stats))
+        stats = outcome.stats
+        timed = MatchStats(
+            keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
+        )
+        return replace(outcome, stats=timed)
 
     def _located(self, query: Query) -> MapFix | Rejected:
         """The way of an image: candidates, registered, refined, verified, one of them the fix."""

@@ -152,12 +152,6 @@ class Query:
         w, h = self.image.size_wh
         return w * agl_m / self.image.K[0, 0], h * agl_m / self.image.K[1, 1]
 
-    def timed(self, stats: MatchStats) -> MatchStats:
-        """The counts, with the times until now."""
-        return MatchStats(
-            keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **self.ms
-        )
-
     def rejected(
         self,
         reason: RejectReason,

@@ -6,13 +6,12 @@ from dataclasses import asdict
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from vwnav.bench.cells import number, percent, rounded
 from vwnav.bench.features import flight_scenes, pair_scenes, scoring, thesis, timing
 from vwnav.bench.features.macs import SIZE_WH
 from vwnav.bench.features.run import Report
 from vwnav.bench.features.scoring import FeatureScore
 from vwnav.bench.features.timing import Times
-
-_DIGITS = 4
 
 
 def as_json(report: Report) -> dict[str, object]:
@@ -37,15 +36,15 @@ def as_json(report: Report) -> dict[str, object]:
         "groups": {
             name: {
                 "unit": report.units.get(name),
-                "methods": {method: _rounded(asdict(score)) for method, score in scores.items()},
+                "methods": {method: rounded(asdict(score)) for method, score in scores.items()},
             }
             for name, scores in report.groups.items()
         },
         "timing": {
-            size: {name: _rounded(asdict(times)) for name, times in of_size.items()}
+            size: {name: rounded(asdict(times)) for name, times in of_size.items()}
             for size, of_size in report.timing.items()
         },
-        "thesis": {name: _rounded(asdict(row)) for name, row in report.thesis.items()},
+        "thesis": {name: rounded(asdict(row)) for name, row in report.thesis.items()},
         "skipped": report.skipped,
     }
 
@@ -71,14 +70,14 @@ def _group_table(name: str, unit: str, scores: dict[str, FeatureScore]) -> Table
             f"{each.keypoints:.0f}",
             f"{each.matches:.0f}",
             f"{each.inliers:.1f}",
-            _percent(each.precision),
-            _number(each.reprojection_px),
-            _percent(each.repeatability),
-            _percent(each.repeated_above_chance),
-            *(_percent(area) for area in auc),
-            _percent(each.located_near),
-            _percent(each.located_far),
-            _number(each.place_error),
+            percent(each.precision),
+            number(each.reprojection_px),
+            percent(each.repeatability),
+            percent(each.repeated_above_chance),
+            *(percent(area) for area in auc),
+            percent(each.located_near),
+            percent(each.located_far),
+            number(each.place_error),
         )
     return table
 
@@ -101,8 +100,8 @@ def _cost_table(report: Report) -> Table:
 def _time_cells(times: Times) -> list[str]:
     return [
         f"{times.extract_cpu_ms:.1f}",
-        _number(times.extract_cpu_to_sift),
-        _number(times.extract_cpu_to_xfeat),
+        number(times.extract_cpu_to_sift),
+        number(times.extract_cpu_to_xfeat),
         f"{times.match_cpu_ms:.1f}",
     ]
 
@@ -127,17 +126,3 @@ def _table(title: str, columns: list[str]) -> Table:
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index == 0 else "right", no_wrap=True)
     return table
-
-
-def _percent(ratio: float | None) -> str:
-    return "-" if ratio is None else f"{100.0 * ratio:.1f}"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _rounded(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
-    return round(value, _DIGITS) if isinstance(value, float) else value

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from vwnav.bench.cells import number, percent, rounded
 from vwnav.bench.localizer.looks import LookKind
 from vwnav.bench.localizer.run import LocalizerReport
 from vwnav.bench.localizer.scoring import LookScore
 
-_DIGITS = 4
 _TITLES: dict[LookKind, str] = {
     "prior": "the right place, a rough prior",
     "search": "the right place, no position and no heading",
@@ -26,12 +26,12 @@ def as_json(report: LocalizerReport) -> dict[str, object]:
             {
                 "group": group,
                 "kind": kind,
-                "features": {n: _rounded(asdict(s)) for n, s in by.items()},
+                "features": {n: rounded(asdict(s)) for n, s in by.items()},
             }
             for group, kind, by in report.scores()
         ],
         "false": {
-            name: [_rounded(asdict(each)) for each in outcomes if each.false]
+            name: [rounded(asdict(each)) for each in outcomes if each.false]
             for name, outcomes in report.outcomes.items()
         },
     }
@@ -69,29 +69,15 @@ def tables(report: LocalizerReport) -> Iterator[Table]:
 def _cells(each: LookScore) -> list[str]:
     return [
         f"{each.looks}",
-        _percent(each.located),
+        percent(each.located),
         f"{each.held}",
         f"{each.false}",
         f"{100.0 * each.false_bound:.2f}",
-        _number(each.error_median),
-        _number(each.error_95),
-        _number(each.nees),
-        _percent(each.inside),
-        _number(each.worst_sigmas),
+        number(each.error_median),
+        number(each.error_95),
+        number(each.nees),
+        percent(each.inside),
+        number(each.worst_sigmas),
         f"{each.per_s:.1f}",
         ", ".join(f"{reason} {count}" for reason, count in each.rejected.items()),
     ]
-
-
-def _percent(ratio: float | None) -> str:
-    return "-" if ratio is None else f"{100.0 * ratio:.1f}"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _rounded(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
-    return round(value, _DIGITS) if isinstance(value, float) else value
