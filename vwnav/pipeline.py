@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.estimation.ekf import Ekf, NedFix
+from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.first_fix import FirstFix, start_at
 from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.timeline import Exposed
+from vwnav.estimation.timeline import Exposed, NedFix
 from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat

@@ -21,7 +21,7 @@ from vwnav.bench.estimator.scores import chi_square_bounds, consistency
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
-from vwnav.estimation.ekf import EkfConfig
+from vwnav.estimation.config import EkfConfig
 
 SHORT = FilterWorld(seconds=40.0)
 

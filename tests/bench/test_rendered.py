@@ -16,7 +16,7 @@ from vwnav.bench.estimator.run import Run, play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
-from vwnav.estimation.ekf import NedFix
+from vwnav.estimation.timeline import NedFix
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M
 from vwnav.types import Frame, MapFix

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 
 from vwnav.errors import MapError, ModelError
-from vwnav.geometry.mercator import lat_lon_from_mercator_px
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
 

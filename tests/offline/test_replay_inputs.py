@@ -18,7 +18,8 @@ from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.errors import MapError, SourceError
-from vwnav.estimation.ekf import Ekf, Start
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.states import Start
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler

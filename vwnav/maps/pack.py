@@ -3,21 +3,18 @@
 import logging
 import re
 import threading
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vwnav.errors import ModelError
-from vwnav.geometry.mercator import TILE_PX, mercator_px
+from vwnav.geometry.geodesy import TILE_PX, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
 from vwnav.maps.lru import Lru
 from vwnav.maps.packfile import (
     DAMAGE,
     FeatureSetInfo,
-    Level,
     damaged,
     open_database,
     read_description,
@@ -26,32 +23,14 @@ from vwnav.maps.packfile import (
     read_picture,
     read_tile_window,
 )
-from vwnav.maps.picture import Mask, Picture, Tile, Window, assemble
+from vwnav.maps.picture import MapFeatures, Mask, Picture, Tile, Window, assemble
 from vwnav.types import FEATURE_NAMES, FeatureExtractor, FeatureName, Features, Gray
-
-__all__ = ["FeatureSetInfo", "Level", "MapFeatures", "MapPack"]
 
 _LOG = logging.getLogger(__name__)
 _CACHED_PICTURES = 64  # tiles; 0.25 MB each
 _CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
 MAX_WINDOW_PX = 64_000_000
 MAX_KEYPOINTS = 20_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapFeatures:
-    """Features of a window of the map.
-
-    Attributes:
-        zoom: their level.
-        origin_px: (2,) int64, global pixel (corner convention) that `features.uv` counts from:
-            the global position of a keypoint is `origin_px + uv + 0.5`.
-        features: centre convention as everywhere.
-    """
-
-    zoom: int
-    origin_px: NDArray[np.int64]
-    features: Features
 
 
 class MapPack:

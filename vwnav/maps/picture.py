@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.mercator import TILE_PX
-from vwnav.types import Gray
+from vwnav.geometry.geodesy import TILE_PX
+from vwnav.types import Features, Gray
 
 Mask = NDArray[np.bool_]
 
@@ -135,3 +135,27 @@ def assemble(zoom: int, window: Window, fetch: Callable[[Tile], Picture | None])
 def window_slices(window: Window, x0: int, y0: int) -> tuple[slice, slice]:
     """(rows, columns) of a window in an array whose first pixel is (x0, y0)."""
     return slice(window.y0 - y0, window.y1 - y0), slice(window.x0 - x0, window.x1 - x0)
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A zoom level, and its metres per pixel at the middle of the map."""
+
+    zoom: int
+    m_per_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapFeatures:
+    """Features of a window of the map.
+
+    Attributes:
+        zoom: their level.
+        origin_px: (2,) int64, global pixel (corner convention) that `features.uv` counts from:
+            the global position of a keypoint is `origin_px + uv + 0.5`.
+        features: centre convention as everywhere.
+    """
+
+    zoom: int
+    origin_px: NDArray[np.int64]
+    features: Features

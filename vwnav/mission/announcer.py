@@ -1,6 +1,6 @@
 """What safety decides, in words, once for each change."""
 
-from vwnav.safety.monitor import Action, Decision, Rank
+from vwnav.safety.hierarchy import Action, Decision, Rank
 
 _DOING = {
     Action.SLOW: "slower",

@@ -4,7 +4,8 @@ import math
 
 from vwnav.mission.mission import Next, Phase
 from vwnav.mission.steering import Steering
-from vwnav.safety.monitor import Action, SafetyMonitor
+from vwnav.safety.hierarchy import Action
+from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Navigation

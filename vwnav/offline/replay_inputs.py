@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from vwnav.assemble import ground_of
 from vwnav.config import Config, explain
 from vwnav.errors import MapError, SourceError
-from vwnav.estimation.ekf import Ekf, EkfConfig
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Asked, Input
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.errors import VwnavError
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.mercator import mercator_px, mercator_px_per_m
+from vwnav.geometry.geodesy import LocalFrame, mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
 from vwnav.pipeline import StepResult

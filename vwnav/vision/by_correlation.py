@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
 from vwnav.geometry.rectify import Rectification
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.pack import MapPack

@@ -12,15 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.geometry.mercator import (
-    ground_resolution_m_per_px,
-    lat_lon_from_mercator_px,
-    mercator_px,
-)
+from vwnav.geometry.geodesy import ground_resolution_m_per_px, lat_lon_from_mercator_px, mercator_px
 from vwnav.geometry.rectify import Rectification
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.pack import Level, MapPack
-from vwnav.maps.picture import Window
+from vwnav.maps.pack import MapPack
+from vwnav.maps.picture import Level, Window
 from vwnav.types import Prior
 from vwnav.vision.consensus import SimilarityBounds
 from vwnav.vision.query import Query

@@ -13,8 +13,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rectify import Rectification, rectification
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.pack import MapFeatures
-from vwnav.maps.picture import Window
+from vwnav.maps.picture import MapFeatures, Window
 from vwnav.types import (
     Array,
     FeatureExtractor,

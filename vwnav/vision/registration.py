@@ -7,13 +7,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.geometry.geodesy import (
+    horizontal_distance_m,
+    lat_lon_from_mercator_px,
+    mercator_px_per_m,
+)
 from vwnav.geometry.homography import transform_points
-from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px_per_m
 from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.pack import MapFeatures, MapPack
-from vwnav.maps.picture import Window
+from vwnav.maps.pack import MapPack
+from vwnav.maps.picture import MapFeatures, Window
 from vwnav.types import Array, Features, Rejected, RejectReason
 from vwnav.vision.candidates import Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus

@@ -3,9 +3,11 @@
 import time
 
 from vwnav.bench.estimator.streams import MeasurementEvent
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Ground
-from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation
+from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Measurement
+from vwnav.estimation.kalman import Innovation
 from vwnav.sim.clock import SimulatedClock
 
 

@@ -19,7 +19,7 @@ from vwnav.bench.estimator.run import START_SIGMA_M, Run, against
 from vwnav.bench.estimator.scenarios import Metric
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.config import Config
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.simulation import map_pack_of

@@ -16,7 +16,7 @@ from vwnav.bench.estimator.run import Run
 from vwnav.bench.estimator.scenarios import Metric, judge_nominal
 from vwnav.bench.estimator.scores import SETTLED_S, position_nees, rms
 from vwnav.bench.estimator.world import FilterWorld
-from vwnav.estimation.ekf import NedFix
+from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import MapFix, Rejected
 

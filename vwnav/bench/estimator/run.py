@@ -10,8 +10,11 @@ import numpy as np
 from vwnav.bench.estimator.rectified import rectified
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.bench.estimator.world import TrueTrajectory
-from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix, Start
-from vwnav.estimation.states import FilterState
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.kalman import Innovation
+from vwnav.estimation.states import FilterState, Start
+from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, Attitude, Estimate, ImuSample, OdometryMotion
 

@@ -11,8 +11,7 @@ from vwnav.bench.flights.track import FlightTrace, Truth
 from vwnav.mission.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog
-from vwnav.rules.rule import check
-from vwnav.rules.setpoints import PILOT_S
+from vwnav.rules.rule import PILOT_S, check
 from vwnav.rules.table import RULES
 from vwnav.vehicle import FlightMode
 

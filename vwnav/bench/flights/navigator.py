@@ -9,7 +9,7 @@ import numpy as np
 from vwnav.assemble import about_run, assemble_with
 from vwnav.bench.flights.place import Place
 from vwnav.config import Config
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack

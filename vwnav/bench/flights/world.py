@@ -17,7 +17,7 @@ from vwnav.bench.flights.place import BreakableFeatures, Place
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.successor import LockstepSuccessor
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Mission, Phase
 from vwnav.rules.flight_log import At

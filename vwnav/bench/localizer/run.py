@@ -20,8 +20,9 @@ from vwnav.bench.localizer.scoring import LookScore, Outcome, judge, score
 from vwnav.errors import ConfigError
 from vwnav.geometry.camera import Camera
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
+from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.features.load import load_features
-from vwnav.vision.localizer import Localizer, LocalizerConfig
+from vwnav.vision.localizer import Localizer
 
 SceneSet = Literal["own", "judge", "repeats"]
 SCENE_SETS: tuple[SceneSet, ...] = ("own", "judge", "repeats")

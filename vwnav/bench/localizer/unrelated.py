@@ -36,12 +36,12 @@ from vwnav.bench.localizer.pictures import (
 )
 from vwnav.cameras.image_folder import read_picture
 from vwnav.errors import ConfigError
-from vwnav.geometry.mercator import ground_resolution_m_per_px
+from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import array_source, level_georeference
 from vwnav.types import FeatureExtractor, Features, Frame, Prior
 from vwnav.vision.candidates import hypotheses
+from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.consensus import SimilarityBounds, vote
-from vwnav.vision.localizer import LocalizerConfig
 from vwnav.vision.matching import match
 from vwnav.vision.query import QueryMaker, View
 from vwnav.vision.registration import MIN_KEYPOINTS, MIN_MATCHES

@@ -15,7 +15,8 @@ from vwnav.bench.flights.faults.aircraft import (
 from vwnav.bench.flights.scenario import Break, Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.config import Config
-from vwnav.mission.mission import FlightConfig, Phase
+from vwnav.mission.config import FlightConfig
+from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
 
 HOLD_S = 30.0
