@@ -12,12 +12,8 @@ from vwnav.estimation.states import Start
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.pipeline import (
-    InlineExecutor,
-    Pipeline,
-    PipelineConfig,
-    to_gray,
-)
+from vwnav.pipeline import InlineExecutor, Pipeline, to_gray
+from vwnav.seams import PipelineConfig
 from vwnav.types import (
     Attitude,
     Frame,

@@ -11,10 +11,10 @@ from vehicles import FLYING
 
 from vwnav.clock import WallClock
 from vwnav.mission.mission import FlightEnd, Phase
-from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.seams import ATTITUDE_WAIT_S, StepResult
 from vwnav.types import (
     Estimate,
     Frame,

@@ -13,9 +13,9 @@ from vwnav.errors import ConfigError
 from vwnav.estimation.config import EkfConfig
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
-from vwnav.pipeline import PipelineConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
+from vwnav.seams import PipelineConfig
 from vwnav.vision.config import LocalizerConfig, OdometryConfig
 
 

@@ -1,4 +1,9 @@
-"""Positions on the WGS84 ellipsoid and in a local north-east-down frame, exact both ways."""
+"""Positions on the WGS84 ellipsoid, in a local north-east-down frame and on the web-mercator map.
+
+All are exact both ways. Web-mercator (EPSG:3857) is in pixels of a zoom level, 256 px tiles. Its
+global pixel coordinates have the corner convention: x = 0 is the left edge of the world, y = 0 its
+upper edge (85.05 degrees north), and the centre of the first pixel is at 0.5.
+"""
 
 import math
 from typing import overload
@@ -14,6 +19,9 @@ WGS84_F = 1.0 / 298.257223563
 WGS84_E2 = WGS84_F * (2.0 - WGS84_F)
 _B_M = WGS84_A_M * (1.0 - WGS84_F)
 _EP2 = WGS84_E2 / (1.0 - WGS84_E2)
+TILE_PX = 256
+MAX_LAT_DEG = math.degrees(math.atan(math.sinh(math.pi)))
+MAX_ZOOM = 30
 
 
 def ecef_from_geodetic(lat_deg: ArrayLike, lon_deg: ArrayLike, alt_m: ArrayLike) -> Array:
@@ -137,11 +145,6 @@ def parse_lat_lon(text: str) -> tuple[float, float]:
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
         raise ConfigError(f"--home {text!r}: not on the globe")
     return lat_deg, lon_deg
-
-
-TILE_PX = 256
-MAX_LAT_DEG = math.degrees(math.atan(math.sinh(math.pi)))
-MAX_ZOOM = 30
 
 
 @overload

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.geodesy import TILE_PX
-from vwnav.types import Features, Gray
+from vwnav.types import FeatureExtractor, Features, Gray
 
 Mask = NDArray[np.bool_]
 
@@ -159,3 +159,25 @@ class MapFeatures:
     zoom: int
     origin_px: NDArray[np.int64]
     features: Features
+
+
+class MapReader(Protocol):
+    """What the localizer needs of `vwnav.maps.pack.MapPack`, whose docstrings say more."""
+
+    name: str
+    levels: tuple[Level, ...]
+    georeference_sigma_m: float
+
+    def window(self, zoom: int) -> Window:
+        """The rectangle of a level's tiles in its global pixels."""
+        ...
+
+    def image(self, zoom: int, x0: int, y0: int, x1: int, y1: int) -> tuple[Gray, Mask]:
+        """The gray picture (h, w) of a window of global pixels, and where it has data."""
+        ...
+
+    def features_in(
+        self, zoom: int, x0: int, y0: int, x1: int, y1: int, extractor: FeatureExtractor
+    ) -> MapFeatures:
+        """Map features inside a window of global pixels."""
+        ...

@@ -11,7 +11,7 @@ from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame, mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
-from vwnav.pipeline import StepResult
+from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix
 
 MARGIN_M = 60.0

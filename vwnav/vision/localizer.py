@@ -14,12 +14,13 @@ from dataclasses import replace
 
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rectify import Rectification
-from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
+from vwnav.maps.picture import MapReader, Window
 from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
 from vwnav.vision.by_correlation import fix_by_correlation
 from vwnav.vision.candidates import (
+    MAX_RIVALRY,
     PRIOR_SIGMAS,
+    Acceptance,
     Candidate,
     Hypothesis,
     coarse_candidates,
@@ -29,15 +30,15 @@ from vwnav.vision.candidates import (
 )
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
-from vwnav.vision.lookalikes import share_beside, share_turned
-from vwnav.vision.map_fix import fix_of, implausible
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
-    MAX_RIVALRY,
-    Acceptance,
     Registration,
+    fix_of,
+    implausible,
     may_be_chance,
     register,
+    share_beside,
+    share_turned,
 )
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
@@ -55,7 +56,7 @@ class Localizer:
 
     def __init__(
         self,
-        pack: MapPack,
+        pack: MapReader,
         extractor: FeatureExtractor,
         camera: Camera,
         config: LocalizerConfig | None = None,

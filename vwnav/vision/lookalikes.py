@@ -8,58 +8,20 @@ and the same shift, the query may be there too.
 """
 
 import math
-from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.maps.pack import MapPack
-from vwnav.types import Array, FeatureExtractor, Features
-from vwnav.vision.candidates import PRIOR_SIGMAS
+from vwnav.types import Array, Features
 from vwnav.vision.matching import similarities
-from vwnav.vision.query import Query
-from vwnav.vision.registration import Registration
 from vwnav.vision.significance import occupied_cells
 
-QUARTERS = (1, 2, 3)  # turns of the map that are tried
-BESIDE = 2.0  # views around a registration in which its like is looked for
 MAX_SAMPLE = 150  # landmarks that are looked for
 # Of its likeness to the query, what makes a like of a landmark: the matched are the luckiest.
 AS_LIKE = np.float32(0.8)
 MIN_SHIFT_PX = 8.0  # what is nearer is the same place
 CELL_PX = 4.0  # of the table of shifts, of which 3 x 3 are taken together
-
-
-def share_beside(
-    pack: MapPack, extractor: FeatureExtractor, query: Query, found: Registration
-) -> float:
-    """Share of the landmarks' cells that the map shows again beside them, where the prior reaches.
-
-    Without a place in the prior that is some views around.
-    """
-    reach_m = PRIOR_SIGMAS * query.prior.sigma_m
-    if query.prior.lat_deg is not None and found.candidate.radius_m >= reach_m:
-        # What was searched is all that the prior leaves open.
-        return share_alike(found.landmarks, found.likeness, found.piece.features)
-    window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
-    around = pack.features_in(found.candidate.level.zoom, *window, extractor)
-    moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
-    landmarks = replace(found.landmarks, uv=moved)
-    within_px = math.inf
-    if query.prior.lat_deg is not None:
-        within_px = 2.0 * reach_m / found.view.rectification.m_per_px
-    return share_alike(landmarks, found.likeness, around.features, within_px)
-
-
-def share_turned(pack: MapPack, extractor: FeatureExtractor, found: Registration) -> float:
-    """The same of the map under and around the view, turned by one, two and three quarters."""
-    window, zoom = found.window.grown(max(found.window.shape)), found.candidate.level.zoom
-    keypoints = len(pack.features_in(zoom, *window, extractor).features)
-    gray, _ = pack.image(zoom, *window)
-    turned = (np.ascontiguousarray(np.rot90(gray, quarters)) for quarters in QUARTERS)
-    others = (extractor.extract(each, keypoints) for each in turned)
-    return max(share_alike(found.landmarks, found.likeness, each) for each in others)
 
 
 def share_alike(

@@ -23,9 +23,10 @@ from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.simulation import map_pack_of
-from vwnav.pipeline import Pipeline, StepResult
+from vwnav.pipeline import Pipeline
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import say
+from vwnav.seams import StepResult
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.processor import LateExecutor, Processor
 from vwnav.sim.renderer import default_camera

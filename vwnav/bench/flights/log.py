@@ -6,7 +6,6 @@ from vwnav.bench.flights.navigator import Navigator
 from vwnav.bench.flights.scenario import Flown
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
-from vwnav.pipeline import StepResult
 from vwnav.rules.flight_log import (
     At,
     FlightLimits,
@@ -18,6 +17,7 @@ from vwnav.rules.flight_log import (
     Said,
     Vector,
 )
+from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix, OdometryMotion
 
 

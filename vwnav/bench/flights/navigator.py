@@ -16,7 +16,6 @@ from vwnav.maps.pack import MapPack
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.mission.mission import Crew, Mission, Phase
-from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
@@ -24,6 +23,7 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
+from vwnav.seams import ATTITUDE_WAIT_S, StepResult
 from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd

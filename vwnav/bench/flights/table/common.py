@@ -5,7 +5,7 @@ from vwnav.bench.flights.scenario import Break, Ending, Scenario
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
-from vwnav.pipeline import PipelineConfig
+from vwnav.seams import PipelineConfig
 
 HOME = (0.0, 0.0)
 # Every other picture that could be matched: what is left out costs the most and tells the least.
