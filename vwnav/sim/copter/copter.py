@@ -6,10 +6,9 @@ from collections import deque
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.copter.battery import CopterBattery
 from vwnav.sim.copter.commander import CopterCommander
 from vwnav.sim.copter.estimator import CopterEstimator
-from vwnav.sim.copter.failsafes import CopterHealth, Failsafes
+from vwnav.sim.copter.failsafes import CopterBattery, CopterHealth, Failsafes
 from vwnav.sim.copter.flight_modes import SPOOL_UP_S, FlightModes
 from vwnav.sim.copter.modes import MODE_OF, Mode
 from vwnav.sim.copter.parameters import NO_GPS, CopterParameters

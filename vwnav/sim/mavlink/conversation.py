@@ -1,7 +1,7 @@
 """What every simulated autopilot does on a link; its own manners are in the sessions made of it."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -35,7 +35,6 @@ class Conversation(ABC, Generic[VehicleT]):
         timesync_due_s: when it first asks for the time.
     """
 
-    BUILDERS: ClassVar[Mapping[int, Callable[[Any], Any]]]  # of messages, by number
     ACK_DELAY_S: ClassVar[float]
     TIMESYNC_EVERY_S: ClassVar[float]
     DEGE7_COMMANDS: ClassVar[frozenset[int]]  # x and y of COMMAND_INT are degrees * 1e7 here
@@ -92,7 +91,7 @@ class Conversation(ABC, Generic[VehicleT]):
         """Send what is due."""
         t_s = self._vehicle.t_s
         for message_id in self._schedule.due(t_s):
-            self._send(self.BUILDERS[message_id](self._vehicle))
+            self._send(self._schedule.builders[message_id](self._vehicle))
         for answer in self._answers.due(t_s):
             self._send(answer)
         if t_s >= self._timesync_due_s:
@@ -137,7 +136,7 @@ class Conversation(ABC, Generic[VehicleT]):
             asked = int(command.p1)
             interval_us = self._schedule.interval_us(asked)
             return mavlink.MAVLink_message_interval_message(asked, interval_us)
-        builder = self.BUILDERS.get(message_id)
+        builder = self._schedule.builders.get(message_id)
         return None if builder is None else builder(self._vehicle)
 
     def _mission_list(self, m: Any) -> None:
