@@ -14,8 +14,8 @@ import cv2
 
 from vwnav.assemble import choose_features
 from vwnav.bench.flights.campaign import Campaign, Sortie
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import fly
 from vwnav.bench.flights.score import FlightScore, score
 from vwnav.bench.flights.summary import worst_first
 from vwnav.errors import VwnavError

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from vwnav.geometry.camera import Camera
 from vwnav.sim.site import Site
-from vwnav.types import FeatureExtractor, Features, Gray
+from vwnav.types import FeatureExtractor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,20 +22,3 @@ class Place:
     camera: Camera
     primary: FeatureExtractor
     fallback: FeatureExtractor | None
-
-
-class BreakableFeatures:
-    """An extractor that can be made to raise, as a model does that runs out of memory."""
-
-    def __init__(self, features: FeatureExtractor) -> None:
-        self._features = features
-        self.name = features.name
-        self.feature_set_id = features.feature_set_id
-        self.log10_per_decade = features.log10_per_decade
-        self.broken = False
-
-    def extract(self, gray: Gray, max_keypoints: int) -> Features:
-        """As the extractor does, while it works."""
-        if self.broken:
-            raise RuntimeError("bad allocation in the inference session")
-        return self._features.extract(gray, max_keypoints)

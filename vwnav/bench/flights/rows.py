@@ -8,9 +8,10 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.bench.flights.table.manners import in_manners
 from vwnav.bench.flights.track import FlightTrace
@@ -110,14 +111,14 @@ def _flown(row: Scenario, place: Place, folder: Path) -> RowResult:
     began_s = time.process_time()
     flown = fly(row, place)
     verdict = judge(flown)
-    track, begun_s, picture = flown.track, flown.world.begun_s, None
+    track, begun_s, picture = flown.track, flown.begun_s, None
     if verdict.wrong:
         picture = draw_failure(row.name, track, begun_s, flown.broke_s, verdict.wrong, folder)
     happened = timeline_of(track, begun_s)
     return RowResult(
         name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,
         wrong=verdict.wrong, broke_s=flown.broke_s, landed_off_m=verdict.landed_off_m,
-        fastest_m_s=verdict.fastest_m_s, worst_sigmas=verdict.worst_sigmas, flown_s=flown.world.t_s,
+        fastest_m_s=verdict.fastest_m_s, worst_sigmas=verdict.worst_sigmas, flown_s=flown.flown_s,
         cost_s=time.process_time() - began_s, timeline=tuple(happened), picture=picture,
     )  # fmt: skip
 

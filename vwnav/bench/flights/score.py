@@ -74,7 +74,7 @@ def score(sortie: Sortie, site: str, way_ne_m: Array, flown: Flown, cpu_s: float
     sent = _sent_in_the_air(log, since_s)
     sigmas = dict(estimate_sigmas(log))
     errors = [_error_m(log, each) for each in sent]
-    outcomes = [step.outcome for step in flown.world.navigator.record.steps]
+    outcomes = [step.outcome for step in flown.steps]
     tried = [o for o in outcomes if isinstance(o, MapFix) or o.reason not in _NOT_TRIED]
     truth = np.array([row.position_ned_m[:2] for row in log.truth])
     verdict = judge(flown)
@@ -86,7 +86,7 @@ def score(sortie: Sortie, site: str, way_ne_m: Array, flown: Flown, cpu_s: float
         seed=setup.seed,
         wind_m_s=setup.wind_m_s,
         wind_from_deg=round(setup.wind_from_deg, 1),
-        flown_s=round(flown.world.t_s, 1),
+        flown_s=round(flown.flown_s, 1),
         way_m=round(float(np.hypot(*np.diff(truth[::50], axis=0).T).sum()), 1),
         wrong=verdict.wrong,
         errors_m=tuple(round(errors[i], 3) for i in each_second),

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import Ending, Flown, Scenario, fly
+from vwnav.bench.flights.scenario import Ending, Flown, Scenario
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.resampling import interval
 from vwnav.mission.mission import Phase
@@ -127,8 +128,8 @@ def row_of(features: FeatureName, height_m: float, seen: Sequence[Seen]) -> Wayp
 
 def look_at(flown: Flown) -> Seen:
     """Hold fixes and estimates of a flight against its truth."""
-    log, steps = flight_log(flown), flown.world.navigator.record.steps
-    steps = [step for step in steps if step.t_s >= flown.world.begun_s]
+    log, steps = flight_log(flown), flown.steps
+    steps = [step for step in steps if step.t_s >= flown.begun_s]
     believed = {step.t_s: step.estimate for step in steps if step.estimate is not None}
     raw, filtered = [], []
     for fix in log.fixes:

@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from vwnav.bench.flights.navigator import Equipped, Navigator
+from vwnav.bench.flights.navigator import Equipped, LockstepSuccessor, Navigator
 from vwnav.bench.flights.noted_link import NotedLink
-from vwnav.bench.flights.place import BreakableFeatures, Place
+from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
-from vwnav.bench.flights.successor import LockstepSuccessor
+from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
 from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
@@ -41,7 +41,6 @@ _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
 _SETTLED_S = 0.5  # of telemetry before its filter begins
 _LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
-LINK_LATENCY_S = 0.002
 _SPARE_S = 0.3  # until a waiting watchdog has the link: measured on a busy machine
 _CAMERA_LATENCY_S = 0.04
 
@@ -132,6 +131,15 @@ class World:
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
             self.processor, self.costs, self.note, first_counter,
         )  # fmt: skip
+
+    @property
+    def site(self) -> Site:
+        """What the map is of."""
+        return self.place.site
+
+    def show(self, site: Site, kept: bool = True) -> None:
+        """The camera sees this from now on; `kept` keeps its tiles on disk, for other runs."""
+        self.camera.renderer = draw(site, self.setup, self.place, kept)
 
     @property
     def own_map(self) -> Path:

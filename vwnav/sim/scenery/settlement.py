@@ -1,4 +1,4 @@
-"""Buildings and what stands about them: the airfield's hangars, a village, a farm."""
+"""What is built and planted: the airfield's hangars, a village, a farm; hedges, woods, bushes."""
 
 import numpy as np
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from vwnav.bench.flights.world import World
+from vwnav.bench.flights.stage import Stage
 
 
 @dataclass(frozen=True)
@@ -13,11 +13,11 @@ class BatteryAt:
 
     ratio: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """A cell fails."""
         world.core.vehicle.battery.remaining = self.ratio
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """It does not recover."""
 
 
@@ -27,11 +27,11 @@ class BarometerWrong:
 
     metres: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """A gust."""
         world.core.vehicle.sensors.baro_error_m = self.metres
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """Calm."""
         world.core.vehicle.sensors.baro_error_m = 0.0
 
@@ -42,11 +42,11 @@ class BarometerDrifts:
 
     metres_per_s: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """A front comes."""
         world.core.vehicle.sensors.baro_drift_m_s = self.metres_per_s
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """What it was is kept."""
         world.core.vehicle.sensors.baro_drift_m_s = 0.0
 
@@ -57,13 +57,13 @@ class HeadingReset:
 
     turn_rad: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """Its attitude is another one, and it believes its compass so from now on."""
         vehicle = world.core.vehicle
         vehicle.estimator.attitude.turn_heading(self.turn_rad)
         vehicle.sensors.heading_bias_rad += self.turn_rad
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """It stays."""
 
 
@@ -71,11 +71,11 @@ class HeadingReset:
 class Reboots:
     """The autopilot starts anew; only ever on the ground."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """Power off and on."""
         world.core.reboot()
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """It has."""
 
 
@@ -83,13 +83,13 @@ class Reboots:
 class PilotSwitches:
     """The pilot flips the mode switch to Position and flies."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """Flipped."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=vehicle.t_s)
         world.note("pilot switches")
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """It stays."""
 
 
@@ -97,13 +97,13 @@ class PilotSwitches:
 class PilotPushes:
     """The pilot pushes the pitch stick forward for three seconds, and flies."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """A ramp of 0.4 s."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, takes_over_at_s=vehicle.t_s)
         world.note("pilot pushes the stick")
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """The stick is let go by itself."""
 
 
@@ -111,13 +111,13 @@ class PilotPushes:
 class RadioOff:
     """The pilot's transmitter goes off."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """Off."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_lost_at_s=vehicle.t_s)
         world.note("the radio goes off")
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """On again."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_back_at_s=vehicle.t_s)
@@ -127,7 +127,7 @@ class RadioOff:
 class PilotHandsBack:
     """The pilot's ground station asks the navigator to go on."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """One command, to the navigator itself."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=None)
@@ -139,7 +139,7 @@ class PilotHandsBack:
         world.autopilot_link.a.write(bytes(command.pack(station)))
         world.note("pilot hands back")
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """It stays."""
 
 
@@ -149,10 +149,10 @@ class CommandRefused:
 
     number: int
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: Stage) -> None:
         """Refused from now on."""
         world.core.vehicle.refuses.add(self.number)
 
-    def end(self, world: World) -> None:
+    def end(self, world: Stage) -> None:
         """Taken again."""
         world.core.vehicle.refuses.discard(self.number)

@@ -1,8 +1,8 @@
 """What the rows share: where they begin, and on which settings they fly."""
 
-from vwnav.bench.flights.faults.fault import Fault
 from vwnav.bench.flights.scenario import Break, Ending, Scenario
 from vwnav.bench.flights.setup import AirStart, Setup
+from vwnav.bench.flights.stage import Fault
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
 from vwnav.seams import PipelineConfig

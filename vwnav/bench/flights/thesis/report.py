@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vwnav.bench.figures import pyplot
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import fly
 from vwnav.bench.flights.thesis.plots import save_plots
 from vwnav.bench.flights.thesis.samples import Sample, Sampler, write_csv
 from vwnav.bench.flights.thesis.tests import FlightTest
