@@ -24,9 +24,10 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
-from vwnav.onboard.plan import FlightPlan, plan_flight
+from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say

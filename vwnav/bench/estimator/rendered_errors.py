@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.bench.estimator.run import Run
+from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.scores import SETTLED_S, rms
 from vwnav.bench.estimator.streams import MeasurementEvent
 from vwnav.bench.estimator.world import TrueTrajectory

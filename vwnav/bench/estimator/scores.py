@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.estimator.run import Rows, Run
+from vwnav.bench.estimator.flown import Rows, Run
 from vwnav.estimation.kalman import Innovation
 from vwnav.estimation.timeline import NedFix
 from vwnav.types import Array, OdometryMotion

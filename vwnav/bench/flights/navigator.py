@@ -38,8 +38,6 @@ from vwnav.watchdog.loop import Resume
 
 _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air
-
-
 _LINK_S = 0.8  # from the watchdog's word until the link is up and the vehicle's state is known
 
 

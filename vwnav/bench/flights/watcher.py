@@ -1,12 +1,38 @@
 """What a navigator in lockstep keeps of its flight."""
 
 from collections.abc import Callable
+from typing import Protocol
 
-from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.seams import StepResult
 from vwnav.sim.clock import SimulatedClock
 from vwnav.types import Estimate, Frame
 from vwnav.vehicle import VehicleState, VelocitySetpoint
+
+
+class Recording(Protocol):
+    """What is written while it flies: `vwnav.recording.flight_recorder.FlightRecorder`."""
+
+    def event(self, t_s: float, text: str) -> None:
+        """A line."""
+        ...
+
+    def picture(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
+        """What a picture brought."""
+        ...
+
+    def tick(
+        self,
+        t_s: float,
+        estimate: Estimate | None,
+        vehicle: VehicleState,
+        setpoint: VelocitySetpoint | None,
+    ) -> bool:
+        """The mission ticked."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
 
 
 class LockstepWatcher:
@@ -25,7 +51,7 @@ class LockstepWatcher:
         self._clock = clock
         self.disk_full = False
         self.steps: list[StepResult] = []
-        self.recorder: FlightRecorder | None = None
+        self.recorder: Recording | None = None
         self.setpoint: Callable[[], VelocitySetpoint | None] = lambda: None
 
     def event(self, text: str) -> None:

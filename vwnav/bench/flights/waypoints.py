@@ -10,9 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.log import flight_log
-from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.scenario import Ending, Flown, Scenario
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.resampling import interval
@@ -98,16 +96,16 @@ def plan(number: int, height_m: float, seconds: float, wind_m_s: float, seed: in
 
 
 def measure(
-    place: Place,
+    fly: Callable[[Scenario], Flown],
     features: FeatureName,
     scenarios: Sequence[Scenario],
     height_m: float,
     progress: Callable[[int, int], None],
 ) -> WaypointsRow:
-    """Fly them with `features`, those that `place` matches by first; `progress(done, of all)`."""
+    """Fly them, where `features` are matched by; `progress(done, of all)`."""
     seen = []
     for scenario in scenarios:
-        seen.append(look_at(fly(scenario, place)))
+        seen.append(look_at(fly(scenario)))
         progress(len(seen), len(scenarios))
     return row_of(features, height_m, seen)
 

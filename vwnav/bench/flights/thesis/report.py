@@ -1,14 +1,11 @@
-"""A flight test flown, judged and drawn."""
+"""A flight test judged and drawn."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vwnav.bench.figures import pyplot
-from vwnav.bench.flights.fly import fly
-from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.thesis.plots import save_plots
-from vwnav.bench.flights.thesis.samples import Sample, Sampler, write_csv
+from vwnav.bench.flights.thesis.samples import Sample, write_csv
 from vwnav.bench.flights.thesis.tests import FlightTest
 from vwnav.bench.flights.thesis.verdict import Statistic, Step, statistics, steps
 
@@ -33,19 +30,6 @@ class TestReport:
     def passed(self) -> bool:
         """Every step did."""
         return all(step.passed for step in self.steps)
-
-
-def fly_test(test: FlightTest, place: Place, folder: Path) -> TestReport:
-    """Fly it in lockstep, write its plots and its table.
-
-    Raises:
-        VwnavError: matplotlib is missing.
-    """
-    pyplot()  # what it lacks is said now, not when it has been flown
-    sampler = Sampler()
-    flown = fly(test.scenario, place, see=sampler)
-    said = [f"{each.t_s:.1f} s {each.text}" for each in flown.track.events]
-    return report_on(test, sampler.samples, said, folder)
 
 
 def report_on(
