@@ -168,10 +168,12 @@ def _run_test(
     else:
         from vwnav.bench.flights.live.session import simulator_at
         from vwnav.bench.flights.thesis.live import fly_live_test
+        from vwnav.bench.flights.thesis.report import report_on
 
         with simulator_at(links) as simulator:
             folder = make_run_folder(output, name)
-            report = fly_live_test(TESTS[name], simulator, folder, say)
+            samples, said = fly_live_test(TESTS[name], simulator, folder, say)
+            report = report_on(in_manners(TESTS[name], simulator.manners), samples, said, folder)
     if as_json:
         print(json.dumps(asdict(report)))
     else:

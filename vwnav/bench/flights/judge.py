@@ -1,12 +1,11 @@
 """What holds for every flight with something broken in it, and what a scenario asks besides."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from vwnav.bench.flights.log import flight_log
-from vwnav.bench.flights.scenario import Ending, Flown
+from vwnav.bench.flights.scenario import Ending, FlightVerdict, Flown
 from vwnav.bench.flights.track import FlightTrace, Truth
 from vwnav.mission.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
@@ -22,16 +21,6 @@ _GOES_ON = {
     Phase.RETURN: (Phase.RETURN, Phase.DESCEND, Phase.LAND),
     Phase.DESCEND: (Phase.DESCEND, Phase.LAND),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class FlightVerdict:
-    """What was wrong with a flight; nothing when it was good."""
-
-    wrong: tuple[str, ...]
-    landed_off_m: float | None
-    fastest_m_s: float
-    worst_sigmas: float
 
 
 def judge(flown: Flown) -> FlightVerdict:

@@ -6,8 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from vwnav.bench.flights.judge import FlightVerdict
-from vwnav.bench.flights.scenario import Flown, Scenario
+from vwnav.bench.flights.scenario import FlightVerdict, Flown, Scenario
 from vwnav.bench.flights.track import FlightTrace
 
 

@@ -1,16 +1,26 @@
-"""A flight with something broken in it, and what became of it, as data."""
+"""A flight with something broken in it, and what became of it, as data; what rows share."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from vwnav.bench.flights.setup import Setup
+from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.flights.stage import Fault
 from vwnav.bench.flights.track import FlightTrace
+from vwnav.config import Config
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.rules.temporal import Span
-from vwnav.seams import StepResult
+from vwnav.seams import PipelineConfig, StepResult
+
+HOME = (0.0, 0.0)
+# Every other picture that could be matched: what is left out costs the most and tells the least.
+CONFIG = Config(pipeline=PipelineConfig(fix_interval_s=0.4))
+ROUTE = AirStart(phase=Phase.ROUTE, place_ned_m=(15.0, -15.0, -50.0))
+CLIMB = AirStart(phase=Phase.CLIMB, place_ned_m=(0.5, 0.5, -15.0))
+RETURN = AirStart(phase=Phase.RETURN, place_ned_m=(60.0, 40.0, -50.0))
+DESCEND = AirStart(phase=Phase.DESCEND, place_ned_m=(0.5, -0.5, -25.0))
+BREAKS_AT_S = 9.0  # on the route: at speed, and after a few fixes
 
 
 class Ending(Enum):
@@ -134,3 +144,68 @@ class Flown:
     broke_s: float | None
     broken: tuple[Span, ...]
     end: FlightEnd | None
+
+
+def mode(within_s: float, *names: str) -> Follows:
+    """The vehicle flies one of these modes, as a navigator calls them: BRAKE is HOLD."""
+
+    def when(track: FlightTrace, begun_s: float) -> list[float]:
+        return [each.t_s - begun_s for each in track.truth if each.mode.name in names]
+
+    return Follows(f"mode {' or '.join(names)}", within_s, when)
+
+
+def phase(within_s: float, *names: str) -> Follows:
+    """The mission stands in one of these phases."""
+
+    def when(track: FlightTrace, _: float) -> list[float]:
+        return [each.t_s for each in track.phases if each.text in names]
+
+    return Follows(f"phase {' or '.join(names)}", within_s, when)
+
+
+def said(within_s: float, text: str) -> Follows:
+    """The program says so."""
+
+    def when(track: FlightTrace, _: float) -> list[float]:
+        return [each.t_s for each in track.events if text in each.text]
+
+    return Follows(f"says {text!r}", within_s, when)
+
+
+def down(within_s: float) -> Follows:
+    """On the ground, motors off."""
+
+    def when(track: FlightTrace, begun_s: float) -> list[float]:
+        return [each.t_s - begun_s for each in track.truth if not each.armed]
+
+    return Follows("down", within_s, when)
+
+
+def setup(start: AirStart | None = ROUTE, **changes: object) -> Setup:
+    """A flight that begins there; None: on the ground."""
+    return Setup(start=start, config=CONFIG, **changes)  # type: ignore[arg-type]
+
+
+def flies_on(
+    name: str, fault: Fault, for_s: float | None = None, after_s: float = 12.0, **changes: object
+) -> Scenario:
+    """On the route, what breaks for so long is flown through, and `after_s` more."""
+    lasts_s = 10.0 if for_s is None else for_s
+    return Scenario(
+        name=name,
+        setup=setup(**changes),  # type: ignore[arg-type]
+        breaks=(Break(fault=fault, at_s=BREAKS_AT_S, for_s=for_s),),
+        limit_s=BREAKS_AT_S + lasts_s + after_s,
+        ending=Ending.FLIES_ON,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FlightVerdict:
+    """What was wrong with a flight; nothing when it was good."""
+
+    wrong: tuple[str, ...]
+    landed_off_m: float | None
+    fastest_m_s: float
+    worst_sigmas: float

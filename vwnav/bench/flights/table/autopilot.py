@@ -2,9 +2,7 @@
 
 from vwnav.bench.flights.faults.aircraft import CommandRefused, Reboots
 from vwnav.bench.flights.faults.telemetry import BootClockJumps
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import phase
-from vwnav.bench.flights.table.common import flies_on, setup
+from vwnav.bench.flights.scenario import Break, Ending, Scenario, flies_on, phase, setup
 
 NAV_TAKEOFF = 22
 

@@ -2,9 +2,18 @@
 
 from vwnav.bench.flights.faults.aircraft import BatteryAt
 from vwnav.bench.flights.faults.telemetry import battery_unknown
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import down, mode, phase
-from vwnav.bench.flights.table.common import BREAKS_AT_S, HOME, flies_on, setup
+from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
+    HOME,
+    Break,
+    Ending,
+    Scenario,
+    down,
+    flies_on,
+    mode,
+    phase,
+    setup,
+)
 
 BATTERY = [
     Scenario(

@@ -1,7 +1,7 @@
 """The disk is full or does not answer; the computer's date is set."""
 
 from vwnav.bench.flights.faults import computer
-from vwnav.bench.flights.table.common import flies_on
+from vwnav.bench.flights.scenario import flies_on
 
 DISK_AND_CLOCK = [
     flies_on("disk full", computer.DiskFull()),

@@ -1,9 +1,19 @@
 """The navigator's process ends, sleeps or raises; the watchdog's ends."""
 
 from vwnav.bench.flights.faults import computer
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import down, mode, phase, said
-from vwnav.bench.flights.table.common import BREAKS_AT_S, HOME, flies_on, setup
+from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
+    HOME,
+    Break,
+    Ending,
+    Scenario,
+    down,
+    flies_on,
+    mode,
+    phase,
+    said,
+    setup,
+)
 
 TAKEN_OVER = (mode(2.5, "HOLD"), mode(5.0, "LAND", "DESCEND"), down(60.0))
 

@@ -1,10 +1,18 @@
 """The pilot takes the aircraft, in every phase, and gives it back."""
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import phase
+from vwnav.bench.flights.scenario import (
+    CLIMB,
+    DESCEND,
+    RETURN,
+    ROUTE,
+    Break,
+    Ending,
+    Scenario,
+    phase,
+    setup,
+)
 from vwnav.bench.flights.setup import AirStart
-from vwnav.bench.flights.table.common import CLIMB, DESCEND, RETURN, ROUTE, setup
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode
 

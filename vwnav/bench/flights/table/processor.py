@@ -1,8 +1,7 @@
 """The computer has other things to do."""
 
 from vwnav.bench.flights.faults.computer import SlowSearch, Starved
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.table.common import BREAKS_AT_S, HOME, setup
+from vwnav.bench.flights.scenario import BREAKS_AT_S, HOME, Break, Ending, Scenario, setup
 
 PROCESSOR = [
     *(

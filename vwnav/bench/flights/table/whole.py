@@ -1,7 +1,6 @@
 """Whole flights in which nothing breaks."""
 
-from vwnav.bench.flights.scenario import Scenario
-from vwnav.bench.flights.table.common import HOME, setup
+from vwnav.bench.flights.scenario import HOME, Scenario, setup
 
 WHOLE = [
     Scenario(

@@ -1,7 +1,6 @@
 """Wind and gusts that push it about."""
 
-from vwnav.bench.flights.scenario import Ending, Scenario
-from vwnav.bench.flights.table.common import HOME, setup
+from vwnav.bench.flights.scenario import HOME, Ending, Scenario, setup
 
 WIND = [
     Scenario(
