@@ -15,14 +15,7 @@ from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.seams import ATTITUDE_WAIT_S, StepResult
-from vwnav.types import (
-    Estimate,
-    Frame,
-    ImuSample,
-    OdometryMotion,
-    Rejected,
-    RejectReason,
-)
+from vwnav.types import Estimate, Frame, ImuSample, OdometryMotion, Rejected, RejectReason
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 ESTIMATE = Estimate(

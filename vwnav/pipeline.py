@@ -25,12 +25,7 @@ from vwnav.estimation.timeline import Exposed, NedFix
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.seams import (
-    Localizing,
-    PipelineConfig,
-    StepResult,
-    Tracking,
-)
+from vwnav.seams import Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
     Attitude,
     Estimate,

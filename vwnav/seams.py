@@ -3,16 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from vwnav.types import (
-    Array,
-    Attitude,
-    Estimate,
-    Frame,
-    MapFix,
-    OdometryMotion,
-    Prior,
-    Rejected,
-)
+from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
 
 ATTITUDE_WAIT_S = 0.4  # a picture waits so long after its exposure for its attitude to come
 

@@ -3,15 +3,17 @@
 import logging
 import re
 import threading
+from collections import OrderedDict
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from vwnav.errors import ModelError
 from vwnav.geometry.geodesy import TILE_PX, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
-from vwnav.maps.lru import Lru
 from vwnav.maps.packfile import (
     DAMAGE,
     FeatureSetInfo,
@@ -31,6 +33,33 @@ _CACHED_PICTURES = 64  # tiles; 0.25 MB each
 _CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
 MAX_WINDOW_PX = 64_000_000
 MAX_KEYPOINTS = 20_000
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+class Lru(Generic[Key, Value]):
+    """The values used last, at most `size` of them."""
+
+    def __init__(self, size: int) -> None:
+        """`size` may be one or more."""
+        self._size = size
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._values
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        """The value of a key, made now where it is not kept."""
+        if key not in self._values:
+            self.put(key, make())
+        self._values.move_to_end(key)
+        return self._values[key]
+
+    def put(self, key: Key, value: Value) -> None:
+        """Keep a value; the one that was not used for longest makes room."""
+        self._values[key] = value
+        while len(self._values) > self._size:
+            self._values.popitem(last=False)
 
 
 class MapPack:

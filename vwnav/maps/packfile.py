@@ -9,12 +9,7 @@ from urllib.parse import quote
 
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
-from vwnav.maps.codec import (
-    DESCRIPTOR_KINDS,
-    DescriptorKind,
-    decode_features,
-    decode_tile,
-)
+from vwnav.maps.codec import DESCRIPTOR_KINDS, DescriptorKind, decode_features, decode_tile
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.picture import Level, Picture, Tile, Window
 from vwnav.maps.schema import SCHEMA_VERSION, SQLITE_MAGIC, metadata_checksum

@@ -11,8 +11,8 @@ from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.cameras.sources import open_source
 from vwnav.config import load_config, save_config
 from vwnav.errors import SourceError, VwnavError
-from vwnav.geometry.calibration import check_fits, load_camera
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.calibration import load_camera
+from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord, Tally

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.geometry.camera import Rectification
 from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
-from vwnav.geometry.rectify import Rectification
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.picture import MapReader
 from vwnav.types import MapFix

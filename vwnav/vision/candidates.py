@@ -12,12 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.geometry.geodesy import (
-    ground_resolution_m_per_px,
-    lat_lon_from_mercator_px,
-    mercator_px,
-)
-from vwnav.geometry.rectify import Rectification
+from vwnav.geometry.camera import Rectification
+from vwnav.geometry.geodesy import ground_resolution_m_per_px, lat_lon_from_mercator_px, mercator_px
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.picture import Level, MapReader, Window
 from vwnav.types import Prior

@@ -12,8 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from vwnav.geometry.camera import Camera
-from vwnav.geometry.rectify import Rectification
+from vwnav.geometry.camera import Camera, Rectification
 from vwnav.maps.picture import MapReader, Window
 from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
 from vwnav.vision.by_correlation import fix_by_correlation

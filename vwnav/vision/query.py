@@ -8,10 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.calibration import check_fits
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification
 from vwnav.geometry.homography import jacobian_at, transform_points
-from vwnav.geometry.rectify import Rectification, rectification
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.picture import MapFeatures, Window
 from vwnav.types import (

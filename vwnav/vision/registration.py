@@ -33,9 +33,9 @@ from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candi
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
 from vwnav.vision.features.checks import take
-from vwnav.vision.lookalikes import share_alike
 from vwnav.vision.matching import match, similarities
 from vwnav.vision.query import Query, View, seen
+from vwnav.vision.significance import share_alike
 
 MIN_KEYPOINTS = 12
 MIN_MATCHES = 8

@@ -6,12 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator.flown import Metric, NavigatedFlight, RenderedScenario, Run
-from vwnav.bench.estimator.rendered_errors import (
-    fix_errors,
-    odometry_errors,
-    parts,
-    way_errors,
-)
+from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
 from vwnav.bench.estimator.scenarios import judge_nominal
 from vwnav.bench.estimator.scores import SETTLED_S, position_nees, rms
 from vwnav.bench.estimator.world import FilterWorld

@@ -38,13 +38,7 @@ from vwnav.vision.odometry.ground_motion import (
     off_plane,
     tilt_share,
 )
-from vwnav.vision.odometry.tracking import (
-    Points,
-    find_corners,
-    reduced_gray,
-    reduction,
-    track,
-)
+from vwnav.vision.odometry.tracking import Points, find_corners, reduced_gray, reduction, track
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground

@@ -10,13 +10,7 @@ import numpy as np
 
 from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample
-from vwnav.bench.flights.thesis.tests import (
-    GIVES_BACK_S,
-    HOVER,
-    RADIO_OFF_S,
-    TAKES_S,
-    FlightTest,
-)
+from vwnav.bench.flights.thesis.tests import GIVES_BACK_S, HOVER, RADIO_OFF_S, TAKES_S, FlightTest
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.mission.mission import Phase
