@@ -198,7 +198,7 @@ class MapPack:
         """
         window = Window(int(x0), int(y0), int(x1), int(y1)).clipped(self.window(zoom))
         origin_px = np.array(window[:2], np.int64)
-        features = self._tiled_features(list(window.tiles(zoom)), extractor)
+        features = self._tiled_features(window.tiles(zoom), extractor)
         if not features:
             nothing = extractor.extract(np.zeros((64, 64), np.uint8), 1)
             return MapFeatures(zoom, origin_px, nothing)

@@ -63,14 +63,14 @@ class Window(NamedTuple):
             for x0 in range(self.x0, self.x1, size_px):
                 yield Window(x0, y0, min(x0 + size_px, self.x1), min(y0 + size_px, self.y1))
 
-    def tiles(self, zoom: int) -> Iterator[Tile]:
+    def tiles(self, zoom: int) -> list[Tile]:
         """The tiles that have a pixel in the window, row by row; the grid's own edges are kept."""
         if 0 in self.shape:
-            return
+            return []
         last = 2**zoom - 1
-        for y in range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1):
-            for x in range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1):
-                yield Tile(zoom, x, y)
+        rows = range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1)
+        columns = range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1)
+        return [Tile(zoom, x, y) for y in rows for x in columns]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

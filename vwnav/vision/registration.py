@@ -32,7 +32,6 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.features.checks import take
 from vwnav.vision.matching import match, similarities
 from vwnav.vision.query import Query, View, seen
 from vwnav.vision.significance import share_alike
@@ -175,7 +174,7 @@ def register(
         geometry = RejectReason.GEOMETRY
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
     matched, landmarks = (
-        take(features, pairs[consensus.inliers, i])
+        features.take(pairs[consensus.inliers, i])
         for i, features in enumerate((view.features, map_.features))
     )
     likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
