@@ -171,8 +171,8 @@ def one_step() -> Entered:
     import numpy as np
 
     from vwnav.assemble import assemble_with
-    from vwnav.bench.flights.place import Place
     from vwnav.bench.flights.setup import Setup
+    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.world import draw
     from vwnav.config import Config
     from vwnav.estimation.states import Start

@@ -37,7 +37,6 @@ ALLOWED = {
     "flight": BASE | {"guidance", "safety", "watchdog", "mission"},
     "runtime": BASE | {"safety", "seams", "pipeline", "flight", "mission"},
     "rules": BASE | {"safety", "mission"},
-    "succession": BASE | {"estimation"},
     "recording": BASE
     | {"geometry", "maps", "estimation", "seams", "mavlink", "safety", "mission", "rules"},
     "cameras": BASE | {"geometry", "recording"},
@@ -49,14 +48,14 @@ ALLOWED = {
     "screen": BASE | {"safety"},
     "onboard": BASE
     | {"geometry", "maps", "estimation", "guidance", "safety", "mavlink", "watchdog", "pipeline"}
-    | {"mission", "flight", "runtime", "succession", "recording", "cameras", "sim", "config"}
+    | {"mission", "flight", "runtime", "recording", "cameras", "sim", "config"}
     | {"assemble", "screen", "seams"},
     "offline": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
     | {"config", "assemble", "screen", "seams"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
-    | {"pipeline", "mission", "flight", "runtime", "rules", "succession", "recording", "cameras"}
+    | {"pipeline", "mission", "flight", "runtime", "rules", "recording", "cameras"}
     | {"sim", "config", "assemble", "screen", "onboard", "seams"},
 }
 

@@ -8,10 +8,9 @@ import math
 from dataclasses import replace
 
 from vwnav.guidance.limits import LimitsConfig
-from vwnav.mission.announcer import Announcer
 from vwnav.mission.config import FlightConfig
 from vwnav.mission.departure import Departure
-from vwnav.mission.failsafe import FailsafeRecovery
+from vwnav.mission.failsafe import Announcer, FailsafeRecovery
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
 from vwnav.mission.mission import Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
 from vwnav.mission.route_phases import RoutePhases

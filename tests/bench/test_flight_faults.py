@@ -13,8 +13,7 @@ from vwnav.bench.flights import lockstep_place
 from vwnav.bench.flights.faults import camera, telemetry
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
-from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, rows_named
-from vwnav.bench.flights.table.manual import manual
+from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, manual, rows_named
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.cli.flighttest import fly_row
 from vwnav.rules import flight_log

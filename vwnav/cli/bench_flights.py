@@ -15,7 +15,7 @@ from vwnav.errors import VwnavError
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie
-    from vwnav.bench.flights.place import Place
+    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.summary import Figure
     from vwnav.sim.config import Manners
 
@@ -102,7 +102,7 @@ def fly_one(campaign: "Campaign", sortie: "Sortie", recording: Path) -> "FlightS
 def _place(site: str) -> "Place":
     """One of each site in a process."""
     from vwnav.assemble import choose_features
-    from vwnav.bench.flights.place import Place
+    from vwnav.bench.flights.stage import Place
     from vwnav.onboard.simulation import map_pack_of
     from vwnav.screen import say
     from vwnav.sim.renderer import default_camera

@@ -29,10 +29,10 @@ from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
+from vwnav.onboard.succession import start_after
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
-from vwnav.succession import start_after
 from vwnav.types import Array
 from vwnav.watchdog.keepalive import WatchdogReport
 

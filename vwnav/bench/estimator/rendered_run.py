@@ -31,8 +31,7 @@ from vwnav.pipeline import Pipeline
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import say
 from vwnav.seams import StepResult
-from vwnav.sim.clock import SimulatedClock
-from vwnav.sim.processor import LateExecutor, Processor
+from vwnav.sim.processor import LateExecutor, Processor, SimulatedClock
 from vwnav.sim.renderer import default_camera
 from vwnav.types import (
     Attitude,

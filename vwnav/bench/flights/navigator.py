@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.assemble import about_run, assemble_with
-from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.stage import Loop
-from vwnav.bench.flights.watcher import LockstepWatcher
+from vwnav.bench.flights.noted_link import LockstepWatcher
+from vwnav.bench.flights.stage import Loop, Place
 from vwnav.config import Config
 from vwnav.estimation.states import Start
 from vwnav.flight import Flight
@@ -18,6 +17,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.mission.mission import Crew, Mission, Phase
+from vwnav.onboard.succession import start_after
 from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
@@ -26,11 +26,9 @@ from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.seams import ATTITUDE_WAIT_S
-from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
-from vwnav.sim.processor import Costs, LateExecutor, Processor, Worker
-from vwnav.succession import start_after
+from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
 from vwnav.types import Array, Estimate, FeatureExtractor, Frame, Navigation, Prior
 from vwnav.vehicle import VehicleState
 from vwnav.watchdog.keepalive import KeepAlive

@@ -1,20 +1,21 @@
-"""What may break of a flight in lockstep, and what a fault is.
+"""Where a flight in lockstep takes place, what of it may break, and what a fault is.
 
 `bench.flights.world.World` is such a stage, `bench.flights.navigator.Navigator` such a program.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
 from vwnav.bench.flights.setup import Setup
+from vwnav.geometry.camera import Camera
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.recording.recorder import Recorder
-from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryLink
-from vwnav.sim.processor import Costs, LateExecutor, Processor
+from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock
 from vwnav.sim.px4.px4 import SimulatedPx4
 from vwnav.sim.site import Site
 from vwnav.types import FeatureExtractor, Features, Gray
@@ -81,7 +82,7 @@ class Aircraft(Protocol):
         ...
 
 
-class Stage(Protocol):
+class FlightStage(Protocol):
     """All that a fault may touch; `wall_clock` is the computer's date as it was before a fault."""
 
     setup: Setup
@@ -134,10 +135,33 @@ class Stage(Protocol):
 class Fault(Protocol):
     """One thing that breaks: it changes the world for a while, and puts it back."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """It breaks."""
         ...
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """It works again."""
         ...
+
+
+class Lasting:
+    """A fault that stays, or passes by itself: there is nothing to put back."""
+
+    def end(self, world: FlightStage) -> None:
+        """It stays as it is by now."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """What many flights may share.
+
+    Attributes:
+        pack: path of the map.
+        primary, fallback: extractors, as `vwnav.assemble.choose_features` gives them.
+    """
+
+    site: Site
+    pack: Path
+    camera: Camera
+    primary: FeatureExtractor
+    fallback: FeatureExtractor | None

@@ -13,22 +13,20 @@ import numpy as np
 
 from vwnav.bench.flights.navigator import Equipped, LockstepSuccessor, Navigator
 from vwnav.bench.flights.noted_link import NotedLink
-from vwnav.bench.flights.place import Place
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
-from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures
+from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures, Place
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
 from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Mission, Phase
 from vwnav.rules.flight_log import At
-from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryLink
 from vwnav.sim.multirotor.setpoint import Setpoint
-from vwnav.sim.processor import Costs, Processor
+from vwnav.sim.processor import Costs, Processor, SimulatedClock
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site

@@ -6,9 +6,15 @@ from dataclasses import dataclass
 
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
-from vwnav.sim.mavlink.command import FORCE_MAGIC, VehicleCommand, is_place, message_id
+from vwnav.sim.mavlink.command import (
+    FORCE_MAGIC,
+    Result,
+    Severity,
+    VehicleCommand,
+    is_place,
+    message_id,
+)
 from vwnav.sim.mavlink.conversation import GET_MESSAGE_INTERVAL, MESSAGE_INTERVAL
-from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.schedule import Schedule
 
 _CUSTOM_MODE_ENABLED = 1

@@ -14,7 +14,7 @@ from vwnav.sim.copter.modes import MODE_OF, Mode
 from vwnav.sim.copter.parameters import NO_GPS, CopterParameters
 from vwnav.sim.copter.radio import SETUP, SWITCH_US, Radio
 from vwnav.sim.home import HomePosition
-from vwnav.sim.mavlink.enums import Landed, Result, Severity
+from vwnav.sim.mavlink.command import Landed, Result, Severity
 from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
 from vwnav.sim.multirotor.sensors import Imu, Sensors

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from vwnav.sim.copter.modes import Mode
 from vwnav.sim.copter.parameters import CopterParameters
-from vwnav.sim.mavlink.enums import Severity
+from vwnav.sim.mavlink.command import Severity
 
 _EKF_PERIOD_S = 0.1
 _EKF_COUNT = 10  # checks in a row, to raise it and to clear it

@@ -9,9 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.sim.copter import vision_input
 from vwnav.sim.copter.commands import CopterCommandContext, execute
 from vwnav.sim.copter.copter import SimulatedCopter
-from vwnav.sim.mavlink.command import VehicleCommand, is_place
+from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place
 from vwnav.sim.mavlink.conversation import Conversation
-from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages

@@ -1,5 +1,6 @@
 """What every simulated autopilot does on a link; its own manners are in the sessions made of it."""
 
+import heapq
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
@@ -7,9 +8,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.mavlink.answers import Answers
-from vwnav.sim.mavlink.command import VehicleCommand
-from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.command import Result, VehicleCommand
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 
@@ -142,3 +141,27 @@ class Conversation(ABC, Generic[VehicleT]):
     def _mission_list(self, m: Any) -> None:
         source = (m.get_srcSystem(), m.get_srcComponent())
         self._send(mavlink.MAVLink_mission_count_message(*source, 0, m.mission_type))
+
+
+class Answers:
+    """Kept in the order in which they are due, equals in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[float, int, Any]] = []
+        self._count = 0
+
+    def __bool__(self) -> bool:
+        """Whether any waits."""
+        return bool(self._waiting)
+
+    def put(self, message: Any, due_s: float) -> None:
+        """Keep one until it is due."""
+        self._count += 1
+        heapq.heappush(self._waiting, (due_s, self._count, message))
+
+    def due(self, t_s: float) -> list[Any]:
+        """Those to send now."""
+        found = []
+        while self._waiting and self._waiting[0][0] <= t_s:
+            found.append(heapq.heappop(self._waiting)[2])
+        return found

@@ -6,9 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.mavlink.command import VehicleCommand, is_place
+from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place
 from vwnav.sim.mavlink.conversation import Conversation
-from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from vwnav.bench.flights.stage import Loop, Stage
+from vwnav.bench.flights.stage import FlightStage, Lasting, Loop
 from vwnav.recording.recorder import Recorder
 from vwnav.watchdog.keepalive import HANGS_S
 
@@ -19,11 +19,11 @@ _SQLITE_PAGE_BYTES = 4096
 class ModelRaises:
     """The learned features raise."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Broken."""
         world.features.broken = True
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """Works."""
         world.features.broken = False
 
@@ -34,95 +34,77 @@ class SlowSearch:
 
     seconds: float
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Slow."""
         world.costs.search = self.seconds
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """As before."""
         world.costs.search = type(world.costs)().search
 
 
 @dataclass(frozen=True)
-class Starved:
+class Starved(Lasting):
     """Other programs take the processor: so much of it is left."""
 
     share: float
     seconds: float
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """From now on, for the seconds."""
         now_s = world.clock.now_s
         world.processor.starve(now_s, now_s + self.seconds, self.share)
-
-    def end(self, world: Stage) -> None:
-        """Planned already."""
 
 
 # ---- processes
 
 
 @dataclass(frozen=True)
-class NavigatorStopped:
+class NavigatorStopped(Lasting):
     """Its process is stopped for so long, and goes on."""
 
     seconds: float
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Stopped."""
         world.navigator.stop_until(world.clock.now_s + self.seconds)
 
-    def end(self, world: Stage) -> None:
-        """It wakes by itself."""
-
 
 @dataclass(frozen=True)
-class NavigatorKilled:
+class NavigatorKilled(Lasting):
     """Its process ends without a word; the watchdog sees that."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Dead."""
         world.navigator.end()
 
-    def end(self, world: Stage) -> None:
-        """It stays dead."""
-
 
 @dataclass(frozen=True)
-class NavigatorLeaves:
+class NavigatorLeaves(Lasting):
     """Its process unwinds in an orderly way, whatever the reason: `KeepAlive.close`."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """It says that it ends."""
         world.navigator.keep_alive.close()
         world.navigator.end()
 
-    def end(self, world: Stage) -> None:
-        """It is gone."""
-
 
 @dataclass(frozen=True)
-class WatchdogKilled:
+class WatchdogKilled(Lasting):
     """The watchdog's process ends; nothing passes until the spare one has the link."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Dead."""
         world.lose_watchdog()
 
-    def end(self, world: Stage) -> None:
-        """It stays dead."""
-
 
 @dataclass(frozen=True)
-class WatchdogHangs:
+class WatchdogHangs(Lasting):
     """The watchdog's process is stopped; the navigator ends it when it does not answer."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Silent."""
         world.lose_watchdog(HANGS_S)
-
-    def end(self, world: Stage) -> None:
-        """Another one has its place."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +113,11 @@ class StepRaises:
 
     step: Loop
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Broken."""
         setattr(*world.navigator.step_of(self.step), _raise)
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """As it was."""
         delattr(*world.navigator.step_of(self.step))
 
@@ -144,7 +126,7 @@ class StepRaises:
 class MatchingRaises:
     """Whichever features are matched: the thread that matches raises."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Broken."""
         executor = world.navigator.executor
         whole = executor.submit
@@ -154,7 +136,7 @@ class MatchingRaises:
 
         executor.submit = submit  # type: ignore[method-assign]
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """As it was."""
         del world.navigator.executor.submit
 
@@ -167,10 +149,10 @@ def _raise(*_: object, **__: object) -> None:
 
 
 @dataclass(frozen=True)
-class MapTilesDamaged:
+class MapTilesDamaged(Lasting):
     """The second half of the map's file reads as zeros. Wants a flight with a map of its own."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Sectors of the disk die."""
         path = world.own_map
         size = path.stat().st_size
@@ -179,31 +161,25 @@ class MapTilesDamaged:
             file.seek(first)
             file.write(bytes(size - first))
 
-    def end(self, world: Stage) -> None:
-        """It stays damaged."""
-
 
 @dataclass(frozen=True)
-class MapDeleted:
+class MapDeleted(Lasting):
     """The map's file is deleted. Wants a flight with a map of its own."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Gone from the folder."""
         world.own_map.unlink()
-
-    def end(self, world: Stage) -> None:
-        """It stays deleted."""
 
 
 @dataclass(frozen=True)
 class DiskFull:
     """Nothing can be recorded."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Full."""
         world.navigator.disk_full = True
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """Room again."""
         world.navigator.disk_full = False
 
@@ -231,11 +207,11 @@ class StalledRecorder(Recorder):
 class DiskStalled:
     """Whatever is written waits: the true recorder, with a thread that never gets on."""
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Stalled."""
         world.navigator.keep(StalledRecorder())
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """It writes again."""
         world.navigator.keep_no_more()
 
@@ -246,11 +222,11 @@ class WallClockJumps:
 
     seconds: float
 
-    def begin(self, world: Stage) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Set."""
         world.wall_clock = time.time
         time.time = lambda: world.wall_clock() + self.seconds
 
-    def end(self, world: Stage) -> None:
+    def end(self, world: FlightStage) -> None:
         """Set back."""
         time.time = world.wall_clock

@@ -1,14 +1,26 @@
-"""The pilot takes the aircraft, in every phase, and gives it back."""
+"""The pilot takes the aircraft and gives it back; battery; the autopilot refuses or restarts."""
 
-from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches
+from vwnav.bench.flights.faults.aircraft import (
+    BatteryAt,
+    CommandRefused,
+    PilotHandsBack,
+    PilotSwitches,
+    Reboots,
+)
+from vwnav.bench.flights.faults.telemetry import BootClockJumps, battery_unknown
 from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
     CLIMB,
     DESCEND,
+    HOME,
     RETURN,
     ROUTE,
     Break,
     Ending,
     Scenario,
+    down,
+    flies_on,
+    mode,
     phase,
     setup,
 )
@@ -76,3 +88,63 @@ GIVES_BACK = [
     ),
 ]
 PILOT = [*TAKES, *ON_THE_GROUND, *GIVES_BACK]
+
+
+BATTERY = [
+    Scenario(
+        name="battery low",
+        setup=setup(),
+        breaks=(Break(fault=BatteryAt(0.22), at_s=BREAKS_AT_S),),
+        limit_s=120.0,
+        follows=(phase(5.0, "returning"), down(110.0)),
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="battery critical",
+        setup=setup(),
+        breaks=(Break(fault=BatteryAt(0.08), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=(mode(10.0, "LAND", "HOLD", "RETURN"), down(70.0)),
+    ),
+    Scenario(
+        name="battery unknown before take-off",
+        setup=setup(None),
+        breaks=(Break(fault=battery_unknown(), at_s=0.0),),
+        limit_s=40.0,
+        ending=Ending.STAYED,
+    ),
+    flies_on("battery unknown in flight", battery_unknown()),
+]
+
+
+NAV_TAKEOFF = 22
+
+AUTOPILOT = [
+    Scenario(
+        name="take-off refused",
+        setup=setup(None),
+        breaks=(Break(fault=CommandRefused(NAV_TAKEOFF), at_s=0.0),),
+        limit_s=60.0,
+        ending=Ending.STAYED,
+    ),
+    Scenario(
+        name="autopilot restarts on the ground",
+        setup=setup(None),
+        breaks=(Break(fault=Reboots(), at_s=8.0),),
+        limit_s=80.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(60.0, "climbing"),),
+    ),
+    flies_on("autopilot's clock jumps to zero in the air", BootClockJumps(), after_s=15.0),
+    *(
+        Scenario(
+            name=f"autopilot's clock {100 * (1.0 - rate):.0f} % slow",
+            setup=setup(vehicle_rate=rate),
+            breaks=(),
+            limit_s=30.0,
+            ending=Ending.FLIES_ON,
+        )
+        for rate in (0.99, 0.98)
+    ),
+]
