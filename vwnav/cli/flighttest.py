@@ -243,6 +243,7 @@ def fly_row(name: str, folder: Path, manners: "Manners") -> "RowResult":
 
     A flight that raises has failed, and is no reason to lose all the others.
     """
+    # Imported here, in whichever process flies it: `--help` loads none of it.
     from vwnav.bench.flights.fly import fly
     from vwnav.bench.flights.judge import judge
     from vwnav.bench.flights.lockstep_place import lockstep_place
