@@ -171,11 +171,11 @@ def one_step() -> Entered:
     import numpy as np
 
     from vwnav.assemble import assemble_with
-    from vwnav.bench.flights.place import Place
     from vwnav.bench.flights.setup import Setup
+    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.world import draw
     from vwnav.config import Config
-    from vwnav.estimation.ekf import Start
+    from vwnav.estimation.states import Start
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of

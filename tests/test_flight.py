@@ -7,8 +7,9 @@ import pytest
 from vehicles import FLYING
 
 from vwnav.flight import Flight
-from vwnav.guidance.controller import LimitsConfig
-from vwnav.mission.mission import Crew, FlightConfig, Mission, Phase
+from vwnav.guidance.limits import LimitsConfig
+from vwnav.mission.config import FlightConfig
+from vwnav.mission.mission import Crew, Mission, Phase
 from vwnav.safety.check import Check
 from vwnav.safety.monitor import SafetyConfig
 from vwnav.types import Estimate, Navigation

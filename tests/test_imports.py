@@ -30,33 +30,33 @@ ALLOWED = {
     "safety": BASE,
     "mavlink": BASE | {"geometry"},
     "watchdog": BASE | {"mavlink", "safety"},
-    "feature_choice": BASE,
-    "pipeline": BASE | {"geometry", "estimation", "feature_choice"},
+    "feature_choice": BASE | {"seams"},
+    "seams": BASE,
+    "pipeline": BASE | {"geometry", "estimation", "feature_choice", "seams"},
     "mission": BASE | {"guidance", "safety", "watchdog"},
     "flight": BASE | {"guidance", "safety", "watchdog", "mission"},
-    "runtime": BASE | {"safety", "pipeline", "flight", "mission"},
+    "runtime": BASE | {"safety", "seams", "pipeline", "flight", "mission"},
     "rules": BASE | {"safety", "mission"},
-    "succession": BASE | {"estimation"},
     "recording": BASE
-    | {"geometry", "maps", "estimation", "pipeline", "mavlink", "safety", "mission", "rules"},
+    | {"geometry", "maps", "estimation", "seams", "mavlink", "safety", "mission", "rules"},
     "cameras": BASE | {"geometry", "recording"},
     "sim": BASE | {"geometry", "maps"},
-    "config": BASE | {"vision", "estimation", "guidance", "safety", "pipeline", "mission"},
+    "config": BASE | {"vision", "estimation", "guidance", "safety", "seams", "mission"},
     "assemble": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"}
     | {"feature_choice"},
     "screen": BASE | {"safety"},
     "onboard": BASE
     | {"geometry", "maps", "estimation", "guidance", "safety", "mavlink", "watchdog", "pipeline"}
-    | {"mission", "flight", "runtime", "succession", "recording", "cameras", "sim", "config"}
-    | {"assemble", "screen"},
+    | {"mission", "flight", "runtime", "recording", "cameras", "sim", "config"}
+    | {"assemble", "screen", "seams"},
     "offline": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
-    | {"config", "assemble", "screen"},
+    | {"config", "assemble", "screen", "seams"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
-    | {"pipeline", "mission", "flight", "runtime", "rules", "succession", "recording", "cameras"}
-    | {"sim", "config", "assemble", "screen", "onboard"},
+    | {"pipeline", "mission", "flight", "runtime", "rules", "recording", "cameras"}
+    | {"sim", "config", "assemble", "screen", "onboard", "seams"},
 }
 
 

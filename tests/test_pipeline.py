@@ -6,16 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from vwnav.estimation.ekf import Ekf, EkfConfig, Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.states import Start
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.pipeline import (
-    InlineExecutor,
-    Pipeline,
-    PipelineConfig,
-    to_gray,
-)
+from vwnav.pipeline import InlineExecutor, Pipeline, to_gray
+from vwnav.seams import PipelineConfig
 from vwnav.types import (
     Attitude,
     Frame,

@@ -11,18 +11,11 @@ from vehicles import FLYING
 
 from vwnav.clock import WallClock
 from vwnav.mission.mission import FlightEnd, Phase
-from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.types import (
-    Estimate,
-    Frame,
-    ImuSample,
-    OdometryMotion,
-    Rejected,
-    RejectReason,
-)
+from vwnav.seams import ATTITUDE_WAIT_S, StepResult
+from vwnav.types import Estimate, Frame, ImuSample, OdometryMotion, Rejected, RejectReason
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 ESTIMATE = Estimate(

@@ -9,8 +9,9 @@ import numpy as np
 
 from vwnav.config import Config
 from vwnav.errors import ModelError
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Ground
-from vwnav.estimation.ekf import Ekf, EkfConfig
+from vwnav.estimation.ekf import Ekf
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame

@@ -11,13 +11,12 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from vwnav.errors import ConfigError
 from vwnav.estimation.config import EkfConfig
-from vwnav.guidance.controller import LimitsConfig
-from vwnav.mission.mission import FlightConfig
-from vwnav.pipeline import PipelineConfig
+from vwnav.guidance.limits import LimitsConfig
+from vwnav.mission.config import FlightConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.vision.localizer import LocalizerConfig
-from vwnav.vision.odometry.odometry import OdometryConfig
+from vwnav.seams import PipelineConfig
+from vwnav.vision.config import LocalizerConfig, OdometryConfig
 
 
 class Config(BaseSettings):

@@ -1,30 +1,8 @@
 """Which features look next: the learned ones, or SIFT while they fail."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
 
-from vwnav.types import Frame, MapFix, Prior, Rejected
-
-
-@dataclass(frozen=True, slots=True)
-class FeatureChoiceConfig:
-    """When SIFT stands in for the learned features."""
-
-    fallback_after: int = 8  # rejections in a row before the fallback is tried
-    primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
-
-
-class Localizing(Protocol):
-    """What the pipeline needs of `vwnav.vision.localizer.Localizer`."""
-
-    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
-        """Where a picture was taken."""
-        ...
-
-    def give_up(self) -> None:
-        """Let the call that is running in another thread end soon."""
-        ...
+from vwnav.seams import FeatureChoiceConfig, Localizing
 
 
 class FeatureChoice:

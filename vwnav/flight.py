@@ -7,23 +7,16 @@ and never waits. Safety may overrule each setpoint, and the pilot overrules ever
 import math
 from dataclasses import replace
 
-from vwnav.guidance.controller import LimitsConfig
-from vwnav.mission.announcer import Announcer
+from vwnav.guidance.limits import LimitsConfig
+from vwnav.mission.config import FlightConfig
 from vwnav.mission.departure import Departure
-from vwnav.mission.failsafe import FailsafeRecovery
+from vwnav.mission.failsafe import Announcer, FailsafeRecovery
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
-from vwnav.mission.mission import (
-    Crew,
-    DeadMansHandle,
-    FlightConfig,
-    FlightEnd,
-    Mission,
-    Next,
-    Phase,
-)
+from vwnav.mission.mission import Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
 from vwnav.mission.route_phases import RoutePhases
 from vwnav.mission.steering import Steering
-from vwnav.safety.monitor import Action, Rank, SafetyMonitor
+from vwnav.safety.hierarchy import Action, Rank
+from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Array, Estimate, Navigation
 from vwnav.vehicle import Autopilot, Order, Request, VehicleState, VelocitySetpoint

@@ -17,15 +17,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.estimation.ekf import Ekf, NedFix
 from vwnav.estimation.first_fix import FirstFix, start_at
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.timeline import Exposed
-from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
+from vwnav.estimation.inputs import Measurement
+from vwnav.estimation.kalman import Innovation, Verdict
+from vwnav.estimation.states import FilterState, Start
+from vwnav.estimation.timeline import Exposed, NedFix
+from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
+from vwnav.seams import Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
-    Array,
     Attitude,
     Estimate,
     Frame,
@@ -38,7 +39,6 @@ from vwnav.types import (
     Telemetry,
 )
 
-ATTITUDE_WAIT_S = 0.4  # a picture waits so long after its exposure for its attitude to come
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
@@ -47,41 +47,37 @@ MAX_DOUBTED_AGL_RATIO = 0.3
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
 
-@dataclass(frozen=True, slots=True)
-class PipelineConfig(FeatureChoiceConfig):
-    """How often the map is asked, and for how long."""
+class Filtering(Protocol):
+    """What the pipeline needs of `vwnav.estimation.ekf.Ekf`."""
 
-    fix_interval_s: float = 0.2  # a picture is matched to the map this often
-    search_interval_s: float = 1.0  # the same while the position is unknown: a search is slow
-    max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
-    doubt_after: int = (
-        25  # attempts in a row without a fix; then, and every so many, look twice as far
-    )
-    give_up_after_s: float = 20.0  # a search that takes longer finds nothing; the next one may
-    most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StepResult:
-    """What one picture brought. `outcome` may belong to an earlier picture (see its `t_s`)."""
-
-    t_s: float
-    motion: OdometryMotion | Rejected
-    outcome: MapFix | Rejected
-    estimate: Estimate | None
-
-
-class Tracking(Protocol):
-    """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
-
-    def counted_attitude(self, t_s: float) -> Attitude:
-        """Of a video alone: level, with the heading counted from its pictures."""
+    @property
+    def state(self) -> FilterState | None:
+        """The state after the newest event; None before a start."""
         ...
 
-    def step(
-        self, frame: Frame, R_ned_body: Array | None, agl_m: float
-    ) -> OdometryMotion | Rejected:
-        """Motion since the keyframe."""
+    @property
+    def counts_heading(self) -> bool:
+        """Whether a video's own turning is all that tells the heading."""
+        ...
+
+    def initialise(self, start: Start) -> None:
+        """Begin, or begin anew."""
+        ...
+
+    def handle(self, seen: Measurement) -> Innovation:
+        """Take a measurement of any kind."""
+        ...
+
+    def estimate(self, t_s: float) -> Estimate | None:
+        """The estimate at a time; None while there is nothing to predict from."""
+        ...
+
+    def attitude_at(self, t_s: float) -> Attitude | None:
+        """The autopilot's attitude at an exposure; None where telemetry does not reach."""
+        ...
+
+    def covers(self, t_s: float) -> bool:
+        """Whether telemetry has reached an exposure."""
         ...
 
 
@@ -122,7 +118,7 @@ class Pipeline:
         self,
         features: FeatureChoice,
         odometry: Tracking,
-        ekf: Ekf,
+        ekf: Filtering,
         local_frame: LocalFrame,
         sigma_tilt_rad: float,
         config: PipelineConfig,

@@ -15,9 +15,10 @@ from typing import Protocol
 from vwnav.clock import Clock
 from vwnav.flight import GONE_S, Flight
 from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
-from vwnav.pipeline import ATTITUDE_WAIT_S, Pipeline, StepResult
+from vwnav.pipeline import Pipeline
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.seams import ATTITUDE_WAIT_S, StepResult
 from vwnav.types import (
     Estimate,
     Frame,

@@ -68,6 +68,10 @@ class Features:
     def __len__(self) -> int:
         return len(self.uv)
 
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Features":
+        """Those chosen by index (n,) or by mask, in that order."""
+        return Features(self.uv[index], self.descriptors[index], self.scores[index])
+
 
 class FeatureExtractor(Protocol):
     """A detector with its descriptor. Equal `feature_set_id` means descriptors can be compared."""

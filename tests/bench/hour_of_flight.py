@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.lockstep_place import lockstep_place
-from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Heard
 from vwnav.bench.flights.world import World

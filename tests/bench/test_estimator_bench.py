@@ -8,20 +8,15 @@ import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
+from vwnav.bench.estimator.flown import Metric
 from vwnav.bench.estimator.record import load_stream, save_stream
 from vwnav.bench.estimator.run import play
-from vwnav.bench.estimator.scenarios import (
-    SCENARIOS,
-    FilterScenario,
-    Metric,
-    fly_scenario,
-    judge_outage,
-)
+from vwnav.bench.estimator.scenarios import SCENARIOS, FilterScenario, fly_scenario, judge_outage
 from vwnav.bench.estimator.scores import chi_square_bounds, consistency
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
-from vwnav.estimation.ekf import EkfConfig
+from vwnav.estimation.config import EkfConfig
 
 SHORT = FilterWorld(seconds=40.0)
 

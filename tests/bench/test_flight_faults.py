@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.bench.flights import rows
+from vwnav.bench.flights import fly as flying
+from vwnav.bench.flights import lockstep_place
 from vwnav.bench.flights.faults import camera, telemetry
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
-from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, rows_named
-from vwnav.bench.flights.table.manual import manual
+from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, manual, rows_named
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
+from vwnav.cli.flighttest import fly_row
 from vwnav.rules import flight_log
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import Sent
@@ -147,7 +148,8 @@ def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):
     def burst(*_: object) -> None:
         raise RuntimeError("no such thing")
 
-    monkeypatch.setattr(rows, "fly", burst)
-    result = rows.fly_row("battery low", lambda: None, tmp_path)  # type: ignore[arg-type]
+    monkeypatch.setattr(flying, "fly", burst)
+    monkeypatch.setattr(lockstep_place, "lockstep_place", lambda: None)
+    result = fly_row("battery low", tmp_path, "px4")
     assert not result.passed
     assert "no such thing" in result.wrong[0]

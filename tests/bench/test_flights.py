@@ -1,18 +1,17 @@
 """Campaigns of flights: their plan, their numbers, and a folder that goes on where it was."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from vwnav.bench.flights import folder
-from vwnav.bench.flights.campaign import Campaign, Sortie, campaign_of
+from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie, campaign_of
 from vwnav.bench.flights.folder import FLIGHTS, CampaignFolder, fly_campaign
 from vwnav.bench.flights.plots import save_plots
-from vwnav.bench.flights.score import FlightScore, distance_m
+from vwnav.bench.flights.score import distance_m
 from vwnav.bench.flights.summary import Figure, summarise, worst_first
 from vwnav.bench.resampling import interval
 from vwnav.cli.main import app
@@ -98,46 +97,48 @@ def test_a_flight_with_something_wrong_comes_before_a_larger_error() -> None:
     assert [each.number for each in worst_first(flights)] == [1, 0, 2]
 
 
-@pytest.fixture
-def flown(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+@dataclass
+class Flown:
     """Numbers in the order in which they are flown, without flying."""
-    numbers: list[int] = []
 
-    def fly(_: Campaign, sortie: Sortie, recording: Path) -> FlightScore:
-        numbers.append(sortie.number)
+    numbers: list[int] = field(default_factory=list)
+
+    def __call__(self, _: Campaign, sortie: Sortie, recording: Path) -> FlightScore:
+        self.numbers.append(sortie.number)
         recording.write_text("recorded")
         return flight(sortie.number, 0.1 * (sortie.number + 1), manners=sortie.manners)
 
-    monkeypatch.setattr(folder, "fly_one", fly)
-    monkeypatch.setattr(folder, "_place", lambda site: None)
-    return numbers
+
+@pytest.fixture
+def flown() -> Flown:
+    return Flown()
 
 
 def quiet(what: str, done: int, total: int) -> None:
     pass
 
 
-def test_a_killed_run_goes_on_and_loses_half_a_line(flown: list[int], tmp_path: Path) -> None:
-    fly_campaign(CAMPAIGN, px4(2), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+def test_a_killed_run_goes_on_and_loses_half_a_line(flown: Flown, tmp_path: Path) -> None:
+    fly_campaign(CAMPAIGN, px4(2), 1, CampaignFolder(tmp_path, CAMPAIGN), flown, quiet)
     with (tmp_path / FLIGHTS).open("a") as file:
         file.write('{"number": 2, "si')
-    flights = fly_campaign(CAMPAIGN, px4(4), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
-    assert flown == [0, 1, 2, 3]
+    flights = fly_campaign(CAMPAIGN, px4(4), 1, CampaignFolder(tmp_path, CAMPAIGN), flown, quiet)
+    assert flown.numbers == [0, 1, 2, 3]
     assert flights == [replace(flight(k, 0.1 * (k + 1))) for k in range(4)]
     lines = (tmp_path / FLIGHTS).read_text().splitlines()
     assert [json.loads(line)["number"] for line in lines] == [0, 1, 2, 3]
 
 
-def test_a_folder_goes_on_in_the_other_manners(flown: list[int], tmp_path: Path) -> None:
-    fly_campaign(CAMPAIGN, px4(2), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+def test_a_folder_goes_on_in_the_other_manners(flown: Flown, tmp_path: Path) -> None:
+    fly_campaign(CAMPAIGN, px4(2), 1, CampaignFolder(tmp_path, CAMPAIGN), flown, quiet)
     both = [Sortie("px4", 1), Sortie("copter", 1)]
-    found = fly_campaign(CAMPAIGN, both, 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
-    assert flown == [0, 1, 1]
+    found = fly_campaign(CAMPAIGN, both, 1, CampaignFolder(tmp_path, CAMPAIGN), flown, quiet)
+    assert flown.numbers == [0, 1, 1]
     assert [each.sortie for each in found] == both
 
 
-def test_only_the_worst_keep_their_recordings(flown: list[int], tmp_path: Path) -> None:
-    fly_campaign(CAMPAIGN, px4(5), 1, CampaignFolder(tmp_path, CAMPAIGN), quiet)
+def test_only_the_worst_keep_their_recordings(flown: Flown, tmp_path: Path) -> None:
+    fly_campaign(CAMPAIGN, px4(5), 1, CampaignFolder(tmp_path, CAMPAIGN), flown, quiet)
     kept = sorted(path.name for path in (tmp_path / "worst").iterdir())
     assert kept == [f"px4-000{k}.mcap" for k in (2, 3, 4)]
 

@@ -8,15 +8,16 @@ import pytest
 from typer.testing import CliRunner
 
 from vwnav.bench.estimator.benchmark import as_json
+from vwnav.bench.estimator.flown import NavigatedFlight, Run
 from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
 from vwnav.bench.estimator.rendered_flight import RENDERED_S, pictures, plan_flight
 from vwnav.bench.estimator.rendered_run import fly_rendered
-from vwnav.bench.estimator.rendered_scenarios import NavigatedFlight, judge_odometry, judge_rendered
-from vwnav.bench.estimator.run import Run, play
+from vwnav.bench.estimator.rendered_scenarios import judge_odometry, judge_rendered
+from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
-from vwnav.estimation.ekf import NedFix
+from vwnav.estimation.timeline import NedFix
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M
 from vwnav.types import Frame, MapFix

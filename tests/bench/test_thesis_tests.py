@@ -8,9 +8,9 @@ import pytest
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
 from vwnav.bench.flights.thesis.plots import save_plots
+from vwnav.bench.flights.thesis.report import statistics, steps
 from vwnav.bench.flights.thesis.samples import Sample, write_csv
 from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, in_manners
-from vwnav.bench.flights.thesis.verdict import statistics, steps
 
 ON_THE_GROUND = Sample(
     t_s=0.0, mode="HOLD", phase="getting ready", true_north_m=0.0, true_east_m=0.0, true_up_m=0.0,

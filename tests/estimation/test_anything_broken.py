@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
-from vwnav.estimation.ekf import EkfConfig, NedFix
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.timeline import NedFix
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
 SECONDS = 32.0

@@ -8,13 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vwnav.bench.estimator.run import Run, accepted_wrong, play
+from vwnav.bench.estimator.flown import Run, accepted_wrong
+from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation import odometry
-from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start, Verdict
-from vwnav.estimation.states import States
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.states import Start, States
+from vwnav.estimation.timeline import NedFix
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

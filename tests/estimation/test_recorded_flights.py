@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vwnav.estimation.ekf import Ekf, EkfConfig, NedFix, Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Asked
+from vwnav.estimation.states import Start
+from vwnav.estimation.timeline import NedFix
 from vwnav.recording.input_log import PictureSeen, read_input_log
 from vwnav.types import Array, Estimate
 

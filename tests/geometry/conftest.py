@@ -8,7 +8,7 @@ import pytest
 from hypothesis import settings
 
 from vwnav.geometry.camera import Camera
-from vwnav.geometry.mercator import mercator_px, mercator_px_per_m
+from vwnav.geometry.geodesy import mercator_px, mercator_px_per_m
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.types import Array
 

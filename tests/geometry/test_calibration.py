@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.errors import CalibrationError
-from vwnav.geometry.calibration import check_fits, load_camera, save_camera
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.calibration import load_camera, save_camera
+from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.rotations import rotation_from_euler
 
 K = np.array([[500.25, 0.0, 321.5], [0.0, 501.5, 238.25], [0.0, 0.0, 1.0]])

@@ -3,9 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.camera import Camera, rectification
 from vwnav.geometry.homography import transform_points
-from vwnav.geometry.rectify import rectification
 from vwnav.geometry.rotations import rotation_from_euler
 
 CAMERA = Camera.from_hfov(640, 480, 70.0)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.geometry.homography import transform_points
-from vwnav.geometry.uncertainty import (
+from vwnav.geometry.pose import (
     homography_covariance,
     regional_covariance,
     similarity_covariance,

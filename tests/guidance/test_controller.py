@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.guidance.controller import LimitsConfig, RouteFollower
+from vwnav.guidance.controller import RouteFollower
+from vwnav.guidance.limits import LimitsConfig
 from vwnav.vehicle import VelocitySetpoint
 
 LIMITS = LimitsConfig()

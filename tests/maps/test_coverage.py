@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from map_samples import ORIGIN_PX, ZOOM
 
-from vwnav.geometry.mercator import lat_lon_from_mercator_px
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
 

@@ -17,7 +17,7 @@ from rasterio.transform import Affine
 from rasterio.warp import Resampling, reproject, transform_bounds
 
 from vwnav.errors import MapError
-from vwnav.geometry.mercator import mercator_px
+from vwnav.geometry.geodesy import mercator_px
 from vwnav.maps.build.builder import build_pack
 from vwnav.maps.build.geotiff import RasterFile, read_heights
 from vwnav.maps.pack import MapPack

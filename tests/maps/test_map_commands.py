@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from vwnav.cli.map import app, route_places
 from vwnav.errors import ConfigError, MapError, PreflightError, RouteError
-from vwnav.geometry.mercator import lat_lon_from_mercator_px
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px
 
 ROOT = Path(__file__).resolve().parents[2]
 

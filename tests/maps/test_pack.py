@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 
 from vwnav.errors import MapError, ModelError
-from vwnav.geometry.mercator import lat_lon_from_mercator_px
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
 
@@ -60,11 +60,11 @@ def test_a_query_reads_the_tiles_under_it_once_and_no_others(sift_pack: MapPack)
     window = Window(X // 256 * 256 + 10, Y // 256 * 256 + 10, X // 256 * 256 + 500, Y + 100)
     for _ in range(3):
         sift_pack.features_in(ZOOM, *window, SiftStub())
-    assert len(statements) == len(list(window.tiles(ZOOM)))
+    assert len(statements) == len(window.tiles(ZOOM))
     statements.clear()
     sift_pack.image(ZOOM, *window)
     sift_pack.image(ZOOM, *window)
-    assert len(statements) == len(list(window.tiles(ZOOM)))
+    assert len(statements) == len(window.tiles(ZOOM))
 
 
 def test_a_tile_is_found_by_its_index_however_large_the_map(sift_pack: MapPack):

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
 from vwnav.maps.picture import Picture, Tile, Window, assemble
 
 zooms = st.integers(0, 22)

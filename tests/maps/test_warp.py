@@ -5,8 +5,7 @@ from hypothesis import strategies as st
 from map_samples import textured
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.mercator import mercator_px
+from vwnav.geometry.geodesy import LocalFrame, mercator_px
 from vwnav.maps.build.raster import (
     array_source,
     corner_georeference,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from vwnav.mission.flown_way import FlownWay
+from vwnav.mission.home import FlownWay
 
 HOME_NE_M = np.zeros(2)
 

@@ -1,6 +1,8 @@
 """A flight replays from its own recording to the last bit; what cannot be replayed says why."""
 
+import csv
 import json
+import math
 import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +20,8 @@ from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.errors import MapError, SourceError
-from vwnav.estimation.ekf import Ekf, Start
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.states import Start
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
@@ -49,6 +52,7 @@ from vwnav.types import (
 from vwnav.vehicle import VelocitySetpoint
 
 HOME = LocalFrame(60.4, 22.5, 30.0)
+FIRST_RELEASE = Path(__file__).with_name("first_release.mcap")
 FLIGHT_TICKS = 60  # 3 s
 SPEED_M_S = 5.0
 
@@ -207,6 +211,22 @@ def test_a_flight_replays_to_the_identical_trajectory(flown, pack_file, tmp_path
     assert run["identical"] is True
     assert all(run[key] == flight[key] for key in ("frames", "attempts", "fixes", "origin"))
     assert (tmp_path / "out" / "track.png").stat().st_size > 1000
+
+
+def test_a_recording_of_the_first_release_replays(pack_file, tmp_path):
+    """Five seconds, written by 0.1.0's recorder beside its filter, with pictures of 64 x 48 px.
+
+    0.1.0's own filter ended 0.2 m from there: the present one knows more of what it is told.
+    """
+    done = replay(FIRST_RELEASE, pack_file, tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "recorded by vwnav 0.1.0" in done.stderr
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (run["frames"], run["attempts"], run["fixes"]) == (74, 22, 5)
+    with (tmp_path / "out" / "trajectory.csv").open() as file:
+        *_, last = csv.DictReader(file)
+    end_ned_m = [float(last[name]) for name in ("north_m", "east_m", "down_m")]
+    assert math.dist(end_ned_m, (25.999, 1.042, -49.982)) < 0.05
 
 
 def test_not_only_the_rounded_rows_but_every_bit_of_the_estimates_comes_back(flown, pack_file):

@@ -7,8 +7,8 @@ import pytest
 
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.pipeline import StepResult
 from vwnav.recording.run_folder import COLUMNS, TrajectoryWriter, make_run_folder, write_json
+from vwnav.seams import StepResult
 from vwnav.types import Estimate, MapFix, Rejected, RejectReason
 
 HOME = LocalFrame(60.4, 22.5, 0.0)

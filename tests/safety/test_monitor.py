@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vehicles import FLYING
 
-from vwnav.safety.hierarchy import as_markdown
-from vwnav.safety.monitor import Action, Decision, Rank, SafetyConfig, SafetyMonitor
+from vwnav.safety.hierarchy import Action, Decision, Rank, as_markdown
+from vwnav.safety.monitor import SafetyConfig, SafetyMonitor
 from vwnav.types import Estimate, Navigation
 from vwnav.vehicle import FlightMode, Order
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from vwnav.bench.flights.live.relay import Relay
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.onboard.simulation import free_ports
+from vwnav.onboard.program import free_ports
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import VehicleConfig, start_vehicle
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.lockstep_place import lockstep_place
 from vwnav.bench.flights.log import flight_log
-from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table.telemetry import MISSING
 from vwnav.bench.flights.world import World
 from vwnav.recording.recorded_flight_log import recorded_flight_log
@@ -38,7 +39,7 @@ def bytes_and_estimates(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(World, "begin", listen)
     flown = fly(scenario, lockstep_place())
     monkeypatch.setattr(World, "begin", begin)
-    for step in flown.world.navigator.record.steps:
+    for step in flown.steps:
         if step.estimate is not None:
             filter_.update(step.estimate.position_ned_m.tobytes())
             filter_.update(step.estimate.covariance.tobytes())

@@ -2,9 +2,10 @@
 
 import pytest
 
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.lockstep_place import lockstep_place
-from vwnav.bench.flights.scenario import Scenario, fly
+from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table import QUICK, TABLE
 from vwnav.bench.flights.table.manners import FLOWN_IN_COPTER_MANNERS, in_manners
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.lockstep_place import lockstep_place
-from vwnav.bench.flights.scenario import Flown, Scenario, fly
+from vwnav.bench.flights.scenario import Flown, Scenario
 from vwnav.bench.flights.table import TABLE
 from vwnav.vehicle import FlightMode
 
@@ -52,7 +53,7 @@ def test_a_lens_covered_at_50_m_costs_at_most_50_m_in_18_of_20():
     off_m = sorted(math.inf if each is None else each for each in places)
     assert off_m[17] <= 50.0, off_m
     assert max(verdict.worst_sigmas for verdict in verdicts) < 5.0
-    assert max(flown.world.t_s - 9.0 for flown in flights) < 60.0 + 5.0  # and the motors stop
+    assert max(flown.flown_s - 9.0 for flown in flights) < 60.0 + 5.0  # and the motors stop
 
 
 @pytest.mark.parametrize("group", range(GROUPS))
@@ -73,7 +74,7 @@ def test_after_a_kill_the_estimate_is_back_in_4_s_and_it_lands_where_it_stopped_
 
 def broke_at_s(flown: Flown) -> float:
     assert flown.broke_s is not None
-    return flown.broke_s + flown.world.begun_s
+    return flown.broke_s + flown.begun_s
 
 
 def estimate_back_s(flown: Flown) -> float:

@@ -4,7 +4,7 @@ import random
 from typing import Any
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.command import Result
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.px4.estimator import VisionSample
 from vwnav.sim.px4.modes import NavState

@@ -10,7 +10,7 @@ from px4_client import make_config
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from test_vehicle_session import FLOAT, command_messages, data_messages
 
-from vwnav.sim.copter.streams import BUILDERS
+from vwnav.sim.copter.messages import BUILDERS
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
 from vwnav.vehicle import FlightMode

@@ -4,11 +4,11 @@ import random
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.processor import SimulatedClock
 from vwnav.sim.px4.px4 import STEP_S
 
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from vwnav.sim.clock import SimulatedClock
-from vwnav.sim.processor import LateExecutor, Processor, Worker
+from vwnav.sim.processor import LateExecutor, Processor, SimulatedClock, Worker
 
 
 def test_work_takes_what_it_costs():

@@ -18,7 +18,7 @@ import pytest
 from mcap.reader import make_reader
 from px4_bench import Bench
 
-from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.command import Result
 from vwnav.sim.px4 import messages
 from vwnav.sim.px4.estimator import VisionSample
 from vwnav.sim.px4.modes import NavState

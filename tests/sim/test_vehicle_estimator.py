@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from px4_bench import Bench
 
-from vwnav.sim.multirotor.axis_filter import AxisFilter
+from vwnav.sim.multirotor.inertial_filter import AxisFilter
 from vwnav.sim.px4.estimator import _from_zero_island
 
 

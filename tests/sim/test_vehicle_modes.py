@@ -7,7 +7,7 @@ import pytest
 from px4_bench import Bench
 
 from vwnav.sim.config import PilotPlan
-from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.command import Result
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.px4.modes import NavState
 

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from training import data, warps
+from training import data, landmarks, warps
 
 FOLDER = data.data_folder()
 needs_data = pytest.mark.skipif(FOLDER is None, reason="no data folder (VWNAV_DATA)")
@@ -68,7 +68,7 @@ def test_overlapping_frames_are_registered_to_a_pixel():
     scenery = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
     scenery = cv2.resize(scenery, (1280, 960), interpolation=cv2.INTER_CUBIC)
     frames = [scenery[:700, :900], scenery[200:900, 150:1050]]
-    H_b_a = data.register(*map(data.landmarks, frames))
+    H_b_a = landmarks.register(*map(landmarks.landmarks, frames))
     corners = np.array([[200.0, 250.0], [850.0, 650.0]])
     np.testing.assert_allclose(warps.warp_points(H_b_a, corners), corners - [150, 200], atol=0.5)
 
@@ -78,7 +78,7 @@ def test_frames_that_share_nothing_are_not_registered():
     frames = [
         cv2.resize(rng.integers(0, 255, (60, 80, 3)).astype(np.uint8), (640, 480)) for _ in range(2)
     ]
-    assert data.register(*map(data.landmarks, frames)) is None
+    assert landmarks.register(*map(landmarks.landmarks, frames)) is None
 
 
 def test_frames_of_different_flights_are_no_neighbours():

@@ -9,7 +9,8 @@ import pytest
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Frame, OdometryMotion
-from vwnav.vision.odometry.odometry import Odometry, OdometryConfig
+from vwnav.vision.config import OdometryConfig
+from vwnav.vision.odometry.odometry import Odometry
 
 LEVEL = np.eye(3)
 WIDTH, HEIGHT, AGL_M = 320, 240, 50.0

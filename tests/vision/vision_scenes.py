@@ -6,9 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.camera import Camera, rectification
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rectify import rectification
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference

@@ -1,4 +1,4 @@
-"""`vwnav bench`: the feature sets side by side on scenes with a truth, and the filter."""
+"""`vwnav bench features` and `drift`: feature sets side by side, and how far odometry goes off."""
 
 import json
 import math
@@ -9,29 +9,11 @@ from pathlib import Path
 
 import typer
 
-from vwnav.cli.bench_estimator import estimator
-from vwnav.cli.bench_flights import flights
-from vwnav.cli.bench_localizer import localizer
-from vwnav.cli.bench_significance import significance
-from vwnav.cli.bench_waypoints import waypoints
 from vwnav.screen import print_table, progress_bar, say
 
 _WIDTH = 120
 
-app = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
-app.command("estimator")(estimator)
-app.command("flights")(flights)
-app.command("localizer")(localizer)
-app.command("significance")(significance)
-app.command("waypoints")(waypoints)
 
-
-@app.callback()
-def _bench() -> None:
-    pass
-
-
-@app.command()
 def features(
     data: Path | None = typer.Option(
         None, help="Folder with eval/, flights/ and pairs.json. [VWNAV_DATA, ../shared/data]"
@@ -101,7 +83,6 @@ def _sequence(data: Path | None, model: Path | None, as_json: bool) -> None:
     print_table("a video without a start, 5 s of it black", list(sequence.rows(scores)))
 
 
-@app.command()
 def drift(
     trajectory: Path = typer.Argument(help="trajectory.csv of `vwnav replay`."),
     track: Path = typer.Argument(help="The true way: CSV with t_s, lat_deg, lon_deg (or t, ...)."),

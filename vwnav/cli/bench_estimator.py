@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vwnav.bench.estimator.rendered_scenarios import RenderedScenario
-    from vwnav.bench.estimator.scenarios import FilterScenario, Metric
+    from vwnav.bench.estimator.flown import Metric, RenderedScenario
+    from vwnav.bench.estimator.scenarios import FilterScenario
     from vwnav.types import FeatureName
 
 _NOMINAL_S = 600.0

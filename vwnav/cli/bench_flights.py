@@ -2,17 +2,20 @@
 
 import json
 import os
+import time
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vwnav.cli.manners import manners_of
+from vwnav.errors import VwnavError
 
 if TYPE_CHECKING:
-    from vwnav.bench.flights.campaign import Campaign
-    from vwnav.bench.flights.score import FlightScore
+    from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie
+    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.summary import Figure
     from vwnav.sim.config import Manners
 
@@ -60,8 +63,10 @@ def flights(
     campaign = _campaign(route, wind_m_s, sites, seed)
     wanted = [Sortie(each, number) for number in range(runs) for each in flying_as]
     folder = CampaignFolder(output, campaign)
+    for site in sorted({campaign.site_of(sortie.number) for sortie in folder.lacks(wanted)}):
+        _place(site)  # its map is drawn once, by this process
     with progress_bar() as progress:
-        flown = fly_campaign(campaign, wanted, jobs, folder, progress)
+        flown = fly_campaign(campaign, wanted, jobs, folder, fly_one, progress)
     figures = {each: summarise([f for f in flown if f.manners == each]) for each in flying_as}
     save_plots(output, flown)
     values = {"campaign": campaign.as_json(), "flights": runs} | {
@@ -77,6 +82,37 @@ def flights(
     for each in flown:
         for line in each.wrong:
             say(f"flight {each.sortie}: {line}")
+
+
+def fly_one(campaign: "Campaign", sortie: "Sortie", recording: Path) -> "FlightScore":
+    """Fly and score one, in whatever process; a recording of a run that was killed goes first."""
+    import cv2
+
+    from vwnav.bench.flights.fly import fly
+    from vwnav.bench.flights.score import score
+
+    cv2.setNumThreads(1)
+    recording.unlink(missing_ok=True)
+    site, begin_s = campaign.site_of(sortie.number), time.process_time()
+    flown = fly(campaign.scenario(sortie), _place(site), recording)
+    return score(sortie, site, campaign.way_ne_m, flown, time.process_time() - begin_s)
+
+
+@cache
+def _place(site: str) -> "Place":
+    """One of each site in a process."""
+    from vwnav.assemble import choose_features
+    from vwnav.bench.flights.stage import Place
+    from vwnav.onboard.simulation import map_pack_of
+    from vwnav.screen import say
+    from vwnav.sim.renderer import default_camera
+    from vwnav.sim.sites import parse_site
+
+    primary, fallback = choose_features("learned", None, say)
+    if fallback is None:
+        raise VwnavError("learned features are not available: flights of them cannot be measured")
+    pack = map_pack_of(site, [primary, fallback])
+    return Place(parse_site(site), pack, default_camera(), primary, fallback)
 
 
 def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":

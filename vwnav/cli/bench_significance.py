@@ -33,9 +33,8 @@ def significance(
     """
     # Read when the libraries load: one core is enough, and others may need theirs.
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    from vwnav.bench.localizer.model_facts import write_log10_per_decade
     from vwnav.bench.localizer.run import data_folder, extractor_of
-    from vwnav.bench.localizer.unrelated import calibrate
+    from vwnav.bench.localizer.unrelated import calibrate, write_log10_per_decade
     from vwnav.screen import LiveLine, print_table, say
     from vwnav.types import FEATURE_NAMES
     from vwnav.vision.features.learned import find_model

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from vwnav.bench.flights.place import Place
+    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.waypoints import Errors, WaypointsRow
     from vwnav.types import FeatureName
 
@@ -46,6 +46,7 @@ def waypoints(
     """
     # Read when the libraries load: a flight is one core's work.
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    from vwnav.bench.flights.fly import fly
     from vwnav.bench.flights.waypoints import HEIGHTS_M, THESIS_M, measure, plan
     from vwnav.recording.run_folder import make_run_folder, write_json
     from vwnav.screen import progress_bar
@@ -60,7 +61,8 @@ def waypoints(
         for name, height in ((name, height) for name in names for height in heights_m):
             flights = [plan(k, height, seconds, wind_m_s, seed) for k in range(runs)]
             bar = partial(progress, f"{name}, {height:g} m")
-            rows.append(measure(_place(site, name), name, flights, height, bar))
+            fly_there = partial(fly, place=_place(site, name))
+            rows.append(measure(fly_there, name, flights, height, bar))
             values = _as_json(site, seconds, wind_m_s, rows, THESIS_M)
             if folder is not None:  # after each row: what has been measured is kept
                 write_json(folder / "waypoints.json", values)
@@ -87,7 +89,7 @@ def _place(site: str, features: "FeatureName") -> "Place":
     import cv2
 
     from vwnav.assemble import choose_features
-    from vwnav.bench.flights.place import Place
+    from vwnav.bench.flights.stage import Place
     from vwnav.errors import ModelError
     from vwnav.onboard.simulation import map_pack_of
     from vwnav.screen import say

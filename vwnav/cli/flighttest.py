@@ -1,10 +1,13 @@
 """`vwnav flighttest`: flights with something broken in them, each with a verdict."""
 
 import json
+import logging
 import os
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +22,10 @@ if TYPE_CHECKING:
     from vwnav.bench.flights.rows import RowResult
     from vwnav.bench.flights.scenario import Scenario
     from vwnav.bench.flights.thesis.report import TestReport
+    from vwnav.bench.flights.thesis.tests import FlightTest
     from vwnav.sim.config import Manners
 
+_log = logging.getLogger(__name__)
 _NAMES_SHOWN = 3
 _CONNECTION = "An autopilot in simulation, flown in real time; else all in simulated time."
 _PILOT = "With --connection: a second link, on which this command plays the pilot."
@@ -154,21 +159,21 @@ def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Lin
 def _run_test(
     name: str, manners: "Manners", links: "Links | None", as_json: bool, output: Path | None
 ) -> None:
-    from vwnav.bench.flights.lockstep_place import lockstep_place
-    from vwnav.bench.flights.thesis.report import fly_test
     from vwnav.bench.flights.thesis.tests import TESTS, in_manners
     from vwnav.recording.run_folder import make_run_folder
 
     if links is None:
         folder = make_run_folder(output, name)
-        report = fly_test(in_manners(TESTS[name], manners), lockstep_place(), folder)
+        report = _fly_test(in_manners(TESTS[name], manners), folder)
     else:
         from vwnav.bench.flights.live.session import simulator_at
         from vwnav.bench.flights.thesis.live import fly_live_test
+        from vwnav.bench.flights.thesis.report import report_on
 
         with simulator_at(links) as simulator:
             folder = make_run_folder(output, name)
-            report = fly_live_test(TESTS[name], simulator, folder, say)
+            samples, said = fly_live_test(TESTS[name], simulator, folder, say)
+            report = report_on(in_manners(TESTS[name], simulator.manners), samples, said, folder)
     if as_json:
         print(json.dumps(asdict(report)))
     else:
@@ -177,6 +182,21 @@ def _run_test(
     failed = [step.name for step in report.steps if not step.passed]
     if failed:
         raise VwnavError(f"the {name} test failed: {'; '.join(failed)}")
+
+
+def _fly_test(test: "FlightTest", folder: Path) -> "TestReport":
+    """Fly it in lockstep, write its plots and its table."""
+    from vwnav.bench.figures import pyplot
+    from vwnav.bench.flights.fly import fly
+    from vwnav.bench.flights.lockstep_place import lockstep_place
+    from vwnav.bench.flights.thesis.report import report_on
+    from vwnav.bench.flights.thesis.sampler import Sampler
+
+    pyplot()  # what it lacks is said now, not when it has been flown
+    sampler = Sampler()
+    flown = fly(test.scenario, lockstep_place(), see=sampler)
+    said = [f"{each.t_s:.1f} s {each.text}" for each in flown.track.events]
+    return report_on(test, sampler.samples, said, folder)
 
 
 def _show_test(report: "TestReport") -> None:
@@ -214,7 +234,31 @@ def _in_lockstep(
     from vwnav.bench.flights.rows import fly_rows
 
     lockstep_place()  # its map is drawn once, here
-    return fly_rows(rows, lockstep_place, folder, jobs, manners)
+    names = [row.name for row in rows]
+    return fly_rows(names, partial(fly_row, folder=folder, manners=manners), jobs)
+
+
+def fly_row(name: str, folder: Path, manners: "Manners") -> "RowResult":
+    """Fly one row of the table, and draw its track if it fails.
+
+    A flight that raises has failed, and is no reason to lose all the others.
+    """
+    # Imported here, in whichever process flies it: `--help` loads none of it.
+    from vwnav.bench.flights.fly import fly
+    from vwnav.bench.flights.judge import judge
+    from vwnav.bench.flights.lockstep_place import lockstep_place
+    from vwnav.bench.flights.rows import broken_off, result_of
+    from vwnav.bench.flights.table import TABLE, family_of
+    from vwnav.bench.flights.table.manners import in_manners
+
+    row = in_manners(next(each for each in TABLE if each.name == name), manners)
+    place, family, began_s = lockstep_place(), family_of(row), time.process_time()
+    try:
+        flown = fly(row, place)
+        return result_of(flown, judge(flown), family, time.process_time() - began_s, folder)
+    except Exception as error:
+        _log.exception("%s broke off", name)
+        return broken_off(row, family, error)
 
 
 def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[RowResult]":

@@ -7,6 +7,11 @@ import typer
 from vwnav import __version__
 from vwnav.cli import bench, doctor, flighttest, fly, localize, replay
 from vwnav.cli import map as map_commands
+from vwnav.cli.bench_estimator import estimator
+from vwnav.cli.bench_flights import flights
+from vwnav.cli.bench_localizer import localizer
+from vwnav.cli.bench_significance import significance
+from vwnav.cli.bench_waypoints import waypoints
 from vwnav.errors import PreflightError, VwnavError
 
 EXIT_FAILED = 1
@@ -27,7 +32,18 @@ app.add_typer(map_commands.app, name="map", rich_help_panel="Before the flight")
 app.command("replay", rich_help_panel="After the flight")(replay.replay)
 app.command("localize", rich_help_panel="After the flight")(localize.localize)
 app.add_typer(flighttest.app, name="flighttest", rich_help_panel="Before the flight")
-app.add_typer(bench.app, name="bench", rich_help_panel="At the workstation")
+benches = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
+for measure in (
+    estimator,
+    flights,
+    localizer,
+    significance,
+    waypoints,
+    bench.features,
+    bench.drift,
+):
+    benches.command()(measure)
+app.add_typer(benches, name="bench", rich_help_panel="At the workstation")
 
 
 def _print_version(wanted: bool) -> None:

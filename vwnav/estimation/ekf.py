@@ -48,8 +48,6 @@ from vwnav.estimation.timeline import (
 )
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
-__all__ = ["Ekf", "EkfConfig", "Innovation", "NedFix", "Start", "Verdict"]
-
 _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late

@@ -77,19 +77,6 @@ def save_camera(camera: Camera, path: Path | str) -> None:
         raise CalibrationError(f"{path}: cannot write ({error.strerror})") from error
 
 
-def check_fits(camera: Camera, width_px: int, height_px: int) -> None:
-    """Make sure that a calibration is for pictures of this size.
-
-    Raises:
-        CalibrationError: it is not.
-    """
-    if (camera.width_px, camera.height_px) != (width_px, height_px):
-        raise CalibrationError(
-            f"the calibration is for pictures of {camera.width_px} x {camera.height_px} px but "
-            f"they are {width_px} x {height_px} px; calibrate at that size"
-        )
-
-
 def _read(path: Path) -> str:
     try:
         if path.stat().st_size > _MAX_BYTES:

@@ -7,9 +7,9 @@ same map. Euler angles are yaw about down, then pitch about right, then roll abo
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from vwnav.types import Array
+Array = NDArray[np.float64]
 
 _TWO_PI = 2.0 * math.pi
 

@@ -16,8 +16,6 @@ from vwnav.guidance.route_legs import Leg, legs_of, waypoint_speeds_m_s
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import VelocitySetpoint
 
-__all__ = ["Guidance", "LimitsConfig", "RouteFollower", "vertical_speed_m_s"]
-
 _HOLD_STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 _LONGEST_STEP_S = 0.5
 _ABSURD = 1e12

@@ -3,21 +3,20 @@
 import logging
 import re
 import threading
-from dataclasses import dataclass
+from collections import OrderedDict
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vwnav.errors import ModelError
-from vwnav.geometry.mercator import TILE_PX, mercator_px
+from vwnav.geometry.geodesy import TILE_PX, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
-from vwnav.maps.lru import Lru
 from vwnav.maps.packfile import (
     DAMAGE,
     FeatureSetInfo,
-    Level,
     damaged,
     open_database,
     read_description,
@@ -26,32 +25,41 @@ from vwnav.maps.packfile import (
     read_picture,
     read_tile_window,
 )
-from vwnav.maps.picture import Mask, Picture, Tile, Window, assemble
+from vwnav.maps.picture import MapFeatures, Mask, Picture, Tile, Window, assemble
 from vwnav.types import FEATURE_NAMES, FeatureExtractor, FeatureName, Features, Gray
-
-__all__ = ["FeatureSetInfo", "Level", "MapFeatures", "MapPack"]
 
 _LOG = logging.getLogger(__name__)
 _CACHED_PICTURES = 64  # tiles; 0.25 MB each
 _CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
 MAX_WINDOW_PX = 64_000_000
 MAX_KEYPOINTS = 20_000
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MapFeatures:
-    """Features of a window of the map.
+class Lru(Generic[Key, Value]):
+    """The values used last, at most `size` of them."""
 
-    Attributes:
-        zoom: their level.
-        origin_px: (2,) int64, global pixel (corner convention) that `features.uv` counts from:
-            the global position of a keypoint is `origin_px + uv + 0.5`.
-        features: centre convention as everywhere.
-    """
+    def __init__(self, size: int) -> None:
+        """`size` may be one or more."""
+        self._size = size
+        self._values: OrderedDict[Key, Value] = OrderedDict()
 
-    zoom: int
-    origin_px: NDArray[np.int64]
-    features: Features
+    def __contains__(self, key: Key) -> bool:
+        return key in self._values
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        """The value of a key, made now where it is not kept."""
+        if key not in self._values:
+            self.put(key, make())
+        self._values.move_to_end(key)
+        return self._values[key]
+
+    def put(self, key: Key, value: Value) -> None:
+        """Keep a value; the one that was not used for longest makes room."""
+        self._values[key] = value
+        while len(self._values) > self._size:
+            self._values.popitem(last=False)
 
 
 class MapPack:
@@ -190,7 +198,7 @@ class MapPack:
         """
         window = Window(int(x0), int(y0), int(x1), int(y1)).clipped(self.window(zoom))
         origin_px = np.array(window[:2], np.int64)
-        features = self._tiled_features(list(window.tiles(zoom)), extractor)
+        features = self._tiled_features(window.tiles(zoom), extractor)
         if not features:
             nothing = extractor.extract(np.zeros((64, 64), np.uint8), 1)
             return MapFeatures(zoom, origin_px, nothing)

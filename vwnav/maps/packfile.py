@@ -8,15 +8,10 @@ from pathlib import Path
 from urllib.parse import quote
 
 from vwnav.errors import MapError
-from vwnav.geometry.mercator import ground_resolution_m_per_px
-from vwnav.maps.codec import (
-    DESCRIPTOR_KINDS,
-    DescriptorKind,
-    decode_features,
-    decode_tile,
-)
+from vwnav.geometry.geodesy import ground_resolution_m_per_px
+from vwnav.maps.codec import DESCRIPTOR_KINDS, DescriptorKind, decode_features, decode_tile
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.picture import Picture, Tile, Window
+from vwnav.maps.picture import Level, Picture, Tile, Window
 from vwnav.maps.schema import SCHEMA_VERSION, SQLITE_MAGIC, metadata_checksum
 from vwnav.types import FEATURE_NAMES, FeatureName, Features
 
@@ -24,14 +19,6 @@ _HEADER_BYTES = 100
 
 # What reading a damaged row may raise; TypeError is a value of another type than the column's.
 DAMAGE = (sqlite3.Error, zlib.error, ValueError, TypeError, OverflowError)
-
-
-@dataclass(frozen=True, slots=True)
-class Level:
-    """A zoom level, and its metres per pixel at the middle of the map."""
-
-    zoom: int
-    m_per_px: float
 
 
 @dataclass(frozen=True, slots=True)

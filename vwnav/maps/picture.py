@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.mercator import TILE_PX
-from vwnav.types import Gray
+from vwnav.geometry.geodesy import TILE_PX
+from vwnav.types import FeatureExtractor, Features, Gray
 
 Mask = NDArray[np.bool_]
 
@@ -63,14 +63,14 @@ class Window(NamedTuple):
             for x0 in range(self.x0, self.x1, size_px):
                 yield Window(x0, y0, min(x0 + size_px, self.x1), min(y0 + size_px, self.y1))
 
-    def tiles(self, zoom: int) -> Iterator[Tile]:
+    def tiles(self, zoom: int) -> list[Tile]:
         """The tiles that have a pixel in the window, row by row; the grid's own edges are kept."""
         if 0 in self.shape:
-            return
+            return []
         last = 2**zoom - 1
-        for y in range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1):
-            for x in range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1):
-                yield Tile(zoom, x, y)
+        rows = range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1)
+        columns = range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1)
+        return [Tile(zoom, x, y) for y in rows for x in columns]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,3 +135,49 @@ def assemble(zoom: int, window: Window, fetch: Callable[[Tile], Picture | None])
 def window_slices(window: Window, x0: int, y0: int) -> tuple[slice, slice]:
     """(rows, columns) of a window in an array whose first pixel is (x0, y0)."""
     return slice(window.y0 - y0, window.y1 - y0), slice(window.x0 - x0, window.x1 - x0)
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A zoom level, and its metres per pixel at the middle of the map."""
+
+    zoom: int
+    m_per_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapFeatures:
+    """Features of a window of the map.
+
+    Attributes:
+        zoom: their level.
+        origin_px: (2,) int64, global pixel (corner convention) that `features.uv` counts from:
+            the global position of a keypoint is `origin_px + uv + 0.5`.
+        features: centre convention as everywhere.
+    """
+
+    zoom: int
+    origin_px: NDArray[np.int64]
+    features: Features
+
+
+class MapReader(Protocol):
+    """What the localizer needs of `vwnav.maps.pack.MapPack`, whose docstrings say more."""
+
+    name: str
+    levels: tuple[Level, ...]
+    georeference_sigma_m: float
+
+    def window(self, zoom: int) -> Window:
+        """The rectangle of a level's tiles in its global pixels."""
+        ...
+
+    def image(self, zoom: int, x0: int, y0: int, x1: int, y1: int) -> tuple[Gray, Mask]:
+        """The gray picture (h, w) of a window of global pixels, and where it has data."""
+        ...
+
+    def features_in(
+        self, zoom: int, x0: int, y0: int, x1: int, y1: int, extractor: FeatureExtractor
+    ) -> MapFeatures:
+        """Map features inside a window of global pixels."""
+        ...

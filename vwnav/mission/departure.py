@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from vwnav.mission.config import DepartureConfig
 from vwnav.safety.check import Check
 from vwnav.safety.readiness import missing
 from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
@@ -25,17 +26,6 @@ class Stage(Enum):
     ARM = "arming"
     ARMED = "waiting for the autopilot to show that it is armed"
     TAKE_OFF = "asking for take-off"
-
-
-@dataclass(frozen=True, slots=True)
-class DepartureConfig:
-    """Times of a departure."""
-
-    ready_timeout_s: float = 90.0  # the autopilot's filter must trust our estimate within this
-    ready_steady_s: float = 4.0  # PX4 was seen ready for 2.1 s, then for 6 s not, then for good
-    arming_tries: int = 3  # readiness may go in the very moment of arming
-    arming_shows_s: float = 3.0  # from the accepted command to the heartbeat that tells it
-    takeoff_height_m: float = 4.0  # flown by the autopilot's own take-off
 
 
 @dataclass(frozen=True, slots=True)

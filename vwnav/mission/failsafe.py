@@ -1,16 +1,24 @@
-"""While the autopilot flies a failsafe of its own: when the mission goes on."""
+"""What safety decides, in words; and when the mission goes on after a failsafe of the autopilot."""
 
 import math
 
 from vwnav.mission.mission import Next, Phase
 from vwnav.mission.steering import Steering
-from vwnav.safety.monitor import Action, SafetyMonitor
+from vwnav.safety.hierarchy import Action, Decision, Rank
+from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Navigation
 from vwnav.vehicle import Autopilot, VehicleState
 
 _TOO_LONG = "the link or the estimate was lost for too long"
+_DOING = {
+    Action.SLOW: "slower",
+    Action.HOLD: "holding",
+    Action.CLIMB: "climbing to where the map shows more",
+}
+# Phases of their own, which say it.
+_TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RELEASE})
 
 
 class FailsafeRecovery:
@@ -62,3 +70,19 @@ class FailsafeRecovery:
 
     def _lost_lately(self, t_s: float) -> bool:
         return self._lost_s is not None and t_s - self._lost_s < self._config.gap_memory_s
+
+
+class Announcer:
+    """Remembers what was decided last."""
+
+    def __init__(self) -> None:
+        self._decided = (Action.NAVIGATE, Rank.NAVIGATION)
+
+    def words(self, decision: Decision) -> str:
+        """Of a decision that is another than the last one; "" where nothing is to be said."""
+        before, self._decided = self._decided, (decision.action, decision.rank)
+        if self._decided == before or decision.action in _TOLD_ELSEWHERE:
+            return ""
+        if decision.action is not Action.NAVIGATE:
+            return f"{decision.reason}: {_DOING[decision.action]}"
+        return "" if before[0] in _TOLD_ELSEWHERE else "all well again: going on"

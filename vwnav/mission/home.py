@@ -1,10 +1,11 @@
-"""Where the aircraft stood: a value of the flight, known once fixes say where that was."""
+"""Where the aircraft stood, known once fixes say where that was; and the way it has flown since."""
 
 import numpy as np
 
 from vwnav.types import Array, Estimate
 
 _AGREES_M = 3.0  # a home that was given is right when the way flown from it ends this near
+_SPACING_M = 20.0
 
 
 class Home:
@@ -43,3 +44,35 @@ class Home:
             self.place_ne_m = self._given_ne_m
             return ""
         return f"the aircraft stood {apart_m:.0f} m from the home that was given: it returns there"
+
+
+class FlownWay:
+    """Places along the way, horizontally, and how to return along them.
+
+    They grow with the way: 7 kB for each kilometre.
+    """
+
+    def __init__(self) -> None:
+        self._places: list[Array] = []
+
+    def note(self, estimate: Estimate) -> None:
+        """Remember a place, if it is some way from the last one."""
+        place = estimate.position_ned_m[:2]
+        if not self._places or np.hypot(*(place - self._places[-1])) >= _SPACING_M:
+            self._places.append(place.copy())
+
+    def back_ned_m(self, estimate: Estimate, home_ne_m: Array) -> Array:
+        """(n, 3) from here back to above home, at the height of the estimate; loops are left out.
+
+        What was flown twice is flown back once: from each place the earliest that is near.
+        """
+        places = np.array([home_ne_m, *self._places])
+        stops, i = [], len(places)
+        here = estimate.position_ned_m[:2]
+        while i > 0:
+            near = np.hypot(*(places[:i] - here).T) <= 1.5 * _SPACING_M
+            i = int(near.argmax()) if near.any() else i - 1
+            here = places[i]
+            stops.append(here)
+        down = np.full((len(stops), 1), estimate.position_ned_m[2])
+        return np.hstack([np.array(stops), down])

@@ -5,26 +5,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Protocol
 
-from vwnav.mission.departure import DepartureConfig
 from vwnav.safety.check import Check
 from vwnav.types import Array, Navigation
 from vwnav.vehicle import VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
 
 ASKS = "a ground station asks for"  # as it is said and recorded
-
-
-@dataclass(frozen=True, slots=True)
-class FlightConfig(DepartureConfig):
-    """Times and heights of a mission."""
-
-    land_from_m: float = 5.0  # below this the autopilot's own landing takes over
-    first_fix_timeout_s: float = 20.0  # hovering at height without any fix
-    fixes_to_start: int = 3
-    takeoff_timeout_s: float = 40.0
-    hold_gain_per_s: float = 0.5
-    hold_speed_m_s: float = 1.5
-    ground_station_ids: tuple[int, ...] = (255,)  # MAVLink systems that may command it
 
 
 class Phase(Enum):

@@ -4,10 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vwnav.guidance.controller import LimitsConfig, RouteFollower
-from vwnav.mission.flown_way import FlownWay
-from vwnav.mission.home import Home
-from vwnav.mission.mission import FlightConfig, Mission, Next, Phase
+from vwnav.guidance.controller import RouteFollower
+from vwnav.guidance.limits import LimitsConfig
+from vwnav.mission.config import FlightConfig
+from vwnav.mission.home import FlownWay, Home
+from vwnav.mission.mission import Mission, Next, Phase
 from vwnav.mission.steering import Steering
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState

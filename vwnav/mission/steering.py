@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from vwnav.guidance.controller import LimitsConfig, vertical_speed_m_s
-from vwnav.mission.mission import FlightConfig
+from vwnav.guidance.controller import vertical_speed_m_s
+from vwnav.guidance.limits import LimitsConfig
+from vwnav.mission.config import FlightConfig
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Autopilot, VelocitySetpoint
 

@@ -11,15 +11,16 @@ from pydantic import ValidationError
 from vwnav.assemble import ground_of
 from vwnav.config import Config, explain
 from vwnav.errors import MapError, SourceError
-from vwnav.estimation.ekf import Ekf, EkfConfig
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Asked, Input
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord
-from vwnav.pipeline import StepResult
 from vwnav.recording.input_log import About, PictureSeen, read_about, read_input_log
 from vwnav.recording.reader import is_cut_off
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import LiveLine, say
+from vwnav.seams import StepResult
 from vwnav.types import Estimate, Rejected, RejectReason
 
 _ESTIMATES_KEPT = 1000  # between a picture's estimate and its mark other threads ask for a few

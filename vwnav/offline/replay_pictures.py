@@ -11,17 +11,18 @@ from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.cameras.sources import open_source
 from vwnav.config import load_config, save_config
 from vwnav.errors import SourceError, VwnavError
-from vwnav.geometry.calibration import check_fits, load_camera
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.calibration import load_camera
+from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord, Tally
-from vwnav.pipeline import ATTITUDE_WAIT_S, InlineExecutor, Pipeline
+from vwnav.pipeline import InlineExecutor, Pipeline
 from vwnav.recording.input_log import InputLog
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.recording.telemetry_files import load_telemetry
 from vwnav.screen import LiveLine, say
+from vwnav.seams import ATTITUDE_WAIT_S
 from vwnav.types import Attitude, Frame, FrameSource, Telemetry
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it

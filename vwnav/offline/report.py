@@ -7,11 +7,11 @@ from pathlib import Path
 
 from vwnav import __version__
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import StepResult
 from vwnav.recording.input_log import About
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import print_table
+from vwnav.seams import StepResult
 from vwnav.types import MapFix, Rejected, RejectReason
 
 

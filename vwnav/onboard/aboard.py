@@ -7,7 +7,7 @@ from vwnav.assemble import Assembled
 from vwnav.clock import Clock
 from vwnav.flight import Flight
 from vwnav.mission.mission import Crew, DeadMansHandle
-from vwnav.onboard.plan import FlightPlan
+from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.record import FlightRecord
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch

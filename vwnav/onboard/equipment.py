@@ -6,8 +6,8 @@ from vwnav.cameras.sources import open_source
 from vwnav.clock import Clock
 from vwnav.errors import LinkError
 from vwnav.mavlink.links import parse_link
+from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
-from vwnav.onboard.plan import FlightPlan
 from vwnav.onboard.simulation import draw_site
 from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.renderer import CameraRenderer

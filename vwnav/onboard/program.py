@@ -1,6 +1,7 @@
 """`vwnav fly` once its options are read: everything opened, flown, and closed again."""
 
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,25 +17,25 @@ from vwnav.assemble import about_run, assemble
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.flight import Flight
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
-from vwnav.onboard.plan import FlightPlan, plan_flight
+from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
-from vwnav.onboard.simulation import (
-    DEFAULT_ROUTE,
-    DEFAULT_SITE,
-    start_embedded_vehicle,
-)
+from vwnav.onboard.simulation import DEFAULT_ROUTE, DEFAULT_SITE
 from vwnav.pace import PacedClock
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
+from vwnav.sim.config import Manners, VehicleConfig
+from vwnav.sim.site import Site
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
+from vwnav.sim.vehicle import start_vehicle
 from vwnav.types import FrameSource
 from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
@@ -190,3 +191,39 @@ def _stopped_by_signals() -> Iterator[None]:
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
+
+
+def start_embedded_vehicle(
+    site: Site, manners: Manners, wind_m_s: float, seed: int, clock: Clock, stack: ExitStack
+) -> tuple[str, str]:
+    """Start the simulated vehicle at the site's home.
+
+    Returns:
+        URLs of its link, for the watchdog, and of its ground truth.
+    """
+    link, truth = free_ports(2)
+    config = VehicleConfig(
+        manners=manners,
+        home_lat_deg=site.home_lat_deg,
+        home_lon_deg=site.home_lon_deg,
+        companion_url=f"udpout:127.0.0.1:{link}",
+        truth_url=f"udpin:127.0.0.1:{truth}",
+        ground_url="",
+        wind_m_s=wind_m_s,
+        seed=seed,
+        clock_file=str(clock.file or ""),
+    )
+    stack.enter_context(start_vehicle(config))
+    return f"udpin://127.0.0.1:{link}", f"udpout:127.0.0.1:{truth}"
+
+
+def free_ports(count: int) -> list[int]:
+    """UDP ports of this machine that nobody has."""
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    try:
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        return [int(each.getsockname()[1]) for each in sockets]
+    finally:
+        for each in sockets:
+            each.close()

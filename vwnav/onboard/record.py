@@ -13,13 +13,14 @@ from vwnav.config import Config
 from vwnav.flight import Flight
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.options import FlyOptions
-from vwnav.pipeline import Pipeline, StepResult
+from vwnav.pipeline import Pipeline
 from vwnav.recording.flight_recorder import FlightRecorder, was_tried
 from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import LiveLine, print_table, say
+from vwnav.seams import StepResult
 from vwnav.sim.score import Score, summarise
 from vwnav.sim.truth import TruthReader
 from vwnav.types import Estimate, Frame, MapFix, Rejected

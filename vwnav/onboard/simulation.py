@@ -1,21 +1,18 @@
 """The simulated side of `vwnav fly`: map, vehicle, camera. Nothing of it reaches the pipeline."""
 
 import os
-import socket
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
-from vwnav.clock import Clock
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.screen import progress_bar, say
-from vwnav.sim.config import Manners, VehicleConfig
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer
-from vwnav.sim.site import Site, generator_fingerprint
+from vwnav.sim.site import generator_fingerprint
 from vwnav.sim.sites import (
     MAP_EAST_M,
     MAP_M_PER_PX,
@@ -25,7 +22,6 @@ from vwnav.sim.sites import (
     parse_site,
 )
 from vwnav.sim.tiles import default_cache_dir
-from vwnav.sim.vehicle import start_vehicle
 from vwnav.types import Array, FeatureExtractor
 
 DEFAULT_SITE = "sim:default"
@@ -53,30 +49,6 @@ def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:
         with progress_bar() as progress:
             build_pack([map_raster(site)], path, extractors, options, progress)
     return path
-
-
-def start_embedded_vehicle(
-    site: Site, manners: Manners, wind_m_s: float, seed: int, clock: Clock, stack: ExitStack
-) -> tuple[str, str]:
-    """Start the simulated vehicle at the site's home.
-
-    Returns:
-        URLs of its link, for the watchdog, and of its ground truth.
-    """
-    link, truth = free_ports(2)
-    config = VehicleConfig(
-        manners=manners,
-        home_lat_deg=site.home_lat_deg,
-        home_lon_deg=site.home_lon_deg,
-        companion_url=f"udpout:127.0.0.1:{link}",
-        truth_url=f"udpin:127.0.0.1:{truth}",
-        ground_url="",
-        wind_m_s=wind_m_s,
-        seed=seed,
-        clock_file=str(clock.file or ""),
-    )
-    stack.enter_context(start_vehicle(config))
-    return f"udpin://127.0.0.1:{link}", f"udpout:127.0.0.1:{truth}"
 
 
 def draw_site(
@@ -107,15 +79,3 @@ def draw_site(
 def _cache_folder() -> Path:
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "vwnav" / "maps"
-
-
-def free_ports(count: int) -> list[int]:
-    """UDP ports of this machine that nobody has."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()

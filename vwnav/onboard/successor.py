@@ -18,20 +18,21 @@ import numpy as np
 from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
-from vwnav.onboard.plan import FlightPlan, plan_flight
+from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
+from vwnav.onboard.succession import start_after
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
-from vwnav.succession import start_after
 from vwnav.types import Array
 from vwnav.watchdog.keepalive import WatchdogReport
 

@@ -1,8 +1,8 @@
 """Which parts of a flight go into its recording, and how often."""
 
-from vwnav.pipeline import StepResult
 from vwnav.recording.input_log import About, InputLog
 from vwnav.recording.recorder import Recorder
+from vwnav.seams import StepResult
 from vwnav.types import Estimate, Frame, MapFix, Rejected, RejectReason
 from vwnav.vehicle import VehicleState, VelocitySetpoint
 

@@ -15,9 +15,9 @@ from vwnav import __version__
 from vwnav.errors import SourceError
 from vwnav.estimation.inputs import Input, decode, encode, exact, time_of
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.pipeline import StepResult
 from vwnav.recording.reader import read_metadata, read_recording
 from vwnav.recording.recorder import Recorder, plain
+from vwnav.seams import StepResult
 from vwnav.types import MapFix, MatchStats, PointKind, Rejected, RejectReason
 
 INPUT_TOPIC, PICTURE_TOPIC = "/filter", "/picture"

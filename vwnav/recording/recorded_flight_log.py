@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 
 from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.mission.mission import FlightConfig, Phase
+from vwnav.mission.config import FlightConfig
+from vwnav.mission.mission import Phase
 from vwnav.recording.input_log import INPUT_TOPIC
 from vwnav.recording.reader import VEHICLE_TOPIC, Record, read_metadata, read_recording
 from vwnav.rules.flight_log import (

@@ -11,7 +11,7 @@ from typing import Any, TextIO
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.pipeline import StepResult
+from vwnav.seams import StepResult
 from vwnav.types import MapFix, Rejected, RejectReason
 
 COLUMNS = [

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.errors import VwnavError
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.mercator import mercator_px, mercator_px_per_m
+from vwnav.geometry.geodesy import LocalFrame, mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
 from vwnav.maps.picture import Window
-from vwnav.pipeline import StepResult
+from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix
 
 MARGIN_M = 60.0

@@ -5,8 +5,7 @@ from itertools import pairwise
 
 from vwnav.rules.flight_log import FlightLog, LoggedCommand
 from vwnav.rules.moments import flying, handed_back, taken
-from vwnav.rules.rule import Rule
-from vwnav.rules.setpoints import NAVIGATOR, PILOT_S, WATCHDOG
+from vwnav.rules.rule import NAVIGATOR, PILOT_S, WATCHDOG, Rule
 from vwnav.rules.temporal import Breach, after, always, never_while
 from vwnav.vehicle import FlightMode
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from vwnav.mission.mission import FlightConfig, Phase
+from vwnav.mission.config import FlightConfig
+from vwnav.mission.mission import Phase
 from vwnav.rules.temporal import Span
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig

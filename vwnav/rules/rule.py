@@ -9,6 +9,9 @@ from vwnav.rules.temporal import Breach
 
 Outcome = Literal["held", "broken", "not to be told"]
 
+NAVIGATOR, WATCHDOG = 191, 192  # MAV_COMP_ID_ONBOARD_COMPUTER and the second
+PILOT_S = 0.3  # from the pilot's mode to the last that is asked for
+
 
 @dataclass(frozen=True, slots=True)
 class Rule:

@@ -5,7 +5,7 @@ import math
 from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import FlightLog, LoggedSetpoint
 from vwnav.rules.moments import in_phases, taken
-from vwnav.rules.rule import Rule
+from vwnav.rules.rule import NAVIGATOR, PILOT_S, WATCHDOG, Rule
 from vwnav.rules.temporal import (
     Breach,
     Span,
@@ -18,8 +18,6 @@ from vwnav.rules.temporal import (
 )
 from vwnav.vehicle import FlightMode
 
-NAVIGATOR, WATCHDOG = 191, 192  # MAV_COMP_ID_ONBOARD_COMPUTER and the second
-PILOT_S = 0.3  # from the pilot's mode to the last that is asked for
 _SHOWS_S = 1.0  # from a change of state to the heartbeat that tells it
 _STILL_M_S = 0.01
 _SLACK_M_S = 0.05

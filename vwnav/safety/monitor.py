@@ -7,14 +7,12 @@ import math
 
 from vwnav.safety.bounds import RouteBounds
 from vwnav.safety.energy import EnergyWatch
-from vwnav.safety.hierarchy import Action, Decision, Hierarchy, Rank
+from vwnav.safety.hierarchy import Action, Decision, Hierarchy
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
 from vwnav.safety.watches import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
 from vwnav.types import Array, Navigation
 from vwnav.vehicle import Order, VehicleState
-
-__all__ = ["Action", "Decision", "Rank", "SafetyConfig", "SafetyMonitor"]
 
 
 class SafetyMonitor:

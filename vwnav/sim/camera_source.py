@@ -8,7 +8,7 @@ from vwnav.clock import Clock
 from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_quat
-from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.lockstep_camera import Renderer
 from vwnav.sim.truth import TruthReader, TruthState
 from vwnav.types import Frame
 
@@ -28,7 +28,7 @@ class SimulatedCamera:
 
     def __init__(
         self,
-        renderer: CameraRenderer,
+        renderer: Renderer,
         truth: TruthReader,
         site_home: tuple[float, float],
         clock: Clock,

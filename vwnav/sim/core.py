@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.copter import streams as copter_streams
+from vwnav.sim.copter import messages as copter_messages
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.session import CopterSession
 from vwnav.sim.mavlink.link import MavlinkLink
@@ -120,8 +120,8 @@ def _open(peer: Peer, vehicle: Vehicle, clock: Callable[[], float]) -> Session:
     truth_hz = vehicle.config.truth_rate_hz
     if isinstance(vehicle, SimulatedCopter):
         is_truth = peer.role is Role.TRUTH
-        rates_hz = copter_streams.truth_rates(truth_hz) if is_truth else copter_streams.UNASKED_HZ
-        return CopterSession(peer.link, vehicle, copter_streams.schedule_of(rates_hz), clock)
+        rates_hz = copter_messages.truth_rates(truth_hz) if is_truth else copter_messages.UNASKED_HZ
+        return CopterSession(peer.link, vehicle, copter_messages.schedule_of(rates_hz), clock)
     rates_hz = {
         Role.COMPANION: px4_streams.COMPANION_RATES,
         Role.GROUND: px4_streams.GROUND_RATES,

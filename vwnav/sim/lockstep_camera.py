@@ -3,13 +3,13 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.sim.multirotor.airframe import Airframe
-from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array, Frame
 
 
@@ -23,6 +23,21 @@ class Pose:
     quat_wxyz: Array
     velocity_ned_m_s: Array
     rate_body_rad_s: Array
+
+
+class Renderer(Protocol):
+    """What draws the pictures: `vwnav.sim.renderer.CameraRenderer`."""
+
+    def render(
+        self,
+        position_ned_m: Array,
+        R_ned_body: Array,
+        t_s: float,
+        velocity_ned_m_s: Array,
+        rate_body_rad_s: Array,
+    ) -> NDArray[np.uint8]:
+        """The picture of a moment."""
+        ...
 
 
 # What becomes of a picture: another one, or None when it is lost. It may raise, as a driver does.
@@ -41,7 +56,7 @@ class LockstepCamera:
     """
 
     def __init__(
-        self, renderer: CameraRenderer, home_ned_m: Array, period_s: float, latency_s: float
+        self, renderer: Renderer, home_ned_m: Array, period_s: float, latency_s: float
     ) -> None:
         self.renderer = renderer
         self.home_ned_m = home_ned_m

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px
-from vwnav.geometry.rectify import Rectification
+from vwnav.geometry.camera import Rectification
+from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.pack import MapPack
+from vwnav.maps.picture import MapReader
 from vwnav.types import MapFix
-from vwnav.vision.candidates import Candidate
+from vwnav.vision.candidates import MAX_RIVALRY, Acceptance, Candidate
 from vwnav.vision.correlation import RING_PX, Peak, best_shift, decades_of_shift
 from vwnav.vision.query import Query, QueryMaker, seen
-from vwnav.vision.registration import MAX_RIVALRY, Acceptance
 
 YAW_STEP_RAD = math.radians(2.0)  # a view of 140 px turned by half of it is 1 px off at its ends
 MAX_YAW_STEPS = 3  # to either side
@@ -36,7 +35,7 @@ class _Shifted:
 
 
 def fix_by_correlation(
-    pack: MapPack,
+    pack: MapReader,
     maker: QueryMaker,
     query: Query,
     candidate: Candidate,
@@ -76,7 +75,7 @@ def fix_by_correlation(
 
 
 def _correlate(
-    pack: MapPack, maker: QueryMaker, query: Query, candidate: Candidate, yaw_rad: float
+    pack: MapReader, maker: QueryMaker, query: Query, candidate: Candidate, yaw_rad: float
 ) -> _Shifted | None:
     """The best shift with one heading; None where there is too little to compare."""
     lat_deg, lon_deg, zoom = candidate.lat_deg, candidate.lon_deg, candidate.level.zoom

@@ -12,15 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.geometry.mercator import (
-    ground_resolution_m_per_px,
-    lat_lon_from_mercator_px,
-    mercator_px,
-)
-from vwnav.geometry.rectify import Rectification
+from vwnav.geometry.camera import Rectification
+from vwnav.geometry.geodesy import ground_resolution_m_per_px, lat_lon_from_mercator_px, mercator_px
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.pack import Level, MapPack
-from vwnav.maps.picture import Window
+from vwnav.maps.picture import Level, MapReader, Window
 from vwnav.types import Prior
 from vwnav.vision.consensus import SimilarityBounds
 from vwnav.vision.query import Query
@@ -39,6 +34,7 @@ MAX_UPSAMPLING = 1.67  # a view much sharper than the image shows blur the map d
 COARSE_VIEW_PX = 300.0  # of the longer side of a coarse view
 COARSE_KEYPOINTS = 600
 WINDOW_PX = 1280  # of a piece of map that is matched at once, and half more where it must be
+MAX_RIVALRY = 0.7  # of the best place's occupied cells for another place: neither is believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +182,7 @@ def _agls(
     return agls, bound
 
 
-def fine_level(pack: MapPack, query: Query, agl_m: float, max_view_area_px: float) -> Level:
+def fine_level(pack: MapReader, query: Query, agl_m: float, max_view_area_px: float) -> Level:
     """The sharpest level that the image can fill and that the time allows."""
     width_m, height_m = query.footprint_m(agl_m)
     image_m_per_px = width_m / query.image.size_wh[0]
@@ -197,7 +193,7 @@ def fine_level(pack: MapPack, query: Query, agl_m: float, max_view_area_px: floa
     return pack.levels[-1]
 
 
-def coarse_candidates(pack: MapPack, query: Query, todo: list[Hypothesis]) -> list[Candidate]:
+def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Candidate]:
     """Every hypothesis at the level where its view is small, on every window of the prior's area.
 
     Args:
@@ -238,7 +234,7 @@ def _coarse(hypothesis: Hypothesis, level: Level, window: Window, tests: int) ->
     )
 
 
-def _level_for_size(pack: MapPack, long_m: float, size_px: float) -> Level | None:
+def _level_for_size(pack: MapReader, long_m: float, size_px: float) -> Level | None:
     """The level at which a length is nearest to a size in pixels; None if none is near."""
 
     def off(level: Level) -> float:
@@ -248,7 +244,7 @@ def _level_for_size(pack: MapPack, long_m: float, size_px: float) -> Level | Non
     return level if off(level) <= math.log(2.0) else None
 
 
-def _area(pack: MapPack, zoom: int, prior: Prior, view_px: int) -> Window:
+def _area(pack: MapReader, zoom: int, prior: Prior, view_px: int) -> Window:
     """The map, or the part of it that views about the prior's place may show."""
     whole = pack.window(zoom)
     if prior.lat_deg is None or prior.lon_deg is None:
@@ -275,3 +271,20 @@ def _spans(start: int, end: int, overlap: int) -> list[tuple[int, int]]:
     step = (end - start - overlap) / count
     edges = [start + round(i * step) for i in range(count + 1)]
     return [(low, high + overlap) for low, high in itertools.pairwise(edges)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acceptance:
+    """What makes a registration worth keeping, and the errors behind its pose.
+
+    Attributes:
+        threshold_px: largest error of an inlier, map pixels.
+        max_log10_nfa: expected chance agreements, log10.
+        sigma_tilt_rad: of roll and pitch, when they are known.
+        sigma_georeference_m: of the map, per axis.
+    """
+
+    threshold_px: float
+    max_log10_nfa: float
+    sigma_tilt_rad: float
+    sigma_georeference_m: float

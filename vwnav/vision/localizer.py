@@ -10,16 +10,16 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from vwnav.geometry.camera import Camera
-from vwnav.geometry.rectify import Rectification
-from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
+from vwnav.geometry.camera import Camera, Rectification
+from vwnav.maps.picture import MapReader, Window
 from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
 from vwnav.vision.by_correlation import fix_by_correlation
 from vwnav.vision.candidates import (
+    MAX_RIVALRY,
     PRIOR_SIGMAS,
+    Acceptance,
     Candidate,
     Hypothesis,
     coarse_candidates,
@@ -27,16 +27,17 @@ from vwnav.vision.candidates import (
     hypotheses,
     is_finite,
 )
+from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
-from vwnav.vision.lookalikes import share_beside, share_turned
-from vwnav.vision.map_fix import fix_of, implausible
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
-    MAX_RIVALRY,
-    Acceptance,
     Registration,
+    fix_of,
+    implausible,
     may_be_chance,
     register,
+    share_beside,
+    share_turned,
 )
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
@@ -49,41 +50,12 @@ MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the oth
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocalizerConfig:
-    """How images are located.
-
-    Attributes:
-        max_keypoints: of a view.
-        max_view_area_px: of a view; decides, with the height, which level of the map is used.
-        max_guesses: headings and heights tried when a rough prior fails.
-        threshold_px: largest error of an inlier, map pixels.
-        min_decades: unrelated images may give a fix once in ten to this power.
-        min_contrast: standard deviation of the gray values below which an image is dark.
-        search_agl_m: heights above ground that are tried when nothing is known of it.
-        sigma_tilt_rad: of roll and pitch, when they are known.
-        max_sigma_m: a fix that is less certain than this is none.
-        max_track_radius_px: a prior that is wider than this on the map is searched coarse first.
-    """
-
-    max_keypoints: int = 1000
-    max_view_area_px: float = 300_000.0
-    max_guesses: int = 9
-    threshold_px: float = 3.0
-    min_decades: float = 5.0
-    min_contrast: float = 2.5
-    search_agl_m: tuple[float, float] = (20.0, 600.0)
-    sigma_tilt_rad: float = math.radians(2.0)
-    max_sigma_m: float = 20.0
-    max_track_radius_px: float = 1500.0
-
-
 class Localizer:
     """Locates the images of one camera on one map with one kind of features."""
 
     def __init__(
         self,
-        pack: MapPack,
+        pack: MapReader,
         extractor: FeatureExtractor,
         camera: Camera,
         config: LocalizerConfig | None = None,

@@ -8,13 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.calibration import check_fits
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification
 from vwnav.geometry.homography import jacobian_at, transform_points
-from vwnav.geometry.rectify import Rectification, rectification
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.pack import MapFeatures
-from vwnav.maps.picture import Window
+from vwnav.maps.picture import MapFeatures, Window
 from vwnav.types import (
     Array,
     FeatureExtractor,
@@ -27,7 +24,6 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
-from vwnav.vision.features.checks import take
 
 MAX_VIEW_PX = 1400
 EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
@@ -249,7 +245,7 @@ class QueryMaker:
         oversampling = min(MAX_OVERSAMPLING, 1.0 / max(covered, 1e-3))
         found = self._extractor.extract(gray, round(max_keypoints * oversampling))
         inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size)
-        features = take(found, np.flatnonzero(inside)[:max_keypoints])
+        features = found.take(np.flatnonzero(inside)[:max_keypoints])
         center_uv = transform_points(made.H_rect_frame, (size - 1.0) / 2.0)[0]
         return View(made, center_uv, gray, features)
 

@@ -1,4 +1,8 @@
-"""Registering a query on a piece of map: match, find the consensus, and weigh it."""
+"""Registering a query on a piece of map: match, find the consensus, and weigh it.
+
+Of a registration it is asked whether the map shows the like elsewhere, what fix it is, and whether
+that fix is plausible.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,24 +11,33 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.geometry.geodesy import (
+    horizontal_distance_m,
+    lat_lon_from_mercator_px,
+    mercator_px_per_m,
+)
 from vwnav.geometry.homography import transform_points
-from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px_per_m
 from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.pack import MapFeatures, MapPack
-from vwnav.maps.picture import Window
-from vwnav.types import Array, Features, Rejected, RejectReason
-from vwnav.vision.candidates import Candidate, Hypothesis
+from vwnav.maps.picture import MapFeatures, MapReader, Window
+from vwnav.types import (
+    Array,
+    FeatureExtractor,
+    Features,
+    MapFix,
+    MatchStats,
+    Rejected,
+    RejectReason,
+)
+from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.features.checks import take
 from vwnav.vision.matching import match, similarities
 from vwnav.vision.query import Query, View, seen
+from vwnav.vision.significance import share_alike
 
 MIN_KEYPOINTS = 12
 MIN_MATCHES = 8
-MAX_RIVALRY = 0.7  # of the best place's occupied cells for another place: neither is believed
 MIN_WIDTH_PX = 3.0  # inliers on a line slide along it
 MAX_STRETCH = 1.25  # what hills and an error of attitude make of a similarity
 MAX_STRETCH_UNKNOWN_TILT = 1.6
@@ -36,23 +49,12 @@ REFINED = SimilarityBounds(1.12, math.radians(8.0))  # what is left open then
 MIN_SIGMA_PX = 0.5
 SYSTEMATIC_PX = 0.3  # errors that all matches share, map pixels
 SIGMA_LEVEL_RAD = 0.09  # of the tilt where none is known, as odometry has it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Acceptance:
-    """What makes a registration worth keeping, and the errors behind its pose.
-
-    Attributes:
-        threshold_px: largest error of an inlier, map pixels.
-        max_log10_nfa: expected chance agreements, log10.
-        sigma_tilt_rad: of roll and pitch, when they are known.
-        sigma_georeference_m: of the map, per axis.
-    """
-
-    threshold_px: float
-    max_log10_nfa: float
-    sigma_tilt_rad: float
-    sigma_georeference_m: float
+MAX_PRIOR_SIGMAS = 4.0
+UNKNOWN_TILT = 0.3  # the image's centre may be so far off the nadir, in heights: 17 degrees
+SYSTEMATIC_YAW_RAD = math.radians(0.3)
+SYSTEMATIC_SCALE = 0.01
+QUARTERS = (1, 2, 3)  # turns of the map that are tried
+BESIDE = 2.0  # views around a registration in which its like is looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +119,7 @@ class Registration:
         low, high = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int)
         return Window(*low.tolist(), *high.tolist())
 
-    def correlation_sigmas(self, pack: MapPack, query: Query) -> float:
+    def correlation_sigmas(self, pack: MapReader, query: Query) -> float:
         """How far the view's correlation with the map there stands above that beside it."""
         H, (h, w) = self.consensus.H_map_view, self.view.gray.shape
         window = self.window.grown(2)
@@ -172,7 +174,7 @@ def register(
         geometry = RejectReason.GEOMETRY
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
     matched, landmarks = (
-        take(features, pairs[consensus.inliers, i])
+        features.take(pairs[consensus.inliers, i])
         for i, features in enumerate((view.features, map_.features))
     )
     likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
@@ -249,3 +251,77 @@ def _pose(
         mercator_px_per_m(lat_deg, candidate.level.zoom),
         errors,
     )
+
+
+def fix_of(query: Query, found: Registration) -> MapFix:
+    """The fix that a registration is."""
+    pose, consensus = found.pose, found.consensus
+    lat_deg, lon_deg = found.lat_lon(pose.nadir_px)
+    return MapFix(
+        t_s=query.t_s,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        covariance_ne_m2=pose.covariance_ne_m2,
+        yaw_rad=found.hypothesis.yaw_rad,
+        sigma_yaw_rad=math.hypot(pose.sigma_yaw_rad, SYSTEMATIC_YAW_RAD),
+        agl_m=pose.agl_m,
+        sigma_agl_m=math.hypot(pose.sigma_agl_m, SYSTEMATIC_SCALE * pose.agl_m),
+        point="nadir" if query.attitude_known else "center",
+        features=query.features,
+        stats=MatchStats(
+            keypoints=len(found.view.features),
+            matches=consensus.matches,
+            inliers=len(consensus.uv_view),
+        ),
+    )
+
+
+def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | None:
+    """A refusal of a fix that is too uncertain, or too far from the prior."""
+    prior, sigma_m = query.prior, fix.sigma_m
+    matches, inliers = fix.stats.matches, fix.stats.inliers
+    if sigma_m > max_sigma_m:
+        geometry = RejectReason.GEOMETRY
+        detail = f"the matches fix the position to {sigma_m:.0f} m only"
+        return query.rejected(geometry, detail, matches=matches, inliers=inliers)
+    if prior.lat_deg is None or prior.lon_deg is None:
+        return None
+    off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
+    allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, sigma_m)
+    if fix.point == "center" and fix.agl_m is not None:
+        allowed_m += UNKNOWN_TILT * fix.agl_m
+    if off_m <= allowed_m:
+        return None
+    detail = f"{off_m:.0f} m from the prior of {prior.sigma_m:.0f} m sigma"
+    return query.rejected(RejectReason.PRIOR, detail, matches=matches, inliers=inliers)
+
+
+def share_beside(
+    pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
+) -> float:
+    """Share of the landmarks' cells that the map shows again beside them, where the prior reaches.
+
+    Without a place in the prior that is some views around.
+    """
+    reach_m = PRIOR_SIGMAS * query.prior.sigma_m
+    if query.prior.lat_deg is not None and found.candidate.radius_m >= reach_m:
+        # What was searched is all that the prior leaves open.
+        return share_alike(found.landmarks, found.likeness, found.piece.features)
+    window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
+    around = pack.features_in(found.candidate.level.zoom, *window, extractor)
+    moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
+    landmarks = replace(found.landmarks, uv=moved)
+    within_px = math.inf
+    if query.prior.lat_deg is not None:
+        within_px = 2.0 * reach_m / found.view.rectification.m_per_px
+    return share_alike(landmarks, found.likeness, around.features, within_px)
+
+
+def share_turned(pack: MapReader, extractor: FeatureExtractor, found: Registration) -> float:
+    """The same of the map under and around the view, turned by one, two and three quarters."""
+    window, zoom = found.window.grown(max(found.window.shape)), found.candidate.level.zoom
+    keypoints = len(pack.features_in(zoom, *window, extractor).features)
+    gray, _ = pack.image(zoom, *window)
+    turned = (np.ascontiguousarray(np.rot90(gray, quarters)) for quarters in QUARTERS)
+    others = (extractor.extract(each, keypoints) for each in turned)
+    return max(share_alike(found.landmarks, found.likeness, each) for each in others)

@@ -236,3 +236,6 @@ class KeepAlive:
             if report is not None:
                 self._report = report
                 self._unanswered_since_s, self._unanswered = None, 0
+
+
+HANGS_S = 2.0  # of beats without an answer

@@ -26,13 +26,12 @@ from typing import IO
 
 from vwnav.clock import Clock, WallClock
 from vwnav.errors import LinkError
-from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
+from vwnav.watchdog.keepalive import HANGS_S, KeepAlive, UdpChannel
 
 _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
 _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
 _MOST_DEATHS = 5
-HANGS_S = 2.0  # of beats without an answer
 _COMES_UP_S = 5.0  # until then it is not expected to answer
 _LOOKS_EVERY_S = 0.25
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from vwnav.bench.estimator.flown import Metric, Run
 from vwnav.bench.estimator.plots import save_nees_plot, save_yaw_plot, save_yaw_table
 from vwnav.bench.estimator.record import load_stream, save_stream
-from vwnav.bench.estimator.run import Run, play
-from vwnav.bench.estimator.scenarios import FilterScenario, Metric, fly_scenario
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.scenarios import FilterScenario, fly_scenario
 
 LAMBDA = 0.5
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vwnav.bench.estimator.run import Run, heading
+from vwnav.bench.estimator.flown import Run
+from vwnav.bench.estimator.run import heading
 from vwnav.bench.estimator.scores import chi_square_bounds, position_nees
 from vwnav.bench.figures import pyplot, save
 from vwnav.types import Array, OdometryMotion

@@ -1,5 +1,6 @@
 """Rendered flights through the very pipeline that flies, in simulated time."""
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,24 +11,27 @@ import cv2
 import numpy as np
 
 from vwnav.assemble import assemble, choose_features
+from vwnav.bench.estimator.flown import Metric, NavigatedFlight, RenderedScenario, Run
 from vwnav.bench.estimator.plots import save_error_plot
-from vwnav.bench.estimator.rendered_clock import HeardEkf
 from vwnav.bench.estimator.rendered_errors import with_errors
 from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
-from vwnav.bench.estimator.rendered_scenarios import NavigatedFlight, RenderedScenario
-from vwnav.bench.estimator.run import START_SIGMA_M, Run, against
-from vwnav.bench.estimator.scenarios import Metric
+from vwnav.bench.estimator.run import START_SIGMA_M, against
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.config import Config
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Ground
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.inputs import Measurement
+from vwnav.estimation.kalman import Innovation
+from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.simulation import map_pack_of
-from vwnav.pipeline import Pipeline, StepResult
+from vwnav.pipeline import Pipeline
 from vwnav.recording.track_picture import TrackPicture
 from vwnav.screen import say
-from vwnav.sim.clock import SimulatedClock
-from vwnav.sim.processor import LateExecutor, Processor
+from vwnav.seams import StepResult
+from vwnav.sim.processor import LateExecutor, Processor, SimulatedClock
 from vwnav.sim.renderer import default_camera
 from vwnav.types import (
     Attitude,
@@ -52,6 +56,31 @@ class Navigated:
 
     estimates: list[Estimate]
     steps: list[StepResult]
+
+
+class HeardEkf(Ekf):
+    """The filter itself; what it is told, and what it says of it, is written down.
+
+    Attributes:
+        answers: each measurement with the innovation, in order of arrival.
+        cost_s: processor time of each.
+    """
+
+    def __init__(
+        self, config: EkfConfig, ground: Ground | None = None, *, clock: SimulatedClock
+    ) -> None:
+        super().__init__(config, ground)
+        self._clock = clock
+        self.answers: list[tuple[MeasurementEvent, Innovation]] = []
+        self.cost_s: list[float] = []
+
+    def handle(self, seen: Measurement) -> Innovation:
+        """As the filter does."""
+        begin_s = time.process_time()
+        answer = super().handle(seen)
+        self.cost_s.append(time.process_time() - begin_s)
+        self.answers.append((MeasurementEvent(self._clock.now_s, seen), answer))
+        return answer
 
 
 def bench_rendered(

@@ -1,57 +1,22 @@
 """What is asked of whole flights with rendered pictures, and verdicts."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.estimator.rendered_errors import (
-    fix_errors,
-    odometry_errors,
-    parts,
-    way_errors,
-)
-from vwnav.bench.estimator.run import Run
-from vwnav.bench.estimator.scenarios import Metric, judge_nominal
+from vwnav.bench.estimator.flown import Metric, NavigatedFlight, RenderedScenario, Run
+from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
+from vwnav.bench.estimator.scenarios import judge_nominal
 from vwnav.bench.estimator.scores import SETTLED_S, position_nees, rms
 from vwnav.bench.estimator.world import FilterWorld
-from vwnav.estimation.ekf import NedFix
+from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.types import MapFix, Rejected
 
 FIRST_FIXES = 20  # of the climb and the hover after it; then odometry flies alone
 IMU_HZ = 50.0  # as asked of the autopilot
 WRONG_FIX_M = 20.0
 _LEAST_WAY_M = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NavigatedFlight:
-    """A flight that was navigated. `outcomes`: of each attempt to match a picture to the map."""
-
-    run: Run
-    outcomes: list[MapFix | Rejected]
-
-    @property
-    def fixes(self) -> int:
-        """How many attempts the filter took."""
-        return sum(isinstance(outcome, MapFix) for outcome in self.outcomes)
-
-
-@dataclass(frozen=True, slots=True)
-class RenderedScenario:
-    """How flights are flown and judged.
-
-    Attributes:
-        most_fixes: the map is asked until it has given so many; 0 is no limit.
-        imu_hz: of the samples that the autopilot streams; 0 is none.
-    """
-
-    name: str
-    judge: Callable[[list[NavigatedFlight]], list[Metric]]
-    most_fixes: int = 0
-    imu_hz: float = 0.0
 
 
 def judge_rendered(flown: list[NavigatedFlight]) -> list[Metric]:

@@ -3,61 +3,24 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from vwnav.bench.estimator.rectified import rectified
+from vwnav.bench.estimator.flown import Rows, Run
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.bench.estimator.world import TrueTrajectory
-from vwnav.estimation.ekf import Ekf, EkfConfig, Innovation, NedFix, Start
-from vwnav.estimation.states import FilterState
-from vwnav.geometry.rotations import wrap_pi
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.inputs import Measurement
+from vwnav.estimation.kalman import Innovation
+from vwnav.estimation.states import Start
+from vwnav.estimation.timeline import NedFix
+from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation, wrap_pi
 from vwnav.types import Array, Attitude, Estimate, ImuSample, OdometryMotion
 
 START_SIGMA_M = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Estimates at a steady rate against the truth, one row each.
-
-    Attributes:
-        t_s: (n,). error_ne_m (n, 2), error_v_m_s (n, 3), error_yaw_rad (n,), error_agl_m (n,):
-            estimate minus truth.
-        P: (n, 6, 6) of position and velocity. sigma_yaw_rad, sigma_agl_m: (n,).
-        agl_m: (n,) true. way_m: (n,) flown so far, horizontally.
-    """
-
-    t_s: Array
-    error_ne_m: Array
-    error_v_m_s: Array
-    error_yaw_rad: Array
-    error_agl_m: Array
-    P: Array
-    sigma_yaw_rad: Array
-    sigma_agl_m: Array
-    agl_m: Array
-    way_m: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """A flight through the filter.
-
-    Attributes:
-        answers: each event but attitudes and IMU samples, which are many and never compared, with
-            what the filter said of it. cost_s: (n,) processor time of each.
-        busy_s: processor time of all, estimates included.
-    """
-
-    stream: MeasurementStream
-    rows: Rows
-    estimates: list[Estimate]
-    answers: list[tuple[MeasurementEvent, Innovation]]
-    last: FilterState
-    cost_s: Array
-    busy_s: float
+_SAME_RAD = math.radians(0.25)  # what interpolation between noisy attitudes makes of them
 
 
 def play(
@@ -127,14 +90,39 @@ def heading(estimate: Estimate) -> float:
     return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
 
-def pictures(run: Run) -> int:
-    """How many pictures odometry has seen."""
-    return sum(isinstance(event.seen, OdometryMotion) for event, _ in run.answers)
+def rectified(seen: Measurement, ekf: Ekf, stream: MeasurementStream) -> Measurement:
+    """`seen` in a stream that knows its autopilot's attitudes; anything else as it is.
+
+    Where an attitude is late or lost the filter, not the autopilot, tells it: it carries the last
+    one on, and a picture is rectified with that. What it tells leans by the error of that attitude.
+    """
+    if stream.measured_quats is None:
+        return seen
+    if isinstance(seen, NedFix) and np.all(np.isfinite(seen.position_ne_m)):
+        turn = _turn(seen.t_s, ekf, stream)
+        if turn is not None:
+            agl_m = float(stream.truth.agl_m[stream.truth.index(seen.t_s)])
+            return replace(seen, position_ne_m=seen.position_ne_m + agl_m * _shift(turn))
+    if isinstance(seen, OdometryMotion):
+        turn0, turn1 = (_turn(t_s, ekf, stream) for t_s in (seen.t0_s, seen.t1_s))
+        if turn0 is not None or turn1 is not None:
+            zero, one = (np.zeros(3) if turn is None else turn for turn in (turn0, turn1))
+            way = seen.displacement_ned_m + np.cross(zero, seen.displacement_ned_m)
+            way[:2] += seen.tilt_share * seen.agl_m * (_shift(one) - _shift(zero))
+            return replace(seen, displacement_ned_m=way)
+    return seen
 
 
-def accepted_wrong(run: Run, wrong_m: float) -> int:
-    """How many accepted fixes were further off than that."""
-    return sum(
-        isinstance(event.seen, NedFix) and answer.accepted and event.error_m > wrong_m
-        for event, answer in run.answers
-    )
+def _turn(t_s: float, ekf: Ekf, stream: MeasurementStream) -> Array | None:
+    """(3,) NED rotation vector from the autopilot's attitude to that of the filter."""
+    known = ekf.attitude_at(t_s)
+    if known is None or stream.measured_quats is None:
+        return None
+    R_measured = rotation_from_quat(stream.measured_quats[stream.truth.index(t_s)])
+    turn = vector_from_rotation(rotation_from_quat(known.quat_wxyz) @ R_measured.T)
+    return turn if float(np.linalg.norm(turn)) > _SAME_RAD else None
+
+
+def _shift(turn: Array) -> Array:
+    """(2,) by how much the ground point that seems to be below moves, per AGL."""
+    return np.array([-turn[1], turn[0]])

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vwnav.bench.estimator.run import Run, accepted_wrong, pictures, play
+from vwnav.bench.estimator.flown import Metric, Run, accepted_wrong, pictures
+from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import (
     NIS_DOF,
     SETTLED_S,
@@ -19,7 +20,8 @@ from vwnav.bench.estimator.scores import (
 )
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
-from vwnav.estimation.ekf import EkfConfig, NedFix
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.timeline import NedFix
 from vwnav.types import Array
 
 _BATCH = 10  # flights computed side by side
@@ -30,25 +32,6 @@ _TURNING_DEG_S = 15.0
 _AFTER_TURN_S = 1.5
 _IMU_HZ = 50.0  # as asked of the autopilot
 _INSIDE_OF_RUNS = 0.90  # of the times; 0.95 is expected, and a share of times scatters too
-
-
-@dataclass(frozen=True, slots=True)
-class Metric:
-    """A number beside what is asked of it; `low` and `high` None ask nothing."""
-
-    name: str
-    value: float
-    unit: str = ""
-    low: float | None = None
-    high: float | None = None
-
-    @property
-    def good(self) -> bool | None:
-        """Whether it is within; None where nothing is asked."""
-        if self.low is None and self.high is None:
-            return None
-        above = self.low is None or self.value >= self.low
-        return above and (self.high is None or self.value <= self.high)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,8 @@ from vwnav.cameras.image_folder import read_picture
 from vwnav.cameras.picture_metadata import read_picture_metadata
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
-from vwnav.geometry.camera import R_BODY_CAMERA_DOWN
+from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, rectification
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rectify import rectification
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.raster import RasterSource
 from vwnav.maps.picture import Window

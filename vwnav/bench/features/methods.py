@@ -13,7 +13,7 @@ from vwnav.bench.features.xfeat import load_xfeat
 from vwnav.errors import VwnavError
 from vwnav.maps.codec import decode_features, encode_features
 from vwnav.types import Features, Gray
-from vwnav.vision.features.checks import no_features, take
+from vwnav.vision.features.checks import no_features
 from vwnav.vision.features.learned import LearnedFeatures, released_model
 from vwnav.vision.features.orb import OrbFeatures
 from vwnav.vision.features.sift import DESCRIPTOR_SIZE, SiftFeatures
@@ -139,4 +139,4 @@ def _opencv_sift(gray: Gray, max_keypoints: int) -> Features:
         np.sqrt(descriptors / np.maximum(total, 1e-9)).astype(np.float32),
         np.array([point.response for point in keypoints], np.float32),
     )
-    return take(found, np.argsort(-found.scores, kind="stable")[:max_keypoints])
+    return found.take(np.argsort(-found.scores, kind="stable")[:max_keypoints])

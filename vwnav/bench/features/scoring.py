@@ -12,7 +12,6 @@ from vwnav.bench.features.repeatability import KEYPOINTS, Repeatability, repeata
 from vwnav.bench.features.scenes import BLOCK_PX, EDGE_PX, MARGIN_PX, MapPicture, Mask, Scene
 from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
 from vwnav.types import Array, Features, Gray
-from vwnav.vision.features.checks import take
 
 RIGHT_PX = 3.0  # a match nearer to the truth than this is an inlier
 FIT_PX = 5.0  # of the similarity: it does not follow tilt and relief
@@ -135,7 +134,7 @@ def masked_features(each: FeatureSet, gray: Gray, mask: Mask, budget: int) -> Fe
     column, row = np.round(found.uv).astype(np.int64).T
     h, w = mask.shape
     usable = inner[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)]
-    return take(found, np.flatnonzero(usable)[:budget])
+    return found.take(np.flatnonzero(usable)[:budget])
 
 
 def map_features(each: FeatureSet, map_: MapPicture) -> Features:
@@ -157,7 +156,7 @@ def map_features(each: FeatureSet, map_: MapPicture) -> Features:
             uv = found.uv + np.array([u0, v0], np.float32)
             own = (uv >= (u_low, v_low)) & (uv < (u_high, v_high))
             parts.append(
-                take(Features(uv, found.descriptors, found.scores), np.flatnonzero(own.all(axis=1)))
+                Features(uv, found.descriptors, found.scores).take(np.flatnonzero(own.all(axis=1)))
             )
     return Features(
         np.concatenate([part.uv for part in parts]),
@@ -181,7 +180,7 @@ def _blocks(side_px: int) -> Iterator[tuple[int, float, float]]:
 def inside_window(features: Features, window: tuple[float, float, float, float]) -> Features:
     """Those between (u0, v0) and (u1, v1)."""
     near = (features.uv >= window[:2]) & (features.uv < window[2:])
-    return take(features, np.flatnonzero(near.all(axis=1)))
+    return features.take(np.flatnonzero(near.all(axis=1)))
 
 
 def _outcome(

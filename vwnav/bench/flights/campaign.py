@@ -106,3 +106,46 @@ def campaign_of(route_ned_m: Array, **changes: Any) -> Campaign:
             )
     points = tuple((float(n), float(e), float(d)) for n, e, d in route_ned_m)
     return Campaign(route_ned_m=points, **changes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightScore:
+    """A flight, as one line of JSON.
+
+    Attributes:
+        wrong: what its judge found, broken rules by name and time; empty for a good flight.
+        errors_m, nees: of the estimates sent in the air after the first fix, one a second:
+            horizontal error, and that squared over its covariance (2 is honest).
+        worst_m: the largest error of all of them.
+        cross_m: distance of the true place from the route's line while on route, one a second.
+        touchdown_m: from home; None where it is not down.
+        available: share of the time in the air after the first fix with an estimate of the last
+            0.2 s that may be flown on (sigma at most what stops a route).
+        fixes, attempts, wrong_fixes: pictures matched; those further than 20 m off.
+        cpu_s: processor time that it took.
+    """
+
+    manners: Manners
+    number: int
+    site: str
+    seed: int
+    wind_m_s: float
+    wind_from_deg: float
+    flown_s: float
+    way_m: float
+    wrong: tuple[str, ...]
+    errors_m: tuple[float, ...]
+    nees: tuple[float, ...]
+    worst_m: float
+    cross_m: tuple[float, ...]
+    touchdown_m: float | None
+    available: float
+    fixes: int
+    attempts: int
+    wrong_fixes: int
+    cpu_s: float
+
+    @property
+    def sortie(self) -> Sortie:
+        """Which flight of its campaign."""
+        return Sortie(self.manners, self.number)

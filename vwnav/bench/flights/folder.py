@@ -1,32 +1,22 @@
-"""What `vwnav bench flights` does, once its options are read: a line of JSON for each flight."""
+"""A folder of flights, a line of JSON each, and how those that it lacks are flown."""
 
 import json
 import multiprocessing
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, fields
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import cv2
-
-from vwnav.assemble import choose_features
-from vwnav.bench.flights.campaign import Campaign, Sortie
-from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import fly
-from vwnav.bench.flights.score import FlightScore, score
+from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie
 from vwnav.bench.flights.summary import worst_first
 from vwnav.errors import VwnavError
-from vwnav.onboard.simulation import map_pack_of
 from vwnav.recording.run_folder import write_json
-from vwnav.screen import say
-from vwnav.sim.renderer import default_camera
-from vwnav.sim.sites import parse_site
 
 CAMPAIGN, FLIGHTS, RECORDINGS = "campaign.json", "flights.jsonl", "worst"
 _WORST_KEPT = 3
+
+FlyOne = Callable[[Campaign, Sortie, Path], FlightScore]
 
 
 class CampaignFolder:
@@ -74,6 +64,11 @@ class CampaignFolder:
             self._lines.write_text(whole)
         return [_score_of(line) for line in whole.splitlines()]
 
+    def lacks(self, wanted: Iterable[Sortie]) -> list[Sortie]:
+        """Those that are not in it."""
+        done = {each.sortie for each in self.flights}
+        return [sortie for sortie in wanted if sortie not in done]
+
     def recording(self, sortie: Sortie) -> Path:
         """Of a flight that has ended."""
         return self.folder / RECORDINGS / f"{sortie.manners}-{sortie.number:04d}.mcap"
@@ -97,15 +92,16 @@ def fly_campaign(
     wanted: Sequence[Sortie],
     jobs: int,
     folder: CampaignFolder,
+    fly_one: FlyOne,
     progress: Callable[[str, int, int], None],
 ) -> list[FlightScore]:
-    """Fly what the folder lacks of the flights that are wanted; all of these, in their order."""
-    done = {each.sortie for each in folder.flights}
-    missing = [sortie for sortie in wanted if sortie not in done]
+    """Fly what the folder lacks of the flights that are wanted; all of these, in their order.
+
+    `fly_one` is a function of a module, called in whatever process.
+    """
+    missing = folder.lacks(wanted)
     progress("flights", len(wanted) - len(missing), len(wanted))
-    for site in sorted({campaign.site_of(sortie.number) for sortie in missing}):
-        _place(site)  # its map is drawn once, by this process
-    for i, flown in enumerate(_fly_all(campaign, missing, jobs, folder), 1):
+    for i, flown in enumerate(_fly_all(campaign, missing, jobs, folder, fly_one), 1):
         folder.add(flown)
         progress("flights", len(wanted) - len(missing) + i, len(wanted))
     flown_of = {each.sortie: each for each in folder.flights}
@@ -113,7 +109,7 @@ def fly_campaign(
 
 
 def _fly_all(
-    campaign: Campaign, sorties: list[Sortie], jobs: int, folder: CampaignFolder
+    campaign: Campaign, sorties: list[Sortie], jobs: int, folder: CampaignFolder, fly_one: FlyOne
 ) -> Iterator[FlightScore]:
     """As they end."""
     if jobs == 1:
@@ -127,25 +123,6 @@ def _fly_all(
                 yield each.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-def fly_one(campaign: Campaign, sortie: Sortie, recording: Path) -> FlightScore:
-    """Fly and score one, in whatever process; a recording of a run that was killed goes first."""
-    cv2.setNumThreads(1)
-    recording.unlink(missing_ok=True)
-    site, begin_s = campaign.site_of(sortie.number), time.process_time()
-    flown = fly(campaign.scenario(sortie), _place(site), recording)
-    return score(sortie, site, campaign.way_ne_m, flown, time.process_time() - begin_s)
-
-
-@cache
-def _place(site: str) -> Place:
-    """One of each site in a process."""
-    primary, fallback = choose_features("learned", None, say)
-    if fallback is None:
-        raise VwnavError("learned features are not available: flights of them cannot be measured")
-    pack = map_pack_of(site, [primary, fallback])
-    return Place(parse_site(site), pack, default_camera(), primary, fallback)
 
 
 def _score_of(line: str) -> FlightScore:

@@ -1,18 +1,16 @@
 """What holds for every flight with something broken in it, and what a scenario asks besides."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from vwnav.bench.flights.log import flight_log
-from vwnav.bench.flights.scenario import Ending, Flown
+from vwnav.bench.flights.scenario import Ending, FlightVerdict, Flown
 from vwnav.bench.flights.track import FlightTrace, Truth
 from vwnav.mission.mission import Phase
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog
-from vwnav.rules.rule import check
-from vwnav.rules.setpoints import PILOT_S
+from vwnav.rules.rule import PILOT_S, check
 from vwnav.rules.table import RULES
 from vwnav.vehicle import FlightMode
 
@@ -23,16 +21,6 @@ _GOES_ON = {
     Phase.RETURN: (Phase.RETURN, Phase.DESCEND, Phase.LAND),
     Phase.DESCEND: (Phase.DESCEND, Phase.LAND),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class FlightVerdict:
-    """What was wrong with a flight; nothing when it was good."""
-
-    wrong: tuple[str, ...]
-    landed_off_m: float | None
-    fastest_m_s: float
-    worst_sigmas: float
 
 
 def judge(flown: Flown) -> FlightVerdict:
@@ -57,7 +45,7 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
     bound_m = scenario.lands_within_m
     match scenario.ending:
         case Ending.LANDED if last.armed or not last.on_ground:
-            return [f"it is not down after {flown.world.t_s:.0f} s: {_where(last)}"]
+            return [f"it is not down after {flown.flown_s:.0f} s: {_where(last)}"]
         case Ending.LANDED if not flew:
             return ["it never flew"]
         case Ending.LANDED if bound_m is not None and off_m is not None and off_m > bound_m:
@@ -79,7 +67,7 @@ def _flies_on(flown: Flown) -> bool:
         return flown.end.reason is None
     start = flown.scenario.setup.start
     begun = Phase.TAKEOFF if start is None or start.phase is None else start.phase
-    return flown.world.navigator.flight.phase in _GOES_ON[begun]
+    return flown.phase in _GOES_ON[begun]
 
 
 def _others_have_it(flown: Flown) -> bool:
@@ -87,7 +75,7 @@ def _others_have_it(flown: Flown) -> bool:
     released = [each for each in flown.track.phases if each.text == Phase.RELEASED.value]
     if not released or flown.track.truth[-1].mode is FlightMode.OFFBOARD:
         return False
-    since_s = released[0].t_s + flown.world.begun_s + PILOT_S
+    since_s = released[0].t_s + flown.begun_s + PILOT_S
     return not any(each.t_s > since_s for each in flown.track.heard.setpoints)
 
 
@@ -98,7 +86,7 @@ def _followed(flown: Flown) -> list[str]:
     wrong = []
     for each in flown.scenario.follows:
         since_s = broke_s or 0.0
-        times = [t for t in each.when(flown.track, flown.world.begun_s) if t >= since_s - 1e-6]
+        times = [t for t in each.when(flown.track, flown.begun_s) if t >= since_s - 1e-6]
         if not times:
             wrong.append(f"never seen: {each.what}")
         elif times[0] - since_s > each.within_s:
@@ -109,8 +97,7 @@ def _followed(flown: Flown) -> list[str]:
 
 def _broken_rules(flown: Flown, log: FlightLog) -> list[str]:
     return [
-        f"{verdict.rule.name}, at {verdict.breach.t_s - flown.world.begun_s:.2f} s: "
-        f"{verdict.breach.what}"
+        f"{verdict.rule.name}, at {verdict.breach.t_s - flown.begun_s:.2f} s: {verdict.breach.what}"
         for verdict in check(RULES, log)
         if verdict.breach is not None
     ]
@@ -123,7 +110,7 @@ def _pilot_flies(truth: Truth) -> bool:
 
 def _fastest(track: FlightTrace, flown: Flown) -> float:
     """Over the ground, from the fault on and while nobody else steers."""
-    since_s = (flown.broke_s or 0.0) + flown.world.begun_s
+    since_s = (flown.broke_s or 0.0) + flown.begun_s
     speeds = [
         math.hypot(*each.velocity_ned_m_s[:2].tolist())
         for each in track.truth
@@ -148,7 +135,7 @@ def _landed_off_m(flown: Flown) -> float | None:
     if place is None:
         if flown.broke_s is None:
             return None
-        there = flown.track.truth_at(flown.broke_s + flown.world.begun_s).position_ned_m[:2]
+        there = flown.track.truth_at(flown.broke_s + flown.begun_s).position_ned_m[:2]
     else:
         there = np.array(place)
     return float(np.hypot(*(last.position_ned_m[:2] - there)))
@@ -160,4 +147,4 @@ def _where(truth: Truth) -> str:
 
 
 def _said(flown: Flown) -> str:
-    return flown.world.navigator.flight.phase.value
+    return flown.phase.value

@@ -2,11 +2,9 @@
 
 from collections.abc import Iterable
 
-from vwnav.bench.flights.navigator import Navigator
 from vwnav.bench.flights.scenario import Flown
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
-from vwnav.pipeline import StepResult
 from vwnav.rules.flight_log import (
     At,
     FlightLimits,
@@ -18,14 +16,14 @@ from vwnav.rules.flight_log import (
     Said,
     Vector,
 )
+from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix, OdometryMotion
 
 
 def flight_log(flown: Flown) -> FlightLog:
     """Times are those of the world's clock."""
-    world, track, heard = flown.world, flown.track, flown.track.heard
-    begun_s = world.begun_s
-    steps = [step for each in _navigators(flown) for step in each.record.steps]
+    track, heard, begun_s = flown.track, flown.track.heard, flown.begun_s
+    steps = [*flown.steps, *flown.second_steps]
     return FlightLog(
         bounds=bounds_of(flown.scenario.setup.config),
         vehicle=[
@@ -81,19 +79,13 @@ def bounds_of(config: Config) -> FlightLimits:
     )
 
 
-def _navigators(flown: Flown) -> list[Navigator]:
-    """The first one, and the one that stood in for it if it did."""
-    second = flown.world.successor.navigator
-    return [flown.world.navigator] + ([] if second is None else [second])
-
-
 def _tells_something(step: StepResult) -> bool:
     """A motion or a place, as the runtime counts pictures."""
     return isinstance(step.motion, OdometryMotion) or isinstance(step.outcome, MapFix)
 
 
 def _fixes(flown: Flown, steps: Iterable[StepResult]) -> list[At]:
-    frame = flown.world.local_frame
+    frame = flown.local_frame
     found = []
     for step in steps:
         if isinstance(step.outcome, MapFix):

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.assemble import about_run, assemble_with
-from vwnav.bench.flights.place import Place
+from vwnav.bench.flights.noted_link import LockstepWatcher
+from vwnav.bench.flights.stage import Loop, Place
 from vwnav.config import Config
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.mission.mission import Crew, Mission, Phase
-from vwnav.pipeline import ATTITUDE_WAIT_S, StepResult
+from vwnav.onboard.succession import start_after
 from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
@@ -24,60 +25,18 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
-from vwnav.sim.clock import SimulatedClock
+from vwnav.seams import ATTITUDE_WAIT_S
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
-from vwnav.sim.processor import Costs, LateExecutor, Processor, Worker
-from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior
-from vwnav.vehicle import VehicleState, VelocitySetpoint
+from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
+from vwnav.types import Array, Estimate, FeatureExtractor, Frame, Navigation, Prior
+from vwnav.vehicle import VehicleState
 from vwnav.watchdog.keepalive import KeepAlive
+from vwnav.watchdog.loop import Resume
 
 _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air
-
-
-class LockstepWatcher:
-    """A `vwnav.runtime.Watcher`; a full disk makes it raise.
-
-    Args:
-        note: takes every line said.
-
-    Attributes:
-        recorder: the recording on disk, where one is kept.
-        setpoint: asks for what the mission steers by.
-    """
-
-    def __init__(self, note: Callable[[str], None], clock: SimulatedClock) -> None:
-        self._note = note
-        self._clock = clock
-        self.disk_full = False
-        self.steps: list[StepResult] = []
-        self.recorder: FlightRecorder | None = None
-        self.setpoint: Callable[[], VelocitySetpoint | None] = lambda: None
-
-    def event(self, text: str) -> None:
-        """A line."""
-        self._note(text)
-        self._write()
-        if self.recorder is not None:
-            self.recorder.event(self._clock(), text)
-
-    def saw_frame(self, frame: Frame, step: StepResult) -> None:
-        """A picture went through the pipeline."""
-        self.steps.append(step)
-        self._write()
-        if self.recorder is not None:
-            self.recorder.picture(step, self.setpoint())
-
-    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
-        """The mission ticked."""
-        self._write()
-        if self.recorder is not None:
-            self.recorder.tick(t_s, estimate, vehicle, self.setpoint())
-
-    def _write(self) -> None:
-        if self.disk_full:
-            raise OSError(28, "No space left on device")
+_LINK_S = 0.8  # from the watchdog's word until the link is up and the vehicle's state is known
 
 
 @dataclass(slots=True)
@@ -171,6 +130,31 @@ class Navigator:
         self.ekf.record(recorder.input_log.input)
         self.record.setpoint = lambda: self.flight.setpoint
         self.record.recorder = recorder
+
+    def keep_no_more(self) -> None:
+        """Close the recording, if there is one."""
+        recorder, self.record.recorder = self.record.recorder, None
+        if recorder is not None:
+            recorder.close()
+
+    @property
+    def disk_full(self) -> bool:
+        """Nothing can be recorded."""
+        return self.record.disk_full
+
+    @disk_full.setter
+    def disk_full(self, full: bool) -> None:
+        self.record.disk_full = full
+
+    def step_of(self, loop: Loop) -> tuple[object, str]:
+        """The owner and the name of what one of its loops calls at each turn."""
+        match loop:
+            case "link":
+                return self.autopilot, "step"
+            case "mission":
+                return self.runtime, "step_control"
+            case "picture":
+                return self.pipeline, "step"
 
     def listen(self, t_s: float) -> None:
         """Before its loops run: the link comes up, and nothing that is heard is believed."""
@@ -298,3 +282,65 @@ class Navigator:
             self._watch.trouble,
         )  # fmt: skip
         return check_flight(vehicle, navigation, equipment, self._config.safety, t_s)
+
+
+class LockstepSuccessor:
+    """A `watchdog.loop.Successor` in this thread.
+
+    Args:
+        make: the navigator, told the reset counter to go on from.
+        local_frame: the run's origin.
+    """
+
+    def __init__(self, make: Callable[[int], Navigator], local_frame: LocalFrame) -> None:
+        self._make = make
+        self._local_frame = local_frame
+        self._woken_s: float | None = None
+        self._resume: Resume | None = None
+        self._flies = False
+        self.navigator: Navigator | None = None
+
+    def step(self, resume: Resume | None, t_s: float) -> None:
+        """Keep it ready; with `resume` it is needed, from now on."""
+        if resume is None:
+            return
+        if self.navigator is None:
+            self._woken_s, self._resume = t_s, resume
+            counter = 0 if resume.position is None else resume.position.reset_counter
+            self.navigator = self._make(counter)
+        navigator = self.navigator
+        assert self._woken_s is not None
+        if self._flies:
+            navigator.step(t_s)
+        elif t_s - self._woken_s < _LINK_S:
+            navigator.hear(t_s)
+        else:
+            self._begin(navigator, t_s)
+
+    def close(self) -> None:
+        """It ends with the watchdog."""
+        if self.navigator is not None:
+            self.navigator.end()
+
+    def _begin(self, navigator: Navigator, t_s: float) -> None:
+        self._flies = True
+        place = self._last_place()
+        if place is None:
+            navigator.start(None)
+        else:
+            assert self._resume is not None
+            assert self._resume.position is not None
+            navigator.start(start_after(place, self._resume.position.t_s, t_s))
+        navigator.flight.ride(t_s, "the navigator ended: this one only sends estimates")
+
+    def _last_place(self) -> Array | None:
+        """(3,) of the last good estimate, about the run's origin."""
+        resume = self._resume
+        if resume is None or resume.position is None or resume.origin is None:
+            return None
+        origin = resume.origin
+        frame = LocalFrame(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
+        lat, lon, _ = frame.to_geodetic(np.array(resume.position.position_ned_m))
+        ned_m = self._local_frame.to_ned(float(lat), float(lon), self._local_frame.alt_amsl_m)
+        ned_m[2] = resume.position.position_ned_m[2]
+        return np.asarray(ned_m)

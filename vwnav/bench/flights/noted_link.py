@@ -1,6 +1,7 @@
 """The vehicle's end of its companion link; what passes it is noted for the rules."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 from vwnav.bench.flights.track import FlightTrace
 from vwnav.rules.flight_log import (
@@ -11,8 +12,14 @@ from vwnav.rules.flight_log import (
     ParameterSet,
     Sent,
 )
-from vwnav.sim.clock import SimulatedClock
+from vwnav.seams import StepResult
 from vwnav.sim.mavlink.link import ByteLink
+from vwnav.sim.processor import SimulatedClock
+from vwnav.types import Estimate, Frame
+from vwnav.vehicle import VehicleState, VelocitySetpoint
+
+_STATION = 255  # system id of the ground stations that scenarios play
+_IN_PROGRESS = 5  # MAV_RESULT: the answer proper is still to come
 
 
 class NotedLink(ByteLink):
@@ -62,5 +69,71 @@ class NotedLink(ByteLink):
                 heard.beats.append(Heartbeat(t_s, component, m.type))
 
 
-_STATION = 255  # system id of the ground stations that scenarios play
-_IN_PROGRESS = 5  # MAV_RESULT: the answer proper is still to come
+class Recording(Protocol):
+    """What is written while it flies: `vwnav.recording.flight_recorder.FlightRecorder`."""
+
+    def event(self, t_s: float, text: str) -> None:
+        """A line."""
+        ...
+
+    def picture(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
+        """What a picture brought."""
+        ...
+
+    def tick(
+        self,
+        t_s: float,
+        estimate: Estimate | None,
+        vehicle: VehicleState,
+        setpoint: VelocitySetpoint | None,
+    ) -> bool:
+        """The mission ticked."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+
+class LockstepWatcher:
+    """A `vwnav.runtime.Watcher`; a full disk makes it raise.
+
+    Args:
+        note: takes every line said.
+
+    Attributes:
+        recorder: the recording on disk, where one is kept.
+        setpoint: asks for what the mission steers by.
+    """
+
+    def __init__(self, note: Callable[[str], None], clock: SimulatedClock) -> None:
+        self._note = note
+        self._clock = clock
+        self.disk_full = False
+        self.steps: list[StepResult] = []
+        self.recorder: Recording | None = None
+        self.setpoint: Callable[[], VelocitySetpoint | None] = lambda: None
+
+    def event(self, text: str) -> None:
+        """A line."""
+        self._note(text)
+        self._write()
+        if self.recorder is not None:
+            self.recorder.event(self._clock(), text)
+
+    def saw_frame(self, frame: Frame, step: StepResult) -> None:
+        """A picture went through the pipeline."""
+        self.steps.append(step)
+        self._write()
+        if self.recorder is not None:
+            self.recorder.picture(step, self.setpoint())
+
+    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
+        """The mission ticked."""
+        self._write()
+        if self.recorder is not None:
+            self.recorder.tick(t_s, estimate, vehicle, self.setpoint())
+
+    def _write(self) -> None:
+        if self.disk_full:
+            raise OSError(28, "No space left on device")

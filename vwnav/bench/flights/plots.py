@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.bench.figures import pyplot, save
-from vwnav.bench.flights.score import FlightScore
+from vwnav.bench.flights.campaign import FlightScore
 from vwnav.types import Array
 
 _LEVELS = np.linspace(0.0, 1.0, 101)

@@ -1,24 +1,13 @@
 """Rows of the table flown one after the other, or several at a time, and what became of each."""
 
-import logging
 import multiprocessing
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from vwnav.bench.flights.judge import judge
-from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import Scenario, fly
-from vwnav.bench.flights.table import TABLE, family_of
-from vwnav.bench.flights.table.manners import in_manners
+from vwnav.bench.flights.scenario import FlightVerdict, Flown, Scenario
 from vwnav.bench.flights.track import FlightTrace
-from vwnav.sim.config import Manners
-
-_log = logging.getLogger(__name__)
-
-MakePlace = Callable[[], Place]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,30 +45,23 @@ class RowResult:
         return not self.wrong
 
 
-def fly_rows(
-    rows: Sequence[Scenario],
-    make_place: MakePlace,
-    folder: Path,
-    jobs: int,
-    manners: Manners = "px4",
-) -> Iterator[RowResult]:
+FlyRow = Callable[[str], RowResult]
+
+
+def fly_rows(names: Sequence[str], fly_row: FlyRow, jobs: int) -> Iterator[RowResult]:
     """Fly rows of the table, `jobs` at a time; results come as they are done.
 
     Args:
-        rows: of `TABLE`, which every process has.
-        make_place: a function of a module, as it is called in every process.
-        folder: of the pictures of those that fail.
+        names: of the rows.
+        fly_row: a function of a module, as it is called in every process.
         jobs: processes; 1 flies in this one.
-        manners: the autopilot's.
     """
-    names = [row.name for row in rows]
     if jobs == 1:
-        for name in names:
-            yield fly_row(name, make_place, folder, manners)
+        yield from map(fly_row, names)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        waiting = [pool.submit(fly_row, name, make_place, folder, manners) for name in names]
+        waiting = [pool.submit(fly_row, name) for name in names]
         try:
             for each in as_completed(waiting):
                 yield each.result()
@@ -87,38 +69,28 @@ def fly_rows(
             pool.shutdown(cancel_futures=True)
 
 
-def fly_row(name: str, make_place: MakePlace, folder: Path, manners: Manners = "px4") -> RowResult:
-    """Fly one row of the table, and draw its track if it fails.
-
-    A flight that raises has failed, and is no reason to lose all the others.
-    """
-    row = in_manners(next(each for each in TABLE if each.name == name), manners)
-    place = make_place()
-    try:
-        return _flown(row, place, folder)
-    except Exception as error:
-        _log.exception("%s broke off", name)
-        return RowResult(
-            name=row.name, family=family_of(row), expected=row.expected, where=row.where,
-            when=row.when, wrong=(f"the flight broke off: {error!r}",), broke_s=None,
-            landed_off_m=None, fastest_m_s=0.0, worst_sigmas=None, flown_s=0.0, cost_s=0.0,
-            timeline=(), picture=None,
-        )  # fmt: skip
-
-
-def _flown(row: Scenario, place: Place, folder: Path) -> RowResult:
-    began_s = time.process_time()
-    flown = fly(row, place)
-    verdict = judge(flown)
-    track, begun_s, picture = flown.track, flown.world.begun_s, None
+def result_of(
+    flown: Flown, verdict: FlightVerdict, family: str, cost_s: float, folder: Path
+) -> RowResult:
+    """Of a row that was flown; its track is drawn in the folder if it fails."""
+    row, track, begun_s, picture = flown.scenario, flown.track, flown.begun_s, None
     if verdict.wrong:
         picture = draw_failure(row.name, track, begun_s, flown.broke_s, verdict.wrong, folder)
-    happened = timeline_of(track, begun_s)
     return RowResult(
-        name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,
+        name=row.name, family=family, expected=row.expected, where=row.where, when=row.when,
         wrong=verdict.wrong, broke_s=flown.broke_s, landed_off_m=verdict.landed_off_m,
-        fastest_m_s=verdict.fastest_m_s, worst_sigmas=verdict.worst_sigmas, flown_s=flown.world.t_s,
-        cost_s=time.process_time() - began_s, timeline=tuple(happened), picture=picture,
+        fastest_m_s=verdict.fastest_m_s, worst_sigmas=verdict.worst_sigmas, flown_s=flown.flown_s,
+        cost_s=cost_s, timeline=tuple(timeline_of(track, begun_s)), picture=picture,
+    )  # fmt: skip
+
+
+def broken_off(row: Scenario, family: str, error: Exception) -> RowResult:
+    """Of a row whose flight raised."""
+    return RowResult(
+        name=row.name, family=family, expected=row.expected, where=row.where,
+        when=row.when, wrong=(f"the flight broke off: {error!r}",), broke_s=None,
+        landed_off_m=None, fastest_m_s=0.0, worst_sigmas=None, flown_s=0.0, cost_s=0.0,
+        timeline=(), picture=None,
     )  # fmt: skip
 
 

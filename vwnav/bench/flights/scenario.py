@@ -1,39 +1,26 @@
-"""A flight with something broken in it, as data; and how it is flown."""
+"""A flight with something broken in it, and what became of it, as data; what rows share."""
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 
-from vwnav.bench.flights.faults.aircraft import (
-    BarometerWrong,
-    BatteryAt,
-    CommandRefused,
-    PilotSwitches,
-)
-from vwnav.bench.flights.faults.camera import CameraTrouble
-from vwnav.bench.flights.faults.computer import DiskFull, ModelRaises
-from vwnav.bench.flights.faults.fault import Fault
-from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.setup import Setup
+from vwnav.bench.flights.setup import AirStart, Setup
+from vwnav.bench.flights.stage import Fault
 from vwnav.bench.flights.track import FlightTrace
-from vwnav.bench.flights.world import World
+from vwnav.config import Config
+from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.rules.temporal import Span
+from vwnav.seams import PipelineConfig, StepResult
 
-# Through these all that is sent must stay as steady as ever.
-_STEADY_THROUGH = (
-    BarometerWrong,
-    BatteryAt,
-    CameraTrouble,
-    CommandRefused,
-    DiskFull,
-    ModelRaises,
-    PilotSwitches,
-)
-_DOWN_S = 1.0  # disarmed for so long: it is over
-_BEGAN, _ARMED = "began", "armed"  # what a fault may wait for, beside the mission's phases
+HOME = (0.0, 0.0)
+# Every other picture that could be matched: what is left out costs the most and tells the least.
+CONFIG = Config(pipeline=PipelineConfig(fix_interval_s=0.4))
+ROUTE = AirStart(phase=Phase.ROUTE, place_ned_m=(15.0, -15.0, -50.0))
+CLIMB = AirStart(phase=Phase.CLIMB, place_ned_m=(0.5, 0.5, -15.0))
+RETURN = AirStart(phase=Phase.RETURN, place_ned_m=(60.0, 40.0, -50.0))
+DESCEND = AirStart(phase=Phase.DESCEND, place_ned_m=(0.5, -0.5, -25.0))
+BREAKS_AT_S = 9.0  # on the route: at speed, and after a few fixes
 
 
 class Ending(Enum):
@@ -131,114 +118,94 @@ class Scenario:
         return f"at {first.at_s:g} s {lasts}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Flown:
     """A scenario that was flown.
 
     Attributes:
+        track: what was noted of it.
+        begun_s: when the mission began, on the track's clock; `flown_s` how long it was flown.
+        local_frame: the run's.
+        phase: where the mission stood last.
+        steps: what each picture brought; `second_steps` to the navigator that stood in, if one did.
         broke_s: when the first fault began, since the mission began; None: it never did.
         broken: from when to when each fault lasted that may disturb what is sent, likewise.
         end: what the mission said; None while it went on.
     """
 
     scenario: Scenario
-    world: World
     track: FlightTrace
+    begun_s: float
+    flown_s: float
+    local_frame: LocalFrame
+    phase: Phase
+    steps: Sequence[StepResult]
+    second_steps: Sequence[StepResult]
     broke_s: float | None
     broken: tuple[Span, ...]
     end: FlightEnd | None
 
 
-@dataclass(slots=True)
-class _Planned:
-    """A fault on its way."""
+def mode(within_s: float, *names: str) -> Follows:
+    """The vehicle flies one of these modes, as a navigator calls them: BRAKE is HOLD."""
 
-    plan: Break
-    begun_s: float | None = None
-    ended: bool = False
+    def when(track: FlightTrace, begun_s: float) -> list[float]:
+        return [each.t_s - begun_s for each in track.truth if each.mode.name in names]
 
-    @property
-    def _lasts_s(self) -> float:
-        return math.inf if self.plan.for_s is None else self.plan.for_s
-
-    @property
-    def disturbs(self) -> bool:
-        """Whether what is sent may pause for it."""
-        return not isinstance(self.plan.fault, _STEADY_THROUGH)
-
-    @property
-    def span(self) -> Span | None:
-        """While it lasts, since the mission began; None: it never began."""
-        return None if self.begun_s is None else (self.begun_s, self.begun_s + self._lasts_s)
-
-    def step(self, world: World, begun: dict[str, float]) -> None:
-        """Begin or end it when it is time to; `begun` says since when what it waits for is so."""
-        t_s = world.t_s
-        if self.begun_s is None:
-            since_s = begun.get(self._awaited)
-            if since_s is not None and t_s >= since_s + self.plan.at_s:
-                self.begun_s = t_s
-                world.note(f"breaks: {self.plan.fault}")
-                self.plan.fault.begin(world)
-        elif not self.ended and t_s >= self.begun_s + self._lasts_s:
-            world.note("mended")
-            self.finish(world)
-
-    def finish(self, world: World) -> None:
-        """Put back what was changed, if it was."""
-        if self.begun_s is not None and not self.ended:
-            self.ended = True
-            self.plan.fault.end(world)
-
-    @property
-    def _awaited(self) -> str:
-        if self.plan.armed:
-            return _ARMED
-        return _BEGAN if self.plan.phase is None else self.plan.phase.value
+    return Follows(f"mode {' or '.join(names)}", within_s, when)
 
 
-def fly(
-    scenario: Scenario,
-    place: Place,
-    recording: Path | None = None,
-    see: Callable[[World], None] = lambda _: None,
-) -> Flown:
-    """Fly it to its end.
+def phase(within_s: float, *names: str) -> Follows:
+    """The mission stands in one of these phases."""
 
-    Args:
-        scenario: the row.
-        place: where.
-        recording: where to keep what it records.
-        see: called after every step.
-    """
-    world = World(scenario.setup, place)
-    if recording is not None:
-        world.navigator.keep_at(recording)
-    world.begin()
-    planned = [_Planned(each) for each in scenario.breaks]
-    begun = {_BEGAN: 0.0}
-    down_s: float | None = None
-    has_flown = False
-    while world.t_s < scenario.limit_s:
-        world.step()
-        armed = world.core.vehicle.commander.armed
-        begun.setdefault(world.navigator.flight.phase.value, world.t_s)
-        if armed:
-            begun.setdefault(_ARMED, world.t_s)
-        for each in planned:
-            each.step(world, begun)
-        see(world)
-        has_flown = has_flown or armed
-        if armed or not has_flown:
-            down_s = None
-        elif down_s is None:
-            down_s = world.t_s
-        elif world.t_s - down_s > _DOWN_S and world.navigator.over:
-            break
-    for each in planned:
-        each.finish(world)
-    if world.navigator.record.recorder is not None:
-        world.navigator.record.recorder.close()
-    broke_s = planned[0].begun_s if planned else None
-    broken = tuple(each.span for each in planned if each.span is not None and each.disturbs)
-    return Flown(scenario, world, world.track, broke_s, broken, world.navigator.flight.end)
+    def when(track: FlightTrace, _: float) -> list[float]:
+        return [each.t_s for each in track.phases if each.text in names]
+
+    return Follows(f"phase {' or '.join(names)}", within_s, when)
+
+
+def said(within_s: float, text: str) -> Follows:
+    """The program says so."""
+
+    def when(track: FlightTrace, _: float) -> list[float]:
+        return [each.t_s for each in track.events if text in each.text]
+
+    return Follows(f"says {text!r}", within_s, when)
+
+
+def down(within_s: float) -> Follows:
+    """On the ground, motors off."""
+
+    def when(track: FlightTrace, begun_s: float) -> list[float]:
+        return [each.t_s - begun_s for each in track.truth if not each.armed]
+
+    return Follows("down", within_s, when)
+
+
+def setup(start: AirStart | None = ROUTE, **changes: object) -> Setup:
+    """A flight that begins there; None: on the ground."""
+    return Setup(start=start, config=CONFIG, **changes)  # type: ignore[arg-type]
+
+
+def flies_on(
+    name: str, fault: Fault, for_s: float | None = None, after_s: float = 12.0, **changes: object
+) -> Scenario:
+    """On the route, what breaks for so long is flown through, and `after_s` more."""
+    lasts_s = 10.0 if for_s is None else for_s
+    return Scenario(
+        name=name,
+        setup=setup(**changes),  # type: ignore[arg-type]
+        breaks=(Break(fault=fault, at_s=BREAKS_AT_S, for_s=for_s),),
+        limit_s=BREAKS_AT_S + lasts_s + after_s,
+        ending=Ending.FLIES_ON,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FlightVerdict:
+    """What was wrong with a flight; nothing when it was good."""
+
+    wrong: tuple[str, ...]
+    landed_off_m: float | None
+    fastest_m_s: float
+    worst_sigmas: float

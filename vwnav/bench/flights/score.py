@@ -1,11 +1,10 @@
 """One flight in numbers: errors against the truth, honesty, what it broke."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.flights.campaign import Sortie
+from vwnav.bench.flights.campaign import FlightScore, Sortie
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Flown
@@ -14,7 +13,6 @@ from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.moments import flying, in_phases
 from vwnav.rules.temporal import inside
-from vwnav.sim.config import Manners
 from vwnav.sim.sites import SITE_PREFIX
 from vwnav.types import Array, MapFix, RejectReason
 
@@ -24,49 +22,6 @@ _FRESH_S = 0.2  # autopilots stop fusing after that
 _NOT_TRIED = (RejectReason.NOT_TRIED, RejectReason.TOO_LOW)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlightScore:
-    """A flight, as one line of JSON.
-
-    Attributes:
-        wrong: what its judge found, broken rules by name and time; empty for a good flight.
-        errors_m, nees: of the estimates sent in the air after the first fix, one a second:
-            horizontal error, and that squared over its covariance (2 is honest).
-        worst_m: the largest error of all of them.
-        cross_m: distance of the true place from the route's line while on route, one a second.
-        touchdown_m: from home; None where it is not down.
-        available: share of the time in the air after the first fix with an estimate of the last
-            0.2 s that may be flown on (sigma at most what stops a route).
-        fixes, attempts, wrong_fixes: pictures matched; those further than 20 m off.
-        cpu_s: processor time that it took.
-    """
-
-    manners: Manners
-    number: int
-    site: str
-    seed: int
-    wind_m_s: float
-    wind_from_deg: float
-    flown_s: float
-    way_m: float
-    wrong: tuple[str, ...]
-    errors_m: tuple[float, ...]
-    nees: tuple[float, ...]
-    worst_m: float
-    cross_m: tuple[float, ...]
-    touchdown_m: float | None
-    available: float
-    fixes: int
-    attempts: int
-    wrong_fixes: int
-    cpu_s: float
-
-    @property
-    def sortie(self) -> Sortie:
-        """Which flight of its campaign."""
-        return Sortie(self.manners, self.number)
-
-
 def score(sortie: Sortie, site: str, way_ne_m: Array, flown: Flown, cpu_s: float) -> FlightScore:
     """Hold a flight against its truth; `way_ne_m` (n, 2) is the line that it was to fly."""
     log, setup = flight_log(flown), flown.scenario.setup
@@ -74,7 +29,7 @@ def score(sortie: Sortie, site: str, way_ne_m: Array, flown: Flown, cpu_s: float
     sent = _sent_in_the_air(log, since_s)
     sigmas = dict(estimate_sigmas(log))
     errors = [_error_m(log, each) for each in sent]
-    outcomes = [step.outcome for step in flown.world.navigator.record.steps]
+    outcomes = [step.outcome for step in flown.steps]
     tried = [o for o in outcomes if isinstance(o, MapFix) or o.reason not in _NOT_TRIED]
     truth = np.array([row.position_ned_m[:2] for row in log.truth])
     verdict = judge(flown)
@@ -86,7 +41,7 @@ def score(sortie: Sortie, site: str, way_ne_m: Array, flown: Flown, cpu_s: float
         seed=setup.seed,
         wind_m_s=setup.wind_m_s,
         wind_from_deg=round(setup.wind_from_deg, 1),
-        flown_s=round(flown.world.t_s, 1),
+        flown_s=round(flown.flown_s, 1),
         way_m=round(float(np.hypot(*np.diff(truth[::50], axis=0).T).sum()), 1),
         wrong=verdict.wrong,
         errors_m=tuple(round(errors[i], 3) for i in each_second),

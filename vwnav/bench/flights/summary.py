@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.flights.score import FlightScore
+from vwnav.bench.flights.campaign import FlightScore
 from vwnav.bench.resampling import interval
 from vwnav.types import Array
 

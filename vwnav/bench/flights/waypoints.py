@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.flights.log import flight_log
-from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import Ending, Flown, Scenario, fly
+from vwnav.bench.flights.scenario import Ending, Flown, Scenario
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.resampling import interval
 from vwnav.mission.mission import Phase
@@ -97,16 +96,16 @@ def plan(number: int, height_m: float, seconds: float, wind_m_s: float, seed: in
 
 
 def measure(
-    place: Place,
+    fly: Callable[[Scenario], Flown],
     features: FeatureName,
     scenarios: Sequence[Scenario],
     height_m: float,
     progress: Callable[[int, int], None],
 ) -> WaypointsRow:
-    """Fly them with `features`, those that `place` matches by first; `progress(done, of all)`."""
+    """Fly them, where `features` are matched by; `progress(done, of all)`."""
     seen = []
     for scenario in scenarios:
-        seen.append(look_at(fly(scenario, place)))
+        seen.append(look_at(fly(scenario)))
         progress(len(seen), len(scenarios))
     return row_of(features, height_m, seen)
 
@@ -127,8 +126,8 @@ def row_of(features: FeatureName, height_m: float, seen: Sequence[Seen]) -> Wayp
 
 def look_at(flown: Flown) -> Seen:
     """Hold fixes and estimates of a flight against its truth."""
-    log, steps = flight_log(flown), flown.world.navigator.record.steps
-    steps = [step for step in steps if step.t_s >= flown.world.begun_s]
+    log, steps = flight_log(flown), flown.steps
+    steps = [step for step in steps if step.t_s >= flown.begun_s]
     believed = {step.t_s: step.estimate for step in steps if step.estimate is not None}
     raw, filtered = [], []
     for fix in log.fixes:

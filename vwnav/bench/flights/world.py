@@ -11,24 +11,22 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from vwnav.bench.flights.navigator import Equipped, Navigator
+from vwnav.bench.flights.navigator import Equipped, LockstepSuccessor, Navigator
 from vwnav.bench.flights.noted_link import NotedLink
-from vwnav.bench.flights.place import BreakableFeatures, Place
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
-from vwnav.bench.flights.successor import LockstepSuccessor
+from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures, Place
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Mission, Phase
 from vwnav.rules.flight_log import At
-from vwnav.sim.clock import SimulatedClock
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryLink
 from vwnav.sim.multirotor.setpoint import Setpoint
-from vwnav.sim.processor import Costs, Processor
+from vwnav.sim.processor import Costs, Processor, SimulatedClock
 from vwnav.sim.px4.px4 import STEP_S
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site
@@ -41,7 +39,6 @@ _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
 _SETTLED_S = 0.5  # of telemetry before its filter begins
 _LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
-LINK_LATENCY_S = 0.002
 _SPARE_S = 0.3  # until a waiting watchdog has the link: measured on a busy machine
 _CAMERA_LATENCY_S = 0.04
 
@@ -132,6 +129,15 @@ class World:
             equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
             self.processor, self.costs, self.note, first_counter,
         )  # fmt: skip
+
+    @property
+    def site(self) -> Site:
+        """What the map is of."""
+        return self.place.site
+
+    def show(self, site: Site, kept: bool = True) -> None:
+        """The camera sees this from now on; `kept` keeps its tiles on disk, for other runs."""
+        self.camera.renderer = draw(site, self.setup, self.place, kept)
 
     @property
     def own_map(self) -> Path:

@@ -34,7 +34,7 @@ from vwnav.bench.localizer.pictures import (
     registered_pairs,
 )
 from vwnav.cameras.image_folder import read_picture
-from vwnav.geometry.mercator import ground_resolution_m_per_px
+from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.types import Array, Prior
 

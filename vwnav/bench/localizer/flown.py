@@ -9,12 +9,7 @@ import numpy as np
 
 from vwnav.bench.features.flight_scenes import ISLAMABAD_LOGO_WH, Shot, islamabad_shots
 from vwnav.bench.features.scenes import generator
-from vwnav.bench.localizer.boards import (
-    ELSEWHERE,
-    LOOKS_A_PICTURE,
-    stranger,
-    wrong_looks,
-)
+from vwnav.bench.localizer.boards import ELSEWHERE, LOOKS_A_PICTURE, stranger, wrong_looks
 from vwnav.bench.localizer.looks import Board, LookCase, TruePose, rough_prior, without_place
 from vwnav.bench.localizer.pictures import Photo, other_photos
 from vwnav.geometry.camera import Camera

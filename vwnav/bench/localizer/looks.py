@@ -11,7 +11,7 @@ import numpy as np
 
 from vwnav.bench.features.scenes import Mask, look_at
 from vwnav.geometry.camera import Camera
-from vwnav.geometry.mercator import (
+from vwnav.geometry.geodesy import (
     ground_resolution_m_per_px,
     lat_lon_from_mercator_px,
     mercator_px,

@@ -8,8 +8,7 @@ from rich.table import Table
 
 from vwnav.bench.cells import number, percent, rounded
 from vwnav.bench.localizer.looks import LookKind
-from vwnav.bench.localizer.run import LocalizerReport
-from vwnav.bench.localizer.scoring import LookScore
+from vwnav.bench.localizer.scoring import LocalizerReport, LookScore
 
 _TITLES: dict[LookKind, str] = {
     "prior": "the right place, a rough prior",

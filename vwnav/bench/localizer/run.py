@@ -4,7 +4,6 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Literal
@@ -14,42 +13,20 @@ import cv2
 import vwnav
 from vwnav.bench.localizer.boards import boards
 from vwnav.bench.localizer.flown import flown_boards
-from vwnav.bench.localizer.looks import LOOK_KINDS, Board, LookKind, open_board
+from vwnav.bench.localizer.looks import Board, open_board
 from vwnav.bench.localizer.repeating import repeating_boards
-from vwnav.bench.localizer.scoring import LookScore, Outcome, judge, score
+from vwnav.bench.localizer.scoring import ALL, LocalizerReport, Outcome, judge
 from vwnav.errors import ConfigError
 from vwnav.geometry.camera import Camera
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
+from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.features.load import load_features
-from vwnav.vision.localizer import Localizer, LocalizerConfig
+from vwnav.vision.localizer import Localizer
 
 SceneSet = Literal["own", "judge", "repeats"]
 SCENE_SETS: tuple[SceneSet, ...] = ("own", "judge", "repeats")
 FEATURES = ("default", "nano", "default_open", "sift")
-ALL = "all"
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalizerReport:
-    """Attributes: what came of every look, by feature set."""
-
-    outcomes: dict[str, list[Outcome]]
-
-    def scores(self) -> Iterator[tuple[str, LookKind, dict[str, LookScore]]]:
-        """By group, by kind and by feature set; a kind's groups together come last, as "all"."""
-        everything = list(chain(*self.outcomes.values()))
-        groups = list(dict.fromkeys(each.group for each in everything))
-        for kind in LOOK_KINDS:
-            of_kind = [
-                g for g in groups if any(e.group == g and e.kind == kind for e in everything)
-            ]
-            for group in [*of_kind, ALL] if len(of_kind) > 1 else of_kind:
-                chosen = {
-                    name: [e for e in each if e.kind == kind and group in (ALL, e.group)]
-                    for name, each in self.outcomes.items()
-                }
-                yield group, kind, {name: score(e) for name, e in chosen.items() if e}
 
 
 def data_folder(given: Path | None) -> Path:

@@ -2,12 +2,13 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from vwnav.bench.localizer.looks import LookCase, LookKind
+from vwnav.bench.localizer.looks import LOOK_KINDS, LookCase, LookKind
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import MapFix, Rejected
@@ -166,3 +167,28 @@ def upper_bound(seen: int, of: int) -> float:
         )
         low, high = (middle, high) if at_most > _DOUBT else (low, middle)
     return high
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizerReport:
+    """Attributes: what came of every look, by feature set."""
+
+    outcomes: dict[str, list[Outcome]]
+
+    def scores(self) -> Iterator[tuple[str, LookKind, dict[str, LookScore]]]:
+        """By group, by kind and by feature set; a kind's groups together come last, as "all"."""
+        everything = list(chain(*self.outcomes.values()))
+        groups = list(dict.fromkeys(each.group for each in everything))
+        for kind in LOOK_KINDS:
+            of_kind = [
+                g for g in groups if any(e.group == g and e.kind == kind for e in everything)
+            ]
+            for group in [*of_kind, ALL] if len(of_kind) > 1 else of_kind:
+                chosen = {
+                    name: [e for e in each if e.kind == kind and group in (ALL, e.group)]
+                    for name, each in self.outcomes.items()
+                }
+                yield group, kind, {name: score(e) for name, e in chosen.items() if e}
+
+
+ALL = "all"

@@ -5,6 +5,7 @@ overrates them differs from model to model, so it is measured on pictures of dif
 """
 
 import math
+import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -36,12 +37,13 @@ from vwnav.bench.localizer.pictures import (
 )
 from vwnav.cameras.image_folder import read_picture
 from vwnav.errors import ConfigError
-from vwnav.geometry.mercator import ground_resolution_m_per_px
+from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import array_source, level_georeference
 from vwnav.types import FeatureExtractor, Features, Frame, Prior
 from vwnav.vision.candidates import hypotheses
+from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.consensus import SimilarityBounds, vote
-from vwnav.vision.localizer import LocalizerConfig
+from vwnav.vision.features.learned import LOG10_PER_DECADE
 from vwnav.vision.matching import match
 from vwnav.vision.query import QueryMaker, View
 from vwnav.vision.registration import MIN_KEYPOINTS, MIN_MATCHES
@@ -208,3 +210,27 @@ def _bounds() -> SimilarityBounds:
     somewhere = TruePose(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0, 60.0)
     prior = rough_prior(somewhere, (0.0, 0.0), 10.0, generator("bounds", 0))
     return hypotheses(prior, _GUESSED_AGL_M)[0].bounds
+
+
+def write_log10_per_decade(path: Path, value: float) -> None:
+    """Put the value into the metadata of an ONNX file; the graph stays as it is.
+
+    Raises:
+        ConfigError: the onnx package is not installed, or the file cannot be written.
+    """
+    try:
+        import onnx
+    except ImportError as error:
+        raise ConfigError("--write needs the onnx package: pip install 'vwnav[bench]'") from error
+    model = onnx.load(path)
+    kept = [each for each in model.metadata_props if each.key != LOG10_PER_DECADE]
+    kept.append(onnx.StringStringEntryProto(key=LOG10_PER_DECADE, value=f"{value:.1f}"))
+    del model.metadata_props[:]
+    model.metadata_props.extend(kept)
+    partial = path.with_suffix(".partial")
+    try:
+        partial.write_bytes(model.SerializeToString())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"cannot write {path}: {error.strerror}") from error

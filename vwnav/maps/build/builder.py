@@ -10,7 +10,7 @@ import numpy as np
 
 from vwnav import __version__
 from vwnav.errors import MapError
-from vwnav.geometry.mercator import (
+from vwnav.geometry.geodesy import (
     MAX_ZOOM,
     TILE_PX,
     ground_resolution_m_per_px,

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.mercator import TILE_PX
+from vwnav.geometry.geodesy import TILE_PX
 from vwnav.maps.picture import Mask, Picture, Tile, Window
 from vwnav.types import FeatureExtractor, Features, Gray
 

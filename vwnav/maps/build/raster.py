@@ -7,8 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.mercator import lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.geodesy import LocalFrame, lat_lon_from_mercator_px, mercator_px
 from vwnav.maps.picture import Mask, Picture, Window
 from vwnav.types import Array
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from vwnav.errors import MapError
-from vwnav.geometry.mercator import mercator_px
+from vwnav.geometry.geodesy import mercator_px
 from vwnav.maps.build.builder import BuildOptions
 from vwnav.maps.build.pictures import corner_pictures, is_corner_table
 from vwnav.maps.build.raster import Georeference, RasterSource, level_georeference

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import horizontal_distance_m
-from vwnav.geometry.mercator import (
+from vwnav.geometry.geodesy import (
     MAX_LAT_DEG,
     ground_resolution_m_per_px,
+    horizontal_distance_m,
     lat_lon_from_mercator_px,
     mercator_px,
 )

@@ -13,13 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mavsdk import (  # type: ignore[import-untyped]
-    ComponentType,
-    Configuration,
-    LogLevel,
-    Mavsdk,
-    log_subscribe,
-)
+from mavsdk import ComponentType, Configuration, LogLevel, Mavsdk, log_subscribe  # type: ignore[import-untyped]
 from mavsdk.plugins.mavlink_direct import (  # type: ignore[import-untyped]
     MavlinkDirect,
     MavlinkDirectError,

@@ -5,7 +5,7 @@ import math
 from vwnav.sim.copter.failsafes import CopterHealth, Say
 from vwnav.sim.copter.modes import ARMABLE, NEEDS_POSITION, Mode
 from vwnav.sim.copter.parameters import CopterParameters
-from vwnav.sim.mavlink.enums import Result, Severity
+from vwnav.sim.mavlink.command import Result, Severity
 
 _CHECK_EVERY_S, _SAY_EVERY_S = 1.0, 30.0
 

@@ -6,13 +6,19 @@ from dataclasses import dataclass
 
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
-from vwnav.sim.copter.streams import BUILDERS, SHORTEST_US
-from vwnav.sim.mavlink.command import FORCE_MAGIC, VehicleCommand, is_place, message_id
+from vwnav.sim.mavlink.command import (
+    FORCE_MAGIC,
+    Result,
+    Severity,
+    VehicleCommand,
+    is_place,
+    message_id,
+)
 from vwnav.sim.mavlink.conversation import GET_MESSAGE_INTERVAL, MESSAGE_INTERVAL
-from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.schedule import Schedule
 
 _CUSTOM_MODE_ENABLED = 1
+_SHORTEST_US = 3125.0  # a shorter interval is denied
 
 
 @dataclass(slots=True)
@@ -70,11 +76,11 @@ def _set_interval(command: VehicleCommand, context: CopterCommandContext) -> Res
     number, interval_us = message_id(command.p1), command.p2
     if number is None or math.isnan(interval_us):
         return Result.DENIED
-    if number not in BUILDERS:
+    if number not in context.schedule.builders:
         text = f"No ap_message for mavlink id ({number})"
         context.vehicle.say(Severity.INFO, text)
         return Result.DENIED
-    if 0.0 < interval_us < SHORTEST_US:
+    if 0.0 < interval_us < _SHORTEST_US:
         return Result.DENIED
     context.schedule.set_interval(number, interval_us, context.vehicle.t_s)
     return Result.ACCEPTED
@@ -82,7 +88,7 @@ def _set_interval(command: VehicleCommand, context: CopterCommandContext) -> Res
 
 def _request(command: VehicleCommand, context: CopterCommandContext) -> Result:
     number = message_id(command.p1)
-    if number not in BUILDERS:
+    if number is None or number not in context.schedule.builders:
         return Result.FAILED
     context.send_now.append(number)
     return Result.ACCEPTED

@@ -6,16 +6,15 @@ from collections import deque
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.copter.battery import CopterBattery
 from vwnav.sim.copter.commander import CopterCommander
 from vwnav.sim.copter.estimator import CopterEstimator
-from vwnav.sim.copter.failsafes import CopterHealth, Failsafes
+from vwnav.sim.copter.failsafes import CopterBattery, CopterHealth, Failsafes
 from vwnav.sim.copter.flight_modes import SPOOL_UP_S, FlightModes
 from vwnav.sim.copter.modes import MODE_OF, Mode
 from vwnav.sim.copter.parameters import NO_GPS, CopterParameters
 from vwnav.sim.copter.radio import SETUP, SWITCH_US, Radio
 from vwnav.sim.home import HomePosition
-from vwnav.sim.mavlink.enums import Landed, Result, Severity
+from vwnav.sim.mavlink.command import Landed, Result, Severity
 from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
 from vwnav.sim.multirotor.sensors import Imu, Sensors

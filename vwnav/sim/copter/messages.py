@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode, base_mode
+from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.multirotor.sensors import FIELD_GAUSS, pressure_hpa
 
 Builder = Callable[[SimulatedCopter], Any]
@@ -289,3 +290,45 @@ def _ms(v: SimulatedCopter) -> int:
 
 def _us(v: SimulatedCopter) -> int:
     return int(1e6 * v.t_s)
+
+
+BUILDERS: dict[int, Builder] = {
+    0: heartbeat,
+    1: sys_status,
+    2: system_time,
+    24: gps_raw_int,
+    26: scaled_imu,
+    27: raw_imu,
+    29: scaled_pressure,
+    30: attitude,
+    31: attitude_quaternion,
+    32: local_position_ned,
+    33: global_position_int,
+    36: servo_output_raw,
+    42: mission_current,
+    49: gps_global_origin,
+    62: nav_controller_output,
+    65: rc_channels,
+    74: vfr_hud,
+    105: highres_imu,
+    108: sim_state,
+    125: power_status,
+    132: distance_sensor,
+    147: battery_status,
+    148: autopilot_version,
+    193: ekf_status_report,
+    241: vibration,
+    242: home_position,
+    245: extended_sys_state,
+}
+UNASKED_HZ: dict[int, float] = {0: 1.0}
+
+
+def truth_rates(rate_hz: float) -> dict[int, float]:
+    """The truth link carries a heartbeat and SIM_STATE only."""
+    return {0: 1.0, 108: rate_hz}
+
+
+def schedule_of(rates_hz: dict[int, float]) -> Schedule:
+    """A link's schedule."""
+    return Schedule(rates_hz, BUILDERS, lambda interval_s: interval_s)

@@ -9,10 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.sim.copter import vision_input
 from vwnav.sim.copter.commands import CopterCommandContext, execute
 from vwnav.sim.copter.copter import SimulatedCopter
-from vwnav.sim.copter.streams import BUILDERS
-from vwnav.sim.mavlink.command import VehicleCommand, is_place
+from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place
 from vwnav.sim.mavlink.conversation import Conversation
-from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages
@@ -24,7 +22,6 @@ _ORIGIN = 49
 class CopterSession(Conversation[SimulatedCopter]):
     """A link's conversation with the simulated ArduCopter."""
 
-    BUILDERS = BUILDERS
     ACK_DELAY_S = 0.005  # recorded: 0 to 12 ms
     TIMESYNC_EVERY_S = 10.0
     DEGE7_COMMANDS = frozenset({179})
@@ -94,7 +91,7 @@ class CopterSession(Conversation[SimulatedCopter]):
         if is_place(*place) and v.estimator.set_origin(*place):
             v.say(Severity.INFO, "EKF3 IMU0 origin set")
             v.say(Severity.INFO, f"Field Elevation Set: {place[2]:.0f}m")
-            self._answer(BUILDERS[_ORIGIN](v))
+            self._answer(self._schedule.builders[_ORIGIN](v))
 
     def _radio(self, m: Any) -> None:
         channels = [getattr(m, f"chan{i}_raw") for i in range(1, 9)]

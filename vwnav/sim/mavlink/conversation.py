@@ -1,15 +1,14 @@
 """What every simulated autopilot does on a link; its own manners are in the sessions made of it."""
 
+import heapq
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.mavlink.answers import Answers
-from vwnav.sim.mavlink.command import VehicleCommand
-from vwnav.sim.mavlink.enums import Result
+from vwnav.sim.mavlink.command import Result, VehicleCommand
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 
@@ -35,7 +34,6 @@ class Conversation(ABC, Generic[VehicleT]):
         timesync_due_s: when it first asks for the time.
     """
 
-    BUILDERS: ClassVar[Mapping[int, Callable[[Any], Any]]]  # of messages, by number
     ACK_DELAY_S: ClassVar[float]
     TIMESYNC_EVERY_S: ClassVar[float]
     DEGE7_COMMANDS: ClassVar[frozenset[int]]  # x and y of COMMAND_INT are degrees * 1e7 here
@@ -92,7 +90,7 @@ class Conversation(ABC, Generic[VehicleT]):
         """Send what is due."""
         t_s = self._vehicle.t_s
         for message_id in self._schedule.due(t_s):
-            self._send(self.BUILDERS[message_id](self._vehicle))
+            self._send(self._schedule.builders[message_id](self._vehicle))
         for answer in self._answers.due(t_s):
             self._send(answer)
         if t_s >= self._timesync_due_s:
@@ -137,9 +135,33 @@ class Conversation(ABC, Generic[VehicleT]):
             asked = int(command.p1)
             interval_us = self._schedule.interval_us(asked)
             return mavlink.MAVLink_message_interval_message(asked, interval_us)
-        builder = self.BUILDERS.get(message_id)
+        builder = self._schedule.builders.get(message_id)
         return None if builder is None else builder(self._vehicle)
 
     def _mission_list(self, m: Any) -> None:
         source = (m.get_srcSystem(), m.get_srcComponent())
         self._send(mavlink.MAVLink_mission_count_message(*source, 0, m.mission_type))
+
+
+class Answers:
+    """Kept in the order in which they are due, equals in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[float, int, Any]] = []
+        self._count = 0
+
+    def __bool__(self) -> bool:
+        """Whether any waits."""
+        return bool(self._waiting)
+
+    def put(self, message: Any, due_s: float) -> None:
+        """Keep one until it is due."""
+        self._count += 1
+        heapq.heappush(self._waiting, (due_s, self._count, message))
+
+    def due(self, t_s: float) -> list[Any]:
+        """Those to send now."""
+        found = []
+        while self._waiting and self._waiting[0][0] <= t_s:
+            found.append(heapq.heappop(self._waiting)[2])
+        return found

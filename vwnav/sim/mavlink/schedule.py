@@ -1,7 +1,8 @@
 """When each message of a link is due: defaults and SET_MESSAGE_INTERVAL."""
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable, Mapping
+from typing import Any
 
 
 class Schedule:
@@ -9,18 +10,18 @@ class Schedule:
 
     Args:
         rates_hz: by default, by message number.
-        known: numbers of the messages that there are.
+        builders: of the messages that there are, by number: each makes one of the vehicle's state.
         reachable: turns an interval asked for (s) into one that it can do.
     """
 
     def __init__(
         self,
         rates_hz: dict[int, float],
-        known: Container[int],
+        builders: Mapping[int, Callable[[Any], Any]],
         reachable: Callable[[float], float],
     ) -> None:
         self._defaults = rates_hz
-        self._known = known
+        self.builders = builders
         self._reachable = reachable
         self._interval_s = {message_id: 1.0 / rate for message_id, rate in rates_hz.items()}
         self._due_s = dict.fromkeys(rates_hz, 0.0)
@@ -33,7 +34,7 @@ class Schedule:
 
     def set_interval(self, message_id: int, interval_us: float, t_s: float) -> bool:
         """SET_MESSAGE_INTERVAL: 0 is the default rate, -1 off; False for what is not known."""
-        if message_id not in self._known or math.isnan(interval_us):
+        if message_id not in self.builders or math.isnan(interval_us):
             return False
         if interval_us == 0 and message_id in self._defaults:
             self._interval_s[message_id] = 1.0 / self._defaults[message_id]

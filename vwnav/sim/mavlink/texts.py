@@ -4,7 +4,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.mavlink.enums import Severity
+from vwnav.sim.mavlink.command import Severity
 
 _CHARACTERS = 50
 

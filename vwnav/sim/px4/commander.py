@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from vwnav.sim.mavlink.enums import Landed, Result, Severity
+from vwnav.sim.mavlink.command import Landed, Result, Severity
 from vwnav.sim.px4.failsafe import Failsafe, Px4Health
 from vwnav.sim.px4.modes import POSITION_STATES, STICK_STATES, NavState
 from vwnav.sim.px4.parameters import Px4Parameters

@@ -4,9 +4,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vwnav.sim.mavlink.command import FORCE_MAGIC, VehicleCommand, is_place, message_id
+from vwnav.sim.mavlink.command import FORCE_MAGIC, Result, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.conversation import MESSAGE_INTERVAL
-from vwnav.sim.mavlink.enums import Result
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.px4.modes import NavState, state_of_custom_mode
 from vwnav.sim.px4.px4 import SimulatedPx4

@@ -7,18 +7,16 @@ from collections import deque
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.home import HomePosition
-from vwnav.sim.mavlink.enums import Severity
+from vwnav.sim.mavlink.command import Severity
 from vwnav.sim.multirotor.airframe import Airframe
-from vwnav.sim.multirotor.controller import Controller, attitude_of_force
+from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
 from vwnav.sim.multirotor.sensors import Imu, Sensors
 from vwnav.sim.multirotor.setpoint import Setpoint
 from vwnav.sim.multirotor.wind import Wind
-from vwnav.sim.px4.battery import Px4Battery
 from vwnav.sim.px4.commander import Px4Commander
 from vwnav.sim.px4.estimator import Px4Estimator
-from vwnav.sim.px4.failsafe import Px4Health
+from vwnav.sim.px4.failsafe import Px4Battery, Px4Health
 from vwnav.sim.px4.flight_tasks import FlightTasks
-from vwnav.sim.px4.gains import gains_of
 from vwnav.sim.px4.modes import STATE_OF, NavState
 from vwnav.sim.px4.parameters import NO_GPS, Px4Parameters
 from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
@@ -319,3 +317,26 @@ def _parameters(config: VehicleConfig) -> Px4Parameters:
     radio = RADIO_SETUP if config.pilot.rc_on else ()
     own = (("MAV_SYS_ID", float(config.system_id)), ("SIM_BAT_DRAIN", config.battery_drain_s))
     return Px4Parameters((*preset, *radio, *own, *config.parameters))
+
+
+def gains_of(get: Px4Parameters) -> Gains:
+    """As the parameters are now."""
+    return Gains(
+        xy_p=get["MPC_XY_P"],
+        z_p=get["MPC_Z_P"],
+        vxy_p=get["MPC_XY_VEL_P_ACC"],
+        vxy_i=get["MPC_XY_VEL_I_ACC"],
+        vz_p=get["MPC_Z_VEL_P_ACC"],
+        vz_i=get["MPC_Z_VEL_I_ACC"],
+        v_max_m_s=get["MPC_XY_VEL_MAX"],
+        up_max_m_s=get["MPC_Z_VEL_MAX_UP"],
+        down_max_m_s=get["MPC_Z_VEL_MAX_DN"],
+        hover=max(0.1, get["MPC_THR_HOVER"]),
+        thrust_min=get["MPC_THR_MIN"],
+        thrust_max=get["MPC_THR_MAX"],
+        tilt_max_rad=math.radians(get["MPC_TILTMAX_AIR"]),
+        roll_p=get["MC_ROLL_P"],
+        pitch_p=get["MC_PITCH_P"],
+        yaw_p=get["MC_YAW_P"],
+        rate_p=get["MC_ROLLRATE_P"],
+    )

@@ -6,9 +6,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.mavlink.command import VehicleCommand, is_place
+from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place
 from vwnav.sim.mavlink.conversation import Conversation
-from vwnav.sim.mavlink.enums import Result, Severity
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages
@@ -18,7 +17,6 @@ from vwnav.sim.px4 import vision_input
 from vwnav.sim.px4.commands import Px4CommandContext, execute
 from vwnav.sim.px4.parameters import HASH_CHECK
 from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.px4.streams import BUILDERS
 
 _GCS_SILENT_S = 5.0
 # PX4 takes these for its own system id only (mavlink_receiver.cpp, mavlink_parameters.cpp).
@@ -45,7 +43,6 @@ class Px4Session(Conversation[SimulatedPx4]):
         asks_time: whether it sends TIMESYNC requests itself (PX4 does so to companions).
     """
 
-    BUILDERS = BUILDERS
     ACK_DELAY_S = 0.008
     TIMESYNC_EVERY_S = 0.1
     DEGE7_COMMANDS = frozenset({179, 611})
@@ -139,7 +136,7 @@ class Px4Session(Conversation[SimulatedPx4]):
         place = (m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
         if is_place(*place):
             self._vehicle.estimator.set_origin(*place)
-            self._answer(BUILDERS[49](self._vehicle))
+            self._answer(self._schedule.builders[49](self._vehicle))
 
     def _manual_control(self, m: Any) -> None:
         v = self._vehicle

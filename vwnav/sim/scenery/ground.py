@@ -10,6 +10,7 @@ from vwnav.sim.scenery.drawing import Canvas, Patch, offset_line
 from vwnav.sim.scenery.index import Index
 from vwnav.sim.scenery.landscape import Cell, Landscape, Strip
 from vwnav.sim.scenery.looks import Look
+from vwnav.sim.scenery.materials import stripes
 from vwnav.types import Array
 
 
@@ -88,23 +89,6 @@ def _meadow(canvas: Canvas, cell: Cell, look: Look, turf: NDArray[np.float32]) -
     canvas.blend(patch, patch.cut(turf) * np.array([0.96, 1.0, 1.0], np.float32) * np.float32(tone))
     if rng.uniform() < 0.6:
         stripes(canvas, patch, cell.row_rad, float(rng.choice([3.0, 6.0])), 0.035, look)
-
-
-def stripes(
-    canvas: Canvas, patch: Patch, heading_rad: float, width_m: float, depth: float, look: Look
-) -> None:
-    """Alternate light and dark bands, as a mower leaves them."""
-    window = canvas.window
-    north = window.north_m()[patch.rows].astype(np.float32)[:, None]
-    east = window.east_m()[patch.cols].astype(np.float32)[None, :]
-    across = -np.sin(heading_rad) * north + np.cos(heading_rad) * east
-    wobble = patch.cut(canvas.noise.fractal(25.6, 12.8, 0.5, materials.day_salt(look, 8)))
-    phase = np.sin(np.pi / width_m * (across + np.float32(0.3) * wobble))
-    sharp = np.float32(min(width_m / window.m_per_px / 3.0, 4.0))
-    band = np.clip(phase * sharp, -1.0, 1.0)
-    strength = 0.75 + 0.3 * wobble
-    gain = 1.0 + np.float32(depth) * patch.alpha * band * strength
-    canvas.bgr[patch.rows, patch.cols] *= gain[..., None]
 
 
 def _pasture(canvas: Canvas, cell: Cell, look: Look, turf: NDArray[np.float32]) -> None:

@@ -20,8 +20,7 @@ from vwnav.sim.scenery.landscape import (
     wander,
 )
 from vwnav.sim.scenery.looks import flight_look, map_look
-from vwnav.sim.scenery.planting import hedge, scatter, wood
-from vwnav.sim.scenery.settlement import farm, hangars, village
+from vwnav.sim.scenery.settlement import farm, hangars, hedge, scatter, village, wood
 from vwnav.types import Array
 
 

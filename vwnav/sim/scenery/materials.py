@@ -157,3 +157,20 @@ def gravel_tone(look: Look) -> NDArray[np.float32]:
     """Colour (3,) BGR of bare trodden earth on that day."""
     wet = 0.85 if look.season in ("autumn", "spring", "winter") else 1.0
     return np.array([104.0, 128.0, 146.0], np.float32) * np.float32(wet)
+
+
+def stripes(
+    canvas: Canvas, patch: Patch, heading_rad: float, width_m: float, depth: float, look: Look
+) -> None:
+    """Alternate light and dark bands, as a mower leaves them."""
+    window = canvas.window
+    north = window.north_m()[patch.rows].astype(np.float32)[:, None]
+    east = window.east_m()[patch.cols].astype(np.float32)[None, :]
+    across = -np.sin(heading_rad) * north + np.cos(heading_rad) * east
+    wobble = patch.cut(canvas.noise.fractal(25.6, 12.8, 0.5, day_salt(look, 8)))
+    phase = np.sin(np.pi / width_m * (across + np.float32(0.3) * wobble))
+    sharp = np.float32(min(width_m / window.m_per_px / 3.0, 4.0))
+    band = np.clip(phase * sharp, -1.0, 1.0)
+    strength = 0.75 + 0.3 * wobble
+    gain = 1.0 + np.float32(depth) * patch.alpha * band * strength
+    canvas.bgr[patch.rows, patch.cols] *= gain[..., None]

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from vwnav.sim.scenery import markings, materials
 from vwnav.sim.scenery.drawing import Canvas, Patch
-from vwnav.sim.scenery.ground import stripes
 from vwnav.sim.scenery.index import Index
 from vwnav.sim.scenery.landscape import Airfield
 from vwnav.sim.scenery.looks import Look
 from vwnav.sim.scenery.markings import Stroke
+from vwnav.sim.scenery.materials import stripes
 from vwnav.types import Array
 
 _PAINT = np.array([212.0, 216.0, 216.0], np.float32)

@@ -26,8 +26,3 @@ def no_features(descriptor_size: int, dtype: type[np.float32] | type[np.uint8]) 
         cast("NDArray[np.float32] | NDArray[np.uint8]", descriptors),
         np.zeros(0, np.float32),
     )
-
-
-def take(features: Features, index: NDArray[np.int64] | NDArray[np.bool_]) -> Features:
-    """Features chosen by index (n,) or by mask, in that order."""
-    return Features(features.uv[index], features.descriptors[index], features.scores[index])

@@ -65,6 +65,8 @@ def find_model(given: Path | None) -> Path:
 class LearnedFeatures:
     """The network behind the `FeatureExtractor` protocol, on onnxruntime alone."""
 
+    name: Literal["learned"] = "learned"
+
     def __init__(self, path: Path | None = None, *, threads: int = 1) -> None:
         """Load a model and run it once.
 
@@ -79,21 +81,11 @@ class LearnedFeatures:
         self._path = find_model(path)
         self._session = _open(self._path, threads)
         facts = _check(self._session, self._path)
-        self._feature_set_id = facts["feature_set_id"]
+        self.feature_set_id = facts["feature_set_id"]
         # `vwnav bench significance --write` puts it there.
         self.log10_per_decade = _log10_per_decade(facts, self._path)
         # The first run allocates and compiles; and a graph that loads may still not run.
         self.extract(np.zeros((2 * SIZE_MULTIPLE_PX, 2 * SIZE_MULTIPLE_PX), np.uint8), 1)
-
-    @property
-    def name(self) -> Literal["learned"]:
-        """Always "learned"."""
-        return "learned"
-
-    @property
-    def feature_set_id(self) -> str:
-        """Identifies the model, as its metadata say."""
-        return self._feature_set_id
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
         """Detect and describe.

@@ -23,21 +23,13 @@ class SiftFeatures:
     for pictures whose rotation is unknown; the two kinds cannot be compared.
     """
 
+    name: Literal["sift"] = "sift"
     # Measured: of 1000 unrelated pairs 1 and 0.1 % were below -0.7 and -1.2.
     log10_per_decade: float = 1.5
 
     def __init__(self, *, upright: bool = True) -> None:
         self._upright = upright
-
-    @property
-    def name(self) -> Literal["sift"]:
-        """Always "sift"."""
-        return "sift"
-
-    @property
-    def feature_set_id(self) -> str:
-        """Identifies what the descriptors can be compared with."""
-        return "sift-root-upright-1" if self._upright else "sift-root-1"
+        self.feature_set_id = "sift-root-upright-1" if upright else "sift-root-1"
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
         """Detect and describe.

@@ -28,6 +28,7 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
+from vwnav.vision.config import OdometryConfig
 from vwnav.vision.odometry.ground_motion import (
     Motion,
     MotionPrior,
@@ -37,46 +38,11 @@ from vwnav.vision.odometry.ground_motion import (
     off_plane,
     tilt_share,
 )
-from vwnav.vision.odometry.tracking import (
-    Points,
-    find_corners,
-    reduced_gray,
-    reduction,
-    track,
-)
+from vwnav.vision.odometry.tracking import Points, find_corners, reduced_gray, reduction, track
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
 _MOST_ZOOM = 0.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OdometryConfig:
-    """Sizes in pixels are of the reduced picture."""
-
-    widest_px: int = 480  # pictures are reduced to at most this width
-    cell_px: int = 20  # one corner from each cell
-    threshold_px: float = 2.5  # a track further off the ground plane is an outlier
-    sigma_px: float = 0.55  # of a track: what it shares with its neighbours (rolling shutter, lens)
-    least_contrast: float = 2.0  # standard deviation of gray levels, of 255
-    least_corners: int = 20
-    least_inliers: int = 12
-    least_inlier_ratio: float = 0.3
-    most_sigma_ratio: float = 0.1  # of the way, in AGL: beyond it the points hang together badly
-    # When a keyframe has served
-    keep_ratio: float = 0.5  # of its corners still seen
-    keep_turn_rad: float = math.radians(8.0)  # Lucas-Kanade does not turn its windows
-    keep_zoom: float = 0.12  # nor does it scale them: relative change of height
-    # What attitudes leave open
-    tilt_increment_rad: float = math.radians(0.2)  # between keyframe and picture
-    # Of the attitude, fixed to the body: in a turn it changes by as much of itself. The less of
-    # that is allowed for, the larger a share of it is taken for motion.
-    tilt_rad: float = math.radians(2.0)
-    tilt_increment_level_rad: float = math.radians(2.0)  # of a video alone
-    yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
-    slope: float = 0.05  # of the ground, with the attitude's own error
-    slope_level: float = 0.09  # of a video alone
-    least_agl_m: float = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,21 +4,18 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from vwnav.bench.flights.world import World
+from vwnav.bench.flights.stage import FlightStage, Lasting
 
 
 @dataclass(frozen=True)
-class BatteryAt:
+class BatteryAt(Lasting):
     """The charge falls to so much at once."""
 
     ratio: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """A cell fails."""
         world.core.vehicle.battery.remaining = self.ratio
-
-    def end(self, world: World) -> None:
-        """It does not recover."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +24,11 @@ class BarometerWrong:
 
     metres: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """A gust."""
         world.core.vehicle.sensors.baro_error_m = self.metres
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Calm."""
         world.core.vehicle.sensors.baro_error_m = 0.0
 
@@ -42,92 +39,80 @@ class BarometerDrifts:
 
     metres_per_s: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """A front comes."""
         world.core.vehicle.sensors.baro_drift_m_s = self.metres_per_s
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """What it was is kept."""
         world.core.vehicle.sensors.baro_drift_m_s = 0.0
 
 
 @dataclass(frozen=True)
-class HeadingReset:
+class HeadingReset(Lasting):
     """The autopilot realigns its heading by so much at once, as PX4 does after take-off."""
 
     turn_rad: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Its attitude is another one, and it believes its compass so from now on."""
         vehicle = world.core.vehicle
         vehicle.estimator.attitude.turn_heading(self.turn_rad)
         vehicle.sensors.heading_bias_rad += self.turn_rad
 
-    def end(self, world: World) -> None:
-        """It stays."""
-
 
 @dataclass(frozen=True)
-class Reboots:
+class Reboots(Lasting):
     """The autopilot starts anew; only ever on the ground."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Power off and on."""
         world.core.reboot()
 
-    def end(self, world: World) -> None:
-        """It has."""
-
 
 @dataclass(frozen=True)
-class PilotSwitches:
+class PilotSwitches(Lasting):
     """The pilot flips the mode switch to Position and flies."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Flipped."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=vehicle.t_s)
         world.note("pilot switches")
 
-    def end(self, world: World) -> None:
-        """It stays."""
-
 
 @dataclass(frozen=True)
-class PilotPushes:
+class PilotPushes(Lasting):
     """The pilot pushes the pitch stick forward for three seconds, and flies."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """A ramp of 0.4 s."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, takes_over_at_s=vehicle.t_s)
         world.note("pilot pushes the stick")
-
-    def end(self, world: World) -> None:
-        """The stick is let go by itself."""
 
 
 @dataclass(frozen=True)
 class RadioOff:
     """The pilot's transmitter goes off."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Off."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_lost_at_s=vehicle.t_s)
         world.note("the radio goes off")
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """On again."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, rc_back_at_s=vehicle.t_s)
 
 
 @dataclass(frozen=True)
-class PilotHandsBack:
+class PilotHandsBack(Lasting):
     """The pilot's ground station asks the navigator to go on."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """One command, to the navigator itself."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=None)
@@ -139,9 +124,6 @@ class PilotHandsBack:
         world.autopilot_link.a.write(bytes(command.pack(station)))
         world.note("pilot hands back")
 
-    def end(self, world: World) -> None:
-        """It stays."""
-
 
 @dataclass(frozen=True)
 class CommandRefused:
@@ -149,10 +131,10 @@ class CommandRefused:
 
     number: int
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Refused from now on."""
         world.core.vehicle.refuses.add(self.number)
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Taken again."""
         world.core.vehicle.refuses.discard(self.number)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.flights.world import World
+from vwnav.bench.flights.stage import FlightStage
 from vwnav.errors import SourceError
 from vwnav.types import Frame
 
@@ -28,11 +28,11 @@ class CameraTrouble:
 
     make: Callable[[], Trouble]
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Trouble."""
         world.camera.trouble = self.make()
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """None."""
         world.camera.trouble = None
 
@@ -47,13 +47,13 @@ class PicturesLate:
     seconds: float
     stamped: bool = True
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Late."""
         world.camera.latency_s += self.seconds
         if not self.stamped:
             world.camera.trouble = lambda frame: replace(frame, t_s=frame.t_s + self.seconds)
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As before."""
         world.camera.latency_s -= self.seconds
         world.camera.trouble = None

@@ -1,13 +1,16 @@
 """Faults of the navigator's computer: its processor, processes, model, map file, disk and clock."""
 
+import threading
 import time
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Literal
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
-from vwnav.bench.flights.stalled_recorder import StalledRecorder
-from vwnav.bench.flights.world import World
-from vwnav.watchdog.launch import HANGS_S
+from vwnav.bench.flights.stage import FlightStage, Lasting, Loop
+from vwnav.recording.recorder import Recorder
+from vwnav.watchdog.keepalive import HANGS_S
 
 _SQLITE_PAGE_BYTES = 4096
 
@@ -16,11 +19,11 @@ _SQLITE_PAGE_BYTES = 4096
 class ModelRaises:
     """The learned features raise."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Broken."""
         world.features.broken = True
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Works."""
         world.features.broken = False
 
@@ -31,129 +34,99 @@ class SlowSearch:
 
     seconds: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Slow."""
         world.costs.search = self.seconds
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As before."""
         world.costs.search = type(world.costs)().search
 
 
 @dataclass(frozen=True)
-class Starved:
+class Starved(Lasting):
     """Other programs take the processor: so much of it is left."""
 
     share: float
     seconds: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """From now on, for the seconds."""
         now_s = world.clock.now_s
         world.processor.starve(now_s, now_s + self.seconds, self.share)
-
-    def end(self, world: World) -> None:
-        """Planned already."""
 
 
 # ---- processes
 
 
 @dataclass(frozen=True)
-class NavigatorStopped:
+class NavigatorStopped(Lasting):
     """Its process is stopped for so long, and goes on."""
 
     seconds: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Stopped."""
         world.navigator.stop_until(world.clock.now_s + self.seconds)
 
-    def end(self, world: World) -> None:
-        """It wakes by itself."""
-
 
 @dataclass(frozen=True)
-class NavigatorKilled:
+class NavigatorKilled(Lasting):
     """Its process ends without a word; the watchdog sees that."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Dead."""
         world.navigator.end()
 
-    def end(self, world: World) -> None:
-        """It stays dead."""
-
 
 @dataclass(frozen=True)
-class NavigatorLeaves:
+class NavigatorLeaves(Lasting):
     """Its process unwinds in an orderly way, whatever the reason: `KeepAlive.close`."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """It says that it ends."""
         world.navigator.keep_alive.close()
         world.navigator.end()
 
-    def end(self, world: World) -> None:
-        """It is gone."""
-
 
 @dataclass(frozen=True)
-class WatchdogKilled:
+class WatchdogKilled(Lasting):
     """The watchdog's process ends; nothing passes until the spare one has the link."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Dead."""
         world.lose_watchdog()
 
-    def end(self, world: World) -> None:
-        """It stays dead."""
-
 
 @dataclass(frozen=True)
-class WatchdogHangs:
+class WatchdogHangs(Lasting):
     """The watchdog's process is stopped; the navigator ends it when it does not answer."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Silent."""
         world.lose_watchdog(HANGS_S)
-
-    def end(self, world: World) -> None:
-        """Another one has its place."""
 
 
 @dataclass(frozen=True)
 class StepRaises:
     """One of the navigator's steps raises, each time."""
 
-    step: Literal["link", "mission", "picture"]
+    step: Loop
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Broken."""
-        owner, name = self._place(world)
-        setattr(owner, name, _raise)
+        setattr(*world.navigator.step_of(self.step), _raise)
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As it was."""
-        owner, name = self._place(world)
-        delattr(owner, name)
-
-    def _place(self, world: World) -> tuple[Any, str]:
-        navigator = world.navigator
-        match self.step:
-            case "link":
-                return navigator.autopilot, "step"
-            case "mission":
-                return navigator.runtime, "step_control"
-            case "picture":
-                return navigator.pipeline, "step"
+        delattr(*world.navigator.step_of(self.step))
 
 
 @dataclass(frozen=True)
 class MatchingRaises:
     """Whichever features are matched: the thread that matches raises."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Broken."""
         executor = world.navigator.executor
         whole = executor.submit
@@ -163,7 +136,7 @@ class MatchingRaises:
 
         executor.submit = submit  # type: ignore[method-assign]
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As it was."""
         del world.navigator.executor.submit
 
@@ -176,10 +149,10 @@ def _raise(*_: object, **__: object) -> None:
 
 
 @dataclass(frozen=True)
-class MapTilesDamaged:
+class MapTilesDamaged(Lasting):
     """The second half of the map's file reads as zeros. Wants a flight with a map of its own."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Sectors of the disk die."""
         path = world.own_map
         size = path.stat().st_size
@@ -188,48 +161,59 @@ class MapTilesDamaged:
             file.seek(first)
             file.write(bytes(size - first))
 
-    def end(self, world: World) -> None:
-        """It stays damaged."""
-
 
 @dataclass(frozen=True)
-class MapDeleted:
+class MapDeleted(Lasting):
     """The map's file is deleted. Wants a flight with a map of its own."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Gone from the folder."""
         world.own_map.unlink()
-
-    def end(self, world: World) -> None:
-        """It stays deleted."""
 
 
 @dataclass(frozen=True)
 class DiskFull:
     """Nothing can be recorded."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Full."""
-        world.navigator.record.disk_full = True
+        world.navigator.disk_full = True
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Room again."""
-        world.navigator.record.disk_full = False
+        world.navigator.disk_full = False
+
+
+class StalledRecorder(Recorder):
+    """Takes everything and writes nothing, until it is closed."""
+
+    def __init__(self) -> None:
+        self._released = threading.Event()
+        self._folder = TemporaryDirectory(prefix="vwnav-stalled-")
+        super().__init__(Path(self._folder.name) / "flight.mcap", {})
+
+    def close(self) -> None:
+        """The disk answers again."""
+        self._released.set()
+        super().close()
+        self._folder.cleanup()
+
+    def _write(self) -> None:
+        self._released.wait()
+        super()._write()
 
 
 @dataclass(frozen=True)
 class DiskStalled:
     """Whatever is written waits: the true recorder, with a thread that never gets on."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Stalled."""
         world.navigator.keep(StalledRecorder())
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """It writes again."""
-        recorder, world.navigator.record.recorder = world.navigator.record.recorder, None
-        if recorder is not None:
-            recorder.close()
+        world.navigator.keep_no_more()
 
 
 @dataclass(frozen=True)
@@ -238,11 +222,11 @@ class WallClockJumps:
 
     seconds: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Set."""
         world.wall_clock = time.time
         time.time = lambda: world.wall_clock() + self.seconds
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Set back."""
         time.time = world.wall_clock

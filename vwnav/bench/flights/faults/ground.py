@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.bench.flights.world import World, draw
+from vwnav.bench.flights.stage import FlightStage, Lasting
 from vwnav.sim.scenery.looks import Season
 from vwnav.sim.site import Site
 from vwnav.sim.sites import UNRELATED_HOME_NE_M, parse_site
@@ -18,38 +18,35 @@ class MapShifted:
 
     ne_m: tuple[float, float]
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """What is seen lies as far off the other way."""
         world.camera.home_ned_m = world.camera.home_ned_m - np.array([*self.ne_m, 0.0])
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Where it belongs."""
         world.camera.home_ned_m = world.camera.home_ned_m + np.array([*self.ne_m, 0.0])
 
 
 @dataclass(frozen=True)
-class MapOfElsewhere:
+class MapOfElsewhere(Lasting):
     """The ground below is another landscape than the map's."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Among the fields of another site."""
-        world.camera.renderer = draw(parse_site("sim:unrelated"), world.setup, world.place)
+        world.show(parse_site("sim:unrelated"))
         away = np.array([*UNRELATED_HOME_NE_M, 0.0])
         world.camera.home_ned_m = world.camera.home_ned_m - away
 
-    def end(self, world: World) -> None:
-        """There is no way back."""
-
 
 @dataclass(frozen=True)
-class OtherSeason:
+class OtherSeason(Lasting):
     """The ground below is seen in another season, with other crops and a low morning sun."""
 
     season: Season
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Drawn anew: kept in memory, as the files of drawn tiles are of the site as it is."""
-        site = Site(world.place.site.seed)
+        site = Site(world.site.seed)
         look = site.looks["flight"]
         site.looks["flight"] = replace(
             look,
@@ -58,7 +55,4 @@ class OtherSeason:
             sun_azimuth_rad=look.sun_azimuth_rad - 0.5 * np.pi,
             sun_elevation_rad=_LOW_SUN_RAD,
         )
-        world.camera.renderer = draw(site, world.setup, world.place, kept=False)
-
-    def end(self, world: World) -> None:
-        """The season stays."""
+        world.show(site, kept=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.bench.flights.world import LINK_LATENCY_S, World
+from vwnav.bench.flights.stage import LINK_LATENCY_S, FlightStage, Lasting
 from vwnav.mavlink.modes import AutopilotKind, mode_command
 from vwnav.sim.memory_link import LineState, Tap
 from vwnav.vehicle import FlightMode
@@ -21,11 +21,11 @@ _STATION = (255, 190)  # system and component of QGroundControl
 class LinkCut:
     """Nothing passes between autopilot and watchdog, either way."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Cut."""
         world.autopilot_link.cut(True)
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Joined."""
         world.autopilot_link.cut(False)
 
@@ -36,12 +36,12 @@ class RoundTrip:
 
     seconds: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Longer."""
         for line in _lines(world):
             line.latency_s = 0.5 * self.seconds
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As before."""
         for line in _lines(world):
             line.latency_s = LINK_LATENCY_S
@@ -53,12 +53,12 @@ class SlowLine:
 
     baud: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Slow."""
         for line in _lines(world):
             line.baud = self.baud
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As before."""
         for line in _lines(world):
             line.baud = None
@@ -70,12 +70,12 @@ class Garbage:
 
     seed: int = 11
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Noise on both lines."""
         for number, line in enumerate(_lines(world)):
             line.tap = self._tap(random.Random(self.seed + number))
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Clean."""
         for line in _lines(world):
             line.tap = None
@@ -98,22 +98,22 @@ class Replayed:
 
     later_s: float
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Twice."""
         world.autopilot_link.a_to_b.tap = lambda packet: ((0.0, packet), (self.later_s, packet))
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Once."""
         world.autopilot_link.a_to_b.tap = None
 
 
 @dataclass(frozen=True)
-class StationCommands:
+class StationCommands(Lasting):
     """A second ground station asks the autopilot for another mode."""
 
     mode: FlightMode
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """One command."""
         packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
         asked = mode_command(_KINDS[world.setup.manners], self.mode)
@@ -122,10 +122,7 @@ class StationCommands:
         world.note(f"a second station asks for {self.mode.name}")
         world.autopilot_link.b.write(bytes(command.pack(packer)))
 
-    def end(self, world: World) -> None:
-        """It said it once."""
 
-
-def _lines(world: World) -> tuple[LineState, LineState]:
+def _lines(world: FlightStage) -> tuple[LineState, LineState]:
     """Down from the autopilot, up to it."""
     return world.autopilot_link.a_to_b, world.autopilot_link.b_to_a

@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vwnav.bench.flights.world import LINK_LATENCY_S, World
+from vwnav.bench.flights.stage import LINK_LATENCY_S, FlightStage
 from vwnav.sim.memory_link import Tap
 
 SYS_STATUS, ATTITUDE, ATTITUDE_QUATERNION = 1, 30, 31
@@ -22,7 +22,7 @@ class TelemetryLate:
     seconds: float
     numbers: tuple[int, ...] = ()
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Late."""
         if not self.numbers:
             world.autopilot_link.a_to_b.latency_s = self.seconds
@@ -31,7 +31,7 @@ class TelemetryLate:
                 (self.seconds if number_of(packet) in self.numbers else 0.0, packet),
             )
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """As before."""
         world.autopilot_link.a_to_b.latency_s = LINK_LATENCY_S
         world.autopilot_link.a_to_b.tap = None
@@ -43,11 +43,11 @@ class Missing:
 
     numbers: tuple[int, ...] = _ATTITUDES
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """They are dropped."""
         world.autopilot_link.a_to_b.tap = self._drop
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """They come."""
         world.autopilot_link.a_to_b.tap = None
 
@@ -61,11 +61,11 @@ class Doubled:
 
     numbers: tuple[int, ...]
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """Twice."""
         world.autopilot_link.a_to_b.tap = self._double
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """Once."""
         world.autopilot_link.a_to_b.tap = None
 
@@ -85,11 +85,11 @@ class Altered:
     numbers: tuple[int, ...]
     change: Callable[[Any], None]
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """They are altered."""
         world.autopilot_link.a_to_b.tap = altering(self.numbers, self.change)
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """They are right."""
         world.autopilot_link.a_to_b.tap = None
 
@@ -147,14 +147,14 @@ def battery_unknown() -> Altered:
 class BootClockJumps:
     """The autopilot's clock, as all its messages carry it, begins at zero again."""
 
-    def begin(self, world: World) -> None:
+    def begin(self, world: FlightStage) -> None:
         """From now on."""
         lost_s = world.core.vehicle.t_s
         link = world.autopilot_link
         link.a_to_b.tap = altering(None, lambda message: _set_back(message, lost_s))
         link.b_to_a.tap = altering((TIMESYNC,), lambda message: _set_forward(message, lost_s))
 
-    def end(self, world: World) -> None:
+    def end(self, world: FlightStage) -> None:
         """It counts on."""
         world.autopilot_link.a_to_b.tap = world.autopilot_link.b_to_a.tap = None
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.flights.faults import aircraft, camera, computer, link, telemetry
-from vwnav.bench.flights.faults.fault import Fault
 from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Ending, Scenario
+from vwnav.bench.flights.stage import Fault
 from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode

@@ -1,4 +1,4 @@
-"""A relay between an autopilot and the program under test, which a fault may spoil."""
+"""Between the programs and a simulator: a relay that can be broken, and who plays the pilot."""
 
 import random
 import threading
@@ -10,13 +10,21 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
+from vwnav.mavlink.modes import AutopilotKind, mode_command
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.vehicle import FlightMode
 
 _IDLE_S = 0.001
 # HEARTBEAT, SCALED_PRESSURE, ATTITUDE, LOCAL_POSITION_NED, GPS_GLOBAL_ORIGIN, and of the program
 # SET_POSITION_TARGET_LOCAL_NED, VISION_POSITION_ESTIMATE.
 HEARD = frozenset({0, 29, 30, 32, 49, 84, 102})
 _READS_IN_A_ROW = 64
+_PERIOD_S = 0.05  # of the sticks
+_HEARTBEAT_S = 1.0
+_STATION = (255, 190)
+_MIDDLE_US, _UNTOUCHED_US = 1500, 65535
+# Flown with sticks and a position: PX4 Position (main, sub), ArduCopter Loiter.
+_STICK_MODES = {AutopilotKind.PX4: (3.0, 0.0), AutopilotKind.ARDUPILOT: (5.0, 0.0)}
 
 
 class Relay:
@@ -86,3 +94,84 @@ class Relay:
             is_other_heartbeat = message.get_type() == "HEARTBEAT" and not is_autopilot
             if message.get_type() != "BAD_DATA" and not is_other_heartbeat:
                 self._hear(message)
+
+
+class MavlinkPilot:
+    """A ground station with a joystick; centred sticks are sent until it is closed.
+
+    Args:
+        url: of a link of the autopilot's that nobody else uses.
+
+    Raises:
+        LinkError: it cannot be opened.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._link = open_link(parse_link(url))
+        self._packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True
+        self._autopilot: tuple[int, AutopilotKind] | None = None
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self.radio_on = True
+        self._thread = threading.Thread(target=self._run, name="pilot", daemon=True)
+        self._thread.start()
+
+    def take_over(self) -> None:
+        """Flip the switch to the mode that is flown with sticks."""
+        if self._autopilot is not None:
+            main, sub = _STICK_MODES[self._autopilot[1]]
+            self._command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, main, sub)
+
+    def ask(self, mode: FlightMode) -> None:
+        """Ask for Offboard, Hold, Return or Land."""
+        if self._autopilot is not None:
+            command = mode_command(self._autopilot[1], mode)
+            self._command(command.number, *(value or 0.0 for value in command.params))
+
+    def close(self) -> None:
+        """Let go."""
+        self._stop.set()
+        self._thread.join()
+        self._link.close()
+
+    def _run(self) -> None:
+        beat_s = 0.0
+        while not self._stop.wait(_PERIOD_S):
+            while data := self._link.read():
+                for message in self._parser.parse_buffer(data) or []:
+                    self._meet(message)
+            now_s = time.monotonic()
+            if now_s - beat_s >= _HEARTBEAT_S:
+                beat_s = now_s
+                gcs, none = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID
+                self._send(mavlink.MAVLink_heartbeat_message(gcs, none, 0, 0, 4, 3))
+            if self.radio_on:
+                self._move_sticks()
+
+    def _meet(self, message: Any) -> None:
+        known = {kind.value for kind in AutopilotKind}
+        if message.get_type() == "HEARTBEAT" and message.autopilot in known:
+            self._autopilot = message.get_srcSystem(), AutopilotKind(message.autopilot)
+
+    def _move_sticks(self) -> None:
+        """In the middle: held in place by the mode that is flown with them."""
+        if self._autopilot is None:
+            return
+        system, kind = self._autopilot
+        if kind is AutopilotKind.PX4:
+            self._send(mavlink.MAVLink_manual_control_message(system, 0, 0, 500, 0, 0))
+        else:
+            sticks = [_MIDDLE_US] * 4 + [_UNTOUCHED_US] * 4
+            self._send(mavlink.MAVLink_rc_channels_override_message(system, 1, *sticks))
+
+    def _command(self, number: int, *params: float) -> None:
+        assert self._autopilot is not None
+        padded = (*params, *([0.0] * (7 - len(params))))
+        self._send(mavlink.MAVLink_command_long_message(self._autopilot[0], 1, number, 0, *padded))
+
+    def _send(self, message: Any) -> None:
+        with self._lock:
+            self._link.write(bytes(message.pack(self._packer)))
+            self._packer.seq = (self._packer.seq + 1) % 256

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.flights.live.inside import patch_folder
-from vwnav.bench.flights.live.pilot import MavlinkPilot
-from vwnav.bench.flights.live.relay import Relay
+from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m

@@ -7,18 +7,13 @@ one of each kind; all of them by `make test-long` and `vwnav flighttest faults`.
 from collections.abc import Iterable
 
 from vwnav.bench.flights.scenario import Scenario
-from vwnav.bench.flights.table.autopilot import AUTOPILOT
-from vwnav.bench.flights.table.battery import BATTERY
-from vwnav.bench.flights.table.disk_and_clock import DISK_AND_CLOCK
+from vwnav.bench.flights.table.aircraft import AUTOPILOT, BATTERY, PILOT
+from vwnav.bench.flights.table.computer import DISK_AND_CLOCK, NAVIGATOR, PROCESSOR
 from vwnav.bench.flights.table.ground import MAP, MODEL
 from vwnav.bench.flights.table.link import LINK
-from vwnav.bench.flights.table.navigator import NAVIGATOR
 from vwnav.bench.flights.table.pictures import PICTURES
-from vwnav.bench.flights.table.pilot import PILOT
-from vwnav.bench.flights.table.processor import PROCESSOR
 from vwnav.bench.flights.table.telemetry import TELEMETRY
-from vwnav.bench.flights.table.whole import WHOLE
-from vwnav.bench.flights.table.wind import WIND
+from vwnav.bench.flights.table.whole import WHOLE, WIND
 
 FAMILIES: dict[str, list[Scenario]] = {
     "pictures": PICTURES,
@@ -62,3 +57,12 @@ def rows_named(parts: Iterable[str]) -> list[Scenario]:
     """Rows with one of the parts in their name, all of them where there are no parts."""
     wanted = [part.casefold() for part in parts]
     return [row for row in TABLE if not wanted or any(p in row.name.casefold() for p in wanted)]
+
+
+_HEAD = ("| family | fault | where, when | expected |", "|---|---|---|---|")
+
+
+def manual() -> str:
+    """A row for each fault, in Markdown."""
+    rows = (f"| {family_of(r)} | {r.name} | {r.where}, {r.when} | {r.expected} |" for r in TABLE)
+    return "\n".join([*_HEAD, *rows])

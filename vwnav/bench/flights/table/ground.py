@@ -1,9 +1,7 @@
 """The map is not of this place, not of this year, or not whole; the model does not work."""
 
 from vwnav.bench.flights.faults import computer, ground
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import down, phase, said
-from vwnav.bench.flights.table.common import flies_on, setup
+from vwnav.bench.flights.scenario import Break, Ending, Scenario, down, flies_on, phase, said, setup
 
 MAP = [
     Scenario(

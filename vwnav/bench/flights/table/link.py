@@ -1,18 +1,20 @@
 """The link to the autopilot: cut, slow, dirty, and used by others."""
 
 from vwnav.bench.flights.faults import link
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import phase
-from vwnav.bench.flights.setup import AirStart
-from vwnav.bench.flights.table.common import (
+from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     CLIMB,
     DESCEND,
     RETURN,
     ROUTE,
+    Break,
+    Ending,
+    Scenario,
     flies_on,
+    phase,
     setup,
 )
+from vwnav.bench.flights.setup import AirStart
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode
 

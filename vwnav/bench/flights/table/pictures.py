@@ -1,9 +1,17 @@
 """Pictures that tell nothing, tell it badly, late or seldom."""
 
 from vwnav.bench.flights.faults import camera as broken
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import down, phase, said
-from vwnav.bench.flights.table.common import BREAKS_AT_S, flies_on, setup
+from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
+    Break,
+    Ending,
+    Scenario,
+    down,
+    flies_on,
+    phase,
+    said,
+    setup,
+)
 
 USELESS = [
     Scenario(

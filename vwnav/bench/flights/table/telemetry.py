@@ -3,9 +3,7 @@
 import math
 
 from vwnav.bench.flights.faults import aircraft, telemetry
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import phase
-from vwnav.bench.flights.table.common import flies_on, setup
+from vwnav.bench.flights.scenario import Break, Ending, Scenario, flies_on, phase, setup
 
 ATTITUDES = (telemetry.ATTITUDE, telemetry.ATTITUDE_QUATERNION)
 IMU = (telemetry.HIGHRES_IMU,)

@@ -1,7 +1,6 @@
-"""Whole flights in which nothing breaks."""
+"""Whole flights in which nothing breaks, and wind."""
 
-from vwnav.bench.flights.scenario import Scenario
-from vwnav.bench.flights.table.common import HOME, setup
+from vwnav.bench.flights.scenario import HOME, Ending, Scenario, setup
 
 WHOLE = [
     Scenario(
@@ -19,5 +18,24 @@ WHOLE = [
         limit_s=240.0,
         lands_within_m=3.0,
         lands_at_ne_m=(60.0, -45.0),
+    ),
+]
+
+
+WIND = [
+    Scenario(
+        name="wind of 12 m/s with gusts of 3 m/s on the route",
+        setup=setup(wind_m_s=12.0, gust_m_s=3.0),
+        breaks=(),
+        limit_s=45.0,
+        ending=Ending.FLIES_ON,
+    ),
+    Scenario(
+        name="wind of 12 m/s with gusts, the whole flight",
+        setup=setup(None, wind_m_s=12.0, gust_m_s=1.5),
+        breaks=(),
+        limit_s=260.0,
+        lands_within_m=5.0,
+        lands_at_ne_m=HOME,
     ),
 ]

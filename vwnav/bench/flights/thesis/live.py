@@ -9,16 +9,8 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
-from vwnav.bench.flights.thesis.report import TestReport, report_on
 from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample
-from vwnav.bench.flights.thesis.tests import (
-    GIVES_BACK_S,
-    HOVER,
-    RADIO_OFF_S,
-    TAKES_S,
-    FlightTest,
-    in_manners,
-)
+from vwnav.bench.flights.thesis.tests import GIVES_BACK_S, HOVER, RADIO_OFF_S, TAKES_S, FlightTest
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.mission.mission import Phase
@@ -31,8 +23,10 @@ _ISA_M, _ISA_POWER = 44330.8, 0.190263  # ISO 2533: height of a ratio of pressur
 Say = Callable[[str], None]
 
 
-def fly_live_test(test: FlightTest, simulator: Simulator, folder: Path, say: Say) -> TestReport:
-    """Fly it, write its plots and its table.
+def fly_live_test(
+    test: FlightTest, simulator: Simulator, folder: Path, say: Say
+) -> tuple[list[Sample], list[str]]:
+    """Fly it; what was noted, and what the program said, a line each.
 
     Args:
         test: one of the three.
@@ -58,8 +52,7 @@ def fly_live_test(test: FlightTest, simulator: Simulator, folder: Path, say: Say
             _play_the_pilot(flight, say)
         flight.watch(lambda: flight.is_down() or flight.has_ended(), _DOWN_S)
     simulator.bring_down(_DOWN_S)
-    said = [f"{each.t_s:.1f} s {each.text}" for each in flight.track.events]
-    return report_on(in_manners(test, simulator.manners), sampler.samples, said, folder)
+    return sampler.samples, [f"{each.t_s:.1f} s {each.text}" for each in flight.track.events]
 
 
 def _play_the_pilot(flight: LiveFlight, say: Say) -> None:

@@ -1,16 +1,125 @@
-"""A flight test flown, judged and drawn."""
+"""A flight test judged and drawn."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vwnav.bench.figures import pyplot
-from vwnav.bench.flights.place import Place
-from vwnav.bench.flights.scenario import fly
+import numpy as np
+
 from vwnav.bench.flights.thesis.plots import save_plots
-from vwnav.bench.flights.thesis.samples import Sample, Sampler, write_csv
-from vwnav.bench.flights.thesis.tests import FlightTest
-from vwnav.bench.flights.thesis.verdict import Statistic, Step, statistics, steps
+from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample, columns, write_csv
+from vwnav.bench.flights.thesis.tests import HOLD_S, FlightTest
+from vwnav.mission.mission import Phase
+from vwnav.types import Array
+
+POSITION_M, YAW_DEG = 0.2, 2.0  # the thesis, 6.2: with GPS
+_HOME_M = 3.0
+_WAYPOINT_M = 2.0
+_STEADY_S = 3.0  # after the hold begins
+_FAILSAFE = Phase.FAILSAFE.value
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Something that had to happen; `detail` says what was seen."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """Sizes of an error; `thesis` is what it had with GPS, None where it tells nothing."""
+
+    name: str
+    unit: str
+    rms: float
+    p95: float
+    largest: float
+    thesis: float | None
+
+
+def steps(test: FlightTest, samples: Sequence[Sample]) -> list[Step]:
+    """What the test asks for, in its order."""
+    found = [_modes(test, samples), _home(samples)]
+    if test.name == "hover":
+        held_s = len(held(samples)) * SAMPLE_S
+        found.append(Step(f"held for {HOLD_S:.0f} s", held_s >= HOLD_S, f"{held_s:.1f} s"))
+    if test.name == "waypoints":
+        found.append(_waypoints(test, samples))
+    if test.name != "failsafe":
+        flown = {each.phase for each in samples}
+        calm = not flown & {_FAILSAFE, Phase.RELEASED.value}
+        found.append(Step("no failsafe", calm, "none" if calm else "it was flown"))
+    return found
+
+
+def statistics(test: FlightTest, samples: Sequence[Sample]) -> list[Statistic]:
+    """Errors while it was ours: in Offboard, for the hover while it held; those that are known."""
+    ours = held(samples) if test.name == "hover" else [s for s in samples if s.mode == "OFFBOARD"]
+    if not ours:
+        return []
+    true = columns(ours, "true_north_m", "true_east_m")
+    estimated = columns(ours, "estimated_north_m", "estimated_east_m")
+    yaw, commanded, believed = columns(
+        ours, "true_yaw_deg", "commanded_yaw_deg", "estimated_yaw_deg"
+    ).T
+    errors = [
+        ("estimate off the truth", "m", np.hypot(*(estimated - true).T), POSITION_M),
+        ("heading off the commanded", "deg", _turn_deg(yaw - commanded), YAW_DEG),
+        ("estimated heading off the truth", "deg", _turn_deg(believed - yaw), None),
+    ]
+    if test.name == "hover":
+        errors.insert(1, ("held off the place", "m", np.hypot(*true.T), POSITION_M))
+    return [_statistic(*each) for each in errors if np.any(np.isfinite(each[2]))]
+
+
+def held(samples: Sequence[Sample]) -> list[Sample]:
+    """While it waited above home, from when it was steady there."""
+    waiting = [each for each in samples if each.phase == Phase.FIRST_FIX.value]
+    return [each for each in waiting if each.t_s >= waiting[0].t_s + _STEADY_S]
+
+
+def _modes(test: FlightTest, samples: Sequence[Sample]) -> Step:
+    """The wanted ones are part of those that were flown, in this order."""
+    flown = [samples[0].mode]
+    for each in samples:
+        if each.mode != flown[-1]:
+            flown.append(each.mode)
+    rest = iter(flown)
+    missing = next((mode for mode in test.modes if mode not in rest), None)
+    seen = ", ".join(mode.lower() for mode in flown)
+    wanted = ", ".join(mode.lower() for mode in test.modes)
+    detail = seen if missing is None else f"{seen}; {missing.lower()} is missing"
+    return Step(f"modes {wanted}", missing is None, detail)
+
+
+def _home(samples: Sequence[Sample]) -> Step:
+    last = samples[-1]
+    off_m = float(np.hypot(last.true_north_m, last.true_east_m))
+    down = last.true_up_m < 0.5
+    detail = f"{off_m:.2f} m off" if down else f"{last.true_up_m:.0f} m high at the end"
+    return Step(f"landed within {_HOME_M:g} m of the start", down and off_m <= _HOME_M, detail)
+
+
+def _waypoints(test: FlightTest, samples: Sequence[Sample]) -> Step:
+    track = columns(samples, "true_north_m", "true_east_m", "true_up_m")
+    route = np.array(test.scenario.setup.route_ned_m) * (1.0, 1.0, -1.0)
+    near_m = [float(np.min(np.linalg.norm(track - each, axis=1))) for each in route]
+    passed = max(near_m) <= _WAYPOINT_M
+    detail = ", ".join(f"{each:.2f} m" for each in near_m)
+    return Step(f"every waypoint within {_WAYPOINT_M:g} m", passed, detail)
+
+
+def _statistic(name: str, unit: str, errors: Array, thesis: float | None) -> Statistic:
+    known = np.abs(errors[np.isfinite(errors)])
+    rms, p95 = float(np.sqrt(np.mean(known**2))), float(np.percentile(known, 95))
+    return Statistic(name, unit, rms, p95, float(known.max()), thesis)
+
+
+def _turn_deg(difference_deg: Array) -> Array:
+    return np.asarray((difference_deg + 180.0) % 360.0 - 180.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,19 +142,6 @@ class TestReport:
     def passed(self) -> bool:
         """Every step did."""
         return all(step.passed for step in self.steps)
-
-
-def fly_test(test: FlightTest, place: Place, folder: Path) -> TestReport:
-    """Fly it in lockstep, write its plots and its table.
-
-    Raises:
-        VwnavError: matplotlib is missing.
-    """
-    pyplot()  # what it lacks is said now, not when it has been flown
-    sampler = Sampler()
-    flown = fly(test.scenario, place, see=sampler)
-    said = [f"{each.t_s:.1f} s {each.text}" for each in flown.track.events]
-    return report_on(test, sampler.samples, said, folder)
 
 
 def report_on(

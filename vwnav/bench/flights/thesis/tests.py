@@ -6,16 +6,12 @@ pilot takes over, gives back, and then loses the radio: loiter, return, land.
 
 from dataclasses import dataclass, replace
 
-from vwnav.bench.flights.faults.aircraft import (
-    PilotHandsBack,
-    PilotPushes,
-    PilotSwitches,
-    RadioOff,
-)
+from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotPushes, PilotSwitches, RadioOff
 from vwnav.bench.flights.scenario import Break, Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.config import Config
-from vwnav.mission.mission import FlightConfig, Phase
+from vwnav.mission.config import FlightConfig
+from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
 
 HOLD_S = 30.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vwnav.estimation.ekf import Start
+from vwnav.estimation.states import Start
 from vwnav.types import Array
 
 _HELD_S = 4.6  # for so long PX4 holds its place without estimates (measured)

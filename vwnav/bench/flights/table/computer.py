@@ -1,9 +1,20 @@
-"""The navigator's process ends, sleeps or raises; the watchdog's ends."""
+"""The navigator's process ends, sleeps or raises, the watchdog's ends; processor, disk and date."""
 
 from vwnav.bench.flights.faults import computer
-from vwnav.bench.flights.scenario import Break, Ending, Scenario
-from vwnav.bench.flights.seen import down, mode, phase, said
-from vwnav.bench.flights.table.common import BREAKS_AT_S, HOME, flies_on, setup
+from vwnav.bench.flights.faults.computer import SlowSearch, Starved
+from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
+    HOME,
+    Break,
+    Ending,
+    Scenario,
+    down,
+    flies_on,
+    mode,
+    phase,
+    said,
+    setup,
+)
 
 TAKEN_OVER = (mode(2.5, "HOLD"), mode(5.0, "LAND", "DESCEND"), down(60.0))
 
@@ -80,3 +91,41 @@ WATCHDOG = [
     ),
 ]
 NAVIGATOR = [*ENDS, *RAISES, *WATCHDOG]
+
+
+PROCESSOR = [
+    *(
+        Scenario(
+            name=f"processor starved for {seconds:g} s",
+            setup=setup(),
+            breaks=(Break(fault=Starved(0.0, seconds), at_s=BREAKS_AT_S),),
+            limit_s=24.0 if seconds <= 1.0 else 70.0,
+            ending=Ending.FLIES_ON if seconds <= 1.0 else Ending.LANDED,
+        )
+        for seconds in (0.2, 1.0, 3.0)
+    ),
+    Scenario(
+        name="a search takes 2.5 s",
+        setup=setup(None, home_known=False),
+        breaks=(Break(fault=SlowSearch(2.5), at_s=0.0),),
+        limit_s=240.0,
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="a third of the processor is left",
+        setup=setup(None),
+        breaks=(Break(fault=Starved(0.33, 1000.0), at_s=0.0),),
+        limit_s=240.0,
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
+]
+
+
+DISK_AND_CLOCK = [
+    flies_on("disk full", computer.DiskFull()),
+    flies_on("disk stalled", computer.DiskStalled()),
+    flies_on("computer's date jumps by an hour", computer.WallClockJumps(3600.0), 10.0),
+    flies_on("computer's date jumps back by a day", computer.WallClockJumps(-86400.0), 10.0),
+]

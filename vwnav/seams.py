@@ -1,0 +1,66 @@
+"""The pipeline's seams: its settings, what one step brings, and what it asks of its parts."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
+
+ATTITUDE_WAIT_S = 0.4  # a picture waits so long after its exposure for its attitude to come
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureChoiceConfig:
+    """When SIFT stands in for the learned features."""
+
+    fallback_after: int = 8  # rejections in a row before the fallback is tried
+    primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineConfig(FeatureChoiceConfig):
+    """How often the map is asked, and for how long."""
+
+    fix_interval_s: float = 0.2  # a picture is matched to the map this often
+    search_interval_s: float = 1.0  # the same while the position is unknown: a search is slow
+    max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
+    doubt_after: int = (
+        25  # attempts in a row without a fix; then, and every so many, look twice as far
+    )
+    give_up_after_s: float = 20.0  # a search that takes longer finds nothing; the next one may
+    most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepResult:
+    """What one picture brought. `outcome` may belong to an earlier picture (see its `t_s`)."""
+
+    t_s: float
+    motion: OdometryMotion | Rejected
+    outcome: MapFix | Rejected
+    estimate: Estimate | None
+
+
+class Localizing(Protocol):
+    """What the pipeline needs of `vwnav.vision.localizer.Localizer`."""
+
+    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
+        """Where a picture was taken."""
+        ...
+
+    def give_up(self) -> None:
+        """Let the call that is running in another thread end soon."""
+        ...
+
+
+class Tracking(Protocol):
+    """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
+
+    def counted_attitude(self, t_s: float) -> Attitude:
+        """Of a video alone: level, with the heading counted from its pictures."""
+        ...
+
+    def step(
+        self, frame: Frame, R_ned_body: Array | None, agl_m: float
+    ) -> OdometryMotion | Rejected:
+        """Motion since the keyframe."""
+        ...
