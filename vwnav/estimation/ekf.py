@@ -18,7 +18,7 @@ from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
-from vwnav.estimation.inertial.drag import apply_drag
+from vwnav.estimation.inertial.drag import apply_drag, explained_m_s2
 from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
@@ -195,14 +195,27 @@ class Ekf:
         was_lost = self._imu_gate.lost
         verdict = self._imu_gate.take(sample)
         if self._imu_gate.lost != was_lost:
-            if self._imu_gate.lost and self._timeline is not None:
-                self._timeline.leave_out(Drag)
-            self._say(self._imu_gate.words)
+            self._imu_changed()
         due_s = self._drag_s + self._config.drag_interval_s
-        if verdict is Verdict.FUSED and self._timeline is not None and sample.t_s >= due_s:
+        if self._timeline is not None and sample.t_s >= due_s:
             self._drag_s = sample.t_s
-            self._insert(Drag(sample.t_s))
+            self._meet_air(verdict, sample.t_s)
         return Innovation(verdict)
+
+    def _meet_air(self, verdict: Verdict, t_s: float) -> None:
+        """Hold what the IMU feels against what the air does, also while it is not believed."""
+        assert self._timeline is not None
+        if verdict is Verdict.FUSED:
+            self._imu_gate.saw_drag(self._insert(Drag(t_s)))
+        elif self._imu_gate.lost and self._attitudes.knows(t_s):
+            state, quat_wxyz = self._timeline.newest, self._attitudes.quat_at(t_s)
+            self._imu_gate.compare(*explained_m_s2(state, quat_wxyz), t_s)
+
+    def _imu_changed(self) -> None:
+        """What was felt until now is not believed any more, or what comes is again."""
+        if self._imu_gate.lost and self._timeline is not None:
+            self._timeline.leave_out(Drag)
+        self._say(self._imu_gate.words)
 
     def _handle_fix(self, fix: NedFix) -> Innovation:
         """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
@@ -220,6 +233,7 @@ class Ekf:
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if innovation.accepted:
             self._odometry_gate.saw_fix()
+            self._imu_gate.saw_fix(fix.t_s)
         return innovation
 
     def _handle_odometry(self, motion: OdometryMotion) -> Innovation:
@@ -231,7 +245,10 @@ class Ekf:
         if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
             assert self._timeline is not None
             agrees = innovation.verdict is Verdict.FUSED
-            if gate.learn(agrees, self._timeline.newest):
+            if not gate.lost and self._imu_gate.saw_way(innovation, motion.t1_s):
+                self._imu_changed()
+                gate.forgive()
+            elif gate.learn(agrees, self._timeline.newest):
                 if gate.lost:
                     self._timeline.leave_out(Displacement, NedFix)
                 self._say(gate.words)

@@ -122,6 +122,10 @@ class OdometryGate:
         """A map fix was where the aircraft is believed: its pictures are of here, and upright."""
         self._fixed = True
 
+    def forgive(self) -> None:
+        """What was refused was right: the IMU that it contradicted is not believed any more."""
+        self._begin_anew()
+
     @property
     def words(self) -> str:
         """What a change has come to."""

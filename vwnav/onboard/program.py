@@ -39,6 +39,7 @@ from vwnav.sim.vehicle import start_vehicle
 from vwnav.types import FrameSource
 from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
+from vwnav.watchdog.priority import go_first
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 FIRST_STATE_S = 5.0
@@ -53,6 +54,7 @@ def fly_route(options: FlyOptions) -> None:
         VwnavError: anything that kept the route from being flown to its end.
         PreflightError: not safe to fly: the map does not cover the route.
     """
+    go_first()
     cv2.setNumThreads(1)
     keep_heap_small()
     options = _with_simulated_defaults(options)

@@ -27,6 +27,7 @@ from typing import IO
 from vwnav.clock import Clock, WallClock
 from vwnav.errors import LinkError
 from vwnav.watchdog.keepalive import HANGS_S, KeepAlive, UdpChannel
+from vwnav.watchdog.priority import go_first
 
 _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
@@ -230,6 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="vwnav watchdog: %(message)s")
     # Ctrl-C in the navigator's terminal is for the navigator: this process has to outlive it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    go_first()
     try:
         found = vars(_parse_arguments(sys.argv[1:] if arguments is None else arguments))
         if found.pop("spare"):

@@ -29,15 +29,18 @@ def play(
     start: Start | None = None,
     rate_hz: float = 5.0,
     drop: Callable[[MeasurementEvent], bool] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Run:
     """Play a stream into a new filter as it arrives, from standing on the ground.
 
-    `drop(event)` leaves events out.
+    `drop(event)` leaves events out; `say` takes the filter's sentences.
     """
     ekf = Ekf(config or EkfConfig(), ground=stream.ground)
     ekf.initialise(
         start or Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=START_SIGMA_M, agl_m=0.15)
     )
+    if say is not None:
+        ekf.on_event(say)
     estimates: list[Estimate] = []
     answers: list[tuple[MeasurementEvent, Innovation]] = []
     cost_s: list[float] = []

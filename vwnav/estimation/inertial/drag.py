@@ -19,6 +19,7 @@ from vwnav.estimation.inertial.preintegration import preintegrated
 from vwnav.estimation.kalman import Innovation, Measurement, Verdict, fuse
 from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import rotation_from_quat
+from vwnav.types import Array
 
 FELT_S = 0.2  # over which the force is averaged
 _LOWEST_AGL_M = 3.0  # below it may stand, and rotors blow along the ground
@@ -37,8 +38,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
         return state, Innovation(Verdict.ON_GROUND)
     felt_m_s2 = felt.body_m_s / felt.span_s
     x = state.x
-    R_true_autopilot = true_from_autopilot(float(x[States.HEADING_BIAS]))
-    R_ned_body = R_true_autopilot @ rotation_from_quat(attitude.quat_wxyz)
+    R_ned_body = _body_axes(x, attitude.quat_wxyz)
     across = R_ned_body.T[:2]  # the body's forward and right axes, (2, 3)
     acceleration = R_ned_body @ felt_m_s2 + [0.0, 0.0, GRAVITY_M_S2]
     midway_m_s = x[States.VELOCITY] - 0.5 * FELT_S * acceleration
@@ -48,7 +48,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     H[:, States.WIND_FORCE] = across[:, :2]
     H[:, States.DRAG] = -through_m_s
     H[:, States.ACCELEROMETER_BIAS] = np.eye(2, 3)
-    drag = across[:, :2] @ x[States.WIND_FORCE] - x[States.DRAG] * through_m_s
+    drag = _drag_m_s2(x, across, through_m_s)
     sigma_yaw_rad = min(math.sqrt(state.P[States.HEADING_BIAS, States.HEADING_BIAS]), 1.0)
     rough = (_MODEL_SHARE + sigma_yaw_rad) * float(np.hypot(*drag))
     noise = config.drag_noise_m_s2**2 + rough**2 + felt.velocity_variance_m2_s2 / felt.span_s**2
@@ -61,3 +61,23 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     x = fused.x.copy()
     x[States.DRAG] = np.clip(x[States.DRAG], *config.drag_range_per_s)
     return replace(fused, x=x), innovation
+
+
+def explained_m_s2(state: FilterState, quat_wxyz: Array) -> tuple[Array, float]:
+    """What an accelerometer without an error feels across the thrust, (2,), in that attitude.
+
+    And how unsure that is, because the drag is not known better.
+    """
+    across = _body_axes(state.x, quat_wxyz).T[:2]
+    through_m_s = across @ state.x[States.VELOCITY]
+    sigma_per_s = math.sqrt(float(state.P[States.DRAG, States.DRAG]))
+    return _drag_m_s2(state.x, across, through_m_s), sigma_per_s * float(np.hypot(*through_m_s))
+
+
+def _body_axes(x: Array, quat_wxyz: Array) -> Array:
+    return true_from_autopilot(float(x[States.HEADING_BIAS])) @ rotation_from_quat(quat_wxyz)
+
+
+def _drag_m_s2(x: Array, across: Array, through_m_s: Array) -> Array:
+    drag: Array = across[:, :2] @ x[States.WIND_FORCE] - x[States.DRAG] * through_m_s
+    return drag

@@ -1,16 +1,21 @@
-"""Whether the IMU feels gravity where the attitude has it.
+"""Whether the IMU feels gravity where the attitude has it, and what the pictures show it should.
 
 One that is mounted otherwise than the autopilot was told, or broken, tells of accelerations and
 turns that nobody flies. None of it is to be believed until it comes right.
+
+An accelerometer that is off by less, a few m/s^2, is known by its witnesses. The ways that pictures
+tell contradict it, which may be the pictures' fault; but the map still has the aircraft where they
+do, and it feels what neither the air at this speed does to it nor a climb that anybody saw.
 """
 
 import math
+from collections import deque
 
 import numpy as np
 
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 
@@ -23,9 +28,18 @@ _FOREIGN_LONG_M_S2 = 3.0  # on the long one no aircraft accelerates so much
 _AGAIN = 0.5  # of these bounds: nearer to them it is not believed again
 _THRUST_M_S2 = (2.0, 40.0)  # of rotors, upward along the body's axis
 _LONGEST_S = 1.0  # of silence that a sample stands for
+_LEAST_WAYS = 2  # refused in a row ...
+_PROOF_M_S2 = 8.0  # ... and so many, times what is not explained
+_FIXES_S, _LEAST_FIXES = 2.0, 2  # of the map, that were taken meanwhile
+_UNEXPLAINED_M_S2 = 2.0  # across the thrust, by the air; or up and down
+_EXPLAINED_M_S2, _EXPLAINED_S = 1.0, 10.0  # for so long at most so much: it is believed again
 _LOST = (
     "the autopilot's IMU is not used: gravity {:.1f} m/s^2 from where its attitude has it; "
     "check its orientation and calibration"
+)
+_CONTRADICTS = (
+    "the autopilot's IMU is not used: its accelerometer is off by {:.1f} m/s^2, as pictures and "
+    "map show; have it checked"
 )
 _AGREES = "the autopilot's IMU feels gravity where its attitude has it again: it is used"
 
@@ -46,6 +60,9 @@ class ImuGate:
         self._ned = _Average(_SHORT_S)
         self._ned_long = _Average(_LONG_S)
         self._newest_s = math.inf
+        self._witnesses = _Witnesses()
+        self._off_m_s2 = 0.0  # where witnesses contradict it
+        self._off_s = -math.inf
         self.lost = False
 
     @property
@@ -56,7 +73,13 @@ class ImuGate:
     @property
     def words(self) -> str:
         """What a change has come to."""
-        return _LOST.format(self.off_m_s2) if self.lost else _AGREES
+        if not self.lost:
+            return _AGREES
+        return (_CONTRADICTS if self._is_off else _LOST).format(self._off_m_s2 or self.off_m_s2)
+
+    @property
+    def _is_off(self) -> bool:
+        return self._off_m_s2 > 0.0
 
     def take(self, sample: ImuSample) -> Verdict:
         """Put a sample into the history, or say why not; what was believed before goes with it."""
@@ -71,6 +94,33 @@ class ImuGate:
             return Verdict.DISTRUSTED
         return Verdict.FUSED if self._imu.add(sample) else Verdict.TOO_LATE
 
+    def saw_way(self, way: Innovation, t_s: float) -> bool:
+        """Whether what became of a picture's way has made it lost."""
+        self._witnesses.add_way(way)
+        climb_m_s2 = abs(float(self._ned.value[2]) + GRAVITY_M_S2)
+        off_m_s2 = max(self._witnesses.unexplained_m_s2, climb_m_s2)
+        if self.lost or not self._witnesses.contradict(off_m_s2, t_s):
+            return False
+        self._off_m_s2, self._off_s, self.lost = off_m_s2, t_s, True
+        self._imu.forget()
+        return True
+
+    def saw_fix(self, t_s: float) -> None:
+        """A fix of the map was taken."""
+        self._witnesses.fixes_s.append(t_s)
+
+    def saw_drag(self, drag: Innovation) -> None:
+        """What the air does was compared with what it felt."""
+        self._witnesses.add_drag(drag)
+
+    def compare(self, explained_m_s2: Array, sigma_m_s2: float, t_s: float) -> None:
+        """While it is not believed: with what it should feel across the thrust (2,)."""
+        off_m_s2 = float(np.linalg.norm(self._body.value[:2] - explained_m_s2))
+        if off_m_s2 > _EXPLAINED_M_S2 + 2.0 * sigma_m_s2:
+            self._off_s = t_s
+        elif t_s - self._off_s > _EXPLAINED_S:
+            self._off_m_s2 = 0.0
+
     def _learn(self, sample: ImuSample, quat_wxyz: Array) -> bool:
         """Whether a sample, felt in an attitude (4,), has made a change of `lost`."""
         span_s = min(max(sample.t_s - self._newest_s, 0.0), _LONGEST_S)
@@ -83,10 +133,39 @@ class ImuGate:
         share = _AGAIN if self.lost else 1.0
         unpushed = _from_thrust_m_s2(self._body.value) > share * _UNPUSHED_M_S2
         foreign = unpushed and self.off_m_s2 > share * _FOREIGN_M_S2
-        if self.lost == (foreign or self._ned_long.from_rest_m_s2 > share * _FOREIGN_LONG_M_S2):
+        foreign |= self._ned_long.from_rest_m_s2 > share * _FOREIGN_LONG_M_S2
+        if self.lost == (foreign or self._is_off):
             return False
         self.lost = not self.lost
         return True
+
+
+class _Witnesses:
+    """Pictures, map and air, where they speak against the accelerometer together.
+
+    Attributes:
+        unexplained_m_s2: what the newest drag that was refused was off by; 0 when it was not.
+        fixes_s: times of fixes that were taken.
+    """
+
+    def __init__(self) -> None:
+        self.unexplained_m_s2 = 0.0
+        self.fixes_s: deque[float] = deque(maxlen=_LEAST_FIXES)
+        self._refused = 0  # ways in a row
+
+    def add_way(self, way: Innovation) -> None:
+        self._refused = self._refused + 1 if way.verdict is Verdict.GATED else 0
+
+    def add_drag(self, drag: Innovation) -> None:
+        refused = drag.verdict is Verdict.GATED and drag.residual is not None
+        self.unexplained_m_s2 = float(np.linalg.norm(drag.residual)) if refused else 0.0
+
+    def contradict(self, off_m_s2: float, t_s: float) -> bool:
+        """Whether they say that it is off by so much."""
+        if off_m_s2 < _UNEXPLAINED_M_S2 or self._refused < _LEAST_WAYS:
+            return False
+        placed = len(self.fixes_s) == _LEAST_FIXES and t_s - self.fixes_s[0] < _FIXES_S
+        return placed and self._refused * off_m_s2 >= _PROOF_M_S2
 
 
 class _Average:

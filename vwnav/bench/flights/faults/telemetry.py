@@ -134,6 +134,17 @@ def imu_on_its_side() -> Altered:
     return Altered("IMU mounted on its side", (HIGHRES_IMU,), change)
 
 
+def accelerometer_off(forward_m_s2: float, right_m_s2: float, down_m_s2: float) -> Altered:
+    """The accelerometer tells so much more than it feels, in the body's axes."""
+
+    def change(message: Any) -> None:
+        message.xacc += forward_m_s2
+        message.yacc += right_m_s2
+        message.zacc += down_m_s2
+
+    return Altered("accelerometer off", (HIGHRES_IMU,), change)
+
+
 def battery_unknown() -> Altered:
     """The autopilot does not know its battery's charge."""
 

@@ -34,6 +34,16 @@ INERTIAL = [
     flies_on("IMU missing for 10 s", telemetry.Missing(IMU), 10.0),
     flies_on("IMU doubled for 10 s", telemetry.Doubled(IMU), 10.0),
     flies_on("IMU turns on its side in flight", telemetry.imu_on_its_side(), after_s=15.0),
+    flies_on(
+        "accelerometer 3 m/s^2 off to the right",
+        telemetry.accelerometer_off(0.0, 3.0, 0.0),
+        after_s=15.0,
+    ),
+    flies_on(
+        "accelerometer 5 m/s^2 off downwards",
+        telemetry.accelerometer_off(0.0, 0.0, 5.0),
+        after_s=15.0,
+    ),
     Scenario(
         name="IMU mounted on its side",
         setup=setup(None),
