@@ -28,7 +28,7 @@ def test_ways_that_are_refused_are_lost_and_come_back_with_a_fix_only():
     assert gate.lost
     t_s = tell(gate, t_s, 6.0, True)
     assert gate.lost
-    gate.saw_fix()
+    gate.fixed = True
     t_s = tell(gate, t_s, 0.1, True)
     assert not gate.lost
 
@@ -36,11 +36,11 @@ def test_ways_that_are_refused_are_lost_and_come_back_with_a_fix_only():
 def test_lost_again_they_have_to_agree_for_longer():
     gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
     t_s = tell(gate, 0.0, 1.5, False)
-    gate.saw_fix()
+    gate.fixed = True
     t_s = tell(gate, t_s, 3.0, True)
     assert not gate.lost
     t_s = tell(gate, t_s, 1.5, False)
-    gate.saw_fix()
+    gate.fixed = True
     t_s = tell(gate, t_s, 10.0, True)
     assert gate.lost
     tell(gate, t_s, 12.0, True)
@@ -50,7 +50,7 @@ def test_lost_again_they_have_to_agree_for_longer():
 def test_in_steady_flight_ways_of_another_moment_agree_and_that_proves_nothing():
     gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
     t_s = tell(gate, 0.0, 1.5, False, brakes_m_s2=0.0)
-    gate.saw_fix()
+    gate.fixed = True
     t_s = tell(gate, t_s, 30.0, True, brakes_m_s2=0.0)
     assert gate.lost
     tell(gate, t_s, 4.0, True)

@@ -232,8 +232,8 @@ class Ekf:
         oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if innovation.accepted:
-            self._odometry_gate.saw_fix()
-            self._imu_gate.saw_fix(fix.t_s)
+            self._odometry_gate.fixed = True
+            self._imu_gate.fixes_s.append(fix.t_s)
         return innovation
 
     def _handle_odometry(self, motion: OdometryMotion) -> Innovation:

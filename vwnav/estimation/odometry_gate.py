@@ -53,6 +53,8 @@ class OdometryGate:
 
     Attributes:
         lost: none is to be believed.
+        fixed: a map fix was where the aircraft is believed since: its pictures are of here, and
+            upright. Who takes one says so.
     """
 
     def __init__(self, attitudes: AttitudeHistory, config: EkfConfig) -> None:
@@ -66,7 +68,7 @@ class OdometryGate:
         self._begun_s = math.inf  # of what is in the window
         self._lost_s = -math.inf
         self._agree_s = _AGREE_S
-        self._fixed = True
+        self.fixed = True
         self.lost = False
 
     def displacement(self, motion: OdometryMotion) -> Displacement:
@@ -118,10 +120,6 @@ class OdometryGate:
         sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
         return timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
 
-    def saw_fix(self) -> None:
-        """A map fix was where the aircraft is believed: its pictures are of here, and upright."""
-        self._fixed = True
-
     def forgive(self) -> None:
         """What was refused was right: the IMU that it contradicted is not believed any more."""
         self._begin_anew()
@@ -151,12 +149,12 @@ class OdometryGate:
         if len(self._seen) < _LEAST or t_s - self._begun_s < window_s:
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
-        if self.lost and self._fixed and share >= _TRUSTED and self._proved():
+        if self.lost and self.fixed and share >= _TRUSTED and self._proved():
             self.lost = False
         elif not self.lost and share <= _DOUBTED:
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S
-            self.lost, self._fixed = True, False
+            self.lost, self.fixed = True, False
         else:
             return False
         self._lost_s = t_s

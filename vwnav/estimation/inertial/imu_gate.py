@@ -51,6 +51,7 @@ class ImuGate:
 
     Attributes:
         lost: none is to be believed.
+        fixes_s: times of the newest map fixes that were taken; who takes one adds it.
     """
 
     def __init__(self, attitudes: AttitudeHistory, imu: ImuHistory) -> None:
@@ -60,8 +61,10 @@ class ImuGate:
         self._ned = _Average(_SHORT_S)
         self._ned_long = _Average(_LONG_S)
         self._newest_s = math.inf
-        self._witnesses = _Witnesses()
-        self._off_m_s2 = 0.0  # where witnesses contradict it
+        self.fixes_s: deque[float] = deque(maxlen=_LEAST_FIXES)
+        self._refused = 0  # ways of pictures, in a row
+        self._unexplained_m_s2 = 0.0  # by the air, of the newest drag
+        self._off_m_s2 = 0.0  # where its witnesses contradict it
         self._off_s = -math.inf
         self.lost = False
 
@@ -96,22 +99,21 @@ class ImuGate:
 
     def saw_way(self, way: Innovation, t_s: float) -> bool:
         """Whether what became of a picture's way has made it lost."""
-        self._witnesses.add_way(way)
         climb_m_s2 = abs(float(self._ned.value[2]) + GRAVITY_M_S2)
-        off_m_s2 = max(self._witnesses.unexplained_m_s2, climb_m_s2)
-        if self.lost or not self._witnesses.contradict(off_m_s2, t_s):
+        off_m_s2 = max(self._unexplained_m_s2, climb_m_s2)
+        self._refused = self._refused + 1 if way.verdict is Verdict.GATED else 0
+        proved = self._refused >= _LEAST_WAYS and self._refused * off_m_s2 >= _PROOF_M_S2
+        placed = len(self.fixes_s) == _LEAST_FIXES and t_s - self.fixes_s[0] < _FIXES_S
+        if self.lost or off_m_s2 < _UNEXPLAINED_M_S2 or not (proved and placed):
             return False
         self._off_m_s2, self._off_s, self.lost = off_m_s2, t_s, True
         self._imu.forget()
         return True
 
-    def saw_fix(self, t_s: float) -> None:
-        """A fix of the map was taken."""
-        self._witnesses.fixes_s.append(t_s)
-
     def saw_drag(self, drag: Innovation) -> None:
         """What the air does was compared with what it felt."""
-        self._witnesses.add_drag(drag)
+        refused = drag.verdict is Verdict.GATED and drag.residual is not None
+        self._unexplained_m_s2 = float(np.linalg.norm(drag.residual)) if refused else 0.0
 
     def compare(self, explained_m_s2: Array, sigma_m_s2: float, t_s: float) -> None:
         """While it is not believed: with what it should feel across the thrust (2,)."""
@@ -138,34 +140,6 @@ class ImuGate:
             return False
         self.lost = not self.lost
         return True
-
-
-class _Witnesses:
-    """Pictures, map and air, where they speak against the accelerometer together.
-
-    Attributes:
-        unexplained_m_s2: what the newest drag that was refused was off by; 0 when it was not.
-        fixes_s: times of fixes that were taken.
-    """
-
-    def __init__(self) -> None:
-        self.unexplained_m_s2 = 0.0
-        self.fixes_s: deque[float] = deque(maxlen=_LEAST_FIXES)
-        self._refused = 0  # ways in a row
-
-    def add_way(self, way: Innovation) -> None:
-        self._refused = self._refused + 1 if way.verdict is Verdict.GATED else 0
-
-    def add_drag(self, drag: Innovation) -> None:
-        refused = drag.verdict is Verdict.GATED and drag.residual is not None
-        self.unexplained_m_s2 = float(np.linalg.norm(drag.residual)) if refused else 0.0
-
-    def contradict(self, off_m_s2: float, t_s: float) -> bool:
-        """Whether they say that it is off by so much."""
-        if off_m_s2 < _UNEXPLAINED_M_S2 or self._refused < _LEAST_WAYS:
-            return False
-        placed = len(self.fixes_s) == _LEAST_FIXES and t_s - self.fixes_s[0] < _FIXES_S
-        return placed and self._refused * off_m_s2 >= _PROOF_M_S2
 
 
 class _Average:

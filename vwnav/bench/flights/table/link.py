@@ -29,7 +29,7 @@ def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = 
     of a climb to 26 m too, and where it was coming down already it is from the first second on.
     """
     short = seconds <= 1.0
-    low = start is DESCEND and phase is None or start is CLIMB and seconds >= 10.0
+    low = (start is DESCEND and phase is None) or (start is CLIMB and seconds >= 10.0)
     blind = seconds > 10.0 or low
     at_s = {Phase.ROUTE: BREAKS_AT_S, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
     return Scenario(
