@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from vwnav.estimation.ekf import Ekf, NedFix
 from vwnav.estimation.first_fix import FirstFix, start_at
 from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.timeline import Exposed
+from vwnav.estimation.timeline import Exposed, Untracked
 from vwnav.feature_choice import FeatureChoice, FeatureChoiceConfig, Localizing
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
@@ -203,6 +203,8 @@ class Pipeline:
         with self._lock:
             if self._ekf.counts_heading:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
+                if isinstance(motion, Rejected):
+                    self._ekf.handle(Untracked(frame.t_s))
             if isinstance(motion, OdometryMotion):
                 verdict = self._ekf.handle(motion).verdict
                 if verdict is Verdict.DISTRUSTED:

@@ -23,7 +23,7 @@ from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.kalman import Innovation, Verdict
-from vwnav.estimation.odometry import apply_displacement, apply_keyframe
+from vwnav.estimation.odometry import apply_displacement, apply_keyframe, apply_untracked
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import (
@@ -45,6 +45,7 @@ from vwnav.estimation.timeline import (
     NewKeyframe,
     Timeline,
     Told,
+    Untracked,
 )
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
@@ -272,7 +273,7 @@ class Ekf:
         if self._input_log is not None:
             self._input_log(seen)
 
-    def _handle_event(self, event: Height | Range | Stationary | Exposed) -> Innovation:
+    def _handle_event(self, event: Height | Range | Stationary | Exposed | Untracked) -> Innovation:
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
@@ -335,6 +336,8 @@ def _corrected(
             return apply_late_fix(state, fix, context)
         case Exposed():
             return apply_exposure(state, attitudes), Innovation(Verdict.FUSED)
+        case Untracked():
+            return apply_untracked(state, config), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
