@@ -116,8 +116,14 @@ def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
 
 @pytest.mark.parametrize(
     "flight",
-    [Flight(turns_deg=185.0), Flight(turns_deg=-90.0, climbs_m=16.0, pictures=10, dark=True)],
-    ids=["185 degrees in four pictures", "turns and climbs in 5 s of black"],
+    [
+        pytest.param(Flight(turns_deg=185.0), id="185 degrees in four pictures"),
+        pytest.param(
+            Flight(turns_deg=-90.0, climbs_m=16.0, pictures=10, dark=True),
+            id="turns and climbs in 5 s of black",
+            marks=pytest.mark.long,
+        ),
+    ],
 )
 def test_what_sight_was_lost_of_is_found_again_and_never_claimed(flight, field, field_pack, sift):
     """The turn had left the heading 175 degrees wrong for good, and the place 245 m off at 2.7."""
