@@ -9,6 +9,7 @@ import pytest
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.states import Start
+from vwnav.estimation.timeline import Untracked
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
@@ -240,6 +241,17 @@ def test_a_video_alone_needs_no_attitude_and_its_localizer_is_told_none():
     assert pipeline.covers(99.0)
     assert localizer.priors[-1].roll_rad is None
     assert steps[-1].estimate.position_ned_m[0] == pytest.approx(3.0, abs=0.5)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_that_a_picture_was_not_followed_is_told_of_a_video_alone(alone):
+    """With telemetry the autopilot goes on telling how it turns."""
+    config = EkfConfig().without_telemetry() if alone else EkfConfig()
+    pipeline, told = make_pipeline(FakeLocalizer(), ekf_config=config), []
+    pipeline._ekf.record(told.append)
+    fly(pipeline, 1.0, attitude=None if alone else LEVEL)
+    lost_s = [seen.t_s for seen in told if isinstance(seen, Untracked)]
+    assert lost_s == ([pytest.approx(0.1 * i) for i in range(1, 11)] if alone else [])
 
 
 def test_a_first_search_in_the_air_is_told_the_tilt():

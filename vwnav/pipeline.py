@@ -21,7 +21,7 @@ from vwnav.estimation.first_fix import FirstFix, start_at
 from vwnav.estimation.inputs import Measurement
 from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.states import FilterState, Start
-from vwnav.estimation.timeline import Exposed, NedFix
+from vwnav.estimation.timeline import Exposed, NedFix, Untracked
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
@@ -199,6 +199,8 @@ class Pipeline:
         with self._lock:
             if self._ekf.counts_heading:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
+                if isinstance(motion, Rejected):
+                    self._ekf.handle(Untracked(frame.t_s))
             if isinstance(motion, OdometryMotion):
                 verdict = self._ekf.handle(motion).verdict
                 if verdict is Verdict.DISTRUSTED:

@@ -16,7 +16,8 @@ def tell(
     for i in range(round(10 * seconds)):
         x = np.zeros(States.SIZE)
         x[States.VELOCITY.start] = 8.0 - 0.1 * i * brakes_m_s2
-        state = FilterState(begin_s + 0.1 * i, x, P, position_known=True, heading_known=True)
+        t_s = begin_s + 0.1 * i
+        state = FilterState(t_s, x, P, True, True, tracked_s=t_s, pictured_s=t_s)
         gate.learn(agrees, state)
     return begin_s + seconds
 

@@ -2,34 +2,27 @@
 
 Read `states.py` and `config.py` first (what is estimated, with all noises), then `process.py` (how
 it moves), `kalman.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
-measurement says), `timeline.py` (late ones).
+measurement says), `update.py` (which of them it is), `timeline.py` (late ones).
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
-
-import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
-from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
-from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
-from vwnav.estimation.inertial.drag import apply_drag, explained_m_s2
+from vwnav.estimation.inertial.drag import explained_m_s2
 from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.kalman import Innovation, Verdict
-from vwnav.estimation.odometry import apply_displacement, apply_keyframe
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import (
     FilterState,
     Start,
-    States,
     begun_anew,
     estimate_of,
     first_state,
@@ -42,10 +35,11 @@ from vwnav.estimation.timeline import (
     Exposed,
     LateFix,
     NedFix,
-    NewKeyframe,
     Timeline,
     Told,
+    Untracked,
 )
+from vwnav.estimation.update import apply
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
 _ATTITUDE_MARGIN_S = 1.0
@@ -287,7 +281,7 @@ class Ekf:
         if self._input_log is not None:
             self._input_log(seen)
 
-    def _handle_event(self, event: Height | Range | Stationary | Exposed) -> Innovation:
+    def _handle_event(self, event: Height | Range | Stationary | Exposed | Untracked) -> Innovation:
         refusal = self._refusal(event)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
@@ -323,40 +317,3 @@ class Ekf:
             return False
         newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
         return t_s > newest_s + self._config.ahead_s
-
-
-def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:
-    """Predict to an event's time, which is not before the state's, then correct by what it says."""
-    if event.t_s > state.t_s:
-        state = predict(state, event.t_s, context)
-    after, innovation = _corrected(state, event, context)
-    apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
-    if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
-        after = replace(after, reset_counter=state.reset_counter + 1)
-    return after, innovation
-
-
-def _corrected(
-    state: FilterState, event: Event, context: Context
-) -> tuple[FilterState, Innovation]:
-    """A state by an event of its own time."""
-    attitudes, config = context.attitudes, context.config
-    match event:
-        case NedFix():
-            return apply_fix(state, event, context)
-        case Displacement(_, motion):
-            return apply_displacement(state, motion, context)
-        case LateFix(_, fix):
-            return apply_late_fix(state, fix, context)
-        case Exposed():
-            return apply_exposure(state, attitudes), Innovation(Verdict.FUSED)
-        case NewKeyframe():
-            return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
-        case Height():
-            return apply_height(state, event, config)
-        case Range():
-            return apply_range(state, event, attitudes, config)
-        case Drag():
-            return apply_drag(state, context)
-        case Stationary():
-            return apply_stationary(state, context)

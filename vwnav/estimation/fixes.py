@@ -26,6 +26,7 @@ from vwnav.estimation.states import (
     FilterState,
     States,
     TrustedPosition,
+    tells_heading,
 )
 from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
@@ -265,7 +266,9 @@ def _apply_heading(
     jump = np.zeros((States.SIZE, 1))
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
-        found = replace(_moved_along(state, measurement, jump), heading_known=True)
+        found = _moved_along(state, measurement, jump)
+        # That of a picture of long ago leaves the heading of now as open as it has been since.
+        found = replace(found, heading_known=tells_heading(found.P))
         return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
     fused, innovation = fuse(state, measurement, config.visual_weight)
     if innovation.verdict is Verdict.FUSED:

@@ -13,7 +13,7 @@ import numpy as np
 
 from vwnav.errors import SourceError
 from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import Exposed, NedFix
+from vwnav.estimation.timeline import Exposed, NedFix, Untracked
 from vwnav.types import (
     Array,
     Attitude,
@@ -33,13 +33,13 @@ class Asked:
     t_s: float
 
 
-Measurement = Telemetry | NedFix | OdometryMotion | Exposed
+Measurement = Telemetry | NedFix | OdometryMotion | Exposed | Untracked
 Input = Start | Measurement | Asked
 
 _KINDS: dict[str, type[Input]] = {
     "start": Start, "attitude": Attitude, "imu": ImuSample, "height": Height, "range": Range,
     "stationary": Stationary, "fix": NedFix, "odometry": OdometryMotion, "asked": Asked,
-    "exposed": Exposed,
+    "exposed": Exposed, "untracked": Untracked,
 }  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

@@ -6,9 +6,15 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, level_axes, true_from_autopilot
+from vwnav.estimation.inertial.attitudes import (
+    TURNING_RAD_S,
+    AttitudeHistory,
+    level_axes,
+    true_from_autopilot,
+)
 from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
-from vwnav.estimation.states import Anchor, FilterState, States
+from vwnav.estimation.process import white_acceleration
+from vwnav.estimation.states import Anchor, FilterState, States, tells_heading
 from vwnav.estimation.timeline import NewKeyframe
 from vwnav.geometry.rotations import skew, wrap_pi
 from vwnav.types import Array, OdometryMotion
@@ -53,11 +59,13 @@ def apply_displacement(
 ) -> tuple[FilterState, Innovation]:
     """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
     attitudes, config = context.attitudes, context.config
-    anchor = state.anchor
+    anchor, before_s = state.anchor, state.pictured_s
+    state = replace(state, tracked_s=motion.t1_s, pictured_s=motion.t1_s)
     if anchor is None or anchor.t_s != motion.t0_s:
         return state, Innovation(Verdict.NO_ANCHOR)
     if not state.heading_known:
-        return state, Innovation(Verdict.HEADING_UNKNOWN)
+        P = state.P + _unseen_motion(motion.t1_s - before_s, config)
+        return replace(state, P=P), Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
     if not config.odometry_turns_attitude:
         turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
@@ -73,6 +81,32 @@ def apply_displacement(
     else:
         state = _rejected(state, displacement, config)
     return state, replace(innovation, parts=parts)
+
+
+def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
+    """Be as unsure as an aircraft may have turned, and changed its velocity, since it was tracked.
+
+    Of a video alone: its heading is counted from picture to picture, and what lies between two that
+    do not join is not counted. Turns last: the sigma of the heading grows with the time since the
+    last picture that was tracked, t, by d(w t)^2. One that may be anything is not known.
+    """
+    before_s, now_s = state.pictured_s - state.tracked_s, state.t_s - state.tracked_s
+    P = state.P + _unseen_motion(now_s - before_s, config)
+    P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
+    known = state.heading_known and tells_heading(P)
+    return replace(state, P=P, heading_known=known, pictured_s=state.t_s)
+
+
+def _unseen_motion(span_s: float, config: EkfConfig) -> Array:
+    """(n, n) what an aircraft may do in a time in which no picture tells its way, beyond the usual.
+
+    The usual acceleration is that of a steady flight: what hides the way may be what the aircraft
+    does, and a turn within seconds changes a velocity by twice itself.
+    """
+    Q = np.zeros((States.SIZE, States.SIZE))
+    level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
+    Q[States.MOTION, States.MOTION] = white_acceleration(level, vertical, span_s)
+    return Q
 
 
 def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:

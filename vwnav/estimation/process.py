@@ -180,9 +180,14 @@ def _gravity_by_tilt(x: Array, quat_wxyz: Array) -> tuple[Array, Array]:
 def _white_acceleration(
     x: Array, level: float, vertical: float, dt_s: float, config: EkfConfig
 ) -> Array:
-    """(6, 6) of Q: white acceleration, (m/s^2)^2 per hertz; near the ground it may be struck."""
+    """(6, 6) of Q; near the ground it may be struck."""
     if -x[States.DOWN] - x[States.TERRAIN] < config.blow_agl_m:
         level = max(level, config.blow_noise_m_s2**2)
+    return white_acceleration(level, vertical, dt_s)
+
+
+def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
+    """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
     q = np.diag([level, level, vertical])
     both = q * dt_s**2 / 2.0
     return np.block([[q * dt_s**3 / 3.0, both], [both, q * dt_s]])

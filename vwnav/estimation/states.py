@@ -14,6 +14,7 @@ from vwnav.types import Array, Estimate
 _HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
 _TERRAIN_SIGMA_M = 30.0
 _BARO_SIGMA_M = 2.0
+_MOST_HEADING_SIGMA_RAD = math.radians(45.0)  # of a heading that is known
 _KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
 
 
@@ -117,6 +118,8 @@ class FilterState:
         measured: what the autopilot tells of `t_s`, as it was known then: the next step goes on
             from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
+        tracked_s, pictured_s: times of the last picture whose way was told, and of the last one of
+            which it was told whether it is; the start until then.
         trusted: the last fix that agreed with one before it; the start until then.
         newest_height: time and height that the barometer told last, believed or not.
         height_stepped: the heights that are refused began with a step, not with a climb.
@@ -129,6 +132,8 @@ class FilterState:
     P: Array
     position_known: bool
     heading_known: bool
+    tracked_s: float
+    pictured_s: float
     measured: Measured | None = None
     anchor: Anchor | None = None
     exposure: Exposure | None = None
@@ -191,9 +196,14 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.VELOCITY] = start.sigma_velocity_m_s**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
-    heading_known = config.heading_sigma_rad < math.radians(45.0)
     trusted = TrustedPosition(start.t_s, position[:2], start.sigma_m) if known else None
-    return FilterState(start.t_s, x, np.diag(variance), known, heading_known, trusted=trusted)
+    P, t_s = np.diag(variance), start.t_s
+    return FilterState(t_s, x, P, known, tells_heading(P), t_s, t_s, trusted=trusted)
+
+
+def tells_heading(P: Array) -> bool:
+    """Whether a covariance (n, n) leaves the heading known well enough to turn ways by it."""
+    return bool(P[States.HEADING_BIAS, States.HEADING_BIAS] < _MOST_HEADING_SIGMA_RAD**2)
 
 
 def first_variance(config: EkfConfig) -> Array:
@@ -252,12 +262,15 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
         flown_m = 0.5 * config.most_speed_m_s * max(state.t_s - state.trusted.t_s, 0.0)
         sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
     variance[States.POSITION_NE] = sigma_m**2
+    P = np.diag(variance)
     return FilterState(
         state.t_s,
         x,
-        np.diag(variance),
+        P,
         position_known=known,
-        heading_known=state.heading_known,
+        heading_known=tells_heading(P),
+        tracked_s=state.tracked_s,
+        pictured_s=state.pictured_s,
         t_last_fix_s=state.t_last_fix_s,
         trusted=state.trusted,
         reset_counter=state.reset_counter + 1,

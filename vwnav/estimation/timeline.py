@@ -122,6 +122,17 @@ class Exposed:
         return math.isfinite(self.t_s)
 
 
+@dataclass(frozen=True, slots=True)
+class Untracked:
+    """A picture of a video alone could not be followed: how it came there nobody knows."""
+
+    t_s: float
+
+    def sensible(self) -> bool:
+        """Whether the time is finite."""
+        return math.isfinite(self.t_s)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LateFix:
     """The fix of the picture whose pose is cloned, older than the history that begins at `t_s`."""
@@ -137,12 +148,12 @@ class Drag:
     t_s: float
 
 
-Told = NedFix | Height | Range | Stationary | Displacement | Exposed
+Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked
 Event = Told | NewKeyframe | LateFix | Drag  # the others are the filter's own
 
 # Order of events at the same time; clones are last, so that they copy what others left.
 _ORDER: tuple[type[Event], ...] = (
-    LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed,
+    Untracked, LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 

@@ -1,7 +1,8 @@
 """The whole pipeline over a real video, begun anywhere: how soon it is found, and how wrongly.
 
 Forwards, backwards and from random starts, without any position, each with a stretch that shows
-nothing. Truth is the track of the ground below, as in `flight_scenes`.
+nothing. Truth is the track of the ground below, as in `flight_scenes`, without those places through
+which nothing flies. Every estimate is held against its own sigma as well.
 """
 
 import csv
@@ -24,7 +25,7 @@ from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import InlineExecutor
-from vwnav.types import Frame, Gray, MapFix
+from vwnav.types import Array, Frame, Gray, MapFix
 from vwnav.vision.features.load import load_features
 
 EVERY = 3  # of the video's 30 frames a second: 10
@@ -32,6 +33,9 @@ HFOV_DEG = 70.0  # nobody knows it; places do not depend on it
 BLACK_S = 5.0
 STARTS, START_S = 20, 15.0  # random starts, and how long each is followed
 NEAR_M, WRONG_M = 8.0, 20.0
+MANY_SIGMAS = 3.0
+MOST_M_S2 = 20.0  # two g, between neighbours of the track
+
 
 Say = Callable[[str], None]
 
@@ -46,6 +50,24 @@ class _Film:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Honesty:
+    """How errors of place compare with the larger semi-axis of the ellipse that was told.
+
+    Attributes:
+        worst_sigmas: the largest error in its own sigmas.
+        within_1, within_2: share of the errors within so many of their sigmas.
+        over_3_s: the longest time without an error within three.
+        median_sigma_m: of several runs their mean.
+    """
+
+    worst_sigmas: float
+    within_1: float
+    within_2: float
+    over_3_s: float
+    median_sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SequenceScore:
     """Of one run, or of several together.
 
@@ -55,7 +77,7 @@ class SequenceScore:
         fixes: that were believed.
         wrong: of them more than 20 m off.
         worst_m: the largest error of any estimate after the first fix.
-        worst_sigmas: the largest in its own sigmas.
+        honesty: of those estimates.
     """
 
     name: str
@@ -64,7 +86,7 @@ class SequenceScore:
     fixes: int
     wrong: int
     worst_m: float
-    worst_sigmas: float
+    honesty: Honesty
 
 
 def bench_sequence(folder: Path | None, model: Path | None, say: Say) -> list[SequenceScore]:
@@ -96,8 +118,10 @@ def bench_sequence(folder: Path | None, model: Path | None, say: Say) -> list[Se
 
 def _film(flight: Path) -> _Film:
     rows = list(csv.DictReader((flight / "sift_track_every10.csv").open()))
-    known = {int(row["frame"]): (float(row["lat"]), float(row["lon"])) for row in rows}
-    numbers = np.array(sorted(known))
+    numbers = np.array([int(row["frame"]) for row in rows])
+    places = np.array([(float(row["lat"]), float(row["lon"])) for row in rows])
+    flown = possible(np.array([float(row["t"]) for row in rows]), places)
+    numbers, places = numbers[flown], places[flown]
     gray, indices, times = [], [], []
     video = VideoFile(flight / "our_data.mp4")
     while (frame := video.next_frame()) is not None and frame.index <= numbers[-1]:
@@ -106,9 +130,52 @@ def _film(flight: Path) -> _Film:
             indices.append(frame.index)
             times.append(frame.t_s)
     video.close()
-    places = np.array([known[int(number)] for number in numbers])
     lat_lon = np.column_stack([np.interp(indices, numbers, places[:, i]) for i in (0, 1)])
     return _Film(gray, np.array(times), lat_lon)
+
+
+def possible(t_s: Array, lat_lon: Array) -> NDArray[np.bool_]:
+    """(n,) which places (n, 2) of a track an aircraft can have flown through.
+
+    The others ask for more than two g beside their neighbours. They are left out one by one, the
+    worst first: a wrong place makes the right ones next to it look wrong.
+    """
+    frame = LocalFrame(float(lat_lon[0, 0]), float(lat_lon[0, 1]), 0.0)
+    ne_m = np.array([frame.to_ned(float(lat), float(lon), 0.0)[:2] for lat, lon in lat_lon])
+    left = np.arange(len(t_s))
+    while len(left) > 2:
+        needed_m_s2 = _accelerations(t_s[left], ne_m[left])
+        worst = int(np.argmax(needed_m_s2))
+        if needed_m_s2[worst] <= MOST_M_S2:
+            break
+        left = np.delete(left, worst + 1)
+    return np.isin(np.arange(len(t_s)), left)
+
+
+def _accelerations(t_s: Array, ne_m: Array) -> Array:
+    """(n - 2,) that lead through each place but the first and the last, m/s^2."""
+    velocity_m_s = np.diff(ne_m, axis=0) / np.diff(t_s)[:, None]
+    change_m_s = np.diff(velocity_m_s, axis=0)
+    return np.asarray(np.hypot(*change_m_s.T) / (0.5 * (t_s[2:] - t_s[:-2])))
+
+
+def honesty(t_s: Array, errors_m: Array, sigmas_m: Array) -> Honesty:
+    """Of estimates in order of time: their errors and the sigmas that they told, (n,) each."""
+    ratios = errors_m / sigmas_m
+    begun_s, longest_s = None, 0.0
+    for at_s, ratio in zip(t_s, ratios, strict=True):
+        if ratio <= MANY_SIGMAS:
+            begun_s = None
+            continue
+        begun_s = at_s if begun_s is None else begun_s
+        longest_s = max(longest_s, float(at_s - begun_s))
+    return Honesty(
+        worst_sigmas=float(ratios.max()),
+        within_1=float(np.mean(ratios <= 1.0)),
+        within_2=float(np.mean(ratios <= 2.0)),
+        over_3_s=longest_s,
+        median_sigma_m=float(np.median(sigmas_m)),
+    )
 
 
 def _runs(count: int) -> Iterator[tuple[str, NDArray[np.int64]]]:
@@ -137,7 +204,7 @@ def _run(
     )
     t_s = np.abs(film.t_s[chosen] - film.t_s[chosen[0]])
     dark = (t_s >= t_s[-1] / 2.0) & (t_s < t_s[-1] / 2.0 + BLACK_S)
-    errors_m, sigmas_m, fixed_s, fix_errors_m = [], [], [], []
+    at, errors_m, sigmas_m, fixed_s, fix_errors_m = [], [], [], [], []
     for number, (i, at_s) in enumerate(zip(chosen, t_s, strict=True)):
         image = np.zeros_like(film.gray[i]) if dark[number] else film.gray[i]
         step = assembled.pipeline.step(Frame(float(at_s), image, number))
@@ -150,6 +217,7 @@ def _run(
             place = float(lat_deg), float(lon_deg)
             errors_m.append(horizontal_distance_m(*place, *film.lat_lon[i]))
             sigmas_m.append(step.estimate.sigma_horizontal_m)
+            at.append(float(at_s))
     errors, sigmas = np.array(errors_m or [np.inf]), np.array(sigmas_m or [1.0])
     return SequenceScore(
         name=name,
@@ -158,7 +226,7 @@ def _run(
         fixes=len(fixed_s),
         wrong=int(np.count_nonzero(np.array(fix_errors_m) > WRONG_M)),
         worst_m=float(errors.max()),
-        worst_sigmas=float((errors / sigmas).max()),
+        honesty=honesty(np.array(at or [0.0]), errors, sigmas),
     )
 
 
@@ -170,7 +238,13 @@ def _together(name: str, scores: list[SequenceScore]) -> SequenceScore:
         fixes=sum(each.fixes for each in scores),
         wrong=sum(each.wrong for each in scores),
         worst_m=max(each.worst_m for each in scores),
-        worst_sigmas=max(each.worst_sigmas for each in scores),
+        honesty=Honesty(
+            worst_sigmas=max(each.honesty.worst_sigmas for each in scores),
+            within_1=float(np.mean([each.honesty.within_1 for each in scores])),
+            within_2=float(np.mean([each.honesty.within_2 for each in scores])),
+            over_3_s=max(each.honesty.over_3_s for each in scores),
+            median_sigma_m=float(np.mean([each.honesty.median_sigma_m for each in scores])),
+        ),
     )
 
 
@@ -182,9 +256,11 @@ def as_json(scores: list[SequenceScore]) -> dict[str, object]:
 def rows(scores: list[SequenceScore]) -> Iterator[tuple[str, str]]:
     """A line of a table for each."""
     for each in scores:
+        told = each.honesty
         yield (
             each.name,
             f"{each.near:.1%} within {NEAR_M:.0f} m, first fix after {each.first_fix_s:.1f} s, "
             f"{each.fixes} fixes, {each.wrong} wrong; worst {each.worst_m:.1f} m, "
-            f"{each.worst_sigmas:.1f} sigmas",
+            f"{told.worst_sigmas:.1f} sigmas; {told.within_1:.0%} within 1, {told.within_2:.0%} "
+            f"within 2, at most {told.over_3_s:.1f} s over 3; median {told.median_sigma_m:.2f} m",
         )

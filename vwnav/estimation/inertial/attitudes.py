@@ -9,7 +9,7 @@ from vwnav.geometry.rotations import quat_conjugate, quat_from_vector, quat_mult
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
-_TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
+TURNING_RAD_S = 1.5  # how fast an unseen aircraft may turn
 MAX_GAP_S = 0.25  # neighbours farther apart are not interpolated between
 _TURN_ON_S = 0.1  # an attitude is carried on for so long after the newest one
 _KNOWN_AHEAD_S = 0.04  # for so long it is known well enough for a picture
@@ -162,7 +162,7 @@ class AttitudeHistory:
         """How far it may have turned by then with neither attitude nor gyro to tell."""
         if not self._times_s or self.knows(t_s):
             return 0.0
-        return _TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
+        return TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
     def knows(self, t_s: float) -> bool:
         """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""

@@ -1,0 +1,149 @@
+"""A video without telemetry loses sight of the ground: what is not known is not claimed."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from vision_scenes import HOME, ground_pack, picture, texture
+
+from vwnav.assemble import assemble_with
+from vwnav.config import Config
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
+from vwnav.maps.pack import MapPack
+from vwnav.pipeline import InlineExecutor
+from vwnav.types import Estimate, MapFix, OdometryMotion, Rejected
+
+AGL_M, SPEED_M_S, INTERVAL_S = 80.0, 8.0, 0.5
+TRUSTED, LOST, AFTER = 14, 4, 6  # pictures before, in the loss, and after it
+SIZE_PX = 900
+CAMERA = Camera.from_hfov(320, 240, 70.0)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What becomes of it in the pictures in which sight is lost."""
+
+    turns_deg: float = 0.0
+    climbs_m: float = 0.0
+    pictures: int = LOST
+    dark: bool = False
+
+    @property
+    def _lost(self) -> np.ndarray:
+        """(n,) how much of the loss is over at each picture, 0 to 1."""
+        count = TRUSTED + self.pictures + AFTER
+        return np.clip((np.arange(count) - TRUSTED + 1) / self.pictures, 0.0, 1.0)
+
+    @property
+    def headings_rad(self) -> np.ndarray:
+        return 0.3 + math.radians(self.turns_deg) * self._lost
+
+    @property
+    def agls_m(self) -> np.ndarray:
+        return AGL_M + self.climbs_m * self._lost
+
+    @property
+    def places_ne_m(self) -> np.ndarray:
+        """(n, 2): it flies where its nose points."""
+        nose = np.column_stack([np.cos(self.headings_rad), np.sin(self.headings_rad)])
+        return np.cumsum(SPEED_M_S * INTERVAL_S * nose, axis=0) - [70.0, 30.0]
+
+    def shows(self, number: int) -> bool:
+        return not (self.dark and TRUSTED <= number < TRUSTED + self.pictures)
+
+
+@dataclass(frozen=True)
+class Row:
+    """The estimate of one picture beside the truth."""
+
+    estimate: Estimate
+    outcome: MapFix | Rejected
+    motion: OdometryMotion | Rejected
+    off_m: float
+    turned_rad: float
+    agl_off_m: float
+
+    @property
+    def worst_sigmas(self) -> float:
+        """The largest of the errors of place, heading and height in its own sigmas."""
+        found = self.estimate
+        return max(
+            self.off_m / found.sigma_horizontal_m,
+            abs(self.turned_rad) / found.sigma_yaw_rad,
+            abs(self.agl_off_m) / found.sigma_agl_m,
+        )
+
+
+@pytest.fixture(scope="module")
+def field():
+    return texture(3, SIZE_PX)
+
+
+@pytest.fixture(scope="module")
+def field_pack(tmp_path_factory, field, sift):
+    path = tmp_path_factory.mktemp("field") / "field.mbtiles"
+    with MapPack.open(ground_pack(path, field, (sift,))) as opened:
+        yield opened
+
+
+def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
+    """From the picture before the loss on; the map is asked no more after `most_fixes`."""
+    config = Config()
+    changed = {"ekf": config.ekf.without_telemetry()}
+    changed["pipeline"] = replace(config.pipeline, most_fixes=most_fixes)
+    config, rng = config.model_copy(update=changed), np.random.default_rng(1)
+    pipeline = assemble_with(
+        sift, None, pack, CAMERA, HOME, config, InlineExecutor(), lambda _: None
+    ).pipeline
+    rows = []
+    poses = zip(flight.places_ne_m, flight.headings_rad, flight.agls_m, strict=True)
+    for number, (place, yaw_rad, agl_m) in enumerate(poses):
+        rpy_deg = (0.0, 0.0, math.degrees(yaw_rad))
+        frame = picture(field, *place, agl_m, rpy_deg=rpy_deg, rng=rng, camera=CAMERA)
+        image = frame.image if flight.shows(number) else np.zeros_like(frame.image)
+        step = pipeline.step(replace(frame, t_s=number * INTERVAL_S, index=number, image=image))
+        if number < TRUSTED - 1:
+            continue
+        found = step.estimate
+        yaw_found = euler_from_rotation(rotation_from_quat(found.quat_wxyz))[2]
+        off_m = float(np.hypot(*(found.position_ned_m[:2] - place)))
+        turned = wrap_pi(yaw_found - yaw_rad)
+        rows.append(Row(found, step.outcome, step.motion, off_m, turned, found.agl_m - agl_m))
+    return rows
+
+
+@pytest.mark.parametrize(
+    "flight",
+    [
+        pytest.param(Flight(turns_deg=185.0), id="185 degrees in four pictures"),
+        pytest.param(
+            Flight(turns_deg=-90.0, climbs_m=16.0, pictures=10, dark=True),
+            id="turns and climbs in 5 s of black",
+            marks=pytest.mark.long,
+        ),
+    ],
+)
+def test_what_sight_was_lost_of_is_found_again_and_never_claimed(flight, field, field_pack, sift):
+    """The turn had left the heading 175 degrees wrong for good, and the place 245 m off at 2.7."""
+    rows = flown(flight, field, field_pack, sift)
+    assert max(row.worst_sigmas for row in rows) < 3.0
+    for row in rows[-AFTER + 2 :]:
+        assert isinstance(row.outcome, MapFix)
+        assert row.off_m < 2.0
+        assert abs(row.turned_rad) < math.radians(2.0)
+        assert abs(row.agl_off_m) < 3.0
+
+
+def test_a_turn_that_no_picture_and_no_fix_tells_leaves_heading_and_place_open(
+    field, field_pack, sift
+):
+    """Nothing is measured from the turn on: no sigma falls, whatever ways the pictures show."""
+    rows = flown(Flight(turns_deg=185.0), field, field_pack, sift, most_fixes=8)
+    assert not any(isinstance(row.motion, OdometryMotion) for row in rows[1 : LOST + 1])
+    assert all(isinstance(row.motion, OdometryMotion) for row in rows[LOST + 1 :])
+    assert max(row.worst_sigmas for row in rows) < 5.0
+    sigmas_m = [row.estimate.sigma_horizontal_m for row in rows]
+    assert np.all(np.diff(sigmas_m) > 0.0)
+    assert rows[-1].estimate.sigma_yaw_rad > math.radians(90.0)
