@@ -1,6 +1,7 @@
 """The run folder: rows as they happen, whole files or none."""
 
 import csv
+import time
 
 import numpy as np
 import pytest
@@ -72,7 +73,10 @@ def test_a_killed_run_keeps_its_rows_under_another_name(tmp_path):
     writer = TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
     writer.write(step(0.0))
     assert not (tmp_path / "trajectory.csv").exists()
-    assert len((tmp_path / "trajectory.csv.part").read_text().splitlines()) == 2
+    until_s = time.monotonic() + 20.0
+    while len((tmp_path / "trajectory.csv.part").read_text().splitlines()) < 2:
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
     writer.close()
 
 

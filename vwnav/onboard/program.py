@@ -31,6 +31,8 @@ from vwnav.onboard.simulation import (
     start_embedded_vehicle,
 )
 from vwnav.pace import PacedClock
+from vwnav.recording.disk import sync_file
+from vwnav.recording.disk_budget import DiskBudget
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
 from vwnav.sim.sites import is_site, parse_site
@@ -59,6 +61,10 @@ def fly_route(options: FlyOptions) -> None:
         plan = plan_flight(options, stack)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
+        sync_file(folder / "config.toml")
+        budget = DiskBudget(folder, plan.config.recording, removes=options.output is None)
+        for removed in budget.make_room():
+            say(f"removed {removed}: flights may take {plan.config.recording.most_gb:g} GB")
         renderer = draw_camera(options, plan, stack)
         link, truth_url = options.connection, options.truth
         clock = _clock(options, stack)
@@ -80,7 +86,7 @@ def fly_route(options: FlyOptions) -> None:
             ground_station_ids=plan.config.flight.ground_station_ids,
         )  # fmt: skip
         stack.callback(autopilot.close)
-        _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
+        _fly(options, plan, folder, budget, watchdog, autopilot, source, truth, clock, stack)
 
 
 def _clock(options: FlyOptions, stack: ExitStack) -> Clock:
@@ -121,6 +127,7 @@ def _fly(
     options: FlyOptions,
     plan: FlightPlan,
     folder: Path,
+    budget: DiskBudget,
     watchdog: WatchdogProcess,
     autopilot: Autopilot,
     source: FrameSource,
@@ -137,7 +144,7 @@ def _fly(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, options.features, "nadir")
-    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
+    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock, budget)
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)
     # Of one that flies nothing is known: the first fix begins.
