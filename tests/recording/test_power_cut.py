@@ -201,6 +201,30 @@ def test_files_that_were_finished_are_whole_when_the_power_is_cut_then(tmp_path,
     assert not is_cut_off(left / "flight.mcap")
 
 
+def test_what_lies_behind_lost_pages_is_not_handed_out(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap", {})
+    for i in range(3000):
+        recorder.event(i / 100, str(np.random.default_rng(i).bytes(100)))
+    recorder.close()
+    whole = (tmp_path / "a.mcap").read_bytes()
+    ends = record_ends(whole)
+    torn = whole[: ends[len(ends) // 2]]
+    torn += bytes(9 * PAGE_BYTES) + whole[ends[3 * len(ends) // 4] : ends[-2]]
+    (tmp_path / "torn.mcap").write_bytes(torn)
+    stamps = [r.t_s for r in read_recording(tmp_path / "torn.mcap")]
+    assert 500 < len(stamps) < 2500
+    assert stamps == pytest.approx(np.arange(len(stamps)) / 100)
+
+
+def record_ends(mcap: bytes) -> list[int]:
+    """Where the records of a data section end."""
+    at, ends = 8, []
+    while mcap[at] != 0x0F:  # the section's end
+        at += 9 + int.from_bytes(mcap[at + 1 : at + 9], "little")
+        ends.append(at)
+    return ends
+
+
 def test_what_was_said_before_a_silence_does_not_wait_for_the_next_word(tmp_path):
     recorder = Recorder(tmp_path / "a.mcap", {})
     for i in range(20):

@@ -25,6 +25,7 @@ from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import FlightPlan, plan_flight
 from vwnav.onboard.record import FlightRecord
+from vwnav.onboard.service import ServiceHandle
 from vwnav.onboard.simulation import (
     DEFAULT_ROUTE,
     DEFAULT_SITE,
@@ -150,13 +151,15 @@ def _fly(
     # Of one that flies nothing is known: the first fix begins.
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
-    aboard = put_aboard(plan, assembled, autopilot, watchdog.keepalive, record, options.arms)
+    handle = ServiceHandle(watchdog.keepalive)
+    aboard = put_aboard(plan, assembled, autopilot, handle, record, options.arms)
     with _stopped_by_signals():
         try:
             if not options.arms:
                 _listen_for_enter(aboard.flight)
             end = aboard.runtime.run(source, clock)
         finally:
+            handle.end()
             record.close(options, assembled)
     if end.reason is not None:
         error = PreflightError if end.unsafe else VwnavError
