@@ -26,9 +26,7 @@ class ServiceHandle:
         environment: of the process.
     """
 
-    def __init__(
-        self, handle: DeadMansHandle, environment: Mapping[str, str] = os.environ
-    ) -> None:
+    def __init__(self, handle: DeadMansHandle, environment: Mapping[str, str] = os.environ) -> None:
         self._handle = handle
         self._address = environment.get("NOTIFY_SOCKET", "")
         self._next_s = -1.0
