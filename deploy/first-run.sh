@@ -90,7 +90,7 @@ END
 }
 
 install_program() {
-    run apt-get install -y --no-install-recommends python3-venv v4l-utils
+    run apt-get install -y --no-install-recommends python3-venv python3-picamera2 v4l-utils
     run sh -c "id vwnav >/dev/null 2>&1 || useradd --system --home-dir /var/lib/vwnav --groups dialout,video vwnav"
     run python3 -m venv --system-site-packages /opt/vwnav
     run /opt/vwnav/bin/pip install --upgrade "$wheel"

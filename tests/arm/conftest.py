@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TREE = Path(os.environ.get("VWNAV_AARCH64", ROOT / ".aarch64"))
+TREE = Path(os.environ.get("VWNAV_AARCH64", ROOT / ".aarch64")).resolve()
 
 sys.path.insert(0, str(ROOT / "tests" / "watchdog"))  # the link peer serves here too
 

@@ -1,6 +1,8 @@
 """The run folder: rows as they happen, whole files or none."""
 
 import csv
+import os
+import threading
 import time
 
 import numpy as np
@@ -78,6 +80,20 @@ def test_a_killed_run_keeps_its_rows_under_another_name(tmp_path):
         assert time.monotonic() < until_s
         time.sleep(0.01)
     writer.close()
+
+
+def test_rows_end_where_the_disk_does_not_answer_for_minutes(tmp_path, monkeypatch):
+    answers = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda handle: answers.wait(60.0))
+    writer = TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
+    one = step(0.0)
+    with pytest.raises(TimeoutError, match="does not answer"):
+        for _ in range(30_000):
+            writer.write(one)
+    answers.set()
+    with pytest.raises(TimeoutError):
+        writer.close()
+    assert [each.name for each in tmp_path.iterdir()] == ["trajectory.csv.part"]
 
 
 def test_a_folder_with_a_run_is_refused(tmp_path):

@@ -17,6 +17,7 @@ from vwnav.recording.disk import DiskThread, make_folder, replace_for_good, sync
 from vwnav.types import MapFix, Rejected, RejectReason
 
 _CLOSE_TIMEOUT_S = 20.0
+_MOST_WAITING = 20_000  # rows: ten minutes in which the disk may stall, some 20 MB
 COLUMNS = [
     "t_s",
     "lat_deg",
@@ -96,8 +97,10 @@ class TrajectoryWriter:
         """Append the row of one picture.
 
         Raises:
-            OSError: the disk failed at an earlier one.
+            OSError: the disk failed at an earlier one, or has not answered for minutes.
         """
+        if self._disk.waiting >= _MOST_WAITING:
+            self._failure = TimeoutError("the disk does not answer")
         if self._failure is not None:
             raise self._failure
         row: dict[str, object] = {"t_s": f"{step.t_s - self._t0_s:.4f}"}
@@ -141,7 +144,8 @@ class TrajectoryWriter:
 
     def _finish(self) -> None:
         self._file.close()
-        replace_for_good(self._partial, self._path)
+        if self._failure is None:
+            replace_for_good(self._partial, self._path)
 
     def _fail(self, error: Exception) -> None:
         self._failure = error
