@@ -14,7 +14,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.guidance.controller import LimitsConfig
 from vwnav.mission.mission import FlightConfig
 from vwnav.pipeline import PipelineConfig
-from vwnav.recording.disk_budget import RecordingConfig
+from vwnav.recording.disk.budget import RecordingConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vision.localizer import LocalizerConfig

@@ -8,7 +8,7 @@ import pytest
 from vwnav.config import load_config
 from vwnav.errors import ConfigError, VwnavError
 from vwnav.recording import run_folder
-from vwnav.recording.disk_budget import GB, DiskBudget, RecordingConfig
+from vwnav.recording.disk.budget import GB, DiskBudget, RecordingConfig
 from vwnav.recording.reader import is_cut_off, read_recording
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import make_run_folder

@@ -18,7 +18,7 @@ import pytest
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.pipeline import StepResult
-from vwnav.recording import disk
+from vwnav.recording.disk import thread
 from vwnav.recording.reader import is_cut_off, read_metadata, read_recording
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import TrajectoryWriter, make_run_folder, write_json
@@ -126,7 +126,7 @@ class Flown:
         (root / "live").mkdir(parents=True)
         self.model = Disk(root / "live")
         monkeypatch.setattr(os, "fsync", self.model.fsync)
-        monkeypatch.setattr(disk, "monotonic", lambda: self.model.now_s)
+        monkeypatch.setattr(thread, "monotonic", lambda: self.model.now_s)
         self.folder = make_run_folder(root / "live" / "runs" / "fly", "fly")
         self.recorder = Recorder(self.folder / "flight.mcap", {"settings": 1}, 25.0)
         self.rows = TrajectoryWriter(
@@ -238,7 +238,7 @@ def test_what_was_said_before_a_silence_does_not_wait_for_the_next_word(tmp_path
 
 def test_a_disk_that_syncs_slowly_is_left_half_of_the_time(monkeypatch):
     now_s, syncs = [0.0], []
-    monkeypatch.setattr(disk, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(thread, "monotonic", lambda: now_s[0])
 
     def slow() -> None:
         syncs.append(now_s[0])
@@ -247,9 +247,9 @@ def test_a_disk_that_syncs_slowly_is_left_half_of_the_time(monkeypatch):
     def wait() -> None:
         now_s[0] += 0.01
 
-    thread = disk.DiskThread("slow", slow, lambda error: None)
+    written = thread.DiskThread("slow", slow, lambda error: None)
     for _ in range(1000):  # ten seconds of writing
-        thread.put(wait)
-    assert thread.close(lambda: None, 30.0)
+        written.put(wait)
+    assert written.close(lambda: None, 30.0)
     assert np.diff(syncs) == pytest.approx(4.0, abs=0.02)
     assert len(syncs) >= 4

@@ -87,9 +87,13 @@ def test_rows_end_where_the_disk_does_not_answer_for_minutes(tmp_path, monkeypat
     monkeypatch.setattr(os, "fsync", lambda handle: answers.wait(60.0))
     writer = TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
     one = step(0.0)
-    with pytest.raises(TimeoutError, match="does not answer"):
+
+    def write_for_long() -> None:
         for _ in range(30_000):
             writer.write(one)
+
+    with pytest.raises(TimeoutError, match="does not answer"):
+        write_for_long()
     answers.set()
     with pytest.raises(TimeoutError):
         writer.close()

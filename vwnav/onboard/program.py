@@ -32,8 +32,8 @@ from vwnav.onboard.simulation import (
     start_embedded_vehicle,
 )
 from vwnav.pace import PacedClock
-from vwnav.recording.disk import sync_file
-from vwnav.recording.disk_budget import DiskBudget
+from vwnav.recording.disk.budget import DiskBudget
+from vwnav.recording.disk.thread import sync_file
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
 from vwnav.sim.sites import is_site, parse_site

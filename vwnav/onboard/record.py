@@ -14,7 +14,7 @@ from vwnav.flight import Flight
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.options import FlyOptions
 from vwnav.pipeline import Pipeline, StepResult
-from vwnav.recording.disk_budget import DiskBudget
+from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.flight_recorder import FlightRecorder, was_tried
 from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder, plain

@@ -1,8 +1,8 @@
 """Records a flight as MCAP, which Foxglove opens; never makes the flight wait.
 
 Everything is queued and written by a thread of its own. Every 0.7 s a chunk is finished and synced
-(`disk.DiskThread`): a process that is killed, or a board whose power is cut, leaves a file that
-lacks its last second and its index, and is read to there by `reader.read_recording`.
+(`disk.thread`): a process that is killed, or a board whose power is cut, leaves a file that lacks
+its last second and its index, and is read to there by `reader.read_recording`.
 
 In memory only the index grows that ends the file: 0.35 kB with each chunk, 1.8 MB an hour.
 """
@@ -27,8 +27,8 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from foxglove.messages import CompressedImage, Timestamp
 
 from vwnav.errors import VwnavError
-from vwnav.recording.disk import DiskThread, sync_names
-from vwnav.recording.disk_budget import DiskBudget
+from vwnav.recording.disk.budget import DiskBudget
+from vwnav.recording.disk.thread import DiskThread, sync_names
 from vwnav.recording.reader import CAMERA_TOPIC, VEHICLE_TOPIC
 from vwnav.types import Estimate, Frame, MapFix, Rejected
 from vwnav.vehicle import VehicleState, VelocitySetpoint

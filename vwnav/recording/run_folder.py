@@ -13,7 +13,7 @@ from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.pipeline import StepResult
-from vwnav.recording.disk import DiskThread, make_folder, replace_for_good, sync_names
+from vwnav.recording.disk.thread import DiskThread, make_folder, replace_for_good, sync_names
 from vwnav.types import MapFix, Rejected, RejectReason
 
 _CLOSE_TIMEOUT_S = 20.0
