@@ -57,6 +57,7 @@ def recorder(folder: str) -> dict[str, Any]:
     for i in range(40):
         writer.frame(Frame(i / 10, np.full((60, 80), i, np.uint8), i))
         writer.event(i / 10, str(i))
+        time.sleep(0.02)
     writer.close()
     read = list(read_recording(path))
     texts = [each.content["text"] for each in read if each.topic == "/event"]
