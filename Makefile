@@ -1,6 +1,8 @@
 # make fly   sets everything up and flies the embedded site in simulation, GPS off
 # make test  sets everything up and passes the tests
 # make test-long  the same and all that takes minutes: every scenario, the million filter steps
+# make test-arm   on an emulated Raspberry Pi 4 and 5 (sets that up; Linux on x86)
+# make wheel what is installed on a board, in dist/
 # make fuzz  a million hostile MAVLink frames against what hears the link onboard
 # make mutants  how many of 300 mutants of vwnav/safety its tests kill; MUTANTS=all takes them all
 # make house how the house is built: what a step enters, import chains, sizes
@@ -8,7 +10,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv fly test test-long fuzz mutants house check clean
+.PHONY: venv fly test test-long test-arm wheel fuzz mutants house check clean
 
 venv: .venv/.onboard
 
@@ -33,6 +35,16 @@ test: .venv/.dev
 
 test-long: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m "long or not long"
+
+# AARCH64 names another folder for the emulated system
+AARCH64 ?= .aarch64
+test-arm: .venv/.dev
+	PYTHON=$(BIN)/python deploy/aarch64.sh $(AARCH64)
+	VWNAV_AARCH64=$(AARCH64) $(BIN)/python -m pytest -s -m "long or not long" tests/arm
+
+wheel: .venv/.onboard
+	rm -f dist/vwnav-*.whl
+	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 fuzz: .venv/.dev
 	$(BIN)/python -m pytest -m long tests/mavlink/test_hostile_frames.py

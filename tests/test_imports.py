@@ -41,7 +41,9 @@ ALLOWED = {
     | {"geometry", "maps", "estimation", "seams", "mavlink", "safety", "mission", "rules"},
     "cameras": BASE | {"geometry", "recording"},
     "sim": BASE | {"geometry", "maps"},
-    "config": BASE | {"vision", "estimation", "guidance", "safety", "seams", "mission"},
+    "config": BASE
+    | {"vision", "estimation", "guidance", "safety", "seams", "mission"}
+    | {"recording"},
     "assemble": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"}
     | {"feature_choice"},

@@ -13,6 +13,7 @@ from vwnav.errors import ConfigError
 from vwnav.estimation.config import EkfConfig
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
+from vwnav.recording.disk.budget import RecordingConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.seams import PipelineConfig
@@ -32,6 +33,7 @@ class Config(BaseSettings):
     limits: LimitsConfig = LimitsConfig()
     safety: SafetyConfig = SafetyConfig()
     estimate: EstimateLimits = EstimateLimits()
+    recording: RecordingConfig = RecordingConfig()
 
     @classmethod
     def settings_customise_sources(

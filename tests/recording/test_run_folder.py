@@ -1,6 +1,9 @@
 """The run folder: rows as they happen, whole files or none."""
 
 import csv
+import os
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -72,8 +75,29 @@ def test_a_killed_run_keeps_its_rows_under_another_name(tmp_path):
     writer = TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
     writer.write(step(0.0))
     assert not (tmp_path / "trajectory.csv").exists()
-    assert len((tmp_path / "trajectory.csv.part").read_text().splitlines()) == 2
+    until_s = time.monotonic() + 20.0
+    while len((tmp_path / "trajectory.csv.part").read_text().splitlines()) < 2:
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
     writer.close()
+
+
+def test_rows_end_where_the_disk_does_not_answer_for_minutes(tmp_path, monkeypatch):
+    answers = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda handle: answers.wait(60.0))
+    writer = TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
+    one = step(0.0)
+
+    def write_for_long() -> None:
+        for _ in range(30_000):
+            writer.write(one)
+
+    with pytest.raises(TimeoutError, match="does not answer"):
+        write_for_long()
+    answers.set()
+    with pytest.raises(TimeoutError):
+        writer.close()
+    assert [each.name for each in tmp_path.iterdir()] == ["trajectory.csv.part"]
 
 
 def test_a_folder_with_a_run_is_refused(tmp_path):

@@ -1,7 +1,6 @@
 """`vwnav doctor`: is this machine, and the drone on the link, ready?"""
 
 import json
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,9 +13,7 @@ from vwnav.errors import PreflightError, VwnavError
 from vwnav.safety.check import Check, CheckVerdict
 
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
-FREE_DISK_GB = 1.0
 CAMERA_FPS = 8.0
-CLOCK_NOT_SET_S = 1_700_000_000.0  # 2023: a board without a clock battery starts earlier
 
 
 def doctor(
@@ -58,28 +55,15 @@ def _machine() -> Iterator[Check]:
     import numpy as np
     import onnxruntime
 
+    from vwnav.onboard.board import check_board
+
     yield Check(
         "libraries",
         "PASS",
         f"Python {sys.version.split()[0]}, numpy {np.__version__}, OpenCV {cv2.__version__}, "
         f"onnxruntime {onnxruntime.__version__}",
     )
-    free_gb = shutil.disk_usage(".").free / 1e9
-    verdict: CheckVerdict = "PASS" if free_gb >= FREE_DISK_GB else "WARN"
-    yield Check("disk", verdict, f"{free_gb:.1f} GB free here; recording takes 1 GB an hour")
-    clock_set = time.time() > CLOCK_NOT_SET_S
-    yield Check("clock", "PASS" if clock_set else "WARN", time.strftime("%Y-%m-%d %H:%M:%S"))
-    yield from _temperature()
-
-
-def _temperature() -> Iterator[Check]:
-    zone = Path("/sys/class/thermal/thermal_zone0/temp")
-    try:
-        celsius = int(zone.read_text()) / 1000.0
-    except (OSError, ValueError):
-        return
-    throttles = celsius >= 80.0  # a Raspberry Pi slows itself down from here
-    yield Check("temperature", "WARN" if throttles else "PASS", f"{celsius:.0f} degrees C")
+    yield from check_board(Path.cwd())
 
 
 def _learned_model() -> Check:

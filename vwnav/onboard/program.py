@@ -27,8 +27,11 @@ from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
+from vwnav.onboard.service import ServiceHandle
 from vwnav.onboard.simulation import DEFAULT_ROUTE, DEFAULT_SITE
 from vwnav.pace import PacedClock
+from vwnav.recording.disk.budget import DiskBudget
+from vwnav.recording.disk.thread import sync_file
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
 from vwnav.sim.config import Manners, VehicleConfig
@@ -62,6 +65,10 @@ def fly_route(options: FlyOptions) -> None:
         plan = plan_flight(options, stack)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
+        sync_file(folder / "config.toml")
+        budget = DiskBudget(folder, plan.config.recording, removes=options.output is None)
+        for removed in budget.make_room():
+            say(f"removed {removed}: flights may take {plan.config.recording.most_gb:g} GB")
         renderer = draw_camera(options, plan, stack)
         link, truth_url = options.connection, options.truth
         clock = _clock(options, stack)
@@ -83,7 +90,7 @@ def fly_route(options: FlyOptions) -> None:
             ground_station_ids=plan.config.flight.ground_station_ids,
         )  # fmt: skip
         stack.callback(autopilot.close)
-        _fly(options, plan, folder, watchdog, autopilot, source, truth, clock, stack)
+        _fly(options, plan, folder, budget, watchdog, autopilot, source, truth, clock, stack)
 
 
 def _clock(options: FlyOptions, stack: ExitStack) -> Clock:
@@ -124,6 +131,7 @@ def _fly(
     options: FlyOptions,
     plan: FlightPlan,
     folder: Path,
+    budget: DiskBudget,
     watchdog: WatchdogProcess,
     autopilot: Autopilot,
     source: FrameSource,
@@ -140,19 +148,21 @@ def _fly(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, options.features, "nadir")
-    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock)
+    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock, budget)
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)
     # Of one that flies nothing is known: the first fix begins.
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
-    aboard = put_aboard(plan, assembled, autopilot, watchdog.keepalive, record, options.arms)
+    handle = ServiceHandle(watchdog.keepalive)
+    aboard = put_aboard(plan, assembled, autopilot, handle, record, options.arms)
     with _stopped_by_signals():
         try:
             if not options.arms:
                 _listen_for_enter(aboard.flight)
             end = aboard.runtime.run(source, clock)
         finally:
+            handle.end()
             record.close(options, assembled)
     if end.reason is not None:
         error = PreflightError if end.unsafe else VwnavError

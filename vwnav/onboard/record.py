@@ -14,6 +14,7 @@ from vwnav.flight import Flight
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.options import FlyOptions
 from vwnav.pipeline import Pipeline
+from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.flight_recorder import FlightRecorder, was_tried
 from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder, plain
@@ -44,6 +45,7 @@ class FlightRecord:
         config: Config,
         truth: TruthReader | None,
         clock: Clock,
+        budget: DiskBudget | None = None,
     ) -> None:
         self._folder = folder
         self._clock = clock
@@ -51,7 +53,8 @@ class FlightRecord:
         self._started_s = clock()
         self._trajectory: TrajectoryWriter | None = None
         settings = config.model_dump(mode="json")
-        self._recorder = FlightRecorder(Recorder(folder / "flight.mcap", settings), about)
+        recorder = Recorder(folder / "flight.mcap", settings, budget=budget)
+        self._recorder = FlightRecorder(recorder, about)
         self.input_log = self._recorder.input_log
         self._picture = TrackPicture(pack, about.local_frame)
         self._score = Score(about.local_frame) if truth is not None else None

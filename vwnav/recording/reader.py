@@ -1,6 +1,11 @@
-"""Reads a recording back, with the `mcap` package of the `eval` extra; also one cut off."""
+"""Reads a recording back, with the `mcap` package of the `eval` extra; also one cut off.
+
+A recorder that was killed leaves a file that breaks off within a record. A power cut may leave more
+behind what was synced: some pages of 4 kB, and zeros for the others. Both are read to there.
+"""
 
 import json
+import logging
 import os
 import struct
 from collections.abc import Generator, Iterator
@@ -15,10 +20,13 @@ import numpy as np
 from vwnav.errors import SourceError
 from vwnav.types import Frame
 
+_log = logging.getLogger(__name__)
 CAMERA_TOPIC, VEHICLE_TOPIC = "/camera", "/vehicle"
 _IMAGE_DATA_FIELD, _FRAME_ID_FIELD = 2, 4  # of foxglove.CompressedImage
 _LENGTH_DELIMITED = 2
 _END = b"\x89MCAP0\r\n"
+_RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_LAST_OPCODE = 0x0F
 
 # What damaged bytes may raise in the mcap package, its decompressors, and the decoding here.
 _DAMAGE = (
@@ -83,11 +91,11 @@ def is_cut_off(path: Path) -> bool:
 
 
 class _WholeReads:
-    """A file of which a read that goes past its end gives nothing, instead of half a record."""
+    """A file of which a read that goes past `size` gives nothing, instead of half a record."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, size: int) -> None:
         self._file = file
-        self._size = os.fstat(file.fileno()).st_size
+        self._size = size
 
     def read(self, length: int) -> bytes:
         left = self._size - self._file.tell()
@@ -99,15 +107,36 @@ def _mcap_records(path: Path, chunks_whole: bool) -> Generator[Any]:
     from mcap.exceptions import EndOfFile, McapError
     from mcap.stream_reader import StreamReader
 
+    cut_off = is_cut_off(path)
+    found = False
     try:
         with path.open("rb") as file:
-            whole: Any = _WholeReads(file)
+            size = _sound_bytes(file) if cut_off else os.fstat(file.fileno()).st_size
+            whole: Any = _WholeReads(file, size)
             reader = StreamReader(whole, emit_chunks=chunks_whole, validate_crcs=not chunks_whole)
-            yield from reader.records
+            for record in reader.records:
+                found = True
+                yield record
     except EndOfFile:
         return  # the recorder was killed: everything before has been handed out
-    except McapError as error:
-        raise SourceError(f"{path} is not an MCAP file, or it is damaged: {error}") from error
+    except (McapError, *_DAMAGE) as error:
+        if not (cut_off and found):
+            raise SourceError(f"{path} is not an MCAP file, or it is damaged: {error}") from error
+        _log.warning("%s was cut off while it was written: read to there", path)
+
+
+def _sound_bytes(file: BinaryIO) -> int:
+    """How many bytes a file has from its beginning that are whole records."""
+    size = os.fstat(file.fileno()).st_size
+    at = len(_END)
+    while at + _RECORD_HEAD.size <= size:
+        file.seek(at)
+        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+        if not 0 < opcode <= _LAST_OPCODE or at + _RECORD_HEAD.size + length > size:
+            break
+        at += _RECORD_HEAD.size + length
+    file.seek(0)
+    return min(at, size)
 
 
 @contextmanager

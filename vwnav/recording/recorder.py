@@ -1,18 +1,17 @@
 """Records a flight as MCAP, which Foxglove opens; never makes the flight wait.
 
-Everything is queued and written by a thread of its own. A chunk is finished and flushed every
-second: a process that is killed leaves a file that lacks its last second and its index, and is read
-to its end by `reader.read_recording` and by Foxglove.
+Everything is queued and written by a thread of its own. Every 0.7 s a chunk is finished and synced
+(`disk.thread`): a process that is killed, or a board whose power is cut, leaves a file that lacks
+its last second and its index, and is read to there by `reader.read_recording`.
 
-In memory only the index grows that ends the file: 0.35 kB with each chunk, 1.3 MB an hour.
+In memory only the index grows that ends the file: 0.35 kB with each chunk, 1.8 MB an hour.
 """
 
 import dataclasses
 import json
 import logging
 import math
-import queue
-import threading
+import os
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -28,6 +27,8 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from foxglove.messages import CompressedImage, Timestamp
 
 from vwnav.errors import VwnavError
+from vwnav.recording.disk.budget import DiskBudget
+from vwnav.recording.disk.thread import DiskThread, sync_names
 from vwnav.recording.reader import CAMERA_TOPIC, VEHICLE_TOPIC
 from vwnav.types import Estimate, Frame, MapFix, Rejected
 from vwnav.vehicle import VehicleState, VelocitySetpoint
@@ -36,7 +37,6 @@ _log = logging.getLogger(__name__)
 _QUEUE_ITEMS = 10_000  # half a minute of all that is kept, in which the disk may stall
 _QUEUED_SEQUENCE = 20_000  # a sequence's own limit, after all else is left out; some 20 MB
 _QUEUED_PICTURES = 4
-_FLUSH_S = 1.0
 _CHUNK_BYTES = 1 << 18
 _JPEG_QUALITY = 80
 _CLOSE_TIMEOUT_S = 5.0
@@ -54,6 +54,7 @@ class Recorder:
         path: must not exist.
         config: the resolved configuration, kept as JSON in the metadata record "config".
         picture_rate_hz: at most so many pictures a second are kept.
+        budget: of the disk; recording stops where it cannot be kept.
 
     Attributes:
         dropped: messages that the disk was too slow for.
@@ -62,11 +63,17 @@ class Recorder:
         VwnavError: the file cannot be made.
     """
 
-    def __init__(self, path: Path, config: Mapping[str, Any], picture_rate_hz: float = 2.0) -> None:
+    def __init__(
+        self,
+        path: Path,
+        config: Mapping[str, Any],
+        picture_rate_hz: float = 2.0,
+        budget: DiskBudget | None = None,
+    ) -> None:
         self.dropped = 0
+        self._budget = budget
         self._picture_period_s = 1.0 / picture_rate_hz
         self._next_picture_s = 0.0
-        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._pictures_put = self._pictures_taken = 0  # by the flight, by the thread that writes
         self._stopped = False
         self._torn = False
@@ -77,6 +84,7 @@ class Recorder:
         )
         try:
             self._writer = foxglove.open_mcap(path, context=self._context, writer_options=options)
+            self._file = path.open("rb")  # to be synced: the writer's own is not to be had
         except OSError as error:
             raise VwnavError(f"cannot record to {path}: {error.strerror or error}") from error
         except Exception as error:  # the SDK's own errors have no common base
@@ -84,10 +92,10 @@ class Recorder:
         started = {"wall_clock_s": repr(time.time()), "monotonic_s": repr(time.monotonic())}
         self._writer.write_metadata("config", {"json": json.dumps(plain(config))})
         self._writer.write_metadata("started", started)
+        sync_names(path.parent)
         self._channels: dict[str, foxglove.Channel] = {}
         self._camera = CompressedImageChannel(CAMERA_TOPIC, context=self._context)
-        self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
-        self._thread.start()
+        self._disk = DiskThread("recorder", self._sync, self._stop)
 
     def frame(self, frame: Frame) -> None:
         """Keep a picture, if one is due; it must not be changed afterwards."""
@@ -136,17 +144,15 @@ class Recorder:
         """
         if self._stopped or self._torn:
             return
-        if self._queue.qsize() >= _QUEUED_SEQUENCE:
+        if self._disk.waiting >= _QUEUED_SEQUENCE:
             self._torn = True
             _log.warning("the disk is too slow: from here on the flight cannot be replayed")
             return
-        self._queue.put(lambda: self._write_json(topic, t_s, content()))
+        self._disk.put(lambda: self._write_json(topic, t_s, content()))
 
     def close(self) -> None:
         """Write what is queued and finish the file."""
-        self._queue.put(None)
-        self._thread.join(_CLOSE_TIMEOUT_S)
-        if self._thread.is_alive():
+        if not self._disk.close(self._finish, _CLOSE_TIMEOUT_S):
             _log.warning("the disk is too slow: the recording lacks its end")
         if self.dropped:
             _log.warning("%d messages were not recorded: the disk was too slow", self.dropped)
@@ -154,26 +160,29 @@ class Recorder:
     def _put(self, write: Callable[[], None]) -> bool:
         if self._stopped:
             return False
-        if self._queue.qsize() >= _QUEUE_ITEMS:
+        if self._disk.waiting >= _QUEUE_ITEMS:
             self.dropped += 1
             return False
-        self._queue.put(write)
+        self._disk.put(write)
         return True
 
-    def _write(self) -> None:
-        flush_s = time.monotonic() + _FLUSH_S
-        try:
-            while (write := self._queue.get()) is not None:
-                write()
-                if time.monotonic() >= flush_s:
-                    self._writer.flush()
-                    flush_s = time.monotonic() + _FLUSH_S
+    def _sync(self) -> None:
+        if self._budget is not None:
+            self._budget.keep(time.monotonic())
+        self._writer.flush()
+        os.fsync(self._file.fileno())
+
+    def _finish(self) -> None:
+        self._writer.close()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _stop(self, error: Exception) -> None:
+        self._stopped = True
+        _log.warning("recording has stopped, the flight goes on: %s", error)
+        with suppress(Exception):
             self._writer.close()
-        except Exception as error:
-            self._stopped = True
-            _log.warning("recording has stopped, the flight goes on: %s", error)
-            with suppress(Exception):
-                self._writer.close()
+        self._file.close()
 
     def _write_picture(self, frame: Frame) -> None:
         self._pictures_taken += 1

@@ -3,17 +3,21 @@
 import csv
 import json
 import math
-from dataclasses import dataclass, field
+import os
 from datetime import datetime
+from itertools import chain, count
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
+from vwnav.recording.disk.thread import DiskThread, make_folder, replace_for_good, sync_names
 from vwnav.seams import StepResult
 from vwnav.types import MapFix, Rejected, RejectReason
 
+_CLOSE_TIMEOUT_S = 20.0
+_MOST_WAITING = 20_000  # rows: ten minutes in which the disk may stall, some 20 MB
 COLUMNS = [
     "t_s",
     "lat_deg",
@@ -46,56 +50,71 @@ def make_run_folder(wanted: Path | None, kind: str) -> Path:
     Raises:
         VwnavError: the folder cannot be made or holds another run.
     """
-    folder = wanted or Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}"
+    folder = wanted or _unused(Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
     if any((folder / name).exists() for name in ("trajectory.csv", "flight.mcap")):
         raise VwnavError(f"{folder} already holds a run; give another folder with -o")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise VwnavError(f"cannot make the run folder {folder}: {error.strerror}") from error
     return folder
 
 
-@dataclass
+def _unused(folder: Path) -> Path:
+    """A board without a battery for its clock may start twice at the same time."""
+    others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
+    return next(each for each in chain([folder], others) if not each.exists())
+
+
 class TrajectoryWriter:
-    """Writes one row of `trajectory.csv` per picture, as it happens.
+    """Writes one row of `trajectory.csv` per picture, as it happens; never makes the flight wait.
 
     Until `close` the file is called `trajectory.csv.part`: a killed run keeps its rows, and nobody
-    takes them for a whole run.
+    takes them for a whole run. After a power cut the rows older than a second are there.
 
     Args:
         path: of the CSV.
         local_frame: NED origin of the run.
         t0_s: time of the first picture; `t_s` in the file counts from it.
+
+    Raises:
+        OSError: the file cannot be made.
     """
 
-    path: Path
-    local_frame: LocalFrame
-    t0_s: float
-    _partial: Path = field(init=False)
-    _file: TextIO = field(init=False)
-    _rows: Any = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._partial = self.path.with_suffix(".csv.part")
+    def __init__(self, path: Path, local_frame: LocalFrame, t0_s: float) -> None:
+        self._path = path
+        self._local_frame = local_frame
+        self._t0_s = t0_s
+        self._partial = path.with_suffix(".csv.part")
         self._file = self._partial.open("w", newline="", buffering=1)
         self._rows = csv.DictWriter(self._file, COLUMNS, restval="")
-        self._rows.writeheader()
+        self._named = False
+        self._failure: Exception | None = None
+        self._disk = DiskThread("trajectory", self._sync, self._fail)
+        self._disk.put(self._rows.writeheader)
 
     def write(self, step: StepResult, commanded_yaw_rad: float | None = None) -> None:
-        """Append the row of one picture."""
-        row: dict[str, object] = {"t_s": f"{step.t_s - self.t0_s:.4f}"}
+        """Append the row of one picture.
+
+        Raises:
+            OSError: the disk failed at an earlier one, or has not answered for minutes.
+        """
+        if self._disk.waiting >= _MOST_WAITING:
+            self._failure = TimeoutError("the disk does not answer")
+        if self._failure is not None:
+            raise self._failure
+        row: dict[str, object] = {"t_s": f"{step.t_s - self._t0_s:.4f}"}
         if step.estimate is not None:
             row |= self._estimate_cells(step)
         row |= _outcome_cells(step.outcome)
         if commanded_yaw_rad is not None:
             row["commanded_yaw_deg"] = f"{math.degrees(commanded_yaw_rad):.2f}"
-        self._rows.writerow(row)
+        self._disk.put(lambda: self._rows.writerow(row))
 
     def _estimate_cells(self, step: StepResult) -> dict[str, str]:
         estimate = step.estimate
         assert estimate is not None
-        lat_deg, lon_deg, _ = self.local_frame.to_geodetic(estimate.position_ned_m)
+        lat_deg, lon_deg, _ = self._local_frame.to_geodetic(estimate.position_ned_m)
         north_m, east_m, down_m = estimate.position_ned_m
         vn_m_s, ve_m_s, vd_m_s = estimate.velocity_ned_m_s
         angles = euler_from_rotation(rotation_from_quat(estimate.quat_wxyz))
@@ -107,9 +126,29 @@ class TrajectoryWriter:
         return cells
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file.
+
+        Raises:
+            OSError: the disk failed; what is there keeps its name `trajectory.csv.part`.
+        """
+        if not self._disk.close(self._finish, _CLOSE_TIMEOUT_S):
+            raise TimeoutError("the disk does not answer")
+        if self._failure is not None:
+            raise self._failure
+
+    def _sync(self) -> None:
+        os.fsync(self._file.fileno())
+        if not self._named:
+            sync_names(self._path.parent)
+            self._named = True
+
+    def _finish(self) -> None:
         self._file.close()
-        self._partial.replace(self.path)
+        if self._failure is None:
+            replace_for_good(self._partial, self._path)
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = error
 
 
 def _outcome_cells(outcome: MapFix | Rejected) -> dict[str, object]:
@@ -134,4 +173,4 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write whole or not at all."""
     partial = path.with_suffix(path.suffix + ".part")
     partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
-    partial.replace(path)
+    replace_for_good(partial, path)

@@ -112,8 +112,9 @@ class ImuGate:
 
     def saw_drag(self, drag: Innovation) -> None:
         """What the air does was compared with what it felt."""
-        refused = drag.verdict is Verdict.GATED and drag.residual is not None
-        self._unexplained_m_s2 = float(np.linalg.norm(drag.residual)) if refused else 0.0
+        self._unexplained_m_s2 = 0.0
+        if drag.verdict is Verdict.GATED and drag.residual is not None:
+            self._unexplained_m_s2 = float(np.linalg.norm(drag.residual))
 
     def compare(self, explained_m_s2: Array, sigma_m_s2: float, t_s: float) -> None:
         """While it is not believed: with what it should feel across the thrust (2,)."""

@@ -191,6 +191,7 @@ class StalledRecorder(Recorder):
         self._released = threading.Event()
         self._folder = TemporaryDirectory(prefix="vwnav-stalled-")
         super().__init__(Path(self._folder.name) / "flight.mcap", {})
+        self._disk.put(self._stall)
 
     def close(self) -> None:
         """The disk answers again."""
@@ -198,9 +199,8 @@ class StalledRecorder(Recorder):
         super().close()
         self._folder.cleanup()
 
-    def _write(self) -> None:
+    def _stall(self) -> None:
         self._released.wait()
-        super()._write()
 
 
 @dataclass(frozen=True)

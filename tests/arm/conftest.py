@@ -1,0 +1,69 @@
+"""The emulated aarch64 tree of `deploy/aarch64.sh`."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TREE = Path(os.environ.get("VWNAV_AARCH64", ROOT / ".aarch64")).resolve()
+
+sys.path.insert(0, str(ROOT / "tests" / "watchdog"))  # the link peer serves here too
+
+
+@dataclass(frozen=True)
+class Emulated:
+    """What a program said, and the most memory that it took, the emulator's own with it."""
+
+    code: int
+    out: str
+    err: str
+    peak_mb: float
+
+    @property
+    def said(self) -> Any:
+        """Its line of JSON."""
+        assert self.code == 0, self.err[-3000:]
+        return json.loads(self.out.splitlines()[-1])
+
+
+@pytest.fixture(scope="session")
+def aarch64(tmp_path_factory) -> Callable[..., Emulated]:
+    """Runs Python on an emulated processor; skipped where no tree was set up."""
+    if not (TREE / "python").exists() or shutil.which("qemu-aarch64-static") is None:
+        pytest.skip(f"no emulated aarch64 in {TREE}: deploy/aarch64.sh sets it up")
+    folder = tmp_path_factory.mktemp("aarch64")
+
+    def run(cpu: str, *arguments: object) -> Emulated:
+        environment = os.environ | {"VWNAV_CPU": cpu, "VWNAV_SOURCE": str(ROOT), "COLUMNS": "200"}
+        out, err = folder / "out", folder / "err"
+        with out.open("w") as to, err.open("w") as errors:
+            process = subprocess.Popen(
+                [str(TREE / "python"), *map(str, arguments)],
+                stdout=to, stderr=errors, env=environment, cwd=ROOT,
+            )  # fmt: skip
+            _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        peak_mb = usage.ru_maxrss / 1e3
+        return Emulated(process.returncode, out.read_text(), err.read_text(), peak_mb)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def here() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs Python on this machine, as `aarch64` does on the other."""
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+        command = [sys.executable, *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+
+    return run

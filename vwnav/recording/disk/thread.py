@@ -1,0 +1,130 @@
+"""What a flight writes: by a thread of its own, and so that it outlasts a power cut.
+
+What is written lies in memory until the system hands it to the disk, half a minute later, and the
+name of a new file longer still. `fsync` waits until it is there; on an SD card that takes tens of
+milliseconds, now and then seconds.
+"""
+
+import os
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from time import monotonic
+
+SYNC_S = 0.7  # leaves 0.3 s for the disk: what is older than a second is there
+_MOST_TIME_SYNCING = 0.5
+
+
+class DiskThread:
+    """Does what it is handed, in order, and syncs it 0.7 s after the last time at the latest.
+
+    A disk that syncs slowly is asked less often: half of the time is left for writing.
+
+    Args:
+        name: of the thread.
+        sync: makes what was done so far outlast a power cut; called at the start, too.
+        failed: told what broke; nothing more is done then.
+    """
+
+    def __init__(
+        self, name: str, sync: Callable[[], None], failed: Callable[[Exception], None]
+    ) -> None:
+        self._sync = sync
+        self._failed = failed
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._finish = sync
+        self._next_sync_s = monotonic()
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """How much it has been handed and has not yet done."""
+        return self._queue.qsize()
+
+    def put(self, act: Callable[[], None]) -> None:
+        """Hand it something to do; never waits."""
+        self._queue.put(act)
+
+    def close(self, finish: Callable[[], None], timeout_s: float) -> bool:
+        """Let it do what is waiting, and `finish` last; whether it ended in time."""
+        self._finish = finish
+        self._queue.put(None)
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _work(self) -> None:
+        try:
+            self._sync_now()
+            while self._do_next():
+                pass
+            self._finish()
+        except Exception as error:
+            self._failed(error)
+
+    def _do_next(self) -> bool:
+        """Wait for something to do, do it, and all that comes until it is time to sync."""
+        act = self._queue.get()
+        while act is not None:
+            act()
+            left_s = self._next_sync_s - monotonic()
+            if left_s <= 0.0:
+                self._sync_now()
+                return True
+            try:
+                act = self._queue.get(timeout=left_s)
+            except queue.Empty:
+                self._sync_now()
+                return True
+        return False
+
+    def _sync_now(self) -> None:
+        start_s = monotonic()
+        self._sync()
+        spent_s = monotonic() - start_s
+        self._next_sync_s = start_s + max(SYNC_S, spent_s / _MOST_TIME_SYNCING)
+
+
+def sync_file(path: Path) -> None:
+    """Wait until a file's content is on the disk.
+
+    Raises:
+        OSError: it is not there, or the disk failed.
+    """
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def sync_names(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the file system can do that."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def replace_for_good(partial: Path, path: Path) -> None:
+    """Give a file its name once its content is on the disk: after a power cut it is whole or none.
+
+    Raises:
+        OSError: the disk failed.
+    """
+    sync_file(partial)
+    partial.replace(path)
+    sync_names(path.parent)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, with names that outlast a power cut.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for each in reversed(missing):
+        sync_names(each.parent)
