@@ -3,6 +3,8 @@
 import math
 from pathlib import Path
 
+import numpy as np
+
 from vwnav.calibration.board import BoardFinder
 from vwnav.calibration.coverage import ENOUGH_COVERED, Coverage
 from vwnav.calibration.lens import NAMES, LensFit, fit_lens
@@ -128,8 +130,8 @@ def _refuse_useless(fit: LensFit, coverage: Coverage) -> None:
     wanted = "; ".join(coverage.missing()) or "sharper pictures of a flat board"
     if focal > BAD_FOCAL:
         raise CalibrationError(
-            f"these pictures fix the focal length to {100.0 * focal:.1f} % only, {100 * BAD_FOCAL:.0f}"
-            f" % is the least; missing: {wanted}"
+            f"these pictures fix the focal length to {100.0 * focal:.1f} % only, "
+            f"{100.0 * BAD_FOCAL:.0f} % is the least; missing: {wanted}"
         )
     if fit.held_out_px > BAD_HELD_OUT * fit.camera.width_px:
         raise CalibrationError(
@@ -141,8 +143,8 @@ def _refuse_useless(fit: LensFit, coverage: Coverage) -> None:
 def _rows(fit: LensFit, coverage: Coverage, verdict: str, output: Path) -> list[tuple[str, str]]:
     K, camera = fit.camera.K, fit.camera
     values = dict(zip(NAMES, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), strict=True))
-    corner = camera.bearings([[0.0, (camera.height_px - 1) / 2.0]])[0]
-    other = camera.bearings([[camera.width_px - 1.0, (camera.height_px - 1) / 2.0]])[0]
+    middle_px, last_px = (camera.height_px - 1) / 2.0, camera.width_px - 1.0
+    corner, other = camera.bearings(np.array([[0.0, middle_px], [last_px, middle_px]]))
     wide_deg = math.degrees(math.acos(min(1.0, float(corner @ other))))
     rows = [("verdict", verdict), ("model", camera.model)]
     rows += [

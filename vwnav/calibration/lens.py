@@ -75,7 +75,9 @@ def _fit(views: list[BoardView], size_wh: tuple[int, int], model: CameraModel) -
     solution = _solve(views, size_wh, model)
     if solution is None:
         return None
-    errors = [_rms(_errors(solution.camera, *each)) for each in zip(views, solution.poses)]
+    errors = [
+        _rms(_errors(solution.camera, *each)) for each in zip(views, solution.poses, strict=True)
+    ]
     limit = max(STRAY_RATIO * float(np.median(errors)), STRAY_PX)
     kept = [view for view, error in zip(views, errors, strict=True) if error <= limit]
     if len(kept) < len(views):
@@ -184,7 +186,8 @@ def _jacobians(camera: Camera, view: BoardView, pose: tuple[Array, Array]) -> tu
         project = cv2.fisheye.projectPoints
         _, J = project(view.places[:, None], pose[0], pose[1], camera.K, coefficients)
         # Columns as OpenCV has them: f, c, k1 to k4, rotation, translation, skew.
-        return J[:, :8], J[:, 8:14]
+        return np.asarray(J[:, :8], np.float64), np.asarray(J[:, 8:14], np.float64)
     _, J = cv2.projectPoints(view.places[:, None], pose[0], pose[1], camera.K, coefficients)
     # Columns as OpenCV has them: rotation, translation, f, c, k1 k2 p1 p2 k3.
-    return J[:, 6 : 10 + len(coefficients)], J[:, :6]
+    lens = J[:, 6 : 10 + len(coefficients)]
+    return np.asarray(lens, np.float64), np.asarray(J[:, :6], np.float64)
