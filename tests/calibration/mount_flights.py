@@ -99,7 +99,9 @@ def fly(truth: Truth, seed: int) -> MountFlight:
     sightings = [_sighting(truth, rng, s, t, R, place, velocity, R_mount) for s in stamps]
     # Exp(drift) R = told, so R M = told (told^T R) M: what is asked is the mean of told^T R M.
     at = np.searchsorted(t, stamps + truth.offset_s)
-    lean = np.swapaxes(told[at], 1, 2) @ euler(0 * heading[at], 0 * heading[at], heading[at]) @ R[at]
+    lean = (
+        np.swapaxes(told[at], 1, 2) @ euler(0 * heading[at], 0 * heading[at], heading[at]) @ R[at]
+    )
     vectors = np.stack([lean[:, 2, 1], lean[:, 0, 2], lean[:, 1, 0]], 1).mean(0)
     mean = euler(*vectors[:, None])[0]
     return MountFlight(attitudes, ranges, sightings, mean @ R_mount)

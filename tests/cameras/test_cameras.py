@@ -3,15 +3,18 @@
 import http.server
 import itertools
 import re
+import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from vwnav.cameras.image_folder import ImageFolder
-from vwnav.cameras.live import RealTimeSource
+from vwnav.cameras.live import PicameraGrabber, RealTimeSource
+from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
@@ -244,3 +247,49 @@ def test_a_stream_nobody_sends_is_an_error():
 def test_without_picamera2_it_says_how_to_get_it():
     with pytest.raises(SourceError, match="apt install python3-picamera2"):
         open_source("picamera2:640x480@30")
+
+
+class FakePicamera:
+    """A Raspberry Pi camera as picamera2 has it, whose every picture ends its first row at 5 s."""
+
+    model = "imx219"
+
+    def __init__(self) -> None:
+        self.camera_properties = {"Model": self.model}
+
+    def create_video_configuration(self, *_, **__):
+        return {}
+
+    def configure(self, _) -> None: ...
+    def start(self) -> None: ...
+    def close(self) -> None: ...
+
+    def camera_configuration(self):
+        return {"sensor": {"output_size": (1640, 1232)}}
+
+    def capture_request(self):
+        return SimpleNamespace(
+            make_array=lambda _: picture(1),
+            get_metadata=lambda: {"SensorTimestamp": 5_000_000_000, "ExposureTime": 4000},
+            release=lambda: None,
+        )
+
+
+@pytest.mark.parametrize(
+    ("model", "readout_s"), [("imx219", 0.02329), ("imx296", 0.0), ("unheard of", 0.0)]
+)
+def test_a_pi_cameras_picture_is_stamped_at_its_centre_row(monkeypatch, model, readout_s):
+    """1232 rows of 18.9 us, as the sensor's driver has them; its stamp is the first row's end."""
+    monkeypatch.setattr(FakePicamera, "model", model)
+    module = SimpleNamespace(Picamera2=FakePicamera)
+    monkeypatch.setitem(sys.modules, "picamera2", module)
+    grabbed = PicameraGrabber(1640, 1232, 30.0).grab()
+    assert grabbed[0] == pytest.approx(5.0 - 0.002 + readout_s / 2, abs=1e-5)
+
+
+def test_a_calibrated_offset_moves_every_stamp(tmp_path):
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture(number))
+    source = RetimedSource(open_source(str(tmp_path), fps=4.0), 0.07)
+    assert [round(f.t_s, 6) for f in frames_of(source)] == [0.07, 0.32, 0.57]
+    source.close()

@@ -61,3 +61,31 @@ def camera(
     from vwnav.calibration.from_board import calibrate_camera
 
     calibrate_camera(source, output)
+
+
+@app.command()
+def mount(
+    source: Annotated[
+        str, typer.Argument(help="A flight.mcap; or a video or pictures, with --telemetry.")
+    ],
+    map_path: Annotated[Path, typer.Option("--map", help="Map pack (vwnav map build).")],
+    camera: Annotated[Path, typer.Option(help="The calibration that flew: its lens is kept.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Calibration, .toml or .json.")
+    ],
+    telemetry: Annotated[
+        Path | None, typer.Option(help="Attitude, and agl_m if there is: CSV, ULog or tlog.")
+    ] = None,
+    focal: Annotated[bool, typer.Option("--focal", help="Ask for the focal length too.")] = False,
+    features: Annotated[str, typer.Option(help="learned, sift or orb.")] = "learned",
+) -> None:
+    """Solve how the camera is mounted, how late and how slow it is, from one flight over the map.
+
+    Fly some minutes in legs of several headings, with brisk banked turns. Each number comes with
+    its sigma; what the flight does not tell is refused, with the reason, and left as it was.
+
+    Example: vwnav calibrate mount flight.mcap --map field.mbtiles --camera camera.toml -o new.toml
+    """
+    from vwnav.calibration.from_flight import MountOptions, calibrate_mount
+
+    calibrate_mount(MountOptions(source, map_path, camera, telemetry, focal, features, output))

@@ -217,9 +217,7 @@ class MountProblem:
         for axis in range(3):
             sigma = SIGMA_HEADING_RAD if axis == 2 else SIGMA_TILT_RAD
             first = np.array([SHARED + axis])
-            found.append(
-                ((first, np.array([1.0 / sigma])), float(at.tilts_rad[0, axis] / sigma))
-            )
+            found.append(((first, np.array([1.0 / sigma])), float(at.tilts_rad[0, axis] / sigma)))
             found += self._wandering(at, axis)
         for i in np.flatnonzero(np.isfinite(self._heights)):
             height_m = float(self._heights[i])

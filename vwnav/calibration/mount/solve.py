@@ -153,9 +153,7 @@ def _jackknife(
         kept = np.setdiff1d(np.arange(n), left_out)
         if len(left_out) == 0 or len(kept) < 3:
             continue
-        start = replace(
-            at, tilts_rad=at.tilts_rad[kept], places_ned_m=at.places_ned_m[kept]
-        )
+        start = replace(at, tilts_rad=at.tilts_rad[kept], places_ned_m=at.places_ned_m[kept])
         part = MountProblem(
             problem.camera, problem.history, [problem.sightings[i] for i in kept], start
         )
