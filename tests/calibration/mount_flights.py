@@ -87,7 +87,7 @@ def fly(truth: Truth, seed: int) -> MountFlight:
         rng.normal(0, np.radians(0.05) * np.sqrt(DT_S), n)
     )
     told = euler(drift[:, 0], drift[:, 1], heading) @ R
-    attitudes = [Attitude(float(t[i]), q) for i, q in zip(range(0, n, 3), quats(told[::3]))]
+    attitudes = [Attitude(float(s), q) for s, q in zip(t[::3], quats(told[::3]), strict=True)]
     ranges = []
     if truth.rangefinder:
         bias = rng.normal(0, 0.05)

@@ -98,5 +98,5 @@ def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length()
 
 def test_a_mount_that_is_hardly_told_is_refused_as_a_whole():
     found, _, _ = fit(Truth(pictures=30, seconds=40.0), 1)
-    with pytest.raises(CalibrationError, match="tells the mount to 2.0 degrees only"):
+    with pytest.raises(CalibrationError, match=r"tells the mount to 2\.0 degrees only"):
         judge(CAMERA, replace(found, sigmas_rad=np.radians([2.0, 0.1, 0.1])), False, True, 0.5)

@@ -14,7 +14,7 @@ from vwnav.errors import SourceError
 from vwnav.geometry.calibration import check_fits, load_camera
 from vwnav.pipeline import to_gray
 from vwnav.screen import LiveLine, print_table
-from vwnav.types import Array, FeatureExtractor, Frame, FrameSource, Gray
+from vwnav.types import Array, Frame, FrameSource, Gray
 from vwnav.vision.features.load import load_features
 
 KEYPOINTS = 1000
@@ -142,14 +142,13 @@ def _draw(
     Raises:
         SourceError: it cannot be written.
     """
-    canvas = cv2.cvtColor(to_gray(image), cv2.COLOR_GRAY2BGR)
+    canvas = np.asarray(cv2.cvtColor(to_gray(image), cv2.COLOR_GRAY2BGR), np.uint8)
     for u, v in np.round(uv).astype(int).tolist():
         cv2.circle(canvas, (u, v), 3, _GREEN, 1, cv2.LINE_AA)
     _draw_histogram(canvas, to_gray(image))
+    canvas[: 16 * len(rows) + 10] //= 2  # darker behind the figures
     for line, (name, value) in enumerate(rows):
-        at = (8, 18 + 16 * line)
-        text = f"{name}: {value}"
-        cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _BLACK, 3, cv2.LINE_AA)
+        at, text = (8, 18 + 16 * line), f"{name}: {value}"
         cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
     try:
         good = cv2.imwrite(str(path), canvas)

@@ -1,4 +1,4 @@
-"""Pictures with the calibrated time offset: stamped at their centre row, on the autopilot's clock."""
+"""Pictures with the calibrated time offset: the centre row's time, on the autopilot's clock."""
 
 from dataclasses import replace
 

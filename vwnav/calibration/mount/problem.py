@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vwnav.calibration.mount.history import (
     AttitudeHistory,
@@ -34,6 +35,10 @@ SIGMA_HEADING_RAD = np.radians(10.0)  # of its compass, for good
 HEADING_WALK_RAD = np.radians(0.08)  # of its compass, per root second
 SIGMA_JITTER_RAD = np.radians(0.07)  # of a picture's own: vibration
 SIGMA_HEIGHT_M, SIGMA_HEIGHT_RATIO = 0.1, 0.01
+
+
+# What is known otherwise: columns, derivatives by them, and the residual, in sigmas.
+Known = tuple[tuple[NDArray[np.int64], Array], float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +114,6 @@ class MountProblem:
         self, camera: Camera, history: AttitudeHistory, sightings: list[Sighting], start: Unknowns
     ) -> None:
         self.camera, self.history, self.sightings = camera, history, sightings
-        self._start = start
         self._of = np.repeat(np.arange(len(sightings)), [len(s.uv) for s in sightings])
         self._ends = np.concatenate([[0], np.cumsum([len(s.uv) for s in sightings])])
         self._t_s = np.array([s.t_s for s in sightings])
@@ -119,6 +123,8 @@ class MountProblem:
         share = np.array([min(1.0, s.independent / len(s.uv)) for s in sightings])
         self._share = share[self._of]
         self._heights = np.array([s.height_m for s in sightings])
+        R = history.at(self._t_s + start.offset_s).R_ned_body
+        self._cos_turns = (np.einsum("kij,kij->k", R[1:], R[:-1]) - 1.0) / 2.0
         rays = camera.bearings(self._uv)
         self._seen_px = camera.K[0, 0] * rays[:, :2] / rays[:, 2:]  # without distortion
 
@@ -170,11 +176,11 @@ class MountProblem:
             found[:, SHARED + 3 * i : SHARED + 3 * i + 3] = leaning / n
         return found
 
-    def _columns(self, i: int) -> Array:
+    def _columns(self, i: int) -> NDArray[np.int64]:
         n = len(self.sightings)
         tilt, place = SHARED + 3 * i, SHARED + 3 * n + 3 * i
         columns = [*range(SHARED), *range(tilt, tilt + 3), *range(place, place + 3)]
-        return np.array(columns)
+        return np.array(columns, np.int64)
 
     def _points(self, at: Unknowns) -> tuple[Array, Array, Array, Array]:
         """Errors (m, 2) in pixels and their derivatives (m, 2, 7), (m, 2, 3), (m, 2, 3)."""
@@ -202,10 +208,8 @@ class MountProblem:
         errors[~turned.known] = 0.0
         return errors, shared, onto @ to_camera @ cross_matrices(level), -(onto @ to_camera)
 
-    def _known(self, at: Unknowns) -> list[tuple[tuple[Array, Array], float]]:
+    def _known(self, at: Unknowns) -> list[Known]:
         """What is known otherwise: (columns, derivatives) and residual of each, in sigmas."""
-        n = len(self.sightings)
-        start = self._start
         shared = np.array(
             [0.0, 0.0, 0.0, at.offset_s, at.readout_s, at.log_focal, at.height_bias_m]
         )
@@ -213,7 +217,6 @@ class MountProblem:
             ((np.array([k]), np.array([1.0 / PRIOR_SIGMAS[k]])), float(shared[k] / PRIOR_SIGMAS[k]))
             for k in range(3, SHARED)
         ]
-        assert start.tilts_rad.shape == (n, 3)
         for axis in range(3):
             sigma = SIGMA_HEADING_RAD if axis == 2 else SIGMA_TILT_RAD
             first = np.array([SHARED + axis])
@@ -222,20 +225,23 @@ class MountProblem:
         for i in np.flatnonzero(np.isfinite(self._heights)):
             height_m = float(self._heights[i])
             sigma_m = np.hypot(SIGMA_HEIGHT_M, SIGMA_HEIGHT_RATIO * height_m)
-            columns = np.array([HEIGHT, SHARED + 3 * n + 3 * i + 2])
+            columns = np.array([HEIGHT, SHARED + 3 * (len(self.sightings) + i) + 2])
             residual = (height_m + at.height_bias_m + at.places_ned_m[i, 2]) / sigma_m
             found.append(((columns, np.full(2, 1.0 / sigma_m)), float(residual)))
         return found
 
-    def _wandering(self, at: Unknowns, axis: int) -> list[tuple[tuple[Array, Array], float]]:
-        """From picture to picture: tilt forgets itself, a heading walks; both jitter."""
+    def _wandering(self, at: Unknowns, axis: int) -> list[Known]:
+        """From picture to picture: tilt forgets itself, a heading walks; both jitter.
+
+        An error of the level may belong to the world or to the sensors, which turn with the
+        aircraft: over a turn it may be carried along or not.
+        """
         found = []
         for i in range(1, len(self.sightings)):
             span_s = self._t_s[i] - self._t_s[i - 1]
             keep = 1.0 if axis == 2 else float(np.exp(-span_s / TILT_S))
-            drift = (
-                HEADING_WALK_RAD**2 * span_s if axis == 2 else SIGMA_TILT_RAD**2 * (1.0 - keep**2)
-            )
+            fades = 1.0 - keep**2 + 2.0 * (1.0 - self._cos_turns[i - 1])
+            drift = HEADING_WALK_RAD**2 * span_s if axis == 2 else SIGMA_TILT_RAD**2 * fades
             sigma = float(np.sqrt(drift + SIGMA_JITTER_RAD**2))
             columns = np.array([SHARED + 3 * i + axis, SHARED + 3 * (i - 1) + axis])
             residual = float(at.tilts_rad[i, axis] - keep * at.tilts_rad[i - 1, axis]) / sigma

@@ -130,7 +130,8 @@ class Spotter:
         self, picture: Frame, found: Registration, fix: MapFix, height_m: float
     ) -> Sighting:
         """Pixels of the picture as it was taken, and the places of the map's points."""
-        H_frame_view = np.linalg.inv(found.view.rectification.H_rect_frame)
+        H_rect_frame = found.view.rectification.H_rect_frame
+        H_frame_view = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
         straight = transform_points(H_frame_view, found.consensus.uv_view)
         rays = self._camera.undistorted().bearings(straight)
         xy = found.piece.origin_px + found.consensus.uv_map + 0.5

@@ -124,7 +124,7 @@ def _converge(
     """Gauss-Newton; the sigma of a point comes from the errors as they are."""
     for _ in range(steps):
         equations = problem.equations(at, sigma_px, free)
-        step = np.linalg.solve(equations.information, equations.gradient)
+        step = np.asarray(np.linalg.solve(equations.information, equations.gradient), np.float64)
         at = at.moved(step)
         # Of a normal distribution in the plane the median distance is 1.177 sigma.
         apart = np.linalg.norm(equations.errors_px, axis=1)
