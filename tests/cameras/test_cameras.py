@@ -181,7 +181,7 @@ class SteadyGrabber:
 
 def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
     grabber = SteadyGrabber(1000)
-    source = RealTimeSource(grabber)
+    source = RealTimeSource(lambda: grabber)
     first = source.next_frame()
     time.sleep(0.2)
     second = source.next_frame()
@@ -193,7 +193,7 @@ def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
 
 
 def test_a_camera_that_stops_is_an_error_after_its_last_picture():
-    source = RealTimeSource(SteadyGrabber(1))
+    source = RealTimeSource(lambda: SteadyGrabber(1))
     assert source.next_frame().index == 0
     with pytest.raises(SourceError, match="no pictures any more"):
         source.next_frame()
@@ -204,9 +204,47 @@ def test_a_camera_that_hangs_is_an_error_in_time():
         def grab(self):
             time.sleep(0.6)
 
-    source = RealTimeSource(Hanging(1), timeout_s=0.2)
+    source = RealTimeSource(lambda: Hanging(1), timeout_s=0.2)
     with pytest.raises(SourceError, match="no pictures any more"):
         source.next_frame()
+
+
+@pytest.mark.parametrize("pulled", ["ends", "raises"])
+def test_a_camera_that_is_plugged_in_again_comes_back_by_itself(monkeypatch, pulled):
+    """Pulled out after three pictures, not to be opened twice, then there again."""
+    monkeypatch.setattr("vwnav.cameras.live._AGAIN_S", 0.05)
+    opened = []
+
+    class Pulled(SteadyGrabber):
+        def grab(self):
+            grabbed = super().grab()
+            if grabbed is None and pulled == "raises":
+                raise OSError("no such device")
+            return grabbed
+
+    def open_camera():
+        opened.append(Pulled(3 if not opened else 1000))
+        if len(opened) in (2, 3):
+            raise SourceError("cannot open the camera")
+        return opened[-1]
+
+    source = RealTimeSource(open_camera)
+    with pytest.raises(SourceError, match="no pictures any more"):
+        for _ in range(10):
+            source.next_frame()
+    deadline = time.monotonic() + 20.0
+    frame = None
+    while frame is None and time.monotonic() < deadline:
+        try:
+            frame = source.next_frame()
+        except SourceError:
+            time.sleep(0.02)
+    assert frame is not None
+    assert frame.index >= 3
+    assert len(opened) == 4
+    assert opened[0].closed
+    source.close()
+    assert opened[3].closed
 
 
 class MjpegHandler(http.server.BaseHTTPRequestHandler):
