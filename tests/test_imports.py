@@ -54,7 +54,7 @@ ALLOWED = {
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
     | {"config", "assemble", "screen"},
     "calibration": BASE
-    | {"geometry", "maps", "vision", "pipeline", "recording", "cameras", "screen"},
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "cameras", "screen"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
     | {"pipeline", "mission", "flight", "runtime", "rules", "succession", "recording", "cameras"}

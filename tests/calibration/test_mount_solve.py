@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mount_flights import CX, CY, K1, F, H, Truth, W, fly
 
-from vwnav.calibration.mount.history import AttitudeHistory, heights_at
+from vwnav.calibration.mount.history import FlownAttitudes, heights_at
 from vwnav.calibration.mount.solve import fit_mount
 from vwnav.calibration.mount.verdict import judge
 from vwnav.errors import CalibrationError
@@ -22,7 +22,7 @@ CAMERA = Camera(
 def fit(truth: Truth, seed: int, focal: bool = False):
     """The fit, and (6,) its errors over its sigmas, and the errors themselves."""
     flight = fly(truth, seed)
-    history = AttitudeHistory(flight.attitudes)
+    history = FlownAttitudes(flight.attitudes)
     times = np.array([s.t_s for s in flight.sightings])
     heights = heights_at(flight.ranges, history, times + truth.offset_s)
     seen = [replace(s, height_m=float(h)) for s, h in zip(flight.sightings, heights, strict=True)]

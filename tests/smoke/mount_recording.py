@@ -1,5 +1,6 @@
 """A recorded flight over the small place with a camera mounted wrongly, late, and rolling."""
 
+import time
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,8 @@ from vwnav.bench.estimator.world import DT_S, FilterWorld, fly
 from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
 from vwnav.geometry.rotations import (
+    quat_from_vector,
+    quat_multiply,
     rotation_from_euler,
     rotation_from_quat,
     rotation_from_vector,
@@ -60,10 +63,13 @@ def flown(seed: int):
         heading += TURNS_DEG[number % len(TURNS_DEG)]
     world = FilterWorld(
         seconds=SECONDS, height_m=HEIGHT_M, climb_s=12.0, relief_m=0.0, speed_m_s=SPEED_M_S,
-        wind_m_s=4.0, headings_deg=((0.0, legs[0][1]), *legs),
+        wind_m_s=4.0, tilt_bias_deg=0.0, headings_deg=((0.0, legs[0][1]), *legs),
     )  # fmt: skip
     truth = fly(world, [rng])[0]
-    return truth, _AttitudeErrors(world, truth, rng).quats
+    quats = _AttitudeErrors(world, truth, rng).quats
+    # The autopilot's board is not level in the aircraft: that belongs to the body.
+    crooked = quat_from_vector(np.radians([*rng.normal(0.0, 1.9, 2), 0.0]))
+    return truth, np.array([quat_multiply(quat, crooked) for quat in quats])
 
 
 def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
@@ -82,7 +88,7 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
         for i in range(0, len(truth.t_s), 3):
             log.input(Attitude(float(truth.t_s[i]), quats[i]))
             if mounted.rangefinder and i % 9 == 0:
-                log.input(_range(truth, i, rng))
+                log.input(_range(truth, quats, i, rng))
         stamps = np.arange(START_S, SECONDS - 1.0, 1.0 / PICTURE_HZ)
         for number, stamp in enumerate(stamps):
             i = round((stamp + mounted.offset_s) / DT_S)
@@ -104,13 +110,13 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
             yaw = np.arctan2(turn[1, 0], turn[0, 0])
             unturned = rotation_from_euler(0.0, 0.0, -yaw) @ told
             lean.append(vector_from_rotation(unturned.T @ R))
-            while recorder._queue.qsize() > 2:  # the writer is not made to drop pictures
-                pass
+            time.sleep(0.02)  # the writer drops pictures that come faster than it encodes
     renderer.close()
     return rotation_from_vector(np.mean(lean, axis=0)) @ mounted.camera.R_body_camera
 
 
-def _range(truth, i: int, rng) -> Range:
-    down = rotation_from_quat(truth.quat_wxyz[i])[2, 2]
+def _range(truth, quats, i: int, rng) -> Range:
+    """Along the down axis of what the autopilot takes for the body."""
+    down = rotation_from_quat(quats[i])[2, 2]
     metres = -truth.position_ned_m[i, 2] / down * (1 + 0.01 * rng.normal())
     return Range(float(truth.t_s[i]), max(float(metres), 0.1))

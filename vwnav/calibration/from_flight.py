@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vwnav.calibration.mount.flight_file import FlightFile, pictures_of, read_flight
-from vwnav.calibration.mount.history import AttitudeHistory
+from vwnav.calibration.mount.history import FlownAttitudes
 from vwnav.calibration.mount.problem import Sighting
 from vwnav.calibration.mount.sightings import Spotter, spot_all
 from vwnav.calibration.mount.solve import MountFit, fit_mount
@@ -54,7 +54,7 @@ def calibrate_mount(options: MountOptions) -> None:
     extractor = load_features(options.features)
     with MapPack.open(options.map_path) as pack:
         pack.check_features(extractor)
-        session = _Session(options, flight, pack, extractor)
+        session = _MountSession(options, flight, pack, extractor)
         fit, sightings = session.solve(flown)
     stamps = np.array([each.t_s for each in sightings]) + fit.offset_s
     upright = session.history.at(stamps).R_ned_body[:, 2, 2]
@@ -66,7 +66,7 @@ def calibrate_mount(options: MountOptions) -> None:
     _report(verdict, fit, session, options.output)
 
 
-class _Session:
+class _MountSession:
     """One flight over one map."""
 
     def __init__(
@@ -74,7 +74,7 @@ class _Session:
     ) -> None:
         self._source, self._focal = options.source, options.focal
         self._flight, self._pack, self._extractor = flight, pack, extractor
-        self.history = AttitudeHistory(flight.attitudes)
+        self.history = FlownAttitudes(flight.attitudes)
         stamps = np.array([frame.t_s for frame in pictures_of(options.source)])
         known = self.history.at(stamps).known if len(stamps) else np.zeros(0, bool)
         self.stamps = stamps[known]
@@ -127,7 +127,7 @@ class _Session:
         return (frame for frame in pictures_of(self._source) if frame.t_s in wanted_s)
 
 
-def _report(verdict: MountVerdict, fit: MountFit, session: _Session, output: Path) -> None:
+def _report(verdict: MountVerdict, fit: MountFit, session: _MountSession, output: Path) -> None:
     rows = []
     for each in verdict.told:
         rows.append((each.name, "refused" if each.refused else each.value))

@@ -5,8 +5,9 @@ import sys
 import typer
 
 from vwnav import __version__
-from vwnav.cli import bench, calibrate, camera, doctor, flighttest, fly, localize, replay
+from vwnav.cli import bench, doctor, flighttest, fly, localize, replay
 from vwnav.cli import map as map_commands
+from vwnav.cli.camera import calibrate, look
 from vwnav.errors import PreflightError, VwnavError
 
 EXIT_FAILED = 1
@@ -24,7 +25,7 @@ app = typer.Typer(
 app.command("fly", rich_help_panel="On the drone")(fly.fly)
 app.command("doctor", rich_help_panel="On the drone")(doctor.doctor)
 app.add_typer(map_commands.app, name="map", rich_help_panel="Before the flight")
-app.command("camera", rich_help_panel="On the drone")(camera.camera)
+app.command("camera", rich_help_panel="On the drone")(look.camera)
 app.add_typer(calibrate.app, name="calibrate", rich_help_panel="Before the flight")
 app.command("replay", rich_help_panel="After the flight")(replay.replay)
 app.command("localize", rich_help_panel="After the flight")(localize.localize)

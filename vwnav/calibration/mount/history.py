@@ -26,7 +26,7 @@ class Turned:
     known: np.ndarray
 
 
-class AttitudeHistory:
+class FlownAttitudes:
     """All attitudes of a flight, turning evenly between two neighbours."""
 
     def __init__(self, attitudes: Sequence[Attitude]) -> None:
@@ -50,7 +50,7 @@ class AttitudeHistory:
         return Turned(self._R[i] @ rotations_from_vectors(rates * since_s[:, None]), rates, inside)
 
 
-def heights_at(ranges: Sequence[Range], history: AttitudeHistory, t_s: Array) -> Array:
+def heights_at(ranges: Sequence[Range], history: FlownAttitudes, t_s: Array) -> Array:
     """(k,) height above level ground by the rangefinder at times (k,); NaN where there is none."""
     if len(ranges) < 2:
         return np.full(len(t_s), np.nan)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.calibration.mount.history import (
-    AttitudeHistory,
+    FlownAttitudes,
     cross_matrices,
     rotations_from_vectors,
 )
@@ -34,6 +34,7 @@ SIGMA_TILT_RAD, TILT_S = np.radians(0.6), 20.0  # of the autopilot's level, wand
 SIGMA_HEADING_RAD = np.radians(10.0)  # of its compass, for good
 HEADING_WALK_RAD = np.radians(0.08)  # of its compass, per root second
 SIGMA_JITTER_RAD = np.radians(0.07)  # of a picture's own: vibration
+ROBUST_SIGMAS = 2.5
 SIGMA_HEIGHT_M, SIGMA_HEIGHT_RATIO = 0.1, 0.01
 
 
@@ -111,7 +112,7 @@ class MountProblem:
     """What one flight tells of one camera."""
 
     def __init__(
-        self, camera: Camera, history: AttitudeHistory, sightings: list[Sighting], start: Unknowns
+        self, camera: Camera, history: FlownAttitudes, sightings: list[Sighting], start: Unknowns
     ) -> None:
         self.camera, self.history, self.sightings = camera, history, sightings
         self._of = np.repeat(np.arange(len(sightings)), [len(s.uv) for s in sightings])
@@ -138,7 +139,7 @@ class MountProblem:
         """
         n = len(self.sightings)
         errors_px, J_shared, J_tilt, J_place = self._points(at)
-        weight = self._share * _huber(np.linalg.norm(errors_px, axis=1) / sigma_px) / sigma_px**2
+        weight = self._share * _robust(np.linalg.norm(errors_px, axis=1) / sigma_px) / sigma_px**2
         J_shared = J_shared * free
         information = np.zeros((SHARED + 6 * n, SHARED + 6 * n))
         gradient = np.zeros(SHARED + 6 * n)
@@ -249,9 +250,9 @@ class MountProblem:
         return found
 
 
-def _huber(sigmas: Array) -> Array:
-    """Weights of errors, in sigmas: what is far out pulls no harder than what is not."""
-    return np.asarray(np.minimum(1.0, 2.5 / np.maximum(sigmas, 1e-9)))
+def _robust(sigmas: Array) -> Array:
+    """Weights of errors, in sigmas (Cauchy): some of the matches are wrong."""
+    return np.asarray(1.0 / (1.0 + (sigmas / ROBUST_SIGMAS) ** 2))
 
 
 def _projection_derivative(X: Array) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.calibration.mount.flight_file import FlightFile
-from vwnav.calibration.mount.history import AttitudeHistory, heights_at
+from vwnav.calibration.mount.history import FlownAttitudes, heights_at
 from vwnav.calibration.mount.problem import Sighting
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
@@ -27,6 +27,9 @@ SPEED_M_S = 15.0  # at most, between two pictures that were found
 NEAR_SIGMA_M = 8.0
 KEEP_LOG10_NFA = -4.0
 KEYPOINTS = 1000
+# Of the map: what is cut off closely about a transform that knows of no rolling shutter agrees with
+# it too well, and the read-out comes out short.
+WIDE_PX = 7.0
 
 
 class Spotter:
@@ -38,7 +41,7 @@ class Spotter:
         extractor: FeatureExtractor,
         camera: Camera,
         flight: FlightFile,
-        history: AttitudeHistory,
+        history: FlownAttitudes,
         offset_s: float = 0.0,
     ) -> None:
         """Prepare.
@@ -118,7 +121,7 @@ class Spotter:
         points = self._pack.features_in(level.zoom, *window, self._extractor)
         view = self._maker.view(query, fix.yaw_rad, made, KEYPOINTS)
         accept = Acceptance(
-            threshold_px=self._config.threshold_px,
+            threshold_px=WIDE_PX,
             max_log10_nfa=KEEP_LOG10_NFA,
             sigma_tilt_rad=float(TILT_OPEN_RAD),
             sigma_georeference_m=0.0,

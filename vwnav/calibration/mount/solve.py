@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.calibration.mount.history import AttitudeHistory
+from vwnav.calibration.mount.history import FlownAttitudes
 from vwnav.calibration.mount.problem import (
     FOCAL,
     HEIGHT,
@@ -51,7 +51,7 @@ class MountFit:
 
 
 def fit_mount(
-    camera: Camera, history: AttitudeHistory, sightings: list[Sighting], focal: bool
+    camera: Camera, history: FlownAttitudes, sightings: list[Sighting], focal: bool
 ) -> MountFit:
     """The mount, time offset and read-out, and the focal length if it is asked.
 
@@ -106,7 +106,7 @@ def _start(camera: Camera, sightings: list[Sighting], offset_s: float) -> Unknow
 
 def _left_over(
     camera: Camera,
-    history: AttitudeHistory,
+    history: FlownAttitudes,
     sightings: list[Sighting],
     offset_s: float,
     free: Array,

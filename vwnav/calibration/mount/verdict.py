@@ -17,7 +17,7 @@ LEAST_BANK_RAD = math.radians(20.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ToldNumber:
     """One number: its value and sigma in words, and why it is refused (empty: it is taken)."""
 
     name: str
@@ -30,7 +30,7 @@ class MountVerdict:
     """The camera as a flight has told it; what was refused is as it was before."""
 
     camera: Camera
-    told: tuple[Told, ...]
+    told: tuple[ToldNumber, ...]
     findings: dict[str, object]
 
 
@@ -59,39 +59,39 @@ def judge(
     if focal:
         told.append(_focal(flown, fit, heights, most_bank_rad))
     why = "the flight tells no place of the aircraft but the camera's own"
-    told.append(Told("lever arm", "", why))
+    told.append(ToldNumber("lever arm", "", why))
     refused = {each.name for each in told if each.refused}
     return MountVerdict(_camera(flown, fit, refused, focal), tuple(told), _findings(fit, refused))
 
 
-def _mount(fit: MountFit) -> Told:
+def _mount(fit: MountFit) -> ToldNumber:
     roll, pitch, _ = np.degrees(_angles(fit.R_body_camera))
     sigmas = np.degrees(fit.sigmas_rad)
     value = f"{roll:.2f} +- {sigmas[0]:.2f}, {pitch:.2f} +- {sigmas[1]:.2f} degrees"
-    return Told("mount: roll, pitch", value)
+    return ToldNumber("mount: roll, pitch", value)
 
 
-def _yaw(fit: MountFit) -> Told:
+def _yaw(fit: MountFit) -> ToldNumber:
     yaw, sigma = math.degrees(_angles(fit.R_body_camera)[2]), math.degrees(fit.sigmas_rad[2])
     why = "" if fit.sigmas_rad[2] <= MOST_YAW_RAD else (
         "without banking the mount's turn and the compass's error look alike"
     )  # fmt: skip
-    return Told("mount: yaw", f"{yaw:.2f} +- {sigma:.2f} degrees", why)
+    return ToldNumber("mount: yaw", f"{yaw:.2f} +- {sigma:.2f} degrees", why)
 
 
-def _offset(fit: MountFit) -> Told:
+def _offset(fit: MountFit) -> ToldNumber:
     why = "" if fit.sigma_offset_s <= MOST_OFFSET_S else "the aircraft hardly turned"
     value = f"{1e3 * fit.offset_s:.1f} +- {1e3 * fit.sigma_offset_s:.1f} ms"
-    return Told("time offset, this flight's", value, why)
+    return ToldNumber("time offset, this flight's", value, why)
 
 
-def _readout(fit: MountFit) -> Told:
+def _readout(fit: MountFit) -> ToldNumber:
     why = "" if fit.sigma_readout_s <= MOST_READOUT_S else "the picture hardly moved"
     value = f"{1e3 * fit.readout_s:.1f} +- {1e3 * fit.sigma_readout_s:.1f} ms"
-    return Told("read-out", value, why)
+    return ToldNumber("read-out", value, why)
 
 
-def _focal(flown: Camera, fit: MountFit, heights: bool, most_bank_rad: float) -> Told:
+def _focal(flown: Camera, fit: MountFit, heights: bool, most_bank_rad: float) -> ToldNumber:
     value = (
         f"{fit.focal_ratio * flown.K[0, 0]:.2f} px, {100.0 * (fit.focal_ratio - 1.0):+.2f} "
         f"+- {100.0 * fit.sigma_focal_ratio:.2f} %"
@@ -106,7 +106,7 @@ def _focal(flown: Camera, fit: MountFit, heights: bool, most_bank_rad: float) ->
         )
     elif fit.sigma_focal_ratio > MOST_FOCAL[heights]:
         why = f"known to {100.0 * fit.sigma_focal_ratio:.1f} % only: a longer flight"
-    return Told("focal length", value, why)
+    return ToldNumber("focal length", value, why)
 
 
 def _camera(flown: Camera, fit: MountFit, refused: set[str], focal: bool) -> Camera:
