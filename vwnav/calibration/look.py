@@ -36,7 +36,7 @@ class LookOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Watched:
+class Footage:
     """Some seconds of a source.
 
     Attributes:
@@ -85,7 +85,7 @@ def look(options: LookOptions) -> None:
     print_table(f"camera {options.source}", rows)
 
 
-def _watch(source: FrameSource, seconds: float) -> Watched:
+def _watch(source: FrameSource, seconds: float) -> Footage:
     """Pictures for so long, or until a file ends."""
     live = isinstance(source, RealTimeSource)
     newest: Frame | None = None
@@ -102,10 +102,10 @@ def _watch(source: FrameSource, seconds: float) -> Watched:
     if newest is None:
         raise SourceError("no picture came")
     dropped = source.dropped if isinstance(source, RealTimeSource) else 0
-    return Watched(newest, np.array(stamps), np.array(latencies), dropped)
+    return Footage(newest, np.array(stamps), np.array(latencies), dropped)
 
 
-def _times(seen: Watched) -> list[tuple[str, str]]:
+def _times(seen: Footage) -> list[tuple[str, str]]:
     rows = []
     if len(seen.stamps_s) > 1:
         gaps_s = np.diff(seen.stamps_s)
