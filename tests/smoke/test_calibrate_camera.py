@@ -2,12 +2,13 @@
 
 import re
 import struct
+from functools import cache
 from io import BytesIO
 
 import cv2
 import numpy as np
 import pytest
-from board_scenes import Lens, Studio
+from board_scenes import Lens, Studio, rotation
 from PIL import Image
 
 from vwnav.calibration.board import BoardFinder
@@ -19,9 +20,15 @@ VIEWS = 24
 SHEETS = {"a4": (210.0, 297.0, 25.0), "a3": (297.0, 420.0, 36.0)}
 
 
+@cache
+def studio_of(lens: Lens) -> Studio:
+    """Its rays are worked out once."""
+    return Studio(lens)
+
+
 @pytest.fixture(scope="module", params=[PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
 def studio(request) -> Studio:
-    return Studio(request.param)
+    return studio_of(request.param)
 
 
 def picture_in(pdf: bytes) -> Image.Image:
@@ -78,13 +85,15 @@ def test_the_lens_is_found_from_a_folder_of_pictures(vwnav, tmp_path, studio):
     assert "good" in done.out
 
 
+@pytest.mark.long
 def test_a_video_of_the_board_serves_too(vwnav, tmp_path):
     """Each pose is held for three frames: those that show nothing new are left out."""
-    studio, path = Studio(PINHOLE), tmp_path / "board.avi"
+    studio, path = studio_of(PINHOLE), tmp_path / "board.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 15.0, (640, 480))
     for number in range(VIEWS):
+        picture = cv2.cvtColor(studio.view(number), cv2.COLOR_GRAY2BGR)
         for _ in range(3):
-            writer.write(cv2.cvtColor(studio.view(number), cv2.COLOR_GRAY2BGR))
+            writer.write(picture)
     writer.release()
     done = vwnav("calibrate", "camera", path, "-o", tmp_path / "camera.json")
     assert done.code == 0, done.err
@@ -94,7 +103,7 @@ def test_a_video_of_the_board_serves_too(vwnav, tmp_path):
 
 
 def test_what_fixes_no_lens_is_refused_in_one_line(vwnav, tmp_path):
-    studio = Studio(PINHOLE)
+    studio = studio_of(PINHOLE)
     flat, few, none = (tmp_path / name for name in ("flat", "few", "none"))
     for folder in (flat, few, none):
         folder.mkdir()
@@ -116,9 +125,7 @@ def test_what_fixes_no_lens_is_refused_in_one_line(vwnav, tmp_path):
 
 def test_a_half_shown_board_is_told_what_is_missing(vwnav, tmp_path):
     """Only the middle of the picture, leaning one way: usable at best, and it says why."""
-    studio = Studio(PINHOLE)
-    from board_scenes import rotation
-
+    studio = studio_of(PINHOLE)
     rng = np.random.default_rng(4)
     for number in range(14):
         lean = rotation(

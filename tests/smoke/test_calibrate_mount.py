@@ -54,6 +54,7 @@ def test_what_tells_nothing_is_refused_in_one_line(mount, place, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_a_flight_over_another_place_is_refused(mount, place, tmp_path):
     folder = tmp_path / "pictures"
     folder.mkdir()
