@@ -55,6 +55,8 @@ ALLOWED = {
     "offline": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
     | {"config", "assemble", "screen", "seams"},
+    "calibration": BASE
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "cameras", "screen"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
     | {"pipeline", "mission", "flight", "runtime", "rules", "recording", "cameras"}

@@ -3,15 +3,18 @@
 import http.server
 import itertools
 import re
+import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from vwnav.cameras.image_folder import ImageFolder
-from vwnav.cameras.live import RealTimeSource
+from vwnav.cameras.live import PicameraGrabber, RealTimeSource
+from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
@@ -178,7 +181,7 @@ class SteadyGrabber:
 
 def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
     grabber = SteadyGrabber(1000)
-    source = RealTimeSource(grabber)
+    source = RealTimeSource(lambda: grabber)
     first = source.next_frame()
     time.sleep(0.2)
     second = source.next_frame()
@@ -190,7 +193,7 @@ def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
 
 
 def test_a_camera_that_stops_is_an_error_after_its_last_picture():
-    source = RealTimeSource(SteadyGrabber(1))
+    source = RealTimeSource(lambda: SteadyGrabber(1))
     assert source.next_frame().index == 0
     with pytest.raises(SourceError, match="no pictures any more"):
         source.next_frame()
@@ -201,9 +204,45 @@ def test_a_camera_that_hangs_is_an_error_in_time():
         def grab(self):
             time.sleep(0.6)
 
-    source = RealTimeSource(Hanging(1), timeout_s=0.2)
+    source = RealTimeSource(lambda: Hanging(1), timeout_s=0.2)
     with pytest.raises(SourceError, match="no pictures any more"):
         source.next_frame()
+
+
+@pytest.mark.parametrize("pulled", ["ends", "raises"])
+def test_a_camera_that_is_plugged_in_again_comes_back_by_itself(monkeypatch, pulled):
+    """Pulled out after three pictures, not to be opened twice, then there again."""
+    monkeypatch.setattr("vwnav.cameras.live._AGAIN_S", 0.05)
+    opened = []
+
+    class Pulled(SteadyGrabber):
+        def grab(self):
+            grabbed = super().grab()
+            if grabbed is None and pulled == "raises":
+                raise OSError("no such device")
+            return grabbed
+
+    def open_camera():
+        opened.append(Pulled(3 if not opened else 1000))
+        if len(opened) in (2, 3):
+            raise SourceError("cannot open the camera")
+        return opened[-1]
+
+    source = RealTimeSource(open_camera)
+    assert frames_before_error(source, "no pictures any more")
+    deadline = time.monotonic() + 20.0
+    frame = None
+    while frame is None and time.monotonic() < deadline:
+        try:
+            frame = source.next_frame()
+        except SourceError:
+            time.sleep(0.02)
+    assert frame is not None
+    assert frame.index >= 3
+    assert len(opened) == 4
+    assert opened[0].closed
+    source.close()
+    assert opened[3].closed
 
 
 class MjpegHandler(http.server.BaseHTTPRequestHandler):
@@ -244,3 +283,49 @@ def test_a_stream_nobody_sends_is_an_error():
 def test_without_picamera2_it_says_how_to_get_it():
     with pytest.raises(SourceError, match="apt install python3-picamera2"):
         open_source("picamera2:640x480@30")
+
+
+class FakePicamera:
+    """A Raspberry Pi camera as picamera2 has it, whose every picture ends its first row at 5 s."""
+
+    model = "imx219"
+
+    def __init__(self) -> None:
+        self.camera_properties = {"Model": self.model}
+
+    def create_video_configuration(self, *_, **__):
+        return {}
+
+    def configure(self, _) -> None: ...
+    def start(self) -> None: ...
+    def close(self) -> None: ...
+
+    def camera_configuration(self):
+        return {"sensor": {"output_size": (1640, 1232)}}
+
+    def capture_request(self):
+        return SimpleNamespace(
+            make_array=lambda _: picture(1),
+            get_metadata=lambda: {"SensorTimestamp": 5_000_000_000, "ExposureTime": 4000},
+            release=lambda: None,
+        )
+
+
+@pytest.mark.parametrize(
+    ("model", "readout_s"), [("imx219", 0.02329), ("imx296", 0.0), ("unheard of", 0.0)]
+)
+def test_a_pi_cameras_picture_is_stamped_at_its_centre_row(monkeypatch, model, readout_s):
+    """1232 rows of 18.9 us, as the sensor's driver has them; its stamp is the first row's end."""
+    monkeypatch.setattr(FakePicamera, "model", model)
+    module = SimpleNamespace(Picamera2=FakePicamera)
+    monkeypatch.setitem(sys.modules, "picamera2", module)
+    grabbed = PicameraGrabber(1640, 1232, 30.0).grab()
+    assert grabbed[0] == pytest.approx(5.0 - 0.002 + readout_s / 2, abs=1e-5)
+
+
+def test_a_calibrated_offset_moves_every_stamp(tmp_path):
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture(number))
+    source = RetimedSource(open_source(str(tmp_path), fps=4.0), 0.07)
+    assert [round(f.t_s, 6) for f in frames_of(source)] == [0.07, 0.32, 0.57]
+    source.close()

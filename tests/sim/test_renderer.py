@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vwnav.geometry.rotations import rotation_from_euler
+from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
 from vwnav.sim.lens import RenderConfig, Sensor, streak
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.scenery.landscape import LookName
@@ -211,6 +211,27 @@ def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
     ])  # fmt: skip
     apart = np.hypot(*(refined(view, expected) - expected).T)
     assert np.median(apart) < 0.2
+
+
+def test_a_rolling_shutter_of_a_turning_camera_leans_each_row_its_own_way() -> None:
+    """About the vertical, where the picture's middle does not move at all."""
+    readout_s, rates, height_m = 0.02, np.array([0.3, -0.2, 1.05]), 20.0
+    config = replace(PERFECT, readout_s=readout_s, exposure_s=1e-6)
+    position = np.array([0.0, 0.0, -height_m])
+    view = cv2.cvtColor(
+        make(CHESS, config).render(position, np.eye(3), 0.0, STILL, rates), cv2.COLOR_BGR2GRAY
+    )
+    grid = 2.0 * np.stack(np.meshgrid(np.arange(-5, 6), np.arange(-5, 6)), -1).reshape(-1, 2)
+    expected, still = [], []
+    for corner in grid.astype(float):
+        uv = seen_at(corner[None], position, np.eye(3))
+        for row in uv[:, 1]:
+            turn = rates * (row / 480.0 - 0.5) * readout_s
+            expected.append(seen_at(corner[None], position, rotation_from_vector(turn)))
+            still.append(uv)
+    uv = np.concatenate(expected)
+    assert np.median(np.hypot(*(refined(view, uv) - uv).T)) < 0.2
+    assert np.median(np.hypot(*(uv - np.concatenate(still)).T)) > 0.6
 
 
 def test_a_camera_that_sees_the_horizon_shows_haze() -> None:

@@ -1,8 +1,11 @@
 """Live cameras and streams: a thread takes every picture, the newest one is handed out."""
 
 import importlib
+import logging
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 import cv2
@@ -13,10 +16,14 @@ from vwnav.cameras.video_file import quieten_decoder
 from vwnav.errors import SourceError
 from vwnav.types import Frame
 
+_log = logging.getLogger(__name__)
 _NO_PICTURE_TIMEOUT_S = 5.0
+_AGAIN_S = 1.0  # between attempts to open a camera that has failed
 _STOP_TIMEOUT_S = 2.0
 _OPEN_TIMEOUT_MS = 5000
 _DRIVER_STAMP_LIMIT_S = 1.0
+# Of a row, by sensor: 3448 pixel clocks at 182.4 MHz in every mode; a global shutter.
+_LINE_S = {"imx219": 3448 / 182.4e6, "imx296": 0.0}
 _EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us
 
 
@@ -35,12 +42,22 @@ class Grabber(Protocol):
 class RealTimeSource:
     """A `FrameSource` that never queues: a picture not fetched in time is replaced by the next.
 
+    A camera that fails is opened again until it is there: who asks meanwhile is told that it fails,
+    and asks again.
+
+    Args:
+        open_camera: opens it, now and whenever it has failed.
+        timeout_s: to wait for a picture.
+
     Attributes:
         dropped: pictures that were replaced before anybody fetched them.
     """
 
-    def __init__(self, grabber: Grabber, timeout_s: float = _NO_PICTURE_TIMEOUT_S) -> None:
-        self._grabber = grabber
+    def __init__(
+        self, open_camera: Callable[[], Grabber], timeout_s: float = _NO_PICTURE_TIMEOUT_S
+    ) -> None:
+        self._open_camera = open_camera
+        self._grabber: Grabber | None = open_camera()
         self._timeout_s = timeout_s
         self._newest: Frame | None = None
         self._count = 0
@@ -80,22 +97,44 @@ class RealTimeSource:
         return self._newest is not None or self._closed or self._failed
 
     def _run(self) -> None:
+        while (grabber := self._grabber) is not None:
+            self._grab_until_it_fails(grabber)
+            self._fail()
+            self._grabber = self._opened_again()
+
+    def _grab_until_it_fails(self, grabber: Grabber) -> None:
         try:
             while not self._closed:
-                grabbed = self._grabber.grab()
+                grabbed = grabber.grab()
                 if grabbed is None:
-                    break
+                    return
                 self._hand_over(*grabbed)
+        except Exception:  # whatever a driver raises when its camera is pulled out
+            _log.exception("the camera failed")
         finally:
-            self._grabber.close()
+            with suppress(Exception):
+                grabber.close()
+
+    def _fail(self) -> None:
+        with self._arrived:
+            self._failed = True
+            self._arrived.notify_all()
+
+    def _opened_again(self) -> Grabber | None:
+        """The camera once it is there again; None when the source is closed before."""
+        while True:
             with self._arrived:
-                self._failed = True
-                self._arrived.notify_all()
+                if self._arrived.wait_for(lambda: self._closed, _AGAIN_S):
+                    return None
+            try:
+                return self._open_camera()
+            except Exception as error:
+                _log.debug("the camera is not there yet: %s", error)
 
     def _hand_over(self, t_s: float, image: NDArray[np.uint8]) -> None:
         with self._arrived:
             self.dropped += self._newest is not None
-            self._newest = Frame(t_s, image, self._count)
+            self._newest, self._failed = Frame(t_s, image, self._count), False
             self._count += 1
             self._arrived.notify_all()
 
@@ -195,6 +234,7 @@ class PicameraGrabber:
 
     def __init__(self, width_px: int, height_px: int, fps: float) -> None:
         self._camera = _open_picamera(width_px, height_px, fps)
+        self._to_centre_s = 0.5 * _readout_s(self._camera)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next picture."""
@@ -205,12 +245,20 @@ class PicameraGrabber:
         finally:
             request.release()
         # SensorTimestamp: start of the read-out, ns since boot, when the first row's exposure ends.
-        exposure_s = metadata["ExposureTime"] / 1e6
-        return metadata["SensorTimestamp"] / 1e9 - 0.5 * exposure_s, np.asarray(image, np.uint8)
+        to_centre_s = self._to_centre_s - 0.5 * metadata["ExposureTime"] / 1e6
+        return metadata["SensorTimestamp"] / 1e9 + to_centre_s, np.asarray(image, np.uint8)
 
     def close(self) -> None:
         """Give the camera back."""
         self._camera.close()
+
+
+def _readout_s(camera: Any) -> float:
+    """From the first row to the last; 0 for a sensor that is not known: calibrate its offset."""
+    line_s = _LINE_S.get(str(camera.camera_properties.get("Model", "")), 0.0)
+    sensor = camera.camera_configuration().get("sensor") or {}
+    rows = (sensor.get("output_size") or (0, 0))[1]
+    return float(line_s * rows)
 
 
 def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:

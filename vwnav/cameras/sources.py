@@ -30,14 +30,15 @@ def open_source(text: str, fps: float | None = None) -> FrameSource:
     picamera = _PICAMERA.fullmatch(text)
     if picamera is not None:
         width, height, rate = (int(part) if part else None for part in picamera.groups())
-        return RealTimeSource(PicameraGrabber(width or 1920, height or 1080, fps or rate or 30.0))
+        size, wanted_fps = (width or 1920, height or 1080), fps or rate or 30.0
+        return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps))
     if text.startswith(_STREAM_SCHEMES):
-        return RealTimeSource(StreamGrabber(text))
+        return RealTimeSource(lambda: StreamGrabber(text))
     path = Path(text)
     if path.is_dir():
         return ImageFolder(path, fps or DEFAULT_FOLDER_FPS)
     if path.is_char_device():
-        return RealTimeSource(V4l2Grabber(text, fps or 30.0))
+        return RealTimeSource(lambda: V4l2Grabber(text, fps or 30.0))
     if path.suffix == ".mcap" and path.is_file():
         return RecordedFrames(path)
     if path.is_file():

@@ -12,6 +12,7 @@ from vwnav.cli.bench_flights import flights
 from vwnav.cli.bench_localizer import localizer
 from vwnav.cli.bench_significance import significance
 from vwnav.cli.bench_waypoints import waypoints
+from vwnav.cli.camera import calibrate, look
 from vwnav.errors import PreflightError, VwnavError
 
 EXIT_FAILED = 1
@@ -29,6 +30,8 @@ app = typer.Typer(
 app.command("fly", rich_help_panel="On the drone")(fly.fly)
 app.command("doctor", rich_help_panel="On the drone")(doctor.doctor)
 app.add_typer(map_commands.app, name="map", rich_help_panel="Before the flight")
+app.command("camera", rich_help_panel="On the drone")(look.camera)
+app.add_typer(calibrate.app, name="calibrate", rich_help_panel="Before the flight")
 app.command("replay", rich_help_panel="After the flight")(replay.replay)
 app.command("localize", rich_help_panel="After the flight")(localize.localize)
 app.add_typer(flighttest.app, name="flighttest", rich_help_panel="Before the flight")

@@ -1,14 +1,15 @@
 """Camera calibration files: our own JSON and TOML, OpenCV's YAML, ROS camera_info YAML.
 
 Our own keys, the same in JSON and TOML (`docs/conventions.md` has an example):
-`width_px height_px model fx_px fy_px cx_px cy_px distortion mount_rpy_deg lever_arm_m`;
-the last three may be left out. The mount turns the camera away from looking straight down with its
-upper edge to the nose.
+`width_px height_px model fx_px fy_px cx_px cy_px distortion mount_rpy_deg lever_arm_m readout_s
+time_offset_s calibrated`; those from `distortion` on may be left out. The mount turns the camera
+away from looking straight down with its upper edge to the nose. `calibrated` says how it was found.
 """
 
 import json
 import math
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,9 @@ from vwnav.types import Array
 _MAX_BYTES = 1_000_000
 _NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 _REQUIRED = ("width_px", "height_px", "model", *_NUMBERS)
-_LISTS = ("distortion", "mount_rpy_deg", "lever_arm_m")
+_OPTIONAL = (
+    "distortion", "mount_rpy_deg", "lever_arm_m", "readout_s", "time_offset_s", "calibrated"
+)  # fmt: skip
 _MODELS: dict[str, CameraModel] = {
     "": "pinhole",
     "pinhole": "pinhole",
@@ -56,14 +59,38 @@ def load_camera(path: Path | str) -> Camera:
     return camera
 
 
-def save_camera(camera: Camera, path: Path | str) -> None:
+def load_findings(path: Path | str) -> dict[str, Any]:
+    """What `calibrated` of our own kind of file says: sigmas and errors by name; {} without it.
+
+    Raises:
+        CalibrationError: the file cannot be read.
+    """
+    path = Path(path)
+    suffix, text = path.suffix.lower(), _read(path)
+    if suffix not in (".json", ".toml"):
+        return {}
+    try:
+        values = json.loads(text) if suffix == ".json" else tomllib.loads(text)
+    except ValueError as error:
+        raise CalibrationError(f"{path}: damaged ({_one_line(error)})") from error
+    return dict(values.get("calibrated", {}))
+
+
+def save_camera(
+    camera: Camera, path: Path | str, calibrated: Mapping[str, Any] | None = None
+) -> None:
     """Write our own JSON or TOML, by the file's suffix.
+
+    Args:
+        camera: to be written.
+        path: of the file.
+        calibrated: how it was found, by name; None leaves that out.
 
     Raises:
         CalibrationError: the suffix is another one, or the file cannot be written.
     """
     path = Path(path)
-    values = _to_dict(camera)
+    values = _to_dict(camera) | ({"calibrated": dict(calibrated)} if calibrated else {})
     match path.suffix.lower():
         case ".json":
             text = json.dumps(values, indent=2) + "\n"
@@ -104,7 +131,9 @@ def _from_dict(values: Any) -> Camera:
     if not isinstance(values, dict):
         raise ValueError("expected named values at the top")
     missing = [key for key in _REQUIRED if key not in values]
-    unknown = [key for key in values if key not in (*_REQUIRED, *_LISTS)]
+    if not isinstance(values.get("calibrated", {}), dict):
+        raise ValueError("calibrated is no table")
+    unknown = [key for key in values if key not in (*_REQUIRED, *_OPTIONAL)]
     if missing or unknown:
         raise ValueError(
             f"missing {', '.join(missing)}" if missing else f"unknown key {', '.join(unknown)}"
@@ -119,11 +148,14 @@ def _from_dict(values: Any) -> Camera:
         model=values["model"],
         R_body_camera=rotation_from_euler(roll, pitch, yaw) @ R_BODY_CAMERA_DOWN,
         t_body_camera_m=np.array(_numbers(values, "lever_arm_m", (0.0,) * 3)),
+        readout_s=_number(values["readout_s"], "readout_s") if "readout_s" in values else None,
+        time_offset_s=_number(values.get("time_offset_s", 0.0), "time_offset_s"),
     )
 
 
 def _to_dict(camera: Camera) -> dict[str, Any]:
     mount_rpy_rad = euler_from_rotation(camera.R_body_camera @ R_BODY_CAMERA_DOWN.T)
+    readout = {} if camera.readout_s is None else {"readout_s": camera.readout_s}
     return {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
@@ -135,6 +167,8 @@ def _to_dict(camera: Camera) -> dict[str, Any]:
         "distortion": list(camera.distortion),
         "mount_rpy_deg": [math.degrees(angle) for angle in mount_rpy_rad],
         "lever_arm_m": camera.t_body_camera_m.tolist(),
+        **readout,
+        "time_offset_s": camera.time_offset_s,
     }
 
 

@@ -20,6 +20,8 @@ CameraModel = Literal["pinhole", "fisheye"]
 # Columns are the camera's axes in the body: u is right, v is back, the optical axis is down.
 R_BODY_CAMERA_DOWN: Array = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _DISTORTION_LENGTHS: dict[str, tuple[int, ...]] = {"pinhole": (0, 4, 5), "fisheye": (4,)}
+MAX_TIME_OFFSET_S = 2.0
+MAX_READOUT_S = 0.2
 _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
 _MIN_SHARE = 0.4  # of the picture that must lie within that
@@ -36,6 +38,10 @@ class Camera:
         distortion: k1 k2 p1 p2 [k3] of "pinhole" (empty for none), k1 k2 k3 k4 of "fisheye"
             (equidistant), both as OpenCV defines them.
         R_body_camera: (3, 3) mount. t_body_camera_m: (3,) place of the camera in the body.
+        readout_s: from the first row's exposure to the last row's (rolling shutter), 0 for a
+            global one; None where it is not known.
+        time_offset_s: what to add to the time that the source says for a picture, so that it is
+            that of the centre row's exposure on the autopilot's clock.
 
     Raises:
         ValueError: from the constructor, when a field makes no camera.
@@ -48,6 +54,8 @@ class Camera:
     model: CameraModel = "pinhole"
     R_body_camera: Array = field(default_factory=R_BODY_CAMERA_DOWN.copy)
     t_body_camera_m: Array = field(default_factory=lambda: np.zeros(3))
+    readout_s: float | None = None
+    time_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R_body_camera", (3, 3)), ("t_body_camera_m", (3,))):
@@ -75,6 +83,10 @@ class Camera:
             )
         if not all(math.isfinite(k) for k in self.distortion):
             raise ValueError(f"expected finite distortion coefficients, got {self.distortion}")
+        if not -MAX_TIME_OFFSET_S <= self.time_offset_s <= MAX_TIME_OFFSET_S:
+            raise ValueError(f"expected a time offset within 2 s, got {self.time_offset_s}")
+        if self.readout_s is not None and not 0.0 <= self.readout_s <= MAX_READOUT_S:
+            raise ValueError(f"expected a read-out of 0 to 0.2 s, got {self.readout_s}")
         R = self.R_body_camera
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
             raise ValueError(f"expected R_body_camera to be a rotation, got {R.tolist()}")

@@ -2,6 +2,7 @@
 
 from contextlib import ExitStack
 
+from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
 from vwnav.clock import Clock
 from vwnav.errors import LinkError
@@ -50,19 +51,22 @@ def draw_camera(options: FlyOptions, plan: FlightPlan, stack: ExitStack) -> Came
 
 def open_camera(
     options: FlyOptions,
+    plan: FlightPlan,
     renderer: CameraRenderer | None,
     truth: TruthReader | None,
     clock: Clock,
     stack: ExitStack,
     flown_m: float = 0.0,
 ) -> FrameSource:
-    """The camera, or one that is drawn from a simulator's truth.
+    """The camera, with its calibrated time offset, or one drawn from a simulator's truth.
 
     `flown_m` is how high the vehicle flies already: its ground, which is drawn, lies so far below.
     """
     source: FrameSource
     if renderer is None:
         source = open_source(str(options.video))
+        if plan.camera.time_offset_s:
+            source = RetimedSource(source, plan.camera.time_offset_s)
     else:
         assert truth is not None
         site = parse_site(str(options.video))

@@ -84,7 +84,7 @@ def fly_route(options: FlyOptions) -> None:
             start_watchdog(link, folder / "watchdog.log", successor, clock, say)
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
-        source = open_camera(options, renderer, truth, clock, stack)
+        source = open_camera(options, plan, renderer, truth, clock, stack)
         autopilot = MavsdkAutopilot(
             watchdog.navigator_url, clock=clock, link_url=link,
             ground_station_ids=plan.config.flight.ground_station_ids,

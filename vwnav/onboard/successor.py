@@ -123,7 +123,7 @@ def _succeed(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
     truth = open_truth(options.truth, str(options.connection), handover.observer, clock, stack)
-    source = open_camera(options, renderer, truth, clock, stack, handover.height_m)
+    source = open_camera(options, plan, renderer, truth, clock, stack, handover.height_m)
     folder = make_run_folder(options.output, "fly")
     record = FlightRecord(
         folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,

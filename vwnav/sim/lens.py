@@ -70,17 +70,20 @@ class Sensor:
         self._gain: float | None = None
         self._light, self._t_s = 0.0, 0.0
 
-    def rolled(
-        self, rays: NDArray[np.float32], flow_px_s: Array, t_s: float
-    ) -> NDArray[np.float32]:
-        """Rays (h, w, 2) as the rows see them one after the other while the picture moves."""
+    @property
+    def row_times_s(self) -> Array:
+        """(h,) when each row is exposed, after the middle one."""
+        return self._rows
+
+    def shaken(self, rays: NDArray[np.float32], t_s: float) -> NDArray[np.float32]:
+        """Rays (h, w, 2) as the rows see them one after the other while the motors shake."""
         config = self._config
-        if config.readout_s == 0.0 and config.wobble_px == 0.0:
+        if config.wobble_px == 0.0:
             return rays
         phase = self._rng.uniform(0.0, 2.0 * np.pi, 2)
         times = t_s + self._rows
         shake = config.wobble_px * np.sin(2.0 * np.pi * config.wobble_hz * times[:, None] + phase)
-        shift = (self._rows[:, None] * flow_px_s + shake) / self._camera.K[[0, 1], [0, 1]]
+        shift = shake / self._camera.K[[0, 1], [0, 1]]
         return rays - shift[:, None, :].astype(np.float32)
 
     def expose(self, plain: NDArray[np.uint8], flow_px_s: Array, t_s: float) -> NDArray[np.uint8]:

@@ -1,0 +1,102 @@
+"""What a flight tells of the mount, over flights whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mount_flights import CX, CY, K1, F, H, Truth, W, fly
+
+from vwnav.calibration.mount.history import FlownAttitudes, heights_at
+from vwnav.calibration.mount.solve import fit_mount
+from vwnav.calibration.mount.verdict import judge
+from vwnav.errors import CalibrationError
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import vector_from_rotation
+
+CAMERA = Camera(
+    width_px=W, height_px=H, K=np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]]),
+    distortion=(K1, 0.0, 0.0, 0.0),
+)  # fmt: skip
+
+
+def fit(truth: Truth, seed: int, focal: bool = False):
+    """The fit, and (6,) its errors over its sigmas, and the errors themselves."""
+    flight = fly(truth, seed)
+    history = FlownAttitudes(flight.attitudes)
+    times = np.array([s.t_s for s in flight.sightings])
+    heights = heights_at(flight.ranges, history, times + truth.offset_s)
+    seen = [replace(s, height_m=float(h)) for s, h in zip(flight.sightings, heights, strict=True)]
+    found = fit_mount(CAMERA, history, seen, focal)
+    turned = vector_from_rotation(flight.R_body_camera @ found.R_body_camera.T)
+    errors = np.array(
+        [
+            *turned, truth.offset_s - found.offset_s, truth.readout_s - found.readout_s,
+            np.log(truth.focal / found.focal_ratio),
+        ]
+    )  # fmt: skip
+    sigmas = np.array(
+        [
+            *found.sigmas_rad, found.sigma_offset_s, found.sigma_readout_s,
+            found.sigma_focal_ratio,
+        ]
+    )  # fmt: skip
+    return found, errors, sigmas
+
+
+SEEDS = 20
+ASKED = np.array([*np.radians([0.2, 0.2]), np.inf, 0.002, 0.002])
+
+
+@pytest.fixture(scope="module")
+def trials():
+    """Errors and sigmas (20, 6) of flights with a rangefinder, the focal length asked."""
+    found = [fit(Truth(focal=1.02), seed, focal=True)[1:] for seed in range(SEEDS)]
+    return np.array([e for e, _ in found]), np.array([s for _, s in found])
+
+
+@pytest.mark.long
+def test_mount_lateness_and_readout_are_found_to_what_is_asked(trials):
+    errors, _ = trials
+    assert (np.abs(errors[:, :5]) < ASKED).mean(axis=0).min() >= 0.95
+    assert (np.abs(errors[:, 5]) < 0.003).mean() >= 0.95
+
+
+@pytest.mark.long
+def test_the_truth_lies_within_three_sigmas_in_nineteen_of_twenty(trials):
+    errors, sigmas = trials
+    within = (np.abs(errors) < 3.0 * sigmas).sum(axis=0)
+    assert within.min() >= 19
+    # Sigmas that are honest are no excuse either: most errors are of their size.
+    assert (np.abs(errors) < 0.05 * sigmas).mean() < 0.5
+
+
+@pytest.mark.long
+def test_banked_turns_tell_the_focal_length_without_a_rangefinder():
+    for seed in range(4):
+        _, errors, sigmas = fit(Truth(focal=0.98, rangefinder=False), seed, focal=True)
+        assert abs(errors[5]) < min(0.01, 3.0 * sigmas[5])
+
+
+def test_one_flight_tells_the_mount_to_a_fifth_of_a_degree():
+    _, errors, sigmas = fit(Truth(pictures=60, seconds=70.0), 3)
+    assert np.all(np.abs(errors[:2]) < np.radians(0.2))
+    assert np.all(np.abs(errors[3:5]) < 0.002)
+    assert np.all(np.abs(errors[:5]) < 3.0 * sigmas[:5])
+
+
+def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length():
+    calm = Truth(pictures=50, seconds=60.0, turns=False, rangefinder=False, focal=0.98)
+    found, _, _ = fit(calm, 1, focal=True)
+    verdict = judge(CAMERA, found, True, False, np.radians(4.0))
+    why = {each.name: each.refused for each in verdict.told}
+    assert why["time offset, this flight's"] == "the aircraft hardly turned"
+    assert why["focal length"].startswith("no rangefinder or GPS height, and no turn")
+    assert "look alike" in why["mount: yaw"]
+    assert verdict.camera.K[0, 0] == F
+    assert verdict.camera.time_offset_s == 0.0
+
+
+def test_a_mount_that_is_hardly_told_is_refused_as_a_whole():
+    found, _, _ = fit(Truth(pictures=30, seconds=40.0), 1)
+    with pytest.raises(CalibrationError, match=r"tells the mount to 2\.0 degrees only"):
+        judge(CAMERA, replace(found, sigmas_rad=np.radians([2.0, 0.1, 0.1])), False, True, 0.5)

@@ -1,0 +1,122 @@
+"""A recorded flight over the small place with a camera mounted wrongly, late, and rolling."""
+
+import time
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vwnav.bench.estimator.streams import _AttitudeErrors
+from vwnav.bench.estimator.world import DT_S, FilterWorld, fly
+from vwnav.estimation.timeline import NedFix
+from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
+from vwnav.geometry.rotations import (
+    quat_from_vector,
+    quat_multiply,
+    rotation_from_euler,
+    rotation_from_quat,
+    rotation_from_vector,
+    vector_from_rotation,
+)
+from vwnav.recording.input_log import About, InputLog
+from vwnav.recording.recorder import Recorder
+from vwnav.sim.lens import RenderConfig
+from vwnav.sim.renderer import CameraRenderer, default_camera
+from vwnav.sim.sites import parse_site
+from vwnav.sim.tiles import default_cache_dir
+from vwnav.types import Attitude, Frame, Range
+
+SECONDS, START_S, PICTURE_HZ = 110.0, 14.0, 1.5
+LEG_S, SPEED_M_S, HEIGHT_M = 8.0, 8.0, 45.0
+TURNS_DEG = (90, 90, -180, -90, -90, 180)
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """How the camera truly is."""
+
+    rpy_deg: tuple[float, float, float] = (2.5, -3.0, 4.0)
+    offset_s: float = 0.07
+    readout_s: float = 0.02
+    focal: float = 1.0
+    rangefinder: bool = True
+
+    @property
+    def camera(self) -> Camera:
+        camera = default_camera()
+        R = rotation_from_euler(*np.radians(self.rpy_deg)) @ R_BODY_CAMERA_DOWN
+        K = camera.K * [[self.focal, 1, 1], [1, self.focal, 1], [1, 1, 1]]
+        bent = zip(camera.distortion, (2, 4, 1, 1, 6), strict=True)
+        return replace(
+            camera, R_body_camera=R, K=K,
+            distortion=tuple(k * self.focal**power for k, power in bent),
+        )  # fmt: skip
+
+
+def flown(seed: int):
+    """The true way and the autopilot's attitude (n, 4) of a flight about the place."""
+    rng = np.random.default_rng([5, seed])
+    heading, legs = float(rng.uniform(-180, 180)), []
+    for number in range(int((SECONDS - START_S) / LEG_S) + 1):
+        legs.append((START_S + number * LEG_S, heading))
+        heading += TURNS_DEG[number % len(TURNS_DEG)]
+    world = FilterWorld(
+        seconds=SECONDS, height_m=HEIGHT_M, climb_s=12.0, relief_m=0.0, speed_m_s=SPEED_M_S,
+        wind_m_s=4.0, tilt_bias_deg=0.0, headings_deg=((0.0, legs[0][1]), *legs),
+    )  # fmt: skip
+    truth = fly(world, [rng])[0]
+    quats = _AttitudeErrors(world, truth, rng).quats
+    # The autopilot's board is not level in the aircraft: that belongs to the body.
+    crooked = quat_from_vector(np.radians([*rng.normal(0.0, 1.9, 2), 0.0]))
+    return truth, np.array([quat_multiply(quat, crooked) for quat in quats])
+
+
+def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
+    """Write the recording; the true mount, against what the autopilot called level on average."""
+    truth, quats = flown(seed)
+    rng = np.random.default_rng([6, seed])
+    about = About("learned", "", "nadir", frame, None)
+    renderer = CameraRenderer(
+        parse_site("sim:default"), mounted.camera,
+        RenderConfig(color=False, background=False, readout_s=mounted.readout_s), rng,
+        default_cache_dir(),
+    )  # fmt: skip
+    lean = []
+    with closing(Recorder(path, {}, picture_rate_hz=10.0)) as recorder:
+        log = InputLog(recorder, about)
+        for i in range(0, len(truth.t_s), 3):
+            log.input(Attitude(float(truth.t_s[i]), quats[i]))
+            if mounted.rangefinder and i % 9 == 0:
+                log.input(_range(truth, quats, i, rng))
+        stamps = np.arange(START_S, SECONDS - 1.0, 1.0 / PICTURE_HZ)
+        for number, stamp in enumerate(stamps):
+            i = round((stamp + mounted.offset_s) / DT_S)
+            R = rotation_from_quat(truth.quat_wxyz[i])
+            after = rotation_from_quat(truth.quat_wxyz[i + 1])
+            image = renderer.render(
+                truth.position_ned_m[i], R, float(truth.t_s[i]), truth.velocity_ned_m_s[i],
+                vector_from_rotation(R.T @ after) / DT_S,
+            )  # fmt: skip
+            recorder.frame(Frame(truth.t_s[i] - mounted.offset_s, image, number))
+            if number == 0:
+                place = truth.position_ned_m[i] + [4.0, -3.0, 0.0]
+                log.input(NedFix(
+                    t_s=stamp, position_ne_m=place[:2], covariance_ne_m2=np.eye(2), yaw_rad=None,
+                    sigma_yaw_rad=None, agl_m=HEIGHT_M, sigma_agl_m=1.0,
+                ))  # fmt: skip
+            told = rotation_from_quat(quats[i])
+            turn = told @ R.T  # heading is the compass's own affair: taken out
+            yaw = np.arctan2(turn[1, 0], turn[0, 0])
+            unturned = rotation_from_euler(0.0, 0.0, -yaw) @ told
+            lean.append(vector_from_rotation(unturned.T @ R))
+            time.sleep(0.02)  # the writer drops pictures that come faster than it encodes
+    renderer.close()
+    return rotation_from_vector(np.mean(lean, axis=0)) @ mounted.camera.R_body_camera
+
+
+def _range(truth, quats, i: int, rng) -> Range:
+    """Along the down axis of what the autopilot takes for the body."""
+    down = rotation_from_quat(quats[i])[2, 2]
+    metres = -truth.position_ned_m[i, 2] / down * (1 + 0.01 * rng.normal())
+    return Range(float(truth.t_s[i]), max(float(metres), 0.1))

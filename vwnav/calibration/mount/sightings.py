@@ -1,0 +1,169 @@
+"""Map points in the pictures of a flight: localized, then registered once more at that place."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.calibration.mount.flight_file import FlightFile
+from vwnav.calibration.mount.history import FlownAttitudes, heights_at
+from vwnav.calibration.mount.problem import Sighting
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.homography import transform_points
+from vwnav.geometry.mercator import lat_lon_from_mercator_px
+from vwnav.geometry.rotations import euler_from_rotation, wrap_pi
+from vwnav.maps.pack import MapPack
+from vwnav.types import Array, FeatureExtractor, Frame, MapFix, Prior
+from vwnav.vision.candidates import Candidate, Hypothesis, fine_level
+from vwnav.vision.localizer import Localizer, LocalizerConfig
+from vwnav.vision.query import QueryMaker
+from vwnav.vision.registration import REFINED, Acceptance, Registration, register
+
+TILT_OPEN_RAD = np.radians(8.0)  # of a mount that nobody measured
+SIGMA_YAW_RAD = np.radians(12.0)
+SPEED_M_S = 15.0  # at most, between two pictures that were found
+NEAR_SIGMA_M = 8.0
+KEEP_LOG10_NFA = -4.0
+KEYPOINTS = 1000
+# Of the map: what is cut off closely about a transform that knows of no rolling shutter agrees with
+# it too well, and the read-out comes out short.
+WIDE_PX = 7.0
+
+
+class Spotter:
+    """Finds map points in one camera's pictures."""
+
+    def __init__(
+        self,
+        pack: MapPack,
+        extractor: FeatureExtractor,
+        camera: Camera,
+        flight: FlightFile,
+        history: FlownAttitudes,
+        offset_s: float = 0.0,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            pack: the map.
+            extractor: of its features.
+            camera: with the mount as far as it is known.
+            flight: what was told beside the pictures.
+            history: its attitudes.
+            offset_s: what to add to the pictures' stamps.
+        """
+        config = LocalizerConfig(sigma_tilt_rad=float(TILT_OPEN_RAD))
+        self._config = config
+        self._pack, self._extractor, self._camera = pack, extractor, camera
+        self._localizer = Localizer(pack, extractor, camera, config)
+        self._maker = QueryMaker(camera, extractor, time.perf_counter)
+        self._flight, self._history, self._offset_s = flight, history, offset_s
+        south, west, north, east = pack.bounds
+        self.frame = LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
+        self._last: MapFix | None = None
+
+    def spot(self, picture: Frame) -> Sighting | None:
+        """The map points that a picture shows; None where it is not found."""
+        at_s = np.array([picture.t_s + self._offset_s])
+        turned = self._history.at(at_s)
+        if not turned.known[0]:
+            return None
+        height_m = float(heights_at(self._flight.ranges, self._history, at_s)[0])
+        prior = self._prior(picture.t_s, turned.R_ned_body[0], height_m)
+        fix = self._localizer.localize(picture, prior, picture.index)
+        if not isinstance(fix, MapFix) or fix.yaw_rad is None or fix.agl_m is None:
+            return None
+        self._last = fix
+        found = self._registered(picture, prior, fix)
+        return None if found is None else self._sighting(picture, found, fix, height_m)
+
+    def _prior(self, t_s: float, R_ned_body: Array, height_m: float) -> Prior:
+        """The attitude as the autopilot has it; the place as the flight, or the last picture."""
+        roll_rad, pitch_rad, yaw_rad = euler_from_rotation(R_ned_body)
+        prior = Prior(
+            roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=yaw_rad, sigma_yaw_rad=SIGMA_YAW_RAD
+        )
+        last, told = self._last, self._flight.place_near(t_s)
+        if last is not None:
+            sigma_m = NEAR_SIGMA_M + SPEED_M_S * abs(t_s - last.t_s)
+            prior = replace(
+                prior, lat_deg=last.lat_deg, lon_deg=last.lon_deg, sigma_m=sigma_m, agl_m=last.agl_m
+            )
+        elif told is not None:
+            sigma_m = 3.0 * NEAR_SIGMA_M + SPEED_M_S * abs(t_s - told.t_s)
+            prior = replace(
+                prior, lat_deg=told.lat_deg, lon_deg=told.lon_deg, sigma_m=sigma_m, agl_m=told.agl_m
+            )
+        if np.isfinite(height_m):
+            prior = replace(prior, agl_m=height_m)
+        return prior
+
+    def _registered(self, picture: Frame, prior: Prior, fix: MapFix) -> Registration | None:
+        """The picture on the map's sharpest level at the place that was found."""
+        assert fix.yaw_rad is not None
+        assert fix.agl_m is not None
+        query = self._maker.query(picture, prior, picture.index)
+        level = fine_level(self._pack, query, fix.agl_m, self._config.max_view_area_px)
+        candidate = Candidate(
+            hypothesis=Hypothesis(float(wrap_pi(fix.yaw_rad)), fix.agl_m, REFINED),
+            level=level,
+            lat_deg=fix.lat_deg,
+            lon_deg=fix.lon_deg,
+            radius_m=0.1 * fix.agl_m,
+            max_keypoints=KEYPOINTS,
+        )
+        made = self._maker.rectify(query, fix.yaw_rad, fix.agl_m, candidate.m_per_px)
+        if made is None:
+            return None
+        window = candidate.window(made)
+        points = self._pack.features_in(level.zoom, *window, self._extractor)
+        view = self._maker.view(query, fix.yaw_rad, made, KEYPOINTS)
+        accept = Acceptance(
+            threshold_px=WIDE_PX,
+            max_log10_nfa=KEEP_LOG10_NFA,
+            sigma_tilt_rad=float(TILT_OPEN_RAD),
+            sigma_georeference_m=0.0,
+        )
+        found = register(query, candidate, view, points, accept)
+        return found if isinstance(found, Registration) else None
+
+    def _sighting(
+        self, picture: Frame, found: Registration, fix: MapFix, height_m: float
+    ) -> Sighting:
+        """Pixels of the picture as it was taken, and the places of the map's points."""
+        H_rect_frame = found.view.rectification.H_rect_frame
+        H_frame_view = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
+        straight = transform_points(H_frame_view, found.consensus.uv_view)
+        rays = self._camera.undistorted().bearings(straight)
+        xy = found.piece.origin_px + found.consensus.uv_map + 0.5
+        lat_deg, lon_deg = lat_lon_from_mercator_px(xy[:, 0], xy[:, 1], found.candidate.level.zoom)
+        ground = self.frame.to_ned(lat_deg, lon_deg, 0.0)
+        ground[:, 2] = 0.0
+        place = self.frame.to_ned(fix.lat_deg, fix.lon_deg, 0.0)
+        place[2] = -(fix.agl_m or 0.0)
+        return Sighting(
+            picture.t_s,
+            self._camera.project(rays),
+            ground,
+            found.consensus.cells,
+            place,
+            height_m,
+        )
+
+
+def spot_all(
+    spotter: Spotter,
+    pictures: Iterable[Frame],
+    total: int,
+    progress: Callable[[str, int, int], None],
+) -> list[Sighting]:
+    """The sightings of all pictures that are found."""
+    found = []
+    for number, picture in enumerate(pictures, 1):
+        sighting = spotter.spot(picture)
+        if sighting is not None:
+            found.append(sighting)
+        progress("pictures", number, total)
+    return found
