@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
-from vwnav.geometry.calibration import check_fits, load_camera
+from vwnav.geometry.calibration import load_camera
+from vwnav.geometry.camera import check_fits
 from vwnav.pipeline import to_gray
 from vwnav.screen import LiveLine, print_table
 from vwnav.types import Array, Frame, FrameSource, Gray

@@ -10,16 +10,16 @@ from vwnav.calibration.mount.flight_file import FlightFile
 from vwnav.calibration.mount.history import FlownAttitudes, heights_at
 from vwnav.calibration.mount.problem import Sighting
 from vwnav.geometry.camera import Camera
-from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.geodesy import LocalFrame, lat_lon_from_mercator_px
 from vwnav.geometry.homography import transform_points
-from vwnav.geometry.mercator import lat_lon_from_mercator_px
 from vwnav.geometry.rotations import euler_from_rotation, wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import Array, FeatureExtractor, Frame, MapFix, Prior
-from vwnav.vision.candidates import Candidate, Hypothesis, fine_level
-from vwnav.vision.localizer import Localizer, LocalizerConfig
+from vwnav.vision.candidates import Acceptance, Candidate, Hypothesis, fine_level
+from vwnav.vision.config import LocalizerConfig
+from vwnav.vision.localizer import Localizer
 from vwnav.vision.query import QueryMaker
-from vwnav.vision.registration import REFINED, Acceptance, Registration, register
+from vwnav.vision.registration import REFINED, Registration, register
 
 TILT_OPEN_RAD = np.radians(8.0)  # of a mount that nobody measured
 SIGMA_YAW_RAD = np.radians(12.0)
