@@ -13,8 +13,7 @@ from vwnav.estimation.inertial.attitudes import (
     true_from_autopilot,
 )
 from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
-from vwnav.estimation.process import white_acceleration
-from vwnav.estimation.states import Anchor, FilterState, States, tells_heading
+from vwnav.estimation.states import Anchor, FilterState, States, tells_heading, white_acceleration
 from vwnav.estimation.timeline import NewKeyframe
 from vwnav.geometry.rotations import skew, wrap_pi
 from vwnav.types import Array, OdometryMotion

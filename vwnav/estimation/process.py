@@ -25,7 +25,7 @@ from vwnav.estimation.inertial.gyro_aiding import (
     gyro_measurement,
 )
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
-from vwnav.estimation.states import FilterState, Measured, States
+from vwnav.estimation.states import FilterState, Measured, States, white_acceleration
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
@@ -184,13 +184,6 @@ def _white_acceleration(
     if -x[States.DOWN] - x[States.TERRAIN] < config.blow_agl_m:
         level = max(level, config.blow_noise_m_s2**2)
     return white_acceleration(level, vertical, dt_s)
-
-
-def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
-    """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
-    q = np.diag([level, level, vertical])
-    both = q * dt_s**2 / 2.0
-    return np.block([[q * dt_s**3 / 3.0, both], [both, q * dt_s]])
 
 
 def _transition(

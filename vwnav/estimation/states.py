@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.inertial.preintegration import ImuIntegrals
+from vwnav.estimation.inertial.integrals import ImuIntegrals
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_quat, rotation_from_vector
 from vwnav.types import Array, Estimate
 
@@ -329,3 +329,10 @@ def wind_ne_m_s(state: FilterState) -> Array | None:
     if state.P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2:
         return None
     return np.asarray(state.x[States.WIND_FORCE] / drag)
+
+
+def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
+    """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
+    q = np.diag([level, level, vertical])
+    both = q * dt_s**2 / 2.0
+    return np.block([[q * dt_s**3 / 3.0, both], [both, q * dt_s]])

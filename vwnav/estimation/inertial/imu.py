@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, AttitudeHistory
-from vwnav.estimation.inertial.preintegration import ImuIntegrals
+from vwnav.estimation.inertial.integrals import ImuIntegrals
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 

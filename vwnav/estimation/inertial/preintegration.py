@@ -4,31 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.estimation.inertial.integrals import ImuIntegrals
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuIntegrals:
-    """Integrals since the first sample, in NED as the autopilot's attitude has it.
-
-    In an hour they grow to some 4e4 m/s: differences of them keep ten digits for days.
-
-    Attributes:
-        series: samples between silences share it, of attitudes too: forces that nobody can turn
-            into NED are not counted.
-        span_s: by the sensor's own clock.
-        integrals: (3, 5) integrals of R_ned_body, of R_ned_body f and of f, side by side.
-        turned: (4,) quaternion, the product of all turns of the body.
-        variances: (2,) variances per axis of the integrals of force and of rates by what happened
-            between samples: rotors shake the sensors faster than they are heard.
-    """
-
-    series: int
-    span_s: float
-    integrals: Array
-    turned: Array
-    variances: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
