@@ -1,11 +1,14 @@
 """Ways that contradict the IMU are not believed, until they and a fix agree again."""
 
 import numpy as np
+import pytest
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.odometry import apply_misled
 from vwnav.estimation.odometry_gate import OdometryGate
-from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.states import FilterState, States, first_variance
+from vwnav.estimation.timeline import Misled
 
 
 def tell(
@@ -62,3 +65,18 @@ def test_after_a_gap_of_pictures_it_may_be_the_filter_that_is_wrong():
     gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
     tell(gate, tell(gate, 0.0, 0.8, False) + 1.0, 1.0, False)
     assert not gate.lost
+
+
+def test_what_wrong_ways_have_taught_is_as_at_first_and_the_velocity_as_wrong_as_they_were():
+    config, rng = EkfConfig(), np.random.default_rng(1)
+    root = rng.normal(size=(States.SIZE, States.SIZE))
+    before = FilterState(8.0, rng.normal(size=States.SIZE), root @ root.T, True, True, 8.0, 8.0)
+    after = apply_misled(before, Misled(8.0, 2.0), config)
+    for taught in (States.TILT, States.WIND_FORCE, States.ACCELEROMETER_BIAS_LEVEL):
+        assert np.all(after.x[taught] == 0.0)
+        known = np.diag(after.P)[taught]
+        assert known == pytest.approx(first_variance(config)[taught])
+    added = np.diag(after.P - before.P)
+    assert added[States.VELOCITY_NE] == pytest.approx([4.0, 4.0])
+    assert added[States.POSITION_NE] == pytest.approx([36.0, 36.0])  # half of 2 m/s for 6 s
+    assert np.linalg.eigvalsh(after.P).min() > -1e-9

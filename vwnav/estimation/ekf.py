@@ -34,6 +34,7 @@ from vwnav.estimation.timeline import (
     Event,
     Exposed,
     LateFix,
+    Misled,
     NedFix,
     Timeline,
     Told,
@@ -44,6 +45,7 @@ from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, R
 
 _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
+_MISLED_S = 10.0  # for so long at most wrong ways are believed
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 
 
@@ -244,9 +246,22 @@ class Ekf:
                 gate.forgive()
             elif gate.learn(agrees, self._timeline.newest):
                 if gate.lost:
-                    self._timeline.leave_out(Displacement, NedFix)
+                    self._take_ways_back()
                 self._say(gate.words)
         return Innovation(Verdict.DISTRUSTED) if gate.lost else innovation
+
+    def _take_ways_back(self) -> None:
+        """Ways contradict the IMU: those in the history go, and what older ones have taught.
+
+        The older ones were right where a map fix has agreed with them.
+        """
+        assert self._timeline is not None
+        newest = self._timeline.newest
+        self._timeline.leave_out(Displacement, NedFix)
+        fixed_s = -math.inf if newest.t_last_fix_s is None else newest.t_last_fix_s
+        since_s = max(self._odometry_gate.believed_s, fixed_s, newest.t_s - _MISLED_S)
+        if newest.t_s - since_s > self._config.history_s:
+            self._insert(Misled(newest.t_s, since_s))
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:
         """Insert it, or only ask what would become of it while none is believed."""

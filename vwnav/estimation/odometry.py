@@ -13,8 +13,15 @@ from vwnav.estimation.inertial.attitudes import (
     true_from_autopilot,
 )
 from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
-from vwnav.estimation.states import Anchor, FilterState, States, tells_heading, white_acceleration
-from vwnav.estimation.timeline import NewKeyframe
+from vwnav.estimation.states import (
+    Anchor,
+    FilterState,
+    States,
+    first_variance,
+    tells_heading,
+    white_acceleration,
+)
+from vwnav.estimation.timeline import Misled, NewKeyframe
 from vwnav.geometry.rotations import skew, wrap_pi
 from vwnav.types import Array, OdometryMotion
 
@@ -24,6 +31,15 @@ _CLONE_SIGMA_M = 0.01
 _SCALED = np.r_[States.POSITION_NE, States.VELOCITY, States.ACCELERATION, States.ANCHOR_NE]
 _LEAST_AGL_M = 0.1
 _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
+# What of sensors and air the ways teach; that of the vertical is the barometer's.
+_TAUGHT = np.r_[
+    States.ACCELERATION,
+    States.TILT,
+    States.ACCELEROMETER_BIAS_LEVEL,
+    States.WIND_FORCE,
+    States.DRAG,
+]
+_MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
 _SHORTEST_S = 0.1
@@ -94,6 +110,25 @@ def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
     P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
     known = state.heading_known and tells_heading(P)
     return replace(state, P=P, heading_known=known, pictured_s=state.t_s)
+
+
+def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:
+    """Forget what wrong ways have taught of errors, air and velocity.
+
+    They had been believed where they happened to agree. What of the sensors and of the wind was
+    learned from them is as at first; the velocity may have gone wrong evenly all the while, and
+    the place with it.
+    """
+    x, P = state.x.copy(), state.P.copy()
+    x[_TAUGHT] = 0.0
+    x[States.DRAG] = config.drag_per_s
+    P[_TAUGHT], P[:, _TAUGHT] = 0.0, 0.0
+    P[_TAUGHT, _TAUGHT] = first_variance(config)[_TAUGHT]
+    span_s = state.t_s - event.since_s
+    G = np.zeros((States.SIZE, 2))
+    G[States.VELOCITY_NE] = _MISLED_M_S * np.eye(2)
+    G[States.POSITION_NE] = 0.5 * span_s * _MISLED_M_S * np.eye(2)
+    return replace(state, x=x, P=P + G @ G.T)
 
 
 def _unseen_motion(span_s: float, config: EkfConfig) -> Array:

@@ -55,6 +55,7 @@ class OdometryGate:
         lost: none is to be believed.
         fixed: a map fix was where the aircraft is believed since: its pictures are of here, and
             upright. Who takes one says so.
+        believed_s: time of the first way since they are believed.
     """
 
     def __init__(self, attitudes: AttitudeHistory, config: EkfConfig) -> None:
@@ -66,6 +67,7 @@ class OdometryGate:
     def _trust_all(self) -> None:
         self._seen: deque[_Way] = deque()
         self._begun_s = math.inf  # of what is in the window
+        self.believed_s = math.inf
         self._lost_s = -math.inf
         self._agree_s = _AGREE_S
         self.fixed = True
@@ -144,13 +146,14 @@ class OdometryGate:
         sigma_m_s = math.sqrt(float(np.max(variance[:2])))
         self._seen.append(_Way(t_s, agrees, velocity_m_s[:2], sigma_m_s))
         self._begun_s = min(self._begun_s, t_s)
+        self.believed_s = min(self.believed_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
             self._seen.popleft()
         if len(self._seen) < _LEAST or t_s - self._begun_s < window_s:
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
         if self.lost and self.fixed and share >= _TRUSTED and self._proved():
-            self.lost = False
+            self.lost, self.believed_s = False, t_s
         elif not self.lost and share <= _DOUBTED:
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S

@@ -42,6 +42,7 @@ class States:
     ANCHOR_HEADING_BIAS = 16  # rad, the heading bias at the keyframe
     MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
     ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
+    ACCELEROMETER_BIAS_LEVEL = slice(19, 21)  # forward and right
     ANCHOR_TURN = 22  # rad, what the keyframe's own picture adds to every turn from it
     ANCHOR_TERRAIN = 23  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe

@@ -148,12 +148,21 @@ class Drag:
     t_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class Misled:
+    """The ways that pictures told since then were not the aircraft's, and no fix had said so."""
+
+    t_s: float
+    since_s: float
+
+
 Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked
-Event = Told | NewKeyframe | LateFix | Drag  # the others are the filter's own
+Event = Told | NewKeyframe | LateFix | Drag | Misled  # the others are the filter's own
 
 # Order of events at the same time; clones are last, so that they copy what others left.
 _ORDER: tuple[type[Event], ...] = (
-    Untracked, LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed,
+    Misled, Untracked, LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe,
+    Exposed,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 

@@ -9,7 +9,12 @@ from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.drag import apply_drag
 from vwnav.estimation.kalman import Innovation, Verdict
-from vwnav.estimation.odometry import apply_displacement, apply_keyframe, apply_untracked
+from vwnav.estimation.odometry import (
+    apply_displacement,
+    apply_keyframe,
+    apply_misled,
+    apply_untracked,
+)
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, States
 from vwnav.estimation.timeline import (
@@ -18,6 +23,7 @@ from vwnav.estimation.timeline import (
     Event,
     Exposed,
     LateFix,
+    Misled,
     NedFix,
     NewKeyframe,
     Untracked,
@@ -52,6 +58,8 @@ def _corrected(
             return apply_exposure(state, attitudes), Innovation(Verdict.FUSED)
         case Untracked():
             return apply_untracked(state, config), Innovation(Verdict.FUSED)
+        case Misled():
+            return apply_misled(state, event, config), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
