@@ -253,15 +253,13 @@ class Ekf:
     def _take_ways_back(self) -> None:
         """Ways contradict the IMU: those in the history go, and what older ones have taught.
 
-        The older ones were right where a map fix has agreed with them.
+        Not where a map fix had agreed with them: then the older ones were right.
         """
         assert self._timeline is not None
-        newest = self._timeline.newest
+        newest, believed_s = self._timeline.newest, self._odometry_gate.believed_s
         self._timeline.leave_out(Displacement, NedFix)
-        fixed_s = -math.inf if newest.t_last_fix_s is None else newest.t_last_fix_s
-        since_s = max(self._odometry_gate.believed_s, fixed_s, newest.t_s - _MISLED_S)
-        if newest.t_s - since_s > self._config.history_s:
-            self._insert(Misled(newest.t_s, since_s))
+        if newest.t_last_fix_s is None or newest.t_last_fix_s < believed_s:
+            self._insert(Misled(newest.t_s, max(believed_s, newest.t_s - _MISLED_S)))
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:
         """Insert it, or only ask what would become of it while none is believed."""
