@@ -1,5 +1,6 @@
 """Old flights leave before the disk is full; the present one and what vwnav did not name stay."""
 
+import os
 import time
 from datetime import datetime
 
@@ -59,6 +60,19 @@ def test_recording_stops_where_nothing_more_can_be_removed(runs):
     assert left(runs) == ["fly-20260103-120000"]
     with pytest.raises(VwnavError, match="flights take more than"):
         budget(runs, 50).keep(1.0)
+
+
+def test_a_file_that_is_renamed_while_it_is_counted_ends_no_recording(runs, monkeypatch):
+    """`trajectory.csv.part` becomes `trajectory.csv`, a successor's log is removed, ..."""
+    walk = os.walk
+
+    def listed_before(folder):
+        for path, folders, names in walk(folder):
+            yield path, folders, [*names, "trajectory.csv.part"]
+
+    monkeypatch.setattr(os, "walk", listed_before)
+    assert budget(runs, 400).make_room() == []
+    budget(runs, 400).keep(0.0)
 
 
 def test_beside_a_folder_that_was_named_nothing_is_removed(runs):

@@ -44,7 +44,6 @@ from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
 from vwnav.watchdog.priority import go_first
 
-DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 FIRST_STATE_S = 5.0
 WORTH_SAYING_S = 10.0  # of simulated time that stood still
 MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it

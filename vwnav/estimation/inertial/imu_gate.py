@@ -107,6 +107,7 @@ class ImuGate:
         if self.lost or off_m_s2 < _UNEXPLAINED_M_S2 or not (proved and placed):
             return False
         self._off_m_s2, self._off_s, self.lost = off_m_s2, t_s, True
+        self._unexplained_m_s2 = 0.0  # no drag is compared until it is believed again
         self._imu.forget()
         return True
 

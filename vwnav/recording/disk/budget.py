@@ -1,5 +1,6 @@
 """How much of the disk recordings may take: the oldest flights leave first."""
 
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -100,8 +101,16 @@ class DiskBudget:
 
     def _taken_bytes(self) -> int:
         return sum(
-            path.lstat().st_size
+            _bytes_of(Path(folder) / name)
             for flight in self._flights()
-            for path in flight.rglob("*")
-            if path.is_file()
+            for folder, _, names in os.walk(flight)
+            for name in names
         )
+
+
+def _bytes_of(path: Path) -> int:
+    """Of a file; one that has been renamed or removed meanwhile takes nothing."""
+    try:
+        return path.lstat().st_size
+    except FileNotFoundError:
+        return 0

@@ -36,6 +36,7 @@ QUICK = {
     "one attitude level and facing north",
     "attitude 0.3 s late",
     "IMU turns on its side in flight",
+    "accelerometer 3 m/s^2 off to the right",
     "camera mounted upside down",
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",

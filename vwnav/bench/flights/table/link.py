@@ -25,12 +25,11 @@ def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = 
     """A cut of 1 s and less is flown on after; a longer one ends in a landing.
 
     Near by, where the map shows enough after the cut to say anew where it is. Else it comes down as
-    the wind has it, and only its speed is bounded: after 30 s it is too low for the map, after 10 s
-    of a climb to 26 m too, and where it was coming down already it is from the first second on.
+    the wind has it, and only its speed is bounded: after 30 s it is too low for the map, and so it
+    is from the first second on where it was coming down already.
     """
     short = seconds <= 1.0
-    low = (start is DESCEND and phase is None) or (start is CLIMB and seconds >= 10.0)
-    blind = seconds > 10.0 or low
+    blind = seconds > 10.0 or (start is DESCEND and phase is None)
     at_s = {Phase.ROUTE: BREAKS_AT_S, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
     return Scenario(
         name=f"link cut for {seconds:g} s {where}",
