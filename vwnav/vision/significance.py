@@ -72,7 +72,8 @@ def _chance(H_map_view: Array, uv_view: Array, uv_map: Array, threshold_px: floa
     # A wider circle counts more pairs; the area brings it back.
     radius_px = 4.0 * threshold_px
     # Axis by axis: sums of two over a last axis take eight times as long.
-    du, dv = (mapped[:, None, axis] - uv_map[:, axis] for axis in (0, 1))
+    du = mapped[:, None, 0] - uv_map[:, 0]
+    dv = mapped[:, None, 1] - uv_map[:, 1]
     near = np.count_nonzero(du**2 + dv**2 <= radius_px**2)
     own = np.count_nonzero(np.sum((mapped - uv_map[::step]) ** 2, axis=1) <= radius_px**2)
     others = len(mapped) * (len(uv_map) - 1)
