@@ -1,12 +1,13 @@
 """Settings: one schema, clear complaints, and a file that reads back as it was."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.config import Config, load_config, save_config
+from vwnav.config import Config, load_config, save_config, with_features
 from vwnav.errors import ConfigError
 
 
@@ -31,6 +32,8 @@ def test_any_value_survives_the_file(tmp_path_factory, value):
         ("[pipelin]\nx = 1", "did you mean 'pipeline'"),
         ("[limits]\nclimb_m_s = 'fast'", "limits.climb_m_s"),
         ("[limits]\nclimb_m_s = nan", "limits.climb_m_s"),
+        ("[features]\nname = 'surf'", "features.name"),
+        ("[features]\nthreads = 0", "one thread or more"),
         ("[flight", "not TOML"),
     ],
 )
@@ -53,3 +56,12 @@ def test_a_missing_file_is_refused(tmp_path):
 def test_the_environment_does_not_change_settings(monkeypatch):
     monkeypatch.setenv("LIMITS", '{"climb_m_s": 99}')
     assert Config().limits.climb_m_s != 99
+
+
+def test_the_command_line_goes_before_the_settings_of_the_features():
+    config = Config(features={"model": "nano", "threads": 2})
+    assert with_features(config, None, None) == config
+    sift = with_features(config, "sift", Path("default_int8")).features
+    assert (sift.name, sift.model, sift.threads) == ("sift", "default_int8", 2)
+    with pytest.raises(ConfigError, match="choose one of learned, sift, orb"):
+        with_features(config, "surf", None)

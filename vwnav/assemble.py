@@ -19,6 +19,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
 from vwnav.types import FeatureExtractor, PointKind
+from vwnav.vision.config import FeaturesConfig
 from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
 from vwnav.vision.odometry.odometry import Odometry
@@ -40,17 +41,17 @@ class Assembled:
 
 
 def choose_features(
-    name: str, model: Path | None, say: Callable[[str], None]
+    config: FeaturesConfig, say: Callable[[str], None]
 ) -> tuple[FeatureExtractor, FeatureExtractor | None]:
     """The wanted extractor, and the one that stands in for it when it fails in flight.
 
     Learned features that cannot be loaded are replaced by SIFT, and it is said.
     """
-    if name != "learned":
-        return load_features(name), None
+    if config.name != "learned":
+        return load_features(config.name), None
     sift = load_features("sift")
     try:
-        return load_features("learned", model), sift
+        return load_features("learned", Path(config.model), threads=config.threads), sift
     except ModelError as error:
         say(f"learned features are not available, flying on SIFT: {error}")
         return sift, None
@@ -59,8 +60,6 @@ def choose_features(
 def assemble(
     pack: MapPack,
     camera: Camera,
-    features: str,
-    model: Path | None,
     local_frame: LocalFrame,
     config: Config,
     executor: Executor,
@@ -72,7 +71,7 @@ def assemble(
     Raises:
         ModelError: the pack's features were made by another model.
     """
-    primary, fallback = choose_features(features, model, say)
+    primary, fallback = choose_features(config.features, say)
     return assemble_with(
         primary, fallback, pack, camera, local_frame, config, executor, say, make_ekf
     )

@@ -2,7 +2,7 @@
 
 import difflib
 import tomllib
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import tomli_w
@@ -17,7 +17,8 @@ from vwnav.recording.disk.budget import RecordingConfig
 from vwnav.safety.estimate_guard import EstimateLimits
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.seams import PipelineConfig
-from vwnav.vision.config import LocalizerConfig, OdometryConfig
+from vwnav.types import FEATURE_NAMES
+from vwnav.vision.config import FeaturesConfig, LocalizerConfig, OdometryConfig
 
 
 class Config(BaseSettings):
@@ -25,6 +26,7 @@ class Config(BaseSettings):
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    features: FeaturesConfig = FeaturesConfig()
     pipeline: PipelineConfig = PipelineConfig()
     localizer: LocalizerConfig = LocalizerConfig()
     odometry: OdometryConfig = OdometryConfig()
@@ -66,6 +68,23 @@ def load_config(path: Path | None) -> Config:
         return Config(**content)
     except ValidationError as error:
         raise ConfigError(f"settings {path}: {explain(error)}") from error
+
+
+def with_features(config: Config, name: str | None, model: Path | None) -> Config:
+    """The settings with what the command line says of the features, where it says anything.
+
+    Raises:
+        ConfigError: there are no features of that name.
+    """
+    chosen = config.features
+    if name is not None:
+        known = [each for each in FEATURE_NAMES if each == name]
+        if not known:
+            raise ConfigError(f"no features {name!r}: choose one of {', '.join(FEATURE_NAMES)}")
+        chosen = replace(chosen, name=known[0])
+    if model is not None:
+        chosen = replace(chosen, model=str(model))
+    return config.model_copy(update={"features": chosen})
 
 
 def save_config(config: Config, path: Path) -> None:

@@ -1,7 +1,7 @@
 """What runs inside the emulated tree: one part of the program, its result as a line of JSON.
 
-FOLDER/python tests/arm/aboard.py imports | features PICTURE OUT MODEL... | recorder FOLDER |
-                                  watchdog URL
+FOLDER/python tests/arm/aboard.py imports | features PICTURE OUT MODEL... | flight FOLDER MODEL |
+                                  recorder FOLDER | watchdog URL
 """
 
 import importlib
@@ -44,6 +44,51 @@ def features(picture: str, out: str, *models: str) -> dict[str, Any]:
     return {"extraction_s": seconds}
 
 
+def flight(folder: str, model: str) -> dict[str, Any]:
+    """A flight's pictures through the pipeline, from where it is known to be."""
+    import cv2
+    import numpy as np
+
+    from vwnav.assemble import assemble
+    from vwnav.cameras.video_file import VideoFile
+    from vwnav.config import Config, with_features
+    from vwnav.estimation.states import Start
+    from vwnav.geometry.calibration import load_camera
+    from vwnav.geometry.geodesy import LocalFrame
+    from vwnav.maps.pack import MapPack
+    from vwnav.pipeline import InlineExecutor
+    from vwnav.recording.telemetry_files import load_telemetry
+    from vwnav.types import MapFix, Rejected
+
+    cv2.setNumThreads(1)
+    place, start = Path(folder), json.loads((Path(folder) / "start.json").read_text())
+    rows: list[tuple[float, float, str, int]] = []
+
+    def status(outcome: MapFix | Rejected) -> str:
+        return "fix" if isinstance(outcome, MapFix) else outcome.reason.name
+
+    with MapPack.open(place / "map.mbtiles") as pack:
+        assembled = assemble(
+            pack, load_camera(place / "camera.toml"), LocalFrame(*start["origin"]),
+            with_features(Config(), "learned", Path(model)), InlineExecutor(), print,
+        )  # fmt: skip
+        known = start["known"] | {"position_ned_m": np.array(start["known"]["position_ned_m"])}
+        assembled.ekf.initialise(Start(t_s=0.0, **known))
+        told = load_telemetry(place / "telemetry.csv").measurements(0.0)
+        video = VideoFile(place / "flight.mkv")
+        while (frame := video.next_frame()) is not None:
+            # One row of telemetry after the picture: its attitude is known.
+            while told and (told[0].t_s <= frame.t_s or not assembled.pipeline.covers(frame.t_s)):
+                assembled.pipeline.feed(told.pop(0))
+            step = assembled.pipeline.step(frame)
+            assert step.estimate is not None
+            north_m, east_m, _ = step.estimate.position_ned_m
+            found = step.outcome
+            rows.append((float(north_m), float(east_m), status(found), found.stats.inliers))
+        video.close()
+    return {"rows": rows, "cpu_s": round(time.process_time(), 1)}
+
+
 def recorder(folder: str) -> dict[str, Any]:
     """A recording, written and read back."""
     import numpy as np
@@ -80,7 +125,7 @@ def watchdog(url: str) -> dict[str, Any]:
 
 
 PARTS: dict[str, Callable[..., dict[str, Any]]] = {
-    part.__name__: part for part in (imports, features, recorder, watchdog)
+    part.__name__: part for part in (imports, features, flight, recorder, watchdog)
 }
 
 if __name__ == "__main__":

@@ -18,7 +18,9 @@ def fly(
         False, "--arm", help="Arm by itself once ready; else a person arms a real aircraft."
     ),
     standby: bool = typer.Option(False, "--standby", hidden=True),
-    features: str = typer.Option("learned", help="learned, sift or orb."),
+    features: str | None = typer.Option(
+        None, help="learned, sift or orb; else as --config says, else learned."
+    ),
     map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
     route: Path | None = typer.Option(None, help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text."),
     route_frame: str = typer.Option(

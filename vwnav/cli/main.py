@@ -5,13 +5,15 @@ import sys
 import typer
 
 from vwnav import __version__
-from vwnav.cli import bench, doctor, flighttest, fly, localize, replay
+from vwnav.cli import doctor, flighttest, fly, localize, replay
 from vwnav.cli import map as map_commands
-from vwnav.cli.bench_estimator import estimator
-from vwnav.cli.bench_flights import flights
-from vwnav.cli.bench_localizer import localizer
-from vwnav.cli.bench_significance import significance
-from vwnav.cli.bench_waypoints import waypoints
+from vwnav.cli.bench.estimator import estimator
+from vwnav.cli.bench.features import drift, features
+from vwnav.cli.bench.flights import flights
+from vwnav.cli.bench.localizer import localizer
+from vwnav.cli.bench.significance import significance
+from vwnav.cli.bench.speed import speed
+from vwnav.cli.bench.waypoints import waypoints
 from vwnav.cli.camera import calibrate, look
 from vwnav.errors import PreflightError, VwnavError
 
@@ -41,9 +43,10 @@ for measure in (
     flights,
     localizer,
     significance,
+    speed,
     waypoints,
-    bench.features,
-    bench.drift,
+    features,
+    drift,
 ):
     benches.command()(measure)
 app.add_typer(benches, name="bench", rich_help_panel="At the workstation")

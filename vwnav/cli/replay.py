@@ -11,7 +11,9 @@ def replay(
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
     hfov_deg: float | None = typer.Option(None, help="Horizontal field of view instead of it."),
     telemetry: Path | None = typer.Option(None, help="Attitude and height: CSV, ULog or tlog."),
-    features: str = typer.Option("learned", help="learned, sift or orb."),
+    features: str | None = typer.Option(
+        None, help="learned, sift or orb; else as --config says, else learned."
+    ),
     model: Path | None = typer.Option(
         None, help="Learned features of another size (nano) or ONNX file."
     ),

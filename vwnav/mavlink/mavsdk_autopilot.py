@@ -10,8 +10,8 @@ from vwnav.mavlink.ports.mavsdk_port import MavlinkPort
 from vwnav.vehicle import Finding
 
 _FIRST_HEARTBEAT_S = 5.0
-_FINDINGS_WAIT_S = 5.0
 _STEP_S = 0.02
+_FINDINGS_STEPS = 250  # 5 s; longer where the machine is slow at steps, for each asks one question
 
 
 class MavsdkAutopilot(LinkedAutopilot):
@@ -58,8 +58,7 @@ def wait_for_findings(autopilot: LinkedAutopilot) -> tuple[Finding, ...]:
     Raises:
         LinkError: the autopilot answers no question for a parameter.
     """
-    until_s = time.monotonic() + _FINDINGS_WAIT_S
-    while time.monotonic() < until_s:
+    for _ in range(_FINDINGS_STEPS):
         autopilot.step(time.monotonic())
         if autopilot.findings is not None:
             return autopilot.findings

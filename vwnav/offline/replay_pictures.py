@@ -9,7 +9,7 @@ import cv2
 
 from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.cameras.sources import open_source
-from vwnav.config import load_config, save_config
+from vwnav.config import load_config, save_config, with_features
 from vwnav.errors import SourceError, VwnavError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import Camera, check_fits
@@ -36,7 +36,7 @@ def replay_source(options: ReplayOptions) -> None:
         VwnavError: anything a person can mend; also when no picture was located.
     """
     cv2.setNumThreads(1)  # the same recording gives the same trajectory
-    config = load_config(options.config_path)
+    config = with_features(load_config(options.config_path), options.features, options.model)
     with MapPack.open(options.map_path) as pack:
         log = load_telemetry(options.telemetry) if options.telemetry else None
         source = open_source(options.source)
@@ -54,8 +54,6 @@ def replay_source(options: ReplayOptions) -> None:
             assembled = assemble(
                 pack,
                 camera,
-                options.features,
-                options.model,
                 local_frame,
                 config,
                 InlineExecutor(),
@@ -63,7 +61,7 @@ def replay_source(options: ReplayOptions) -> None:
             )
             folder = make_run_folder(options.output, "replay")
             save_config(config, folder / "config.toml")
-            about = about_run(assembled, options.features, "center" if alone else "nadir")
+            about = about_run(assembled, config.features.name, "center" if alone else "nadir")
             settings = config.model_dump(mode="json")
             with closing(Recorder(folder / "flight.mcap", settings)) as recorder:
                 input_log = InputLog(recorder, about)

@@ -24,7 +24,7 @@ class ReplayOptions:
     camera: Path | None
     hfov_deg: float | None
     telemetry: Path | None
-    features: str
+    features: str | None
     model: Path | None
     config_path: Path | None
     output: Path | None
@@ -35,7 +35,7 @@ class ReplayOptions:
         asked = (self.camera, self.hfov_deg, self.telemetry, self.model, self.config_path)
         return (
             Path(self.source).suffix == ".mcap"
-            and self.features == "learned"
+            and self.features in (None, "learned")
             and all(option is None for option in asked)
         )
 

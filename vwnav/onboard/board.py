@@ -35,13 +35,18 @@ def check_board(folder: Path, root: Path = Path("/")) -> Iterator[Check]:
         folder: where recordings go.
         root: above `sys` and `run`.
     """
+    yield from check_power_and_heat(root)
+    yield _clock(root)
+    yield _free_disk(folder)
+    yield _disk_speed(folder)
+
+
+def check_power_and_heat(root: Path = Path("/")) -> Iterator[Check]:
+    """What makes it slower than it is: supply, cooling."""
     flags = _throttled_flags(root)
     yield _voltage(flags)
     yield _throttling(flags)
     yield _temperature(root)
-    yield _clock(root)
-    yield _free_disk(folder)
-    yield _disk_speed(folder)
 
 
 def _throttled_flags(root: Path) -> int | None:

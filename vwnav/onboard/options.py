@@ -15,7 +15,7 @@ class FlyOptions:
     realtime: bool
     arm: bool
     standby: bool
-    features: str
+    features: str | None
     map_source: str | None
     route: Path | None
     route_frame: str

@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from vwnav.assemble import choose_features
-from vwnav.config import load_config
+from vwnav.config import Config, load_config, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
@@ -28,11 +28,11 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
         VwnavError: a file that cannot be used.
         PreflightError: the map does not cover the route.
     """
-    config = load_config(options.config_path)
+    config = with_features(load_config(options.config_path), options.features, options.model)
     assert options.route is not None
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
     camera = load_camera(options.camera) if options.camera else default_camera()
-    pack = stack.enter_context(MapPack.open(_map_path(options)))
+    pack = stack.enter_context(MapPack.open(_map_path(options, config)))
     home = parse_lat_lon(options.home) if options.home else route.home
     if home is None and options.sim:
         site = parse_site(options.video or DEFAULT_SITE)
@@ -49,11 +49,11 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     return plan
 
 
-def _map_path(options: FlyOptions) -> Path:
+def _map_path(options: FlyOptions, config: Config) -> Path:
     text = str(options.map_source)
     if not is_site(text):
         return Path(text)
-    primary, fallback = choose_features(options.features, options.model, say)
+    primary, fallback = choose_features(config.features, say)
     return map_pack_of(text, [primary, *([fallback] if fallback else [])])
 
 

@@ -140,13 +140,10 @@ def _fly(
 ) -> None:
     pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
     executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
-    assembled = assemble(
-        plan.pack, plan.camera, options.features, options.model, plan.local_frame, plan.config,
-        executor, say,
-    )  # fmt: skip
+    assembled = assemble(plan.pack, plan.camera, plan.local_frame, plan.config, executor, say)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
-    about = about_run(assembled, options.features, "nadir")
+    about = about_run(assembled, plan.config.features.name, "nadir")
     record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock, budget)
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)

@@ -91,10 +91,7 @@ def stand_by(options: FlyOptions) -> None:
     with ExitStack() as stack:
         plan = plan_flight(options, stack)
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
-        assembled = assemble(
-            plan.pack, plan.camera, options.features, options.model, plan.local_frame,
-            plan.config, executor, say,
-        )  # fmt: skip
+        assembled = assemble(plan.pack, plan.camera, plan.local_frame, plan.config, executor, say)
         _warm(assembled, plan.camera)
         renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()
@@ -126,8 +123,8 @@ def _succeed(
     source = open_camera(options, plan, renderer, truth, clock, stack, handover.height_m)
     folder = make_run_folder(options.output, "fly")
     record = FlightRecord(
-        folder, about_run(assembled, options.features, "nadir"), plan.pack, plan.config, truth,
-        clock,
+        folder, about_run(assembled, plan.config.features.name, "nadir"), plan.pack, plan.config,
+        truth, clock,
     )  # fmt: skip
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)

@@ -1,7 +1,28 @@
-"""Settings of the localizer and of visual odometry."""
+"""Settings of the features, of the localizer and of visual odometry."""
 
 import math
 from dataclasses import dataclass
+
+from vwnav.types import FeatureName
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeaturesConfig:
+    """What looks at pictures, where the command line says nothing else.
+
+    Attributes:
+        name: of the feature set.
+        model: of the learned ones: a released name, or an ONNX file.
+        threads: cores that one extraction by a model may use; the features are the same.
+    """
+
+    name: FeatureName = "learned"
+    model: str = "default"
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        if self.threads < 1:
+            raise ValueError(f"expected one thread or more, got {self.threads}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

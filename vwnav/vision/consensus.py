@@ -257,7 +257,9 @@ def _peaks(centers: Complex) -> list[complex]:
 
 
 def _median(z: Complex) -> complex:
-    return complex(np.median(z.real), np.median(z.imag))
+    """Of either part; sorted, which is faster than np.median."""
+    ranked, n = np.sort([z.real, z.imag], axis=1), len(z)
+    return complex(*(ranked[:, (n - 1) // 2] + ranked[:, n // 2]) / 2.0)
 
 
 def _refine(

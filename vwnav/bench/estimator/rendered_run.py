@@ -17,7 +17,7 @@ from vwnav.bench.estimator.rendered_errors import with_errors
 from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
 from vwnav.bench.estimator.run import START_SIGMA_M, against
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
-from vwnav.config import Config
+from vwnav.config import Config, with_features
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf
@@ -136,12 +136,13 @@ def fly_rendered(
     cv2.setNumThreads(1)  # the same flight gives the same trajectory
     clock = SimulatedClock()
     local_frame = LocalFrame(flight.site.home_lat_deg, flight.site.home_lon_deg, 0.0)
-    primary, fallback = choose_features(features, None, say)
+    config = _config(most_fixes, features)
+    primary, fallback = choose_features(config.features, say)
     extractors = [primary, *([fallback] if fallback else [])]
     with MapPack.open(map_pack_of(f"sim:{flight.site.seed}", extractors)) as pack:
         assembled = assemble(
-            pack, default_camera(), features, None, local_frame, _config(most_fixes),
-            _executor(flight, clock), say, partial(HeardEkf, clock=clock),
+            pack, default_camera(), local_frame, config, _executor(flight, clock), say,
+            partial(HeardEkf, clock=clock),
         )  # fmt: skip
         ekf = assembled.ekf
         assert isinstance(ekf, HeardEkf)
@@ -152,8 +153,8 @@ def fly_rendered(
     return _flown(flight, ekf, done)
 
 
-def _config(most_fixes: int) -> Config:
-    config = Config()
+def _config(most_fixes: int, features: FeatureName) -> Config:
+    config = with_features(Config(), features, None)
     asked = replace(config.pipeline, most_fixes=most_fixes)
     return config.model_copy(update={"pipeline": asked})
 

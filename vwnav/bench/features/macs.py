@@ -10,20 +10,20 @@ from vwnav.errors import ConfigError
 if TYPE_CHECKING:
     import onnx
 
-SIZE_WH = (640, 480)  # the picture that operations are counted for
+SIZE_WH = (640, 480)  # the picture that operations are counted for, unless another is named
 _COUNTED = ("Conv", "Gemm", "MatMul")
 _FLOAT = 1  # onnx.TensorProto.FLOAT
 
 
 @dataclass(frozen=True, slots=True)
 class GraphCost:
-    """Attributes: numbers of learned values, and of multiply-accumulates on a 640 x 480 picture."""
+    """Attributes: numbers of learned values, and of multiply-accumulates on a picture."""
 
     parameters: int
     macs: int
 
 
-def graph_cost(graph: bytes) -> GraphCost:
+def graph_cost(graph: bytes, size_wh: tuple[int, int] = SIZE_WH) -> GraphCost:
     """Count convolutions and matrix products; everything else is not worth the mention.
 
     Shapes are those of a real run, so whatever the exporter left dynamic is known.
@@ -49,7 +49,7 @@ def graph_cost(graph: bytes) -> GraphCost:
         return weights.get(name)
 
     wanted = [name for node in nodes for name in (*node.input[:2], *node.output)]
-    shapes = _measured(model, [name for name in wanted if stored(name) is None])
+    shapes = _measured(model, [name for name in wanted if stored(name) is None], size_wh)
     shapes |= {name: shape for name in wanted if (shape := stored(name)) is not None}
     parameters = {name: stored(name) for node in nodes for name in node.input[1:]}
     return GraphCost(
@@ -58,7 +58,9 @@ def graph_cost(graph: bytes) -> GraphCost:
     )
 
 
-def _measured(model: "onnx.ModelProto", names: list[str]) -> dict[str, tuple[int, ...]]:
+def _measured(
+    model: "onnx.ModelProto", names: list[str], size_wh: tuple[int, int]
+) -> dict[str, tuple[int, ...]]:
     """Shapes of intermediate values, from one run."""
     import onnx
     import onnxruntime
@@ -78,14 +80,14 @@ def _measured(model: "onnx.ModelProto", names: list[str]) -> dict[str, tuple[int
     session = onnxruntime.InferenceSession(
         probed.SerializeToString(), options, providers=["CPUExecutionProvider"]
     )
-    feed = _feed(session)
+    feed = _feed(session, size_wh)
     results = dict(zip(values, session.run(values, feed), strict=True)) | feed
     return {name: result.shape for name, result in results.items()}
 
 
-def _feed(session: Any) -> dict[str, Any]:
+def _feed(session: Any, size_wh: tuple[int, int]) -> dict[str, Any]:
     """A picture of noise for the 4-D input, and a budget for the other."""
-    w, h = SIZE_WH
+    w, h = size_wh
     noise = np.random.default_rng(0).integers(0, 255, (1, 1, h, w))
     return {
         value.name: noise.astype(np.uint8 if "uint8" in value.type else np.float32)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vwnav.assemble import assemble
 from vwnav.bench.features.scenes import generator
 from vwnav.cameras.video_file import VideoFile
-from vwnav.config import Config
+from vwnav.config import Config, with_features
 from vwnav.errors import ConfigError
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
@@ -196,12 +196,10 @@ def _run(
     h, w = film.gray[0].shape
     south, west, north, east = pack.bounds
     frame = LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
-    config = Config()
+    config = with_features(Config(), "learned", model)
     config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})
     camera = Camera.from_hfov(w, h, HFOV_DEG)
-    assembled = assemble(
-        pack, camera, "learned", model, frame, config, InlineExecutor(), lambda _: None
-    )
+    assembled = assemble(pack, camera, frame, config, InlineExecutor(), lambda _: None)
     t_s = np.abs(film.t_s[chosen] - film.t_s[chosen[0]])
     dark = (t_s >= t_s[-1] / 2.0) & (t_s < t_s[-1] / 2.0 + BLACK_S)
     at, errors_m, sigmas_m, fixed_s, fix_errors_m = [], [], [], [], []

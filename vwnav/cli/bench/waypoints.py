@@ -95,9 +95,10 @@ def _place(site: str, features: "FeatureName") -> "Place":
     from vwnav.screen import say
     from vwnav.sim.renderer import default_camera
     from vwnav.sim.sites import parse_site
+    from vwnav.vision.config import FeaturesConfig
 
     cv2.setNumThreads(1)
-    primary, fallback = choose_features(features, None, say)
+    primary, fallback = choose_features(FeaturesConfig(name=features), say)
     if primary.name != features:
         raise ModelError(f"{features} features are not available")
     pack = map_pack_of(site, [primary, *([fallback] if fallback else [])])

@@ -107,8 +107,9 @@ def _place(site: str) -> "Place":
     from vwnav.screen import say
     from vwnav.sim.renderer import default_camera
     from vwnav.sim.sites import parse_site
+    from vwnav.vision.config import FeaturesConfig
 
-    primary, fallback = choose_features("learned", None, say)
+    primary, fallback = choose_features(FeaturesConfig(), say)
     if fallback is None:
         raise VwnavError("learned features are not available: flights of them cannot be measured")
     pack = map_pack_of(site, [primary, fallback])

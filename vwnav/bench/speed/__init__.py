@@ -1,0 +1,1 @@
+"""How fast a board is: every setting measured, one chosen, written as `fly` takes it."""
