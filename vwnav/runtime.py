@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from vwnav.clock import Clock
+from vwnav.errors import LinkError
 from vwnav.flight import GONE_S, Flight
 from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import Pipeline
@@ -37,6 +38,7 @@ LINK_HZ = 50.0
 TICK_HZ = 20.0
 HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
 _LINK_FAILS_S = 1.0
+_MOST_TICKS_ALONE = 40  # of the mission, two seconds, while the link's loop does not come round
 SILENT_S = 1.1  # of telemetry: a gap of a second is bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
@@ -68,7 +70,8 @@ class FlightRuntime:
     picture or a camera that fails is a missing picture, a link step that fails is tried again, and
     when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
     estimates go on until the motors stop. Where the link's steps fail on and on, no estimate goes
-    out: the program ends, the watchdog lands the aircraft, and its successor gives estimates.
+    out: the program ends, the watchdog lands the aircraft, and its successor gives estimates. Where
+    they hang, the mission breaks: the watchdog ends who neither beats nor tells a place.
     """
 
     def __init__(
@@ -94,7 +97,7 @@ class FlightRuntime:
         self._heard_s: float | None = None
         self._held_back_since_s = -math.inf
         self._link_fails_since_s: float | None = None
-        self._link_broke = False
+        self._link_broke, self._ticks_alone = False, 0
         self._said: set[str] = set()
         self._stop = threading.Event()
         self._failure: Exception | None = None
@@ -115,6 +118,7 @@ class FlightRuntime:
         Raises:
             Exception: what broke it, once no step has worked for a second.
         """
+        self._ticks_alone = 0
         try:
             self._exchange(t_s)
         except Exception as error:
@@ -168,7 +172,14 @@ class FlightRuntime:
             self._guard.lose("the watchdog does not hand it on", t_s)
 
     def step_control(self, t_s: float) -> None:
-        """One tick of the mission."""
+        """One tick of the mission.
+
+        Raises:
+            LinkError: the link's loop hangs: what there is to fly on is old.
+        """
+        self._ticks_alone += 1
+        if self._ticks_alone > _MOST_TICKS_ALONE:
+            raise LinkError("the loop of the link hangs")
         navigation = self.navigation
         self._flight.tick(t_s, navigation)
         vehicle = self._autopilot.state()
