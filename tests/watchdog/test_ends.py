@@ -85,6 +85,22 @@ def test_a_navigator_that_is_stopped_is_ended_once_it_lands_and_its_successor_te
         assert [m for m in flying.peer.of("STATUSTEXT", stopped_s) if "second one" in m.text]
 
 
+def test_when_the_whole_machine_slept_the_navigator_is_not_ended_for_it(tmp_path):
+    """Suspended, frozen, starved: the watchdog that wakes first has heard nothing for long."""
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes)]) as flying:
+        wait_for(lambda: notes.exists())
+        flying.signal(signal.SIGSTOP)
+        os.kill(flying.watchdog, signal.SIGSTOP)
+        time.sleep(6.0)
+        os.kill(flying.watchdog, signal.SIGCONT)
+        time.sleep(1.5)
+        assert flying.process.poll() is None
+        flying.signal(signal.SIGCONT)
+        time.sleep(4.0)
+        assert flying.process.poll() is None
+
+
 def test_a_successor_that_hangs_is_ended_and_another_one_started(tmp_path):
     notes = tmp_path / "notes"
     with flight([sys.executable, str(HERE / "successor.py"), str(notes), "stops"]) as flying:

@@ -89,7 +89,7 @@ HANGS = [
         breaks=(Break(fault=computer.LoopHangs("mission"), at_s=BREAKS_AT_S),),
         limit_s=80.0,
         follows=TAKEN_OVER,
-        lands_within_m=20.0,
+        lands_within_m=25.0,
     ),
     Scenario(
         name="the loop of the pictures hangs",
