@@ -10,6 +10,7 @@ import pytest
 from vehicles import FLYING
 
 from vwnav.clock import WallClock
+from vwnav.errors import LinkError, VwnavError
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
@@ -42,8 +43,11 @@ class Link:
     sent_s: list = field(default_factory=list)
     steps: int = 0
     broken_steps: int = 0
+    hangs: bool = False
 
     def step(self, t_s):
+        if self.hangs:
+            threading.Event().wait()
         self.steps += 1
         if self.steps <= self.broken_steps:
             raise OSError("link")
@@ -119,6 +123,7 @@ class Mission:
     ticks: int = 8
     end: FlightEnd | None = None
     error: Exception | None = None
+    hangs: bool = False
     phase: Phase = Phase.ROUTE
     navigation: list = field(default_factory=list)
 
@@ -127,6 +132,8 @@ class Mission:
         self.navigation.append(navigation)
         if self.error is not None:
             raise self.error
+        if self.hangs:
+            threading.Event().wait()
         if self.ticks == 0:
             self.end = FlightEnd(None)
 
@@ -252,6 +259,24 @@ def test_what_breaks_the_mission_is_raised_once_it_is_down_and_estimates_go_on_t
         fly(mission=Mission(error=ZeroDivisionError()), link=link)
     assert time.monotonic() - began_s > 0.9
     assert link.steps > 30
+
+
+def test_a_mission_that_hangs_is_one_that_broke():
+    link = Link()
+    link.vehicle = FLYING
+    threading.Timer(4.0, lambda: setattr(link, "vehicle", STANDING)).start()
+    record = Record()
+    with pytest.raises(VwnavError, match="the loop of the mission hangs"):
+        fly(mission=Mission(hangs=True), link=link, record=record)
+    assert "the mission hangs: the watchdog lands the aircraft" in record.events
+    assert link.steps > 120  # estimates went on
+
+
+def test_a_link_that_hangs_breaks_the_mission_so_that_the_watchdog_acts():
+    mission = Mission(ticks=10_000)
+    with pytest.raises(LinkError, match="the loop of the link hangs"):
+        fly(mission=mission, link=Link(hangs=True))
+    assert 30 < len(mission.navigation) < 50
 
 
 def test_a_mission_that_breaks_beside_an_autopilot_that_is_gone_ends_too():

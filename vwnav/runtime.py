@@ -10,17 +10,17 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 from vwnav.clock import Clock
+from vwnav.errors import LinkError, VwnavError
 from vwnav.flight import GONE_S, Flight
 from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import Pipeline
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.seams import ATTITUDE_WAIT_S, StepResult
+from vwnav.safety.stall import Stall
+from vwnav.seams import ATTITUDE_WAIT_S, StepResult, Watcher
 from vwnav.types import (
-    Estimate,
     Frame,
     FrameSource,
     MapFix,
@@ -37,28 +37,13 @@ LINK_HZ = 50.0
 TICK_HZ = 20.0
 HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
 _LINK_FAILS_S = 1.0
+_HANGS_S = 2.0  # of one loop's turns while another one does not come round
 SILENT_S = 1.1  # of telemetry: a gap of a second is bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
 # What simulated time waits for (`vwnav.clock`), beside the beats of the loops:
 TELEMETRY_LATE_S = 0.1  # from the measurement of an attitude to the filter
 PICTURE_LATE_S = 0.07  # from a picture's arrival to the end of its step
-
-
-class Watcher(Protocol):
-    """Sees what happens, for the record and the screen. Called from the loops: must be quick."""
-
-    def saw_frame(self, frame: Frame, step: StepResult) -> None:
-        """A picture went through the pipeline."""
-        ...
-
-    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
-        """The mission ticked."""
-        ...
-
-    def event(self, text: str) -> None:
-        """Something worth a line."""
-        ...
 
 
 class FlightRuntime:
@@ -68,7 +53,9 @@ class FlightRuntime:
     picture or a camera that fails is a missing picture, a link step that fails is tried again, and
     when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
     estimates go on until the motors stop. Where the link's steps fail on and on, no estimate goes
-    out: the program ends, the watchdog lands the aircraft, and its successor gives estimates.
+    out: the program ends, the watchdog lands the aircraft, and its successor gives estimates. Where
+    they hang, the mission breaks: the watchdog ends who neither beats nor tells a place. A mission
+    that hangs is one that broke.
     """
 
     def __init__(
@@ -95,6 +82,9 @@ class FlightRuntime:
         self._held_back_since_s = -math.inf
         self._link_fails_since_s: float | None = None
         self._link_broke = False
+        self._turns, self._ticks = 0, 0
+        self._link_stall = Stall(round(_HANGS_S * TICK_HZ))
+        self._mission_stall = Stall(round(_HANGS_S * LINK_HZ))
         self._said: set[str] = set()
         self._stop = threading.Event()
         self._failure: Exception | None = None
@@ -115,6 +105,8 @@ class FlightRuntime:
         Raises:
             Exception: what broke it, once no step has worked for a second.
         """
+        self._turns += 1
+        self._notice_hung_mission()
         try:
             self._exchange(t_s)
         except Exception as error:
@@ -168,11 +160,25 @@ class FlightRuntime:
             self._guard.lose("the watchdog does not hand it on", t_s)
 
     def step_control(self, t_s: float) -> None:
-        """One tick of the mission."""
+        """One tick of the mission.
+
+        Raises:
+            LinkError: the link's loop hangs: what there is to fly on is old.
+        """
+        self._ticks += 1
+        if self._link_stall.look(self._turns):
+            raise LinkError("the loop of the link hangs")
         navigation = self.navigation
         self._flight.tick(t_s, navigation)
         vehicle = self._autopilot.state()
         self._watch(lambda: self._watcher.saw_tick(t_s, navigation.estimate, vehicle))
+
+    def _notice_hung_mission(self) -> None:
+        """One that waits for good is a broken one: told, and left when the motors have stopped."""
+        hangs = self._ticks > 0 and self._mission_stall.look(self._ticks)
+        if hangs and self._failure is None:
+            self._failure = VwnavError("the loop of the mission hangs")
+            self._event("the mission hangs: the watchdog lands the aircraft")
 
     def step_vision(self, frame: Frame) -> None:
         """One picture through the pipeline; one that breaks it is a picture that told nothing."""

@@ -1,9 +1,10 @@
-"""The pipeline's seams: its settings, what one step brings, and what it asks of its parts."""
+"""The pipeline's seams: its settings, what a step brings, asks of its parts, and shows."""
 
 from dataclasses import dataclass
 from typing import Protocol
 
 from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
+from vwnav.vehicle import VehicleState
 
 ATTITUDE_WAIT_S = 0.4  # a picture waits so long after its exposure for its attitude to come
 
@@ -63,4 +64,20 @@ class Tracking(Protocol):
         self, frame: Frame, R_ned_body: Array | None, agl_m: float
     ) -> OdometryMotion | Rejected:
         """Motion since the keyframe."""
+        ...
+
+
+class Watcher(Protocol):
+    """Sees what happens, for the record and the screen. Called from the loops: must be quick."""
+
+    def saw_frame(self, frame: Frame, step: StepResult) -> None:
+        """A picture went through the pipeline."""
+        ...
+
+    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
+        """The mission ticked."""
+        ...
+
+    def event(self, text: str) -> None:
+        """Something worth a line."""
         ...

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vwnav.onboard import service
-from vwnav.onboard.service import ServiceHandle
+from vwnav.onboard.service import ServiceHandle, ServiceManager
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 
@@ -54,7 +54,7 @@ def test_the_control_loops_beats_reach_systemd_once_a_second_and_with_each_phase
     monkeypatch.setattr(service, "monotonic", lambda: now_s[0])
     path, inner = str(tmp_path / "notify"), Handle()
     with listener(path) as channel:
-        handle = ServiceHandle(inner, {"NOTIFY_SOCKET": path})
+        handle = ServiceHandle(inner, ServiceManager({"NOTIFY_SOCKET": path}))
         assert heard(channel) == []  # not ready before the loop runs
         for _ in range(40):
             handle.beat(False, "getting ready")
@@ -73,13 +73,13 @@ def test_the_control_loops_beats_reach_systemd_once_a_second_and_with_each_phase
 def test_an_abstract_socket_is_found():
     name = f"vwnav test {os.getpid()}"
     with listener("\0" + name) as channel:
-        ServiceHandle(Handle(), {"NOTIFY_SOCKET": "@" + name}).beat(False, "x")
+        ServiceHandle(Handle(), ServiceManager({"NOTIFY_SOCKET": "@" + name})).beat(False, "x")
         assert len(heard(channel)) == 1
 
 
 def test_without_a_service_manager_nothing_is_told():
     inner = Handle()
-    handle = ServiceHandle(inner, {})
+    handle = ServiceHandle(inner, ServiceManager({}))
     handle.beat(True, "climbing")
     handle.end()
     assert inner.beats == [(True, "climbing")]

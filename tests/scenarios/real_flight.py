@@ -36,12 +36,14 @@ class RealFlight:
     """A flight under way.
 
     Attributes:
+        command: that started the navigator.
         process: of the navigator.
         folder: of its run.
         log: of what it says.
         truth: where the vehicle truly is.
     """
 
+    command: list[str]
     process: subprocess.Popen[bytes]
     folder: Path
     log: Path
@@ -81,6 +83,19 @@ class RealFlight:
 
     def fastest_m_s(self) -> float:
         return max(speed for _, _, speed in self._track)
+
+    @contextlib.contextmanager
+    def started_again(self, folder: Path) -> Iterator["RealFlight"]:
+        """The same command, by a service or a person, while the aircraft is where it is."""
+        command = [*self.command[:-1], str(folder / "run")]
+        folder.mkdir()
+        with (folder / "log").open("wb") as log:
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT)
+        try:
+            yield RealFlight(command, process, folder / "run", folder / "log", self.truth)
+        finally:
+            process.kill()
+            process.wait()
 
     def signal(self, number: signal.Signals) -> None:
         os.kill(self.process.pid, number)
@@ -157,7 +172,7 @@ def real_flight(
         )
         reader = TruthReader(f"udpout:127.0.0.1:{truth}")
         try:
-            yield RealFlight(process, folder / "run", folder / "log", reader)
+            yield RealFlight(command, process, folder / "run", folder / "log", reader)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 process.send_signal(signal.SIGCONT)

@@ -45,6 +45,19 @@ def take_measurements(self):
     return whole(self)
 autopilot.LinkedAutopilot.take_measurements = take_measurements
 """
+LINK_HANGS = """
+import signal
+import threading
+import vwnav.mavlink.autopilot as autopilot
+whole = autopilot.LinkedAutopilot.take_measurements
+hangs = threading.Event()
+signal.signal(signal.SIGUSR1, lambda *_: hangs.set())
+def take_measurements(self):
+    if hangs.is_set():
+        threading.Event().wait()
+    return whole(self)
+autopilot.LinkedAutopilot.take_measurements = take_measurements
+"""
 
 
 def test_a_navigator_that_is_killed_is_landed_and_a_second_one_tells_the_autopilot_where(tmp_path):
@@ -72,7 +85,9 @@ def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(
 
 
 @pytest.mark.long
-def test_a_navigator_that_sleeps_for_20_s_is_landed_and_does_not_fly_away_when_it_wakes(tmp_path):
+def test_a_navigator_that_sleeps_for_20_s_is_ended_and_landed_on_the_second_ones_estimates(
+    tmp_path,
+):
     with real_flight(tmp_path) as flight:
         flight.wait_until_on_route()
         flight.signal(signal.SIGSTOP)
@@ -81,7 +96,43 @@ def test_a_navigator_that_sleeps_for_20_s_is_landed_and_does_not_fly_away_when_i
         flight.signal(signal.SIGCONT)
         flight.wait_until_down(90.0)
         assert flight.fastest_m_s() < 15.0
-        assert np.hypot(*(flight.place_ned_m() - stopped_at)[:2]) < 100.0
+        assert np.hypot(*(flight.place_ned_m() - stopped_at)[:2]) < 40.0
+        assert flight.process.wait(1.0) == -signal.SIGKILL
+        watchdog = (flight.folder / "watchdog.log").read_text()
+    assert "it is ended, and a second one gives the estimates" in watchdog
+    assert "estimates are handed on again" in watchdog
+
+
+@pytest.mark.long
+def test_started_again_in_flight_it_joins_the_watchdog_and_a_person_gives_it_the_aircraft(tmp_path):
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        with flight.started_again(tmp_path / "again") as again:
+            again.wait(lambda: again.said("lands it, and a second navigator gives"), 60.0)
+            again.wait_until_down(90.0)
+            assert np.hypot(*(again.place_ned_m() - killed_at)[:2]) < 40.0
+            again.wait(lambda: again.said("its watchdog has left"), 30.0)
+            again.wait(lambda: again.said("ready: arm by the radio"), 60.0)
+            time.sleep(5.0)  # with --truth it would have armed by itself
+            assert again.process.poll() is None
+            assert -again.place_ned_m()[2] < 0.5
+            assert not again.said("taking off")
+
+
+@pytest.mark.long
+def test_a_link_that_hangs_while_the_mission_goes_on_is_landed_on_the_second_ones_estimates(
+    tmp_path,
+):
+    with real_flight(tmp_path, LINK_HANGS) as flight:
+        flight.wait_until_on_route()
+        flight.signal(signal.SIGUSR1)
+        hung_at = flight.place_ned_m()
+        flight.wait_until_down(90.0)
+        assert flight.fastest_m_s() < 15.0
+        assert np.hypot(*(flight.place_ned_m() - hung_at)[:2]) < 40.0
+        assert flight.said("the loop of the link hangs")
 
 
 @pytest.mark.long

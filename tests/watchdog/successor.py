@@ -1,17 +1,24 @@
 """A second navigator: notes what it was woken with, sends estimates, and tries to fly.
 
-    python successor.py NOTES [dies]
+    python successor.py NOTES [dies | stops]
 
-NOTES gets a line at the start, one when it is woken, one when its stdin ends.
+NOTES gets a line at the start, one when it is woken, one when its stdin ends. The first one that
+`stops` does so once it has sent some estimates.
 """
 
 import json
+import os
+import signal
 import sys
 import threading
 import time
 from pathlib import Path
 
 from navigator import connect, estimate, setpoint
+
+from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
+
+STOPS_AFTER = 25
 
 
 def main() -> None:
@@ -33,7 +40,13 @@ def main() -> None:
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
     resume = json.loads(line)
     link, counter = connect(resume["connection"]), resume["position"]["reset_counter"] + 1
+    keepalive = KeepAlive(UdpChannel(resume["keepalive_port"], listens=False), time.monotonic)
+    is_first = notes.read_text().count("started") == 1
     while not ended.is_set():
+        answered = keepalive.report.sequence if keepalive.report is not None else 0
+        if sys.argv[2:] == ["stops"] and is_first and answered > STOPS_AFTER:
+            os.kill(os.getpid(), signal.SIGSTOP)
+        keepalive.beat(False, "pilot flies")
         link.send(estimate(time.monotonic(), 3.0, counter))
         link.send(setpoint(5.0))
         time.sleep(0.02)

@@ -70,6 +70,71 @@ def test_a_successor_that_dies_is_started_again_a_few_times(tmp_path):
         wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
 
 
+def test_a_navigator_that_is_stopped_is_ended_once_it_lands_and_its_successor_tells_the_place(
+    tmp_path,
+):
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes)]) as flying:
+        wait_for(lambda: notes.exists())
+        stopped_s = flying.signal(signal.SIGSTOP)
+        time.sleep(3.0)
+        assert flying.process.poll() is None  # one that is silent for so long may come back
+        assert flying.process.wait(3.0) == -signal.SIGKILL
+        assert flying.peer.custom_mode == PX4_LAND
+        wait_for(lambda: [m for m in flying.peer.of(ESTIMATE, stopped_s) if m.reset_counter == 1])
+        assert [m for m in flying.peer.of("STATUSTEXT", stopped_s) if "second one" in m.text]
+
+
+def test_when_the_whole_machine_slept_the_navigator_is_not_ended_for_it(tmp_path):
+    """Suspended, frozen, starved: the watchdog that wakes first has heard nothing for long."""
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes)]) as flying:
+        wait_for(lambda: notes.exists())
+        flying.signal(signal.SIGSTOP)
+        os.kill(flying.watchdog, signal.SIGSTOP)
+        time.sleep(6.0)
+        os.kill(flying.watchdog, signal.SIGCONT)
+        time.sleep(1.5)
+        assert flying.process.poll() is None
+        flying.signal(signal.SIGCONT)
+        time.sleep(4.0)
+        assert flying.process.poll() is None
+
+
+def test_a_successor_that_hangs_is_ended_and_another_one_started(tmp_path):
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes), "stops"]) as flying:
+        wait_for(lambda: notes.exists())
+        flying.signal(signal.SIGKILL)
+        wait_for(lambda: notes.read_text().count("position_ned_m") == 2, 15.0)
+        again_s = time.monotonic()
+        wait_for(lambda: len(flying.peer.of(ESTIMATE, again_s)) > 10)
+    wait_for(lambda: notes.read_text().splitlines()[-1] == "ended")
+
+
+def test_who_is_not_our_parent_any_more_is_not_ended(monkeypatch):
+    """Without a descriptor a number is all there is, and it may be another's by now."""
+    monkeypatch.delattr(watchdog_process.os, "pidfd_open")
+    with subprocess.Popen(["sleep", "60"]) as other:
+        watch = watchdog_process.ParentWatch(other.pid)
+        watch.end()
+        assert not watch.has_ended(5.0)
+        assert other.poll() is None
+        other.kill()
+
+
+def test_a_process_that_is_killed_counts_as_ended_though_the_system_still_holds_it(monkeypatch):
+    """As one does that waits for a disk."""
+    with subprocess.Popen(["sleep", "60"]) as other:
+        watch = watchdog_process.ParentWatch(other.pid)
+        monkeypatch.setattr(watchdog_process.ParentWatch, "_lives", lambda _: True)
+        assert not watch.has_ended(10.0)
+        watch.end()
+        assert not watch.has_ended(10.5)
+        assert watch.has_ended(11.2)
+        watch.close()
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_the_end_of_a_process_that_is_no_parent_is_seen_too(told, monkeypatch):
     """Where the system cannot tell, it is asked."""

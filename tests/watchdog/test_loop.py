@@ -278,7 +278,11 @@ class Second:
 
     def __init__(self) -> None:
         self.steps: list[Resume | None] = []
-        self.closed = False
+        self.closed, self.stands_by = False, True
+        self.beats = 0
+
+    def handle_beat(self) -> None:
+        self.beats += 1
 
     def step(self, resume, t_s) -> None:
         self.steps.append(resume)

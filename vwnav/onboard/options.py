@@ -9,7 +9,12 @@ from vwnav.sim.config import Manners
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlyOptions:
-    """The command line of `vwnav fly`."""
+    """The command line of `vwnav fly`.
+
+    Attributes:
+        rejoined: no option: it was started again while the aircraft flew, which then came down
+            nobody knows where.
+    """
 
     sim: bool
     realtime: bool
@@ -31,11 +36,12 @@ class FlyOptions:
     model: Path | None
     config_path: Path | None
     output: Path | None
+    rejoined: bool = False
 
     @property
     def arms(self) -> bool:
-        """A person arms a real aircraft; simulated ones hurt nobody."""
-        return self.arm or self.sim or self.truth is not None
+        """A person arms a real aircraft, and one whose flight broke off; simulated ones do."""
+        return not self.rejoined and (self.arm or self.sim or self.truth is not None)
 
     def successor(self, folder: Path) -> list[str]:
         """Command line of a second navigator for the same flight; see `vwnav.onboard.successor`."""

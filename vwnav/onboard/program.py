@@ -27,7 +27,8 @@ from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
-from vwnav.onboard.service import ServiceHandle
+from vwnav.onboard.rejoining import wait_for_the_aircraft
+from vwnav.onboard.service import ServiceHandle, ServiceManager
 from vwnav.onboard.simulation import DEFAULT_ROUTE, DEFAULT_SITE
 from vwnav.pace import PacedClock
 from vwnav.recording.disk.budget import DiskBudget
@@ -77,6 +78,7 @@ def fly_route(options: FlyOptions) -> None:
                 site, options.manners, options.wind_m_s, options.seed, clock, stack
             )
         assert link is not None
+        options = replace(options, rejoined=wait_for_the_aircraft(link, ServiceManager()))
         # An embedded simulation ends with its navigator: there is nothing left to succeed in.
         successor = [] if options.sim else options.successor(folder)
         watchdog = stack.enter_context(
@@ -150,7 +152,7 @@ def _fly(
     # Of one that flies nothing is known: the first fix begins.
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
-    handle = ServiceHandle(watchdog.keepalive)
+    handle = ServiceHandle(watchdog.keepalive, ServiceManager())
     aboard = put_aboard(plan, assembled, autopilot, handle, record, options.arms)
     with _stopped_by_signals():
         try:
@@ -166,10 +168,11 @@ def _fly(
 
 
 def _start(options: FlyOptions, plan: FlightPlan, vehicle: VehicleState) -> Start:
-    """On the ground, at home where that is known."""
+    """On the ground, at home where that is known; not where a flight that broke off came down."""
+    stands_at_home = plan.home_known and not options.rejoined
     return Start(
         t_s=vehicle.t_s,
-        position_ned_m=np.zeros(3) if plan.home_known else None,
+        position_ned_m=np.zeros(3) if stands_at_home else None,
         sigma_m=options.home_sigma_m,
     )
 

@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecord:
-    """A `vwnav.runtime.Watcher` that keeps and shows everything.
+    """A `vwnav.seams.Watcher` that keeps and shows everything.
 
     Attributes:
         input_log: what the filter is told, from before its start: `Ekf.record(input_log.input)`.

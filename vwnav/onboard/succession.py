@@ -3,7 +3,9 @@
 import numpy as np
 
 from vwnav.estimation.states import Start
+from vwnav.geometry.geodesy import LocalFrame
 from vwnav.types import Array
+from vwnav.watchdog.loop import Resume
 
 _HELD_S = 4.6  # for so long PX4 holds its place without estimates (measured)
 _HELD_DRIFT_M_S, _BLIND_DRIFT_M_S = 1.0, 6.0  # one sigma while it does, and with the wind after
@@ -33,3 +35,15 @@ def start_after(position_ned_m: Array, told_s: float, t_s: float) -> Start:
         sigma_velocity_m_s=_SPEED_SIGMA_M_S,
         sigma_baro_m=max(height_m, 10.0),
     )
+
+
+def last_place(resume: Resume, local_frame: LocalFrame) -> Array | None:
+    """(3,) of the last good estimate, about the origin of the run; None when it is not known."""
+    if resume.position is None or resume.origin is None:
+        return None
+    origin, told_ned_m = resume.origin, np.array(resume.position.position_ned_m)
+    frame = LocalFrame(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
+    lat_deg, lon_deg, _ = frame.to_geodetic(told_ned_m)
+    place_ned_m = local_frame.to_ned(float(lat_deg), float(lon_deg), local_frame.alt_amsl_m)
+    place_ned_m[2] = told_ned_m[2]
+    return np.asarray(place_ned_m)

@@ -34,7 +34,7 @@ from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array
-from vwnav.watchdog.keepalive import WatchdogReport
+from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
 
 _REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
 
@@ -45,12 +45,14 @@ class Handover:
 
     Attributes:
         connection: where the link is to be had.
+        keepalive_port: where the watchdog hears that it lives.
         observer: where truth may be listened to, on a simulator.
         place: (lat_deg, lon_deg), height above the origin, time and reset counter of the last good
             estimate; None when there was none.
     """
 
     connection: str
+    keepalive_port: int
     observer: str
     lat_lon_deg: tuple[float, float] | None
     height_m: float
@@ -74,12 +76,13 @@ class Handover:
 def _handover(told: dict[str, Any]) -> Handover:
     position, origin = told["position"], told["origin"]
     velocity = np.array(told["velocity_ne_m_s"], np.float64)
+    ways = str(told["connection"]), int(told["keepalive_port"]), str(told["observer"])
     if position is None or origin is None:
-        return Handover(told["connection"], told["observer"], None, 0.0, 0.0, 0, velocity)
+        return Handover(*ways, None, 0.0, 0.0, 0, velocity)
     frame = LocalFrame(origin["lat_deg"], origin["lon_deg"], origin["alt_amsl_m"])
     lat_deg, lon_deg, _ = frame.to_geodetic(np.array(position["position_ned_m"]))
     return Handover(
-        told["connection"], told["observer"], (float(lat_deg), float(lon_deg)),
+        *ways, (float(lat_deg), float(lon_deg)),
         -float(position["position_ned_m"][2]), float(position["t_s"]),
         int(position["reset_counter"]), velocity,
     )  # fmt: skip
@@ -130,8 +133,10 @@ def _succeed(
     vehicle = first_state(autopilot, clock)
     if handover.lat_lon_deg is not None:
         assembled.ekf.initialise(_start(plan, handover, handover.lat_lon_deg, vehicle.t_s))
+    keep_alive = KeepAlive(UdpChannel(handover.keepalive_port, listens=False), clock)
+    stack.callback(keep_alive.close)
     aboard = put_aboard(
-        plan, assembled, autopilot, _NoWatchdog(), record, arms=False,
+        plan, assembled, autopilot, keep_alive, record, arms=False,
         first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)
@@ -147,15 +152,3 @@ def _start(
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
     position[2] = -handover.height_m
     return start_after(position, handover.t_s, t_s)
-
-
-class _NoWatchdog:
-    """The successor has none above it that listens: it holds nothing that could be let go."""
-
-    report: WatchdogReport | None = None
-
-    def beat(self, engaged: bool, phase: str) -> None:
-        """Nobody listens."""
-
-    def rejoin(self) -> None:
-        """There is nothing to take back."""

@@ -57,6 +57,7 @@ class DeadManAction(Enum):
 
 
 _MODE_SHOWS_S = 3.0  # heartbeats come once a second, and one may get lost
+_LONGEST_STEP_S = 0.2  # of waking time
 _COMES_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
 _STEERED = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 # Modes that the aircraft may be in while each state is ours; any other one means that the pilot
@@ -68,6 +69,27 @@ _STILL_OURS = {
 }
 # Once it was seen in Land: a Hold after that is a person's, or that of a vehicle that is down.
 _STILL_LANDING = _COMES_DOWN | {FlightMode.OFFBOARD}
+
+
+@dataclass
+class Silence:
+    """For how long nothing was heard of somebody while we listened: our own sleep is not theirs.
+
+    Attributes:
+        waking_s: that long.
+    """
+
+    waking_s: float = 0.0
+    _listened_t_s: float = math.inf
+
+    def listen(self, t_s: float) -> None:
+        """Time passes; a step that is longer than it should be was our own stall."""
+        self.waking_s += min(max(t_s - self._listened_t_s, 0.0), _LONGEST_STEP_S)
+        self._listened_t_s = t_s
+
+    def end(self) -> None:
+        """Something was heard."""
+        self.waking_s = 0.0
 
 
 @dataclass

@@ -13,11 +13,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
-from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
+from vwnav.watchdog.dead_man import DeadMan, DeadManConfig, Silence
 from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass
 from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
+from vwnav.watchdog.visitors import Guarding
 from vwnav.watchdog.voice import AutopilotEar, Origin, Voice
 
 _log = logging.getLogger(__name__)
@@ -26,6 +27,7 @@ _CALL_PERIOD_S = 1.0
 _LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
 _SWITCHED_OFF_S = 60.0  # an autopilot that silent while nobody navigates
 _CUT_S = 1.2  # silence of the autopilot that estimates do not simply go on after
+_ENDED_TEXT = "vwnav hangs: ended, a second one gives estimates"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,10 +37,13 @@ class WatchdogConfig:
     Attributes:
         calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
+        end_after_s: in flight, neither a beat nor an estimate to hand on for so long: the navigator
+            is ended. By then the aircraft is told to land, and nobody would tell it where it is.
     """
 
     calls_first: bool = False
     limit_s: float = 900.0
+    end_after_s: float = 4.0
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
 
 
@@ -67,11 +72,28 @@ class Resume:
     origin: Origin | None
 
 
+class NavigatorProcess(Protocol):
+    """What the navigator runs in."""
+
+    def end(self) -> None:
+        """End it at once, hanging or stopped."""
+        ...
+
+
 class Successor(Protocol):
     """A second navigator that gives the autopilot estimates when the first one has ended."""
 
+    @property
+    def stands_by(self) -> bool:
+        """There is one that could be woken."""
+        ...
+
     def step(self, resume: Resume | None, t_s: float) -> None:
         """Keep it ready; with `resume` it is needed, from now on."""
+        ...
+
+    def handle_beat(self) -> None:
+        """It lives."""
         ...
 
     def close(self) -> None:
@@ -84,14 +106,22 @@ class Watchdog:
 
     Args:
         successor: takes the navigator's place for estimates alone.
+        navigator: ended when it hangs in flight and a successor stands by; it has the camera, and
+            would tell on waking what it believed before.
     """
 
     def __init__(
-        self, links: WatchdogLinks, config: WatchdogConfig, successor: Successor | None = None
+        self,
+        links: WatchdogLinks,
+        config: WatchdogConfig,
+        successor: Successor | None = None,
+        navigator: NavigatorProcess | None = None,
     ) -> None:
         self._links = links
         self._config = config
         self._successor = successor
+        self._navigator = navigator
+        self._silence = Silence()
         self._from_navigator, self._from_observer = Framer(), Framer()
         self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
@@ -112,6 +142,7 @@ class Watchdog:
     def step(self, t_s: float) -> None:
         """Hand on, watch and act; call it at 50 Hz or more until `finished`."""
         before, had_it = self._guard.state, self._guard.has_taken_over
+        self._silence.listen(t_s)
         self._notice_cut(t_s)
         self._relay_autopilot(t_s)
         self._answer_beats(t_s)
@@ -126,7 +157,15 @@ class Watchdog:
         self._call(t_s)
         self._outbox.flush(self._links.autopilot, t_s)
         self._log_change(before, t_s)
+        self._end_what_hangs(t_s)
         self._follow_navigator(t_s)
+
+    def guarding(self, t_s: float) -> Guarding:
+        """What it does, for who asks."""
+        last = self._estimates.last
+        told = last is not None and t_s - last.t_s <= _CUT_S
+        ended, armed = self._guard.navigator_ended, self._ear.vehicle(t_s).armed
+        return Guarding(self._guard.state, ended, armed, told)
 
     def handle_navigator_end(self, t_s: float) -> None:
         """The navigator's process has ended, in whatever way."""
@@ -200,6 +239,8 @@ class Watchdog:
                 message.usec / 1e6, place, _sigma_m(message.covariance), message.reset_counter
             )
             good = self._estimates.admit_position(position, t_s, self._ear.vehicle(t_s).armed)
+        if good:
+            self._silence.end()
         if was_good != (is_good := self._estimates.lost_since_s is None):
             _log.warning(
                 "estimates are %s",
@@ -224,6 +265,9 @@ class Watchdog:
             if beat.ended:
                 self.handle_navigator_end(t_s)
                 continue
+            self._silence.end()
+            if self._guard.navigator_ended and self._successor is not None:
+                self._successor.handle_beat()
             self._guard.handle_beat(beat, t_s)
             age_s = self._ear.heartbeat_age_s(t_s)
             is_good = self._estimates.lost_since_s is None
@@ -236,6 +280,28 @@ class Watchdog:
         if self._config.calls_first and not is_heard and t_s - self._call_t_s >= _CALL_PERIOD_S:
             self._call_t_s = t_s
             self._outbox.put_own(self._voice.heartbeat(), t_s)
+
+    def _end_what_hangs(self, t_s: float) -> None:
+        """A navigator that lives and is of no use any more, where a second one would be."""
+        if self._navigator is None or self._guard.navigator_ended or self._guard.last_beat is None:
+            return
+        if self._silence.waking_s < self._config.end_after_s or not self._flies(t_s):
+            return
+        self._silence.end()
+        if self._successor is not None and self._successor.stands_by:
+            _log.warning(
+                "the navigator has neither beaten nor told a place for %.0f s: it is ended, and a "
+                "second one gives the estimates",
+                self._config.end_after_s,
+            )
+            self._navigator.end()
+            self._outbox.put(self._voice.text(_ENDED_TEXT), t_s)
+
+    def _flies(self, t_s: float) -> bool:
+        """As it says itself, lately."""
+        vehicle = self._ear.vehicle(t_s)
+        is_heard = self._ear.heartbeat_age_s(t_s) <= _LAST_WORD_S
+        return is_heard and vehicle.armed and not vehicle.landed
 
     def _follow_navigator(self, t_s: float) -> None:
         """Keep the successor ready, wake it when it is needed, and know when to leave."""

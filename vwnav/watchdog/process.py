@@ -2,11 +2,10 @@
 
 import contextlib
 import logging
+import math
 import os
 import selectors
 import signal
-import socket
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +17,14 @@ from vwnav.pace import clock_of
 from vwnav.watchdog.keepalive import UdpChannel
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.watchdog.successor import SuccessorProcess
+from vwnav.watchdog.visitors import Reception
 
 _log = logging.getLogger(__name__)
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _PARENT_CHECK_S = 0.1
 _LATE_S = 0.01  # of its tick: simulated time waits for it then
+_UNWINDS_S = 1.0  # of a killed process; it runs no more, whatever the system still holds of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +54,8 @@ class WatchdogOptions:
 class ParentWatch:
     """Whether a process has ended; readable at once when it does, where the system can tell.
 
+    Also a `watchdog.loop.NavigatorProcess`.
+
     Args:
         pid: of any process, parent or not.
     """
@@ -62,6 +65,7 @@ class ParentWatch:
         self._is_parent = os.getppid() == pid
         self._fd: int | None = None
         self._check_t_s = 0.0
+        self._given_up_t_s = math.inf
         self._has_ended = False
         with contextlib.suppress(AttributeError, OSError):  # not Linux, an old one, or gone
             self._fd = os.pidfd_open(pid)
@@ -75,12 +79,23 @@ class ParentWatch:
         """Whether it has; asks the system ten times a second."""
         if not self._has_ended and t_s - self._check_t_s >= _PARENT_CHECK_S:
             self._check_t_s = t_s
-            self._has_ended = not self._lives()
+            self._has_ended = not self._lives() or t_s >= self._given_up_t_s
         return self._has_ended
 
     def handle_readable(self) -> None:
         """Its descriptor became readable: it has ended."""
         self._has_ended = True
+
+    def end(self) -> None:
+        """Kill it, stopped or not; by its number alone, which may be another's by now, never."""
+        with contextlib.suppress(OSError):  # it has just ended
+            if self._fd is not None:
+                signal.pidfd_send_signal(self._fd, signal.SIGKILL)
+            elif self._is_parent and os.getppid() == self._pid:
+                os.kill(self._pid, signal.SIGKILL)
+            else:
+                return
+            self._given_up_t_s = self._check_t_s + _UNWINDS_S
 
     def close(self) -> None:
         """Give the descriptor back."""
@@ -109,7 +124,7 @@ class WatchdogPorts:
 
     def __init__(self, options: WatchdogOptions) -> None:
         address = parse_link(options.connection)
-        self._claim = _claim(address)
+        self._reception = Reception(address)
         self._clock = clock_of(options.clock_file)
         self._navigator = _local_link(options.navigator_port)
         self._observer = _local_link(options.observer_port)
@@ -123,9 +138,10 @@ class WatchdogPorts:
                 options.standby,
                 f"udpout://127.0.0.1:{self._navigator.port}",
                 f"udpout://127.0.0.1:{self._observer.port}",
+                self._beats.port,
             )
-        self._watchdog = Watchdog(links, config, successor)
         self._parent = ParentWatch(options.parent) if options.parent is not None else None
+        self._watchdog = Watchdog(links, config, successor, self._parent)
         self._told_to_end = False
         self._link_fd = -1
         self._selector = selectors.DefaultSelector()
@@ -168,13 +184,13 @@ class WatchdogPorts:
         self._watchdog.close()
         if self._parent is not None:
             self._parent.close()
-        if self._claim is not None:
-            self._claim.close()
+        self._reception.close()
 
     def _step(self, now_s: float) -> None:
         """One that fails is said, and the guard goes on: nobody else would land the aircraft."""
         try:
             self._watchdog.step(now_s)
+            self._reception.step(self._watchdog.guarding(now_s), now_s)
         except Exception:
             _log.exception("a step of the watchdog failed")
             time.sleep(_TICK_S)
@@ -200,29 +216,6 @@ class WatchdogPorts:
         if fd >= 0:
             self._selector.register(fd, selectors.EVENT_READ)
         self._link_fd = fd
-
-
-def _claim(address: LinkAddress) -> socket.socket | None:
-    """Own the link on this machine, until the process ends; None where there is no such claim.
-
-    A navigator that is restarted while its first watchdog still lands the aircraft must not get a
-    second one beside it: on UDP and TCP calls nothing else would keep the two apart.
-
-    Raises:
-        LinkError: another watchdog owns it.
-    """
-    if sys.platform != "linux":
-        return None
-    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        claim.bind(f"\0vwnav watchdog of {address.port_name}")  # abstract: leaves no file behind
-    except OSError as error:
-        claim.close()
-        raise LinkError(
-            f"another watchdog has {address.port_name}: it guards the aircraft until that is "
-            "disarmed, and leaves then"
-        ) from error
-    return claim
 
 
 def _local_link(port: int) -> UdpLink:

@@ -17,7 +17,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.mission.mission import Crew, Mission, Phase
-from vwnav.onboard.succession import start_after
+from vwnav.onboard.succession import last_place, start_after
 from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
@@ -29,7 +29,7 @@ from vwnav.seams import ATTITUDE_WAIT_S
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
-from vwnav.types import Array, Estimate, FeatureExtractor, Frame, Navigation, Prior
+from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior
 from vwnav.vehicle import VehicleState
 from vwnav.watchdog.keepalive import KeepAlive
 from vwnav.watchdog.loop import Resume
@@ -113,6 +113,7 @@ class Navigator:
         self._frame_done_s: float | None = None
         self._camera_again_s = 0.0
         self._asleep_until_s = -np.inf
+        self._hung: set[Loop] = set()
         self.broken: Exception | None = None
         self.ended = False
 
@@ -210,9 +211,10 @@ class Navigator:
         if self.ended or t_s < self._asleep_until_s:
             return
         self.port.poll()
-        if self._workers["link"].due(t_s):
+        if "link" not in self._hung and self._workers["link"].due(t_s):
             self._talk(t_s)
-        if self.broken is None and self._workers["mission"].due(t_s):
+        steers = self.broken is None and "mission" not in self._hung
+        if steers and self._workers["mission"].due(t_s):
             try:
                 self.runtime.step_control(t_s)
             except Exception as error:
@@ -228,6 +230,10 @@ class Navigator:
             self.record.event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
             self.end()
 
+    def hang(self, loop: Loop) -> None:
+        """One of its loops never comes round again; the others go on."""
+        self._hung.add(loop)
+
     def stop_until(self, t_s: float) -> None:
         """Stopped as by SIGSTOP: nothing of it runs, what arrives waits."""
         self._asleep_until_s = t_s
@@ -240,7 +246,8 @@ class Navigator:
     @property
     def over(self) -> bool:
         """It has nothing more to do: the mission has ended, or the process."""
-        return self.ended or self.broken is not None or self.flight.end is not None
+        steers = self.broken is None and "mission" not in self._hung
+        return self.ended or not steers or self.flight.end is not None
 
     def end(self) -> None:
         """The process ends, in whatever way."""
@@ -254,7 +261,7 @@ class Navigator:
                 self.runtime.step_vision(self._frame)
                 self._frame = self._frame_done_s = None
             return
-        if self._frame is None:
+        if self._frame is None and "picture" not in self._hung:
             self._frame = self._take(t_s)
         if self._frame is not None:
             late = t_s >= self._frame.t_s + ATTITUDE_WAIT_S
@@ -299,6 +306,10 @@ class LockstepSuccessor:
         self._resume: Resume | None = None
         self._flies = False
         self.navigator: Navigator | None = None
+        self.stands_by = True
+
+    def handle_beat(self) -> None:
+        """It lives."""
 
     def step(self, resume: Resume | None, t_s: float) -> None:
         """Keep it ready; with `resume` it is needed, from now on."""
@@ -324,23 +335,10 @@ class LockstepSuccessor:
 
     def _begin(self, navigator: Navigator, t_s: float) -> None:
         self._flies = True
-        place = self._last_place()
-        if place is None:
+        assert self._resume is not None
+        place, position = last_place(self._resume, self._local_frame), self._resume.position
+        if place is None or position is None:
             navigator.start(None)
         else:
-            assert self._resume is not None
-            assert self._resume.position is not None
-            navigator.start(start_after(place, self._resume.position.t_s, t_s))
+            navigator.start(start_after(place, position.t_s, t_s))
         navigator.flight.ride(t_s, "the navigator ended: this one only sends estimates")
-
-    def _last_place(self) -> Array | None:
-        """(3,) of the last good estimate, about the run's origin."""
-        resume = self._resume
-        if resume is None or resume.position is None or resume.origin is None:
-            return None
-        origin = resume.origin
-        frame = LocalFrame(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
-        lat, lon, _ = frame.to_geodetic(np.array(resume.position.position_ned_m))
-        ned_m = self._local_frame.to_ned(float(lat), float(lon), self._local_frame.alt_amsl_m)
-        ned_m[2] = resume.position.position_ned_m[2]
-        return np.asarray(ned_m)

@@ -96,7 +96,7 @@ class Recording(Protocol):
 
 
 class LockstepWatcher:
-    """A `vwnav.runtime.Watcher`; a full disk makes it raise.
+    """A `vwnav.seams.Watcher`; a full disk makes it raise.
 
     Args:
         note: takes every line said.

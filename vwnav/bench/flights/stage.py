@@ -55,6 +55,10 @@ class Program(Protocol):
         """The owner and the name of what one of its loops calls at each turn."""
         ...
 
+    def hang(self, loop: Loop) -> None:
+        """One of its loops never comes round again; the others go on."""
+        ...
+
     def keep(self, writer: Recorder) -> None:
         """Record the flight."""
         ...

@@ -109,7 +109,7 @@ class World:
         links = WatchdogLinks(
             self.autopilot_link.b, self._navigator_link.a, self._observer_link.a, self._beats.a
         )
-        return Watchdog(links, WatchdogConfig(), self.successor)
+        return Watchdog(links, WatchdogConfig(), self.successor, self.navigator)
 
     def _camera(self, place: Place) -> LockstepCamera:
         renderer = draw(place.site, self.setup, place)

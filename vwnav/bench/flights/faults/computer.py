@@ -123,6 +123,17 @@ class StepRaises:
 
 
 @dataclass(frozen=True)
+class LoopHangs(Lasting):
+    """One of the navigator's loops waits for good for what never comes: a lock, a driver."""
+
+    loop: Loop
+
+    def begin(self, world: FlightStage) -> None:
+        """It hangs."""
+        world.navigator.hang(self.loop)
+
+
+@dataclass(frozen=True)
 class MatchingRaises:
     """Whichever features are matched: the thread that matches raises."""
 

@@ -28,8 +28,8 @@ ENDS = [
         lands_within_m=within_m,
     )
     for name, fault, within_m in (
-        # Nobody tells it where it is: blind for 30 s, no further than wind and gusts carry it.
-        ("navigator stopped for 20 s", computer.NavigatorStopped(20.0), 150.0),
+        # Ended when it lands: until the other one has found the place nobody tells where it is.
+        ("navigator stopped for 20 s", computer.NavigatorStopped(20.0), 40.0),
         ("navigator killed", computer.NavigatorKilled(), 70.0),
         ("navigator ends in the air", computer.NavigatorLeaves(), 70.0),
     )
@@ -73,6 +73,33 @@ RAISES = [
     flies_on("every step of the link raises for 0.5 s", computer.StepRaises("link"), 0.5),
     flies_on("every picture raises for 2 s", computer.StepRaises("picture"), 2.0),
 ]
+HANGS = [
+    # It does not raise, and everything else goes on: the mission sees it, and falls silent.
+    Scenario(
+        name="the link's loop hangs",
+        setup=setup(),
+        breaks=(Break(fault=computer.LoopHangs("link"), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=(mode(8.0, "LAND", "DESCEND"), down(60.0)),
+        lands_within_m=70.0,
+    ),
+    Scenario(
+        name="the mission's loop hangs",
+        setup=setup(),
+        breaks=(Break(fault=computer.LoopHangs("mission"), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=TAKEN_OVER,
+        lands_within_m=25.0,
+    ),
+    Scenario(
+        name="the loop of the pictures hangs",
+        setup=setup(),
+        breaks=(Break(fault=computer.LoopHangs("picture"), at_s=BREAKS_AT_S),),
+        limit_s=75.0,
+        follows=(phase(8.0, "landing"), down(60.0)),
+        lands_within_m=50.0,
+    ),
+]
 WATCHDOG = [
     Scenario(
         name="watchdog killed",
@@ -90,7 +117,7 @@ WATCHDOG = [
         lands_within_m=40.0,  # ArduCopter coasts while nobody speaks
     ),
 ]
-NAVIGATOR = [*ENDS, *RAISES, *WATCHDOG]
+NAVIGATOR = [*ENDS, *RAISES, *HANGS, *WATCHDOG]
 
 
 PROCESSOR = [
