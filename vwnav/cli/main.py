@@ -13,6 +13,7 @@ from vwnav.cli.bench_localizer import localizer
 from vwnav.cli.bench_significance import significance
 from vwnav.cli.bench_waypoints import waypoints
 from vwnav.cli.camera import calibrate, look
+from vwnav.cli.camera.shutter import shutter
 from vwnav.errors import PreflightError, VwnavError
 
 EXIT_FAILED = 1
@@ -40,6 +41,7 @@ for measure in (
     estimator,
     flights,
     localizer,
+    shutter,
     significance,
     waypoints,
     bench.features,
