@@ -80,7 +80,14 @@ class NoOdometry:
 
 
 def make_pipeline(
-    primary, fallback=None, start=None, executor=None, said=None, most_fixes=0, ekf_config=None
+    primary,
+    fallback=None,
+    start=None,
+    executor=None,
+    said=None,
+    most_fixes=0,
+    ekf_config=None,
+    rolling=False,
 ):
     config = PipelineConfig(fallback_after=3, primary_retry_every=2, most_fixes=most_fixes)
     choice = FeatureChoice(primary, fallback, config, (said if said is not None else []).append)
@@ -88,7 +95,7 @@ def make_pipeline(
     if start is not None:
         ekf.initialise(start)
     executor = executor or InlineExecutor()
-    return Pipeline(choice, NoOdometry(), ekf, HOME, 0.02, config, executor)
+    return Pipeline(choice, NoOdometry(), ekf, HOME, 0.02, config, executor, rolling)
 
 
 def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0, attitude=LEVEL):
@@ -112,6 +119,27 @@ def test_a_fix_moves_the_estimate_and_the_next_prior_is_tighter():
     steps = fly(make_pipeline(localizer, start=above_home()), 5.0)
     assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([4.0, -3.0], abs=0.7)
     assert localizer.priors[-1].sigma_m < localizer.priors[0].sigma_m
+
+
+def test_pictures_of_a_rolling_shutter_carry_how_the_body_moves():
+    """Turning by 0.5 rad/s to the right, as attitudes around the exposure say."""
+    frames = []
+
+    class Looking(FakeLocalizer):
+        def localize(self, frame, prior, seed):
+            frames.append(frame)
+            return super().localize(frame, prior, seed)
+
+    for rolling in (False, True):
+        pipeline = make_pipeline(Looking(), start=above_home(), rolling=rolling)
+        for i in range(1, 100):
+            turned = quat_from_rotation(rotation_from_euler(0.0, 0.0, 0.01 * i))
+            pipeline.feed(Attitude(0.02 * i, turned))
+        pipeline.step(Frame(1.0, PICTURE, 0))
+    without, with_it = frames
+    assert without.rates_rad_s is None
+    assert with_it.rates_rad_s == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
+    assert np.abs(with_it.velocity_body_m_s).max() < 0.5
 
 
 def test_a_sure_filter_that_finds_nothing_is_doubted_until_it_finds_something():

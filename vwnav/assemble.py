@@ -106,7 +106,7 @@ def assemble_with(
     odometry = Odometry(camera, config.odometry, alone=config.ekf.odometry_turns_attitude)
     pipeline = Pipeline(
         choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
-        executor,
+        executor, rolling=bool(camera.readout_s),
     )  # fmt: skip
     return Assembled(pipeline, ekf, pack, primary)
 

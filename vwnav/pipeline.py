@@ -23,6 +23,7 @@ from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.states import FilterState, Start
 from vwnav.estimation.timeline import Exposed, NedFix, Untracked
 from vwnav.feature_choice import FeatureChoice
+from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.seams import Localizing, PipelineConfig, StepResult, Tracking
@@ -123,6 +124,7 @@ class Pipeline:
         sigma_tilt_rad: float,
         config: PipelineConfig,
         executor: Executor,
+        rolling: bool = False,
     ) -> None:
         """Put the parts together.
 
@@ -134,13 +136,14 @@ class Pipeline:
             sigma_tilt_rad: attitude error that the localizer puts into a fix's covariance.
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
+            rolling: the camera's rows are exposed one after the other.
         """
         self.local_frame = local_frame
         self._features = features
         self._odometry = odometry
         self._ekf = ekf
         self._config = config
-        self._executor = executor
+        self._executor, self._rolling = executor, rolling
         self._sigma_tilt_rad = sigma_tilt_rad
         self._lock = threading.Lock()
         self._pending: _Attempt | None = None
@@ -180,6 +183,9 @@ class Pipeline:
         with self._lock:
             alone = self._ekf.counts_heading
             attitude = None if alone else self._ekf.attitude_at(frame.t_s)
+            if self._rolling and attitude is not None:
+                now = self._ekf.estimate(frame.t_s)
+                picture = with_motion(picture, self._ekf.attitude_at, now)
         motion = self._track(picture, attitude)
         finished = self._collect() or self._give_up(frame.t_s)
         started = self._attempt_if_due(picture, attitude)

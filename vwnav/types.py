@@ -31,11 +31,14 @@ class Frame:
         t_s: time of exposure.
         image: (h, w) gray or (h, w, 3) BGR, uint8.
         index: number of the frame in its source, from 0.
+        rates_rad_s, velocity_body_m_s: (3,) about and along the body's axes, for a rolling shutter.
     """
 
     t_s: float
     image: NDArray[np.uint8]
     index: int
+    rates_rad_s: Array | None = None
+    velocity_body_m_s: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,10 +124,10 @@ class Prior:
     """What is known before a picture is matched; every field may be unknown.
 
     Attributes:
-        lat_deg, lon_deg: where the camera is thought to be.
+        lat_deg, lon_deg: where the body is thought to be.
         sigma_m: one-sigma of that, per horizontal axis.
         yaw_rad: heading of the body (of the picture's upper edge for a picture alone).
-        agl_m: height above the ground under the camera, `sigma_agl_ratio` its relative sigma.
+        agl_m: height of the body above the ground, `sigma_agl_ratio` its relative sigma.
         roll_rad, pitch_rad: attitude of the body; unknown is taken as level.
     """
 
@@ -157,7 +160,7 @@ class MapFix:
     """Where a picture was taken.
 
     Attributes:
-        lat_deg, lon_deg: of the camera ("nadir"), or of the image centre ("center") when the
+        lat_deg, lon_deg: of the body ("nadir"), or of the image centre ("center") when the
             attitude is unknown.
         covariance_ne_m2: (2, 2) of north and east.
         yaw_rad: heading of the body, 0 = true north, clockwise positive.
@@ -198,7 +201,7 @@ class Rejected:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryMotion:
-    """Motion of the camera over the ground between two exposures.
+    """Motion of the body over the ground between two exposures.
 
     Attributes:
         t0_s, t1_s: the two exposures.

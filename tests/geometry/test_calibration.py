@@ -83,6 +83,13 @@ def test_our_files_give_the_same_camera_back(
     np.testing.assert_array_equal(again.t_body_camera_m, camera.t_body_camera_m)
 
 
+def test_a_lever_arm_in_millimetres_is_refused(tmp_path: Path) -> None:
+    save_camera(mounted(0.0, 0.0, False), tmp_path / "c.toml")
+    text = (tmp_path / "c.toml").read_text().replace("0.05,", "50.0,").replace("0.1,", "100.0,")
+    (tmp_path / "c.toml").write_text(text)
+    assert "is it in metres?" in refused(tmp_path / "c.toml")
+
+
 def test_opencv_yaml_is_read(tmp_path: Path) -> None:
     camera = load_camera(opencv_yaml(tmp_path / "c.yml", [-0.2, 0.05, 1e-3, 2e-3, 0.01]))
     np.testing.assert_allclose(camera.K, K)

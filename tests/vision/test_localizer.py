@@ -8,7 +8,7 @@ from vision_scenes import CAMERA, GROUND_PX, HOME, M_PER_PX, ground_pack, pictur
 
 from vwnav.errors import CalibrationError, ModelError
 from vwnav.geometry.camera import Camera
-from vwnav.geometry.rotations import wrap_pi
+from vwnav.geometry.rotations import rotation_from_euler, wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import Features, Frame, MapFix, Prior, Rejected, RejectReason
 from vwnav.vision.features.checks import no_features
@@ -63,6 +63,23 @@ def test_a_known_tilt_is_taken_out(pack, ground, extractor):
     prior = prior_at(0.0, 10.0, yaw_deg=80.0, **tilted)
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
     assert np.linalg.norm(error_ne_m(fix, 0.0, 10.0)) < 0.6
+
+
+@pytest.mark.parametrize("yaw_off_deg", [0.0, 12.0])
+def test_a_camera_on_an_arm_is_found_and_its_body_is_told(pack, ground, sift, yaw_off_deg):
+    """The compass may be off: the heading that was found says to which side the camera sits."""
+    rpy_deg, arm_m = (9.0, -7.0, 80.0), np.array([0.9, -0.6, 0.4])
+    at_m = rotation_from_euler(*np.radians(rpy_deg)) @ arm_m
+    camera = replace(CAMERA, t_body_camera_m=arm_m)
+    frame = picture(ground, at_m[0], 10.0 + at_m[1], AGL_M - at_m[2], rpy_deg=rpy_deg)
+    tilted = {"roll_rad": math.radians(9), "pitch_rad": math.radians(-7)}
+    prior = prior_at(0.0, 10.0, yaw_deg=80.0 + yaw_off_deg, **tilted)
+    of_body = Localizer(pack, sift, camera).localize(frame, prior, 0)
+    of_camera = Localizer(pack, sift, camera.without_arm()).localize(frame, prior, 0)
+    apart_m = error_ne_m(of_camera, 0.0, 10.0) - error_ne_m(of_body, 0.0, 10.0)
+    assert np.abs(apart_m - at_m[:2]).max() < 0.05
+    assert np.linalg.norm(error_ne_m(of_body, 0.0, 10.0)) < 0.5
+    assert of_body.agl_m - of_camera.agl_m == pytest.approx(at_m[2], abs=0.2)
 
 
 def test_without_attitude_the_fix_is_of_the_pictures_centre(pack, ground, extractor):

@@ -1,13 +1,14 @@
 """Odometry on drawn ground: metric, without drift in a hover, and humble where it is not flat."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from vwnav.geometry.camera import Camera
-from vwnav.geometry.rotations import rotation_from_vector
+from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
 from vwnav.types import Frame, OdometryMotion
 from vwnav.vision.config import OdometryConfig
 from vwnav.vision.odometry.odometry import Odometry
@@ -87,3 +88,27 @@ def test_it_says_how_much_of_a_tilt_that_nobody_told_it_takes_for_motion(hfov_de
     taken = abs(motion.displacement_ned_m[0]) / (AGL_M * tilt_rad)
     assert taken == pytest.approx(motion.tilt_share, abs=0.12)
     assert 0.05 < motion.tilt_share <= 1.0
+
+
+def test_a_body_that_turns_on_the_spot_goes_nowhere_with_its_camera_on_an_arm():
+    """Half a metre ahead, a third aside: the camera swings by 4 cm a frame, the body does not."""
+    arm_m, texture = np.array([0.5, -0.35, 0.2]), ground(2)
+    camera = replace(CAMERA, t_body_camera_m=arm_m)
+    agl_m = 5.0
+    m_per_px = (agl_m - arm_m[2]) / float(camera.K[0, 0])
+    odometry, found = Odometry(camera, OdometryConfig()), []
+    for i in range(3):
+        R = rotation_from_euler(0.0, 0.0, 0.07 * i)
+        north, east = (R @ arm_m)[:2] / m_per_px
+        c, s = R[0, 0], R[1, 0]
+        u0, v0 = 250.0 + east, 250.0 - north
+        half = (np.array([WIDTH, HEIGHT]) - 1.0) / 2.0
+        H_ground_frame = np.array(
+            [[c, -s, u0 - c * half[0] + s * half[1]], [s, c, v0 - s * half[0] - c * half[1]]]
+        )
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        image = cv2.warpAffine(texture, H_ground_frame, (WIDTH, HEIGHT), flags=flags)
+        found.append(odometry.step(Frame(0.1 * i, image, i), R, agl_m))
+    assert isinstance(found[-1], OdometryMotion)
+    assert np.abs(found[-1].displacement_ned_m).max() < 0.01
+    assert found[-1].agl_m == agl_m

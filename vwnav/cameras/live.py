@@ -6,7 +6,8 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -139,16 +140,29 @@ class RealTimeSource:
             self._arrived.notify_all()
 
 
+PixelFormat = Literal["MJPG", "YUYV", "GREY"]
+
+
+@dataclass(frozen=True, slots=True)
+class AskedPictures:
+    """What is asked of a camera; None is left to it, or to what most cameras do well."""
+
+    size_wh: tuple[int, int] | None = None
+    fps: float | None = None
+    pixels: PixelFormat | None = None
+
+
 class V4l2Grabber:
-    """A USB or CSI camera by Video4Linux: MJPEG 1920x1080 unless it cannot.
+    """A USB or CSI camera by Video4Linux: MJPG 1920x1080 at 30 a second where nothing is asked.
+
+    Of YUYV the luminance is taken as it comes, and GREY as it is: gray pictures without a
+    conversion.
 
     Raises:
-        SourceError: it cannot be opened.
+        SourceError: it cannot be opened, or gives another size or format than what is asked.
     """
 
-    def __init__(
-        self, device: str, fps: float, width_px: int = 1920, height_px: int = 1080
-    ) -> None:
+    def __init__(self, device: str, asked: AskedPictures) -> None:
         quieten_decoder()
         self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._video.isOpened():
@@ -156,12 +170,17 @@ class V4l2Grabber:
                 f"cannot open the camera {device}: is it plugged in, free, and are you in the "
                 "group video?"
             )
-        self._video.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+        width_px, height_px = asked.size_wh or (1920, 1080)
+        self._video.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*(asked.pixels or "MJPG")))
         self._video.set(cv2.CAP_PROP_FRAME_WIDTH, width_px)
         self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, height_px)
-        self._video.set(cv2.CAP_PROP_FPS, fps)
+        self._video.set(cv2.CAP_PROP_FPS, asked.fps or 30.0)
         self._video.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        self._period_s = 1.0 / fps
+        self._raw = asked.pixels in ("YUYV", "GREY")
+        if self._raw:
+            self._video.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or asked.fps or 30.0)
+        self._compare(device, asked)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next picture."""
@@ -172,7 +191,30 @@ class V4l2Grabber:
         good, image = self._video.retrieve()
         if not good:
             return None
+        if self._raw and image.ndim == 3:  # YUYV: luminance first, then a colour by turns
+            image = np.ascontiguousarray(image[..., 0])
         return self._exposure_time(stamp_s, arrival_s), np.asarray(image, dtype=np.uint8)
+
+    def _compare(self, device: str, asked: AskedPictures) -> None:
+        """Refuse another size or format than what was asked; of another rate only tell."""
+        number = int(self._video.get(cv2.CAP_PROP_FOURCC))
+        pixels = number.to_bytes(4, "little").decode("ascii", errors="replace")
+        size_wh = tuple(
+            int(self._video.get(side))
+            for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+        given = f"{size_wh[0]}x{size_wh[1]}@{1.0 / self._period_s:g}:{pixels}"
+        other_size = asked.size_wh is not None and size_wh != asked.size_wh
+        if other_size or (asked.pixels is not None and pixels != asked.pixels):
+            self._video.release()
+            raise SourceError(
+                f"the camera {device} gives {given}, which is not what is asked: "
+                f"`v4l2-ctl -d {device} --list-formats-ext` shows what it has"
+            )
+        _log.info("the camera %s gives %s", device, given)
+        if asked.fps is not None and abs(1.0 / self._period_s - asked.fps) > 0.5:
+            _log.warning("the camera %s gives %s, not %g pictures a second", device, given,
+                         asked.fps)  # fmt: skip
 
     def close(self) -> None:
         """Give the device back."""

@@ -3,14 +3,25 @@
 import re
 from pathlib import Path
 
+from vwnav.cameras.gstreamer import GstreamerGrabber
 from vwnav.cameras.image_folder import ImageFolder
-from vwnav.cameras.live import PicameraGrabber, RealTimeSource, StreamGrabber, V4l2Grabber
+from vwnav.cameras.live import (
+    AskedPictures,
+    PicameraGrabber,
+    PixelFormat,
+    RealTimeSource,
+    StreamGrabber,
+    V4l2Grabber,
+)
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 from vwnav.recording.reader import RecordedFrames
 from vwnav.types import FrameSource
 
 _PICAMERA = re.compile(r"picamera2(?::(\d+)x(\d+)(?:@(\d+))?)?")
+_SIZE = r"(\d+)x(\d+)(?:@(\d+(?:\.\d+)?))?"
+_DEVICE = re.compile(rf"(/dev/.+?)(?::{_SIZE})?(?::(MJPG|YUYV|GREY))?")
+_GSTREAMER = re.compile(rf"gst:{_SIZE}:(.+)", re.DOTALL)
 _STREAM_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "rtp://", "tcp://")
 DEFAULT_FOLDER_FPS = 1.0
 
@@ -19,8 +30,9 @@ def open_source(text: str, fps: float | None = None) -> FrameSource:
     """Open the pictures that `text` names.
 
     Args:
-        text: a video file, a folder of pictures, a recording of vwnav (`.mcap`), `/dev/video0`,
-            `picamera2[:WIDTHxHEIGHT[@FPS]]`, or the URL of a stream (`rtsp://...`).
+        text: a video file, a folder of pictures, a recording of vwnav (`.mcap`),
+            `/dev/video0[:WIDTHxHEIGHT[@FPS]][:MJPG|YUYV|GREY]`, `picamera2[:WIDTHxHEIGHT[@FPS]]`,
+            `gst:WIDTHxHEIGHT[@FPS]:PIPELINE`, or the URL of a stream (`rtsp://...`).
         fps: rate of a folder's pictures where they carry no time of their own; the rate wanted of
             a live camera.
 
@@ -34,16 +46,38 @@ def open_source(text: str, fps: float | None = None) -> FrameSource:
         return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps))
     if text.startswith(_STREAM_SCHEMES):
         return RealTimeSource(lambda: StreamGrabber(text))
+    if text.startswith("gst:"):
+        return _gstreamer(text, fps)
+    device = _DEVICE.fullmatch(text)
+    if device is not None and Path(device[1]).is_char_device():
+        return _video4linux(device, fps)
     path = Path(text)
     if path.is_dir():
         return ImageFolder(path, fps or DEFAULT_FOLDER_FPS)
-    if path.is_char_device():
-        return RealTimeSource(lambda: V4l2Grabber(text, fps or 30.0))
     if path.suffix == ".mcap" and path.is_file():
         return RecordedFrames(path)
     if path.is_file():
         return VideoFile(path)
     raise SourceError(
-        f"no pictures at {text!r}: give a video file, a folder of pictures, /dev/videoN, "
-        "picamera2 or rtsp://..."
+        f"no pictures at {text!r}: give a video file, a folder of pictures, "
+        "/dev/videoN[:640x480[@30]][:MJPG|YUYV|GREY], picamera2, gst:640x480:PIPELINE or rtsp://..."
     )
+
+
+def _video4linux(found: re.Match[str], fps: float | None) -> FrameSource:
+    name, width, height, rate, pixels = found.groups()
+    size_wh = (int(width), int(height)) if width else None
+    known: dict[str | None, PixelFormat] = {"MJPG": "MJPG", "YUYV": "YUYV", "GREY": "GREY"}
+    asked = AskedPictures(size_wh, fps or (float(rate) if rate else None), known.get(pixels))
+    return RealTimeSource(lambda: V4l2Grabber(name, asked))
+
+
+def _gstreamer(text: str, fps: float | None) -> FrameSource:
+    found = _GSTREAMER.fullmatch(text)
+    if found is None:
+        raise SourceError(
+            f"{text!r} does not say its size: gst:640x480@30:libcamerasrc, for example"
+        )
+    width, height, rate, pipeline = found.groups()
+    wanted_fps = fps or float(rate or 30.0)
+    return RealTimeSource(lambda: GstreamerGrabber(pipeline, int(width), int(height), wanted_fps))

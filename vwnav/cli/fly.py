@@ -28,7 +28,9 @@ def fly(
     ),
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
     video: str | None = typer.Option(
-        None, help="/dev/video0, picamera2, rtsp://..., or sim:SITE drawn from --truth."
+        None,
+        help="/dev/video0[:640x480@30:GREY], picamera2, rtsp://..., gst:640x480:PIPELINE, "
+        "or sim:SITE drawn from --truth.",
     ),
     connection: str | None = typer.Option(
         None, help="udpin://0.0.0.0:14540, tcpout://HOST:PORT, serial:///dev/ttyAMA0:921600."

@@ -15,6 +15,7 @@ from vwnav.cli.bench.significance import significance
 from vwnav.cli.bench.speed import speed
 from vwnav.cli.bench.waypoints import waypoints
 from vwnav.cli.camera import calibrate, look
+from vwnav.cli.camera.shutter import shutter
 from vwnav.errors import PreflightError, VwnavError
 
 EXIT_FAILED = 1
@@ -42,6 +43,7 @@ for measure in (
     estimator,
     flights,
     localizer,
+    shutter,
     significance,
     speed,
     waypoints,

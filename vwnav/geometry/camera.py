@@ -22,6 +22,7 @@ R_BODY_CAMERA_DOWN: Array = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0
 _DISTORTION_LENGTHS: dict[str, tuple[int, ...]] = {"pinhole": (0, 4, 5), "fisheye": (4,)}
 MAX_TIME_OFFSET_S = 2.0
 MAX_READOUT_S = 0.2
+MAX_ARM_M = 1.5
 _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
 _MIN_SHARE = 0.4  # of the picture that must lie within that
@@ -87,6 +88,11 @@ class Camera:
             raise ValueError(f"expected a time offset within 2 s, got {self.time_offset_s}")
         if self.readout_s is not None and not 0.0 <= self.readout_s <= MAX_READOUT_S:
             raise ValueError(f"expected a read-out of 0 to 0.2 s, got {self.readout_s}")
+        if np.linalg.norm(self.t_body_camera_m) > MAX_ARM_M:
+            raise ValueError(
+                f"expected a lever arm within 1.5 m, got {self.t_body_camera_m.tolist()}: is it in "
+                "metres?"
+            )
         R = self.R_body_camera
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
             raise ValueError(f"expected R_body_camera to be a rotation, got {R.tolist()}")
@@ -118,6 +124,10 @@ class Camera:
         """The pinhole camera without distortion that `undistort_maps` makes pictures of."""
         return replace(self, distortion=(), model="pinhole")
 
+    def without_arm(self) -> "Camera":
+        """The same camera for itself: places by it are its own, not the body's."""
+        return replace(self, t_body_camera_m=np.zeros(3))
+
     def project(self, points_camera: Array) -> Array:
         """Pixels (n, 2) of points (n, 3) in camera axes; NaN for points not in front of it."""
         points = np.asarray(points_camera, dtype=np.float64).reshape(-1, 3)
@@ -146,15 +156,15 @@ class Camera:
         rays = np.column_stack([flat.reshape(-1, 2), np.ones(len(points))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
-    def undistort_maps(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(map1, map2) for `cv2.remap` (fixed point) to the picture of `undistorted()`."""
+    def undistort_maps(self, kind: int = cv2.CV_16SC2) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(map1, map2) for `cv2.remap`, fixed point, to the picture of `undistorted()`."""
         size_wh = (self.width_px, self.height_px)
         make = (
             cv2.fisheye.initUndistortRectifyMap
             if self.model == "fisheye"
             else (cv2.initUndistortRectifyMap)
         )
-        maps = make(self.K, self._coefficients(), np.eye(3), self.K, size_wh, cv2.CV_16SC2)
+        maps = make(self.K, self._coefficients(), np.eye(3), self.K, size_wh, kind)
         return cast("tuple[NDArray[Any], NDArray[Any]]", tuple(maps))
 
     def _coefficients(self) -> Array:

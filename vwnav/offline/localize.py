@@ -128,6 +128,7 @@ class _Session:
                     f"{path} does not say its lens: give --camera FILE or --hfov-deg X"
                 )
             camera = self._camera or Camera.from_hfov(*size_wh, hfov_deg or 0.0)
+            camera = camera.without_arm()  # what is asked is where the camera was
             if own_attitude:
                 camera = replace(camera, R_body_camera=R_BODY_CAMERA_DOWN)
             self._localizers[key] = Localizer(self._pack, self._extractor, camera)

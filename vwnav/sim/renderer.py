@@ -134,6 +134,8 @@ class CameraRenderer:
         shake = rotation_from_vector(self._rng.normal(0.0, self._config.vibration_rad, 3))
         R_ned_camera = R_ned_body @ shake @ camera.R_body_camera
         centre = position_ned_m + R_ned_body @ camera.t_body_camera_m
+        swung = R_ned_body @ np.cross(rate_body_rad_s, camera.t_body_camera_m)
+        velocity_ned_m_s = velocity_ned_m_s + swung
         height_m = max(-float(centre[2]), _MIN_HEIGHT_M)
         flow = self._flow_px_s(R_ned_camera, height_m, velocity_ned_m_s, rate_body_rad_s)
         rays = self._sensor.shaken(self._rays, t_s)

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from vwnav.geometry.camera import Camera, Rectification
 from vwnav.maps.picture import MapReader, Window
 from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
@@ -29,6 +31,7 @@ from vwnav.vision.candidates import (
 )
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
+from vwnav.vision.lever_arm import fix_of_body, prior_of_camera
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
     Registration,
@@ -51,7 +54,11 @@ HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
 class Localizer:
-    """Locates the images of one camera on one map with one kind of features."""
+    """Locates the images of one camera on one map with one kind of features.
+
+    Prior and fix are of the body that the camera is mounted on, turned and at the end of its lever
+    arm; without an arm they are of the camera.
+    """
 
     def __init__(
         self,
@@ -74,6 +81,7 @@ class Localizer:
         self._pack = pack
         self._extractor = extractor
         self._maker = QueryMaker(camera, extractor, clock)
+        self._arm_m = camera.t_body_camera_m if np.any(camera.t_body_camera_m) else None
         self._given_up = threading.Event()
 
     def give_up(self) -> None:
@@ -96,10 +104,13 @@ class Localizer:
             ModelError: the pack holds features of another model, or the model fails.
         """
         self._given_up.clear()
-        query = self._maker.query(frame, prior, seed)
+        of_camera = prior if self._arm_m is None else prior_of_camera(prior, self._arm_m)
+        query = self._maker.query(frame, of_camera, seed)
         outcome = self._located(query)
         if isinstance(outcome, MapFix):
             outcome = implausible(query, outcome, self._config.max_sigma_m) or outcome
+        if isinstance(outcome, MapFix) and self._arm_m is not None:
+            outcome = fix_of_body(outcome, prior, self._arm_m)
         stats = outcome.stats
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms

@@ -24,6 +24,7 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
+from vwnav.vision.shutter import maps_at_once, ray_flow
 
 MAX_VIEW_PX = 1400
 EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
@@ -171,6 +172,7 @@ class QueryMaker:
         self._camera = camera
         self._undistorted = camera.undistorted()
         self._maps = camera.undistort_maps() if camera.distortion else None
+        self._rolling_maps = camera.undistort_maps(cv2.CV_32FC1) if camera.readout_s else None
         self._extractor = extractor
         self._clock = clock
 
@@ -186,8 +188,11 @@ class QueryMaker:
         gray = np.asarray(
             image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8
         )
-        if self._maps is not None:
-            map1, map2 = self._maps
+        maps = self._maps
+        if self._rolling_maps is not None and (flow := self._flow(frame, prior)) is not None:
+            maps = maps_at_once(self._camera, self._rolling_maps, flow)
+        if maps is not None:
+            map1, map2 = maps
             straight = cv2.remap(
                 gray, map1, map2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )
@@ -196,6 +201,14 @@ class QueryMaker:
         query = Query(frame.t_s, undistorted, prior, seed, self._extractor.name, self._clock)
         query.ms["rectify_ms"] = 1e3 * (self._clock() - start)
         return query
+
+    def _flow(self, frame: Frame, prior: Prior) -> Array | None:
+        """How what is seen moves while rows are read; None where nothing is known of it."""
+        if prior.roll_rad is None or prior.pitch_rad is None or prior.agl_m is None:
+            return None
+        R_level_body = rotation_from_euler(prior.roll_rad, prior.pitch_rad, 0.0)
+        down_camera = (R_level_body @ self._camera.R_body_camera)[2]
+        return ray_flow(frame, self._camera, down_camera, prior.agl_m)
 
     def rectify(
         self, query: Query, yaw_rad: float, agl_m: float, m_per_px: float

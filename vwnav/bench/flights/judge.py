@@ -49,7 +49,7 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
         case Ending.LANDED if not flew:
             return ["it never flew"]
         case Ending.LANDED if bound_m is not None and off_m is not None and off_m > bound_m:
-            return [f"it landed {off_m:.1f} m off, {bound_m:.0f} m are allowed"]
+            return [f"it landed {off_m:.1f} m off, {bound_m:g} m are allowed"]
         case Ending.FLIES_ON if not _flies_on(flown):
             return [f"it does not fly on: {_where(last)}, {_said(flown)}"]
         case Ending.PILOT if last.mode is not FlightMode.MANUAL:

@@ -50,6 +50,7 @@ class Setup:
         gust_m_s: one sigma of the turbulence; None is a tenth of the wind.
         vehicle_rate: seconds of the vehicle's clock per second.
         battery_drain_s: time in flight from full to empty.
+        arm_m: where the camera sits in the body: forward, right, down.
         copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
@@ -70,6 +71,7 @@ class Setup:
     vehicle_rate: float = 1.0
     battery_drain_s: float = 1500.0
     picture_hz: float = 10.0
+    arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)

@@ -56,6 +56,7 @@ class Spotter:
         """
         config = LocalizerConfig(sigma_tilt_rad=float(TILT_OPEN_RAD))
         self._config = config
+        camera = camera.without_arm()  # sought are the camera's own places
         self._pack, self._extractor, self._camera = pack, extractor, camera
         self._localizer = Localizer(pack, extractor, camera, config)
         self._maker = QueryMaker(camera, extractor, time.perf_counter)

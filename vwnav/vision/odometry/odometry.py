@@ -1,4 +1,4 @@
-"""Visual odometry over the ground: how far the camera went since its keyframe.
+"""Visual odometry over the ground: how far the body under the camera went since a keyframe.
 
 The keyframe stays until the view has changed too much, and every picture is compared with it
 directly: a hovering aircraft does not drift, and errors add up per keyframe, not per picture.
@@ -39,6 +39,7 @@ from vwnav.vision.odometry.ground_motion import (
     tilt_share,
 )
 from vwnav.vision.odometry.tracking import Points, find_corners, reduced_gray, reduction, track
+from vwnav.vision.shutter import as_at_once, ray_flow
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
@@ -47,12 +48,17 @@ _MOST_ZOOM = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ReducedView:
-    """A reduced picture and how it was taken."""
+    """A reduced picture and how it was taken: height of the body, and of the camera.
+
+    `flow` (3, 3) is how what is seen moves while rows are read, see `vwnav.vision.shutter`.
+    """
 
     t_s: float
     gray: Gray
     R_ned_camera: Array
     agl_m: float
+    height_m: float
+    flow: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +87,10 @@ class _Course:
 
 
 class Odometry:
-    """Motion of the camera between a keyframe and each picture.
+    """Motion of the body between a keyframe and each picture.
+
+    What a picture shows is how the camera moved; where it sits on a lever arm, a turn of the body
+    swings it, and that is taken off.
 
     Attitudes are the autopilot's own, not corrected by an estimator that uses this odometry: the
     displacement is in NED as they have it: its covariance leaves out the tilt and heading errors
@@ -102,6 +111,8 @@ class Odometry:
             camera, width_px=width_px * self._factor, height_px=height_px * self._factor
         )
         self._camera = whole.scaled(width_px, height_px)
+        self._rolling = bool(camera.readout_s)
+        self._arm_camera_m = camera.R_body_camera.T @ camera.t_body_camera_m
         self.reset()
 
     def reset(self) -> None:
@@ -125,7 +136,8 @@ class Odometry:
             frame: later than the one before, of the camera's size.
             R_ned_body: (3, 3) at its exposure; None when it is not known: nothing is followed
                 then, unless the video is alone.
-            agl_m: height above ground at its exposure; the motion is proportional to it.
+            agl_m: height above ground at its exposure, of the body; the camera's own height, to
+                which the motion is proportional, is less by what the camera sits below it.
 
         Returns:
             The motion since the keyframe, or why there is none.
@@ -161,16 +173,18 @@ class Odometry:
             R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
         if R_ned_body is None:
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "attitude not known")
-        if not (math.isfinite(agl_m) and agl_m >= self._config.least_agl_m):
-            return self._lost(frame.t_s, RejectReason.TOO_LOW, f"{agl_m:.2f} m above ground")
         R_ned_camera = R_ned_body @ self._camera.R_body_camera
+        height_m = agl_m - float((R_ned_camera @ self._arm_camera_m)[2])
+        if not (math.isfinite(agl_m) and height_m >= self._config.least_agl_m):
+            return self._lost(frame.t_s, RejectReason.TOO_LOW, f"{height_m:.2f} m above ground")
         if not np.all(np.isfinite(R_ned_camera)) or R_ned_camera[2, 2] < _LEAST_COS_TILT:
             return self._lost(frame.t_s, RejectReason.TILTED, "the camera does not look down")
         gray = reduced_gray(frame.image, self._factor)
         contrast = float(cv2.meanStdDev(gray)[1][0, 0])
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
-        return _ReducedView(frame.t_s, gray, R_ned_camera, agl_m)
+        flow = ray_flow(frame, self._camera, R_ned_camera[2], height_m) if self._rolling else None
+        return _ReducedView(frame.t_s, gray, R_ned_camera, agl_m, height_m, flow)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """A picture that shows nothing: what comes after it starts anew."""
@@ -187,7 +201,10 @@ class Odometry:
     def _start(self, view: _ReducedView) -> _Keyframe | None:
         """Make a view the keyframe; None, and no keyframe, when it has too few corners."""
         uv = find_corners(view.gray, self._config.cell_px)
-        rays = self._camera.bearings(uv.astype(np.float64)) @ view.R_ned_camera.T
+        rays = self._camera.bearings(uv.astype(np.float64))
+        if view.flow is not None:
+            rays = as_at_once(rays, uv, self._camera, view.flow)
+        rays = rays @ view.R_ned_camera.T
         down = rays[:, 2] > _LEAST_COS_RAY
         if np.count_nonzero(down) < self._config.least_corners:
             self._keyframe = None
@@ -213,6 +230,8 @@ class Odometry:
         if stats.matches < config.least_inliers:
             return Rejected(view.t_s, RejectReason.FEW_MATCHES, "tracks lost", stats=stats)
         rays1 = self._camera.bearings(uv1[kept].astype(np.float64))
+        if view.flow is not None:
+            rays1 = as_at_once(rays1, uv1[kept], self._camera, view.flow)
         seen = Sightings(
             keyframe.rays[kept],
             rays1 / rays1[:, 2:],
@@ -248,26 +267,27 @@ class Odometry:
         heading0_rad = _heading(keyframe.view.R_ned_camera, self._camera)
         heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
         increment_rad = wrap_pi(heading1_rad - heading0_rad)
-        agl_m = keyframe.view.agl_m
+        height_m = keyframe.view.height_m
         if self._alone:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
             way, covariance = centre_way(motion, *axes)
             view = self._turned(view, heading1_rad)
         else:
             way, covariance = motion.way, motion.covariance[:3, :3]
+        swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
         self._remember(view, motion)
         if self._served(keyframe, motion, increment_rad, count):
             self._start(view)
         return OdometryMotion(
             t0_s=keyframe.view.t_s,
             t1_s=view.t_s,
-            displacement_ned_m=way * agl_m,
-            covariance_ned_m2=covariance * agl_m**2,
+            displacement_ned_m=way * height_m - swung_m,
+            covariance_ned_m2=covariance * height_m**2,
             yaw_increment_rad=increment_rad,
             sigma_yaw_rad=math.hypot(
                 math.sqrt(motion.covariance[5, 5]), self._config.yaw_sigma_rad
             ),
-            agl_m=agl_m,
+            agl_m=keyframe.view.agl_m,
             tracks=count,
             tilt_share=tilt_share,
         )

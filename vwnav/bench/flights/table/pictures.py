@@ -3,6 +3,8 @@
 from vwnav.bench.flights.faults import camera as broken
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
+    HOME,
+    RETURN,
     Break,
     Ending,
     Scenario,
@@ -62,6 +64,14 @@ MOUNTED = [
         limit_s=140.0,
         follows=(said(40.0, "contradicts the IMU"), down(80.0)),
         lands_within_m=20.0,
+    ),
+    Scenario(
+        name="camera 1 m ahead of the autopilot, 0.8 m to its left, 0.2 m below",
+        setup=setup(RETURN, arm_m=(1.0, -0.8, 0.2)),
+        breaks=(),
+        limit_s=110.0,
+        lands_within_m=0.6,
+        lands_at_ne_m=HOME,
     ),
 ]
 PICTURES = [*USELESS, *POOR, *LATE, *MOUNTED]

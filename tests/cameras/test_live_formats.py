@@ -1,0 +1,181 @@
+"""What is asked of a live camera by its name, and what comes of it."""
+
+import itertools
+import logging
+import shutil
+import sys
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+from rtsp_server import RtspServer, bright
+
+from vwnav.cameras.live import AskedPictures, V4l2Grabber
+from vwnav.cameras.sources import open_source
+from vwnav.errors import SourceError
+
+FOURCC = {name: float(cv2.VideoWriter.fourcc(*name)) for name in ("MJPG", "YUYV", "GREY")}
+YUYV = np.arange(480 * 640 * 2, dtype=np.uint8).reshape(480, 640, 2)
+
+
+class FakeVideo:
+    """A camera as OpenCV has it, of 640x480 at 25 a second, in all three formats."""
+
+    sizes, formats, rates = [(640, 480), (1920, 1080)], list(FOURCC), [25.0, 30.0]
+
+    def __init__(self, device, _) -> None:
+        self.device, self.open = device, True
+        self.now = {cv2.CAP_PROP_FOURCC: FOURCC["YUYV"], cv2.CAP_PROP_FPS: 25.0}
+        self.now |= {cv2.CAP_PROP_FRAME_WIDTH: 640.0, cv2.CAP_PROP_FRAME_HEIGHT: 480.0}
+        self.now[cv2.CAP_PROP_CONVERT_RGB] = 1.0
+
+    def isOpened(self) -> bool:
+        return self.open
+
+    def set(self, what, value) -> bool:
+        known = {
+            cv2.CAP_PROP_FOURCC: [FOURCC[name] for name in self.formats],
+            cv2.CAP_PROP_FRAME_WIDTH: [w for w, _ in self.sizes],
+            cv2.CAP_PROP_FRAME_HEIGHT: [h for _, h in self.sizes],
+            cv2.CAP_PROP_FPS: self.rates,
+        }
+        if value in known.get(what, [value]):
+            self.now[what] = float(value)
+        return True
+
+    def get(self, what) -> float:
+        return self.now.get(what, 0.0)
+
+    def grab(self) -> bool:
+        return True
+
+    def retrieve(self):
+        if self.now[cv2.CAP_PROP_CONVERT_RGB]:
+            return True, np.zeros((480, 640, 3), np.uint8)
+        gray = self.now[cv2.CAP_PROP_FOURCC] == FOURCC["GREY"]
+        return True, YUYV[..., 0] if gray else YUYV
+
+    def release(self) -> None:
+        self.open = False
+
+
+@pytest.fixture
+def camera(monkeypatch):
+    """A fresh kind of fake camera, and those that were opened."""
+    opened = []
+
+    class Video(FakeVideo):
+        def __init__(self, *words) -> None:
+            super().__init__(*words)
+            opened.append(self)
+
+    monkeypatch.setattr("vwnav.cameras.live.cv2.VideoCapture", Video)
+    return Video, opened
+
+
+@pytest.mark.parametrize("pixels", ["YUYV", "GREY"])
+def test_luminance_is_taken_as_it_comes(camera, pixels):
+    _, opened = camera
+    source = open_source(f"/dev/null:640x480@30:{pixels}")
+    image = source.next_frame().image
+    source.close()
+    assert np.array_equal(image, YUYV[..., 0])
+    assert opened[0].device == "/dev/null"
+    assert opened[0].get(cv2.CAP_PROP_FPS) == 30.0
+
+
+def test_motion_jpeg_comes_in_colour_and_is_what_is_asked_where_nothing_is(camera):
+    _, opened = camera
+    grabber = V4l2Grabber("/dev/null", AskedPictures())
+    assert grabber.grab()[1].shape == (480, 640, 3)
+    assert opened[0].get(cv2.CAP_PROP_FOURCC) == FOURCC["MJPG"]
+    assert opened[0].get(cv2.CAP_PROP_FRAME_WIDTH) == 1920
+
+
+def test_another_size_or_format_is_refused_in_one_line(camera):
+    kind, opened = camera
+    with pytest.raises(SourceError, match="gives 640x480@30:MJPG, which is not") as said:
+        open_source("/dev/null:800x600@30:MJPG")
+    assert "v4l2-ctl -d /dev/null --list-formats-ext" in str(said.value)
+    assert "\n" not in str(said.value)
+    kind.formats = ["YUYV"]
+    with pytest.raises(SourceError, match="640x480@30:YUYV, which is not"):
+        open_source("/dev/null:640x480@30:GREY")
+    assert not any(each.open for each in opened)
+
+
+def test_another_rate_is_told_and_flown(camera, caplog):
+    with caplog.at_level(logging.WARNING):
+        open_source("/dev/null:640x480@60:GREY").close()
+    assert "gives 640x480@25:GREY, not 60 pictures a second" in caplog.text
+
+
+def test_names_with_colons_are_names(camera, tmp_path):
+    with pytest.raises(SourceError, match="no pictures at"):
+        open_source("/dev/v4l/by-path/pci-0000:01:00.0-usb-0:1.3:1.0-video-index0:640x480")
+
+
+def test_a_pipeline_of_gstreamer_comes_through_a_pipe(tmp_path, monkeypatch):
+    """The program's place is taken by one that writes what it would, and its words."""
+    launch = tmp_path / "gst-launch-1.0"
+    launch.write_text(
+        f"#!{sys.executable}\n"
+        "import sys, pathlib, time\n"
+        f"pathlib.Path({str(tmp_path / 'said')!r}).write_text(' '.join(sys.argv[1:]))\n"
+        "for n in range(200):\n"
+        "    sys.stdout.buffer.write((bytes([n] * 158) + b'xx') * 120)\n"
+        "    sys.stdout.flush(); time.sleep(0.01)\n"
+    )
+    launch.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    source = open_source("gst:158x120@30:videotestsrc pattern=ball ! queue")
+    frames = [source.next_frame() for _ in range(4)]
+    source.close()
+    assert [frame.image.shape for frame in frames] == [(120, 158)] * 4
+    assert all(np.all(frame.image == frame.index) for frame in frames)
+    said = (tmp_path / "said").read_text()
+    assert said.startswith("-q videotestsrc pattern=ball ! queue ! videoconvert")
+    assert "format=GRAY8,width=158,height=120 ! fdsink" in said
+
+
+def test_a_pipeline_that_fails_says_why_in_one_line(tmp_path, monkeypatch):
+    launch = tmp_path / "gst-launch-1.0"
+    launch.write_text("#!/bin/sh\necho 'WARNING: erroneous pipeline: no element \"nix\"' >&2\n")
+    launch.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(SourceError, match=r'gives no picture: .* no element "nix"$'):
+        open_source("gst:640x480:nix")
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    with pytest.raises(SourceError, match="sudo apt install gstreamer"):
+        open_source("gst:640x480:nix")
+    with pytest.raises(SourceError, match="does not say its size"):
+        open_source("gst:videotestsrc")
+
+
+@pytest.mark.skipif(shutil.which("gst-launch-1.0") is None, reason="GStreamer is not installed")
+def test_the_real_gstreamer_gives_pictures():
+    source = open_source("gst:322x240@30:videotestsrc is-live=true pattern=white")
+    frames = [source.next_frame() for _ in range(3)]
+    source.close()
+    assert frames[2].image.shape == (240, 322)
+    assert frames[2].image.min() > 200
+
+
+def test_an_rtsp_camera_is_seen():
+    def pictures():
+        for number in itertools.count():
+            yield cv2.imencode(".jpg", bright(number))[1].tobytes()
+
+    with RtspServer(pictures, (160, 120)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        source = open_source(server.url)
+        frames = [source.next_frame() for _ in range(4)]
+        source.close()
+        server.shutdown()
+    assert frames[3].image.shape == (120, 160, 3)
+    assert 0.0 < time.monotonic() - frames[3].t_s < 1.0
+    levels = [float(frame.image.mean()) for frame in frames]
+    assert all(abs(level % 5.0 - 0.0) < 1.5 or abs(level % 5.0 - 5.0) < 1.5 for level in levels)
+    assert len(set(levels)) == 4

@@ -1,0 +1,88 @@
+"""Rows that are exposed one after the other, put back to the middle one's moment."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
+from vwnav.types import Frame
+from vwnav.vision.shutter import as_at_once, maps_at_once, ray_flow
+
+READOUT_S, HEIGHT_M = 0.02, 50.0
+STILL = Frame(0.0, np.zeros((480, 640), np.uint8), 0)
+LENS = replace(
+    Camera.from_hfov(640, 480, 80.0), distortion=(-0.11, 0.025, 0.0004, -0.0003),
+    readout_s=READOUT_S,
+)  # fmt: skip
+rates = st.tuples(*[st.floats(-1.05, 1.05)] * 3)
+speeds = st.tuples(*[st.floats(-12.0, 12.0)] * 2, st.floats(-4.0, 4.0))
+tilts = st.tuples(*[st.floats(-0.3, 0.3)] * 2, st.floats(-3.0, 3.0))
+
+
+def seen_and_at_once(camera: Camera, rate, velocity, tilt):
+    """Ground points (n, 3): pixels as the rows see them, as a global shutter does, and the flow."""
+    R, rate, velocity = rotation_from_euler(*tilt), np.array(rate), np.array(velocity)
+    arm = camera.t_body_camera_m
+    u, v = np.meshgrid(np.linspace(20, 620, 9), np.linspace(15, 465, 9))
+    at_once = np.stack([u, v], axis=-1).reshape(-1, 2)
+    rays = camera.bearings(at_once) @ (R @ camera.R_body_camera).T
+    ground = R @ arm + rays * (HEIGHT_M / rays[:, 2:])
+    seen = at_once.copy()
+    for _ in range(6):
+        for i, (_, row) in enumerate(seen.copy()):
+            t_s = ((row + 0.5) / 480 - 0.5) * READOUT_S
+            R_then = R @ rotation_from_vector(rate * t_s)
+            away = ground[i] - t_s * (R @ velocity) - R_then @ arm
+            seen[i] = camera.project(away @ (R_then @ camera.R_body_camera))[0]
+    frame = replace(STILL, rates_rad_s=rate, velocity_body_m_s=velocity)
+    down_camera = (R @ camera.R_body_camera)[2]
+    return seen, at_once, ray_flow(frame, camera, down_camera, HEIGHT_M)
+
+
+def px_apart(camera: Camera, rays: np.ndarray, uv: np.ndarray) -> float:
+    pinhole = camera.undistorted()
+    straight = pinhole.project(camera.bearings(uv))
+    return float(np.abs(pinhole.project(rays) - straight).max())
+
+
+@given(rate=rates, velocity=speeds, tilt=tilts)
+def test_points_are_put_back_to_the_middle_rows_moment(rate, velocity, tilt):
+    arm_m = np.array([0.4, -0.2, 0.1])
+    mount = rotation_from_euler(0.1, -0.05, 0.4) @ LENS.R_body_camera
+    camera = replace(LENS, R_body_camera=mount, t_body_camera_m=arm_m)
+    seen, at_once, flow = seen_and_at_once(camera, rate, velocity, tilt)
+    if flow is None:
+        assert px_apart(camera, camera.bearings(seen), at_once) < 0.3
+    else:
+        back = as_at_once(camera.bearings(seen), seen, camera, flow)
+        assert px_apart(camera, back, at_once) < 0.15
+
+
+def test_a_picture_is_put_back_too():
+    """As a line of points: what the maps fetch is where the rows saw it."""
+    seen, at_once, flow = seen_and_at_once(LENS, (0.3, -0.5, 1.0), (12.0, 3.0, 1.0), (0.1, -0.1, 2))
+    assert flow is not None
+    straight = LENS.undistorted().project(LENS.bearings(at_once)).astype(np.float32)
+    inside = np.all((straight > 0) & (straight < (639, 479)), axis=1)
+    maps = maps_at_once(LENS, LENS.undistort_maps(cv2.CV_32FC1), flow)
+    fetched = [cv2.remap(m, straight[None], None, cv2.INTER_LINEAR)[0] for m in maps]
+    error_px = np.column_stack(fetched) - seen
+    assert np.abs(error_px[inside]).max() < 0.2
+    assert np.abs(at_once - seen).max() > 4.0
+
+
+def test_what_hardly_moves_is_left_as_it_is():
+    slow = replace(STILL, rates_rad_s=np.full(3, 0.01), velocity_body_m_s=np.array([0.5, 0, 0]))
+    down = LENS.R_body_camera[2]
+    assert ray_flow(slow, LENS, down, HEIGHT_M) is None
+    fast = replace(slow, velocity_body_m_s=np.array([12.0, 0.0, 0.0]))
+    assert ray_flow(fast, LENS, down, HEIGHT_M) is not None
+    assert ray_flow(fast, replace(LENS, readout_s=0.0), down, HEIGHT_M) is None
+    assert ray_flow(fast, replace(LENS, readout_s=None), down, HEIGHT_M) is None
+    assert ray_flow(STILL, LENS, down, HEIGHT_M) is None
+    assert ray_flow(fast, LENS, down, math.nan) is None

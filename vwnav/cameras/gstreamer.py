@@ -1,0 +1,80 @@
+"""Pictures of a GStreamer pipeline, through a pipe: OpenCV's wheels are built without GStreamer."""
+
+import contextlib
+import shlex
+import shutil
+import subprocess
+import tempfile
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.errors import SourceError
+
+_LAUNCH = "gst-launch-1.0"
+_CLOSE_S = 2.0
+
+
+class GstreamerGrabber:
+    """Gray pictures of a pipeline that `gst-launch-1.0` runs; the end of it is ours.
+
+    Pictures are stamped at arrival less one period, as those of a stream are.
+
+    Raises:
+        SourceError: GStreamer is not there, or the pipeline gives no picture.
+    """
+
+    def __init__(self, pipeline: str, width_px: int, height_px: int, fps: float) -> None:
+        if shutil.which(_LAUNCH) is None:
+            raise SourceError(
+                f"{_LAUNCH} is not there: `sudo apt install gstreamer1.0-tools "
+                "gstreamer1.0-plugins-good gstreamer1.0-libcamera`"
+            )
+        self._size_wh, self._period_s = (width_px, height_px), 1.0 / fps
+        self._stride = -(-width_px // 4) * 4  # GStreamer's rows begin at multiples of four
+        gray = f"video/x-raw,format=GRAY8,width={width_px},height={height_px}"
+        ours = f"videoconvert ! videoscale ! {gray} ! fdsink fd=1 sync=false"
+        command = [_LAUNCH, "-q", *shlex.split(f"{pipeline} ! {ours}")]
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115  # as long as the process
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._said
+        )
+        self._first = self._read()
+        if self._first is None:
+            why = self._complaint()
+            self.close()
+            raise SourceError(f"the GStreamer pipeline gives no picture: {why}")
+
+    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """The next picture."""
+        image, self._first = self._first, None
+        image = self._read() if image is None else image
+        return None if image is None else (time.monotonic() - self._period_s, image)
+
+    def close(self) -> None:
+        """End the pipeline."""
+        self._process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_CLOSE_S)
+        self._process.kill()
+        self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._said.close()
+
+    def _read(self) -> NDArray[np.uint8] | None:
+        assert self._process.stdout is not None
+        width_px, height_px = self._size_wh
+        data = self._process.stdout.read(self._stride * height_px)
+        if len(data) < self._stride * height_px:
+            return None
+        rows = np.frombuffer(data, np.uint8).reshape(height_px, self._stride)
+        return np.ascontiguousarray(rows[:, :width_px])
+
+    def _complaint(self) -> str:
+        """What GStreamer says of it, one line."""
+        self._process.wait(_CLOSE_S)
+        self._said.seek(0)
+        lines = self._said.read().decode(errors="replace").splitlines()
+        return next((line for line in lines if "ERROR" in line or "WARNING" in line), "it ended")
