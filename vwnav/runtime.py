@@ -78,6 +78,7 @@ class FlightRuntime:
         self._lock = threading.Lock()
         self._navigation = Navigation(None)
         self._seen_s: float | None = None
+        self._contradicted = False
         self._heard_s: float | None = None
         self._held_back_since_s = -math.inf
         self._link_fails_since_s: float | None = None
@@ -132,7 +133,7 @@ class FlightRuntime:
         lost = self._guard.reason if believed is not None and sent is None else ""
         with self._lock:
             before = self._navigation
-            self._navigation = Navigation(sent, lost, self._seen_s)
+            self._navigation = Navigation(sent, lost, self._seen_s, self._contradicted)
         if sent is not None:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):
@@ -191,8 +192,13 @@ class FlightRuntime:
             return
         if trouble:
             self._say_once(trouble, f"pictures are not used: {trouble}")
-        if isinstance(step.motion, OdometryMotion) or isinstance(step.outcome, MapFix):
-            with self._lock:
+        motion = step.motion
+        with self._lock:
+            # What the filter refuses of motions: `Verdict.DISTRUSTED`.
+            self._contradicted = (
+                isinstance(motion, Rejected) and motion.reason is RejectReason.PRIOR
+            )
+            if isinstance(motion, OdometryMotion) or isinstance(step.outcome, MapFix):
                 self._seen_s = frame.t_s
         self._watch(lambda: self._watcher.saw_frame(frame, step))
 

@@ -212,6 +212,8 @@ class OdometryMotion:
         tracks: inliers that carried it.
         tilt_share: of a change of the attitude's tilt error between the two, how much was taken
             for motion, 0 to 1: pictures tell tilting from moving only as well as they can.
+        tilts_along: log-likelihood ratio of what the picture itself shows of tilting: as much as
+            its attitudes tell, against nothing. Negative of a camera that is mounted upside down.
     """
 
     t0_s: float
@@ -223,6 +225,7 @@ class OdometryMotion:
     agl_m: float
     tracks: int
     tilt_share: float = 0.0
+    tilts_along: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -329,11 +332,13 @@ class Navigation:
             would fly on.
         lost: why there is none any more; empty before the first and while there is one.
         seen_s: exposure of the newest picture that told a motion or a place.
+        contradicted: the newest picture's motion is not believed: it contradicts the IMU.
     """
 
     estimate: Estimate | None
     lost: str = ""
     seen_s: float | None = None
+    contradicted: bool = False
 
 
 class FrameSource(Protocol):

@@ -112,3 +112,23 @@ def test_a_body_that_turns_on_the_spot_goes_nowhere_with_its_camera_on_an_arm():
     assert isinstance(found[-1], OdometryMotion)
     assert np.abs(found[-1].displacement_ned_m).max() < 0.01
     assert found[-1].agl_m == agl_m
+
+
+@pytest.mark.parametrize(
+    ("half_turns", "least", "most"), [(0, 5.0, math.inf), (1, -math.inf, -15.0)]
+)
+def test_an_upright_camera_tilts_as_the_aircraft_does_and_one_upside_down_the_other_way(
+    half_turns, least, most
+):
+    """The aircraft rolls by one degree on the spot, and its attitudes say so."""
+    roll = rotation_from_vector([math.radians(1.0), 0.0, 0.0])
+    still = picture(ground(3), 0.0)
+    R_camera0_camera1 = CAMERA.R_body_camera.T @ roll @ CAMERA.R_body_camera
+    H = CAMERA.K @ R_camera0_camera1.T @ np.linalg.inv(CAMERA.K)
+    rolled = cv2.warpPerspective(still, H, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    odometry = Odometry(CAMERA, OdometryConfig())
+    seen = [np.ascontiguousarray(np.rot90(each, 2 * half_turns)) for each in (still, rolled)]
+    odometry.step(Frame(0.0, seen[0], 0), LEVEL, AGL_M)
+    motion = odometry.step(Frame(0.1, seen[1], 1), roll, AGL_M)
+    assert isinstance(motion, OdometryMotion)
+    assert least < motion.tilts_along < most

@@ -4,6 +4,9 @@ A camera that is mounted upside down, or shows what is not there, tells ways tha
 one by one, and believes now and then. When most of them are refused none is believed, until they
 agree for a while and a map fix does. That has to be while the aircraft changes its speed: ways of
 pictures that are dated wrongly agree as long as it flies steadily.
+
+The pictures themselves tell it earlier, and need no filter for it: those of a camera upside down
+tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`).
 """
 
 import bisect
@@ -33,6 +36,9 @@ _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
 _LEAN_DOUBT_RAD = 0.15
+_APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
+_MOST_ALONG = 5.0  # what one says at most
+_SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
 
@@ -62,6 +68,8 @@ class OdometryGate:
         self._attitudes = attitudes
         self._config = config
         self._newest: OdometryMotion | None = None
+        self._along = 0.0  # log-likelihood ratio: the pictures tilt as the attitude does, or not
+        self._turned = False  # they surely do not
         self._trust_all()
 
     def _trust_all(self) -> None:
@@ -102,8 +110,13 @@ class OdometryGate:
             return Verdict.NO_ATTITUDE
         if not (known or self._cloned(event.motion, timeline)):
             return Verdict.NO_ANCHOR
-        if event.t_s > self._attitudes.gyro.newest_s + _IMU_OF_NOW_S:
+        heard = event.t_s <= self._attitudes.gyro.newest_s + _IMU_OF_NOW_S
+        if not (heard or self._turned):
             self._trust_all()  # nothing contradicts them any more
+        share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
+        along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
+        self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
+        self._turned = self._along == -_SURE_ALONG
         return event
 
     def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
@@ -149,12 +162,13 @@ class OdometryGate:
         self.believed_s = min(self.believed_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
             self._seen.popleft()
-        if len(self._seen) < _LEAST or t_s - self._begun_s < window_s:
+        few = len(self._seen) < _LEAST or t_s - self._begun_s < window_s
+        if few and (self.lost or not self._turned):
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
-        if self.lost and self.fixed and share >= _TRUSTED and self._proved():
+        if self.lost and self.fixed and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s = False, t_s
-        elif not self.lost and share <= _DOUBTED:
+        elif not self.lost and (share <= _DOUBTED or self._turned):
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S
             self.lost, self.fixed = True, False

@@ -76,6 +76,7 @@ class Displacement:
             and math.isfinite(m.agl_m)
             and m.agl_m > 0.0
             and 0.0 <= m.tilt_share <= 1.0
+            and math.isfinite(m.tilts_along)
         )
 
 

@@ -102,6 +102,12 @@ def _blind_for_good(now: Situation, config: SafetyConfig) -> str | None:
     return _BLIND if now.blind_s >= config.blind_land_s else None
 
 
+def _never_right(now: Situation, config: SafetyConfig) -> str | None:
+    """A camera that is mounted upside down is found out at take-off, a few metres up."""
+    wrong = now.contradicted and not now.had_fix
+    return "the camera shows what contradicts the IMU" if wrong else None
+
+
 def _blind(now: Situation, config: SafetyConfig) -> str | None:
     return _BLIND if now.blind_s >= config.blind_hold_s else None
 
@@ -185,6 +191,10 @@ TABLE = (
     SafetyRule(
         Rank.SIGNAL, "no picture that tells motion or place for {blind_land_s:g} s",
         Action.LAND, _blind_for_good, stays=True,
+    ),
+    SafetyRule(
+        Rank.SIGNAL, "pictures contradict the IMU, before the first fix", Action.LAND, _never_right,
+        stays=True,
     ),
     SafetyRule(
         Rank.SIGNAL, "no picture that tells motion or place for {blind_hold_s:g} s",

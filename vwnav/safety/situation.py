@@ -26,6 +26,7 @@ class Situation:
         connected, silence_s: of the autopilot; our own sleep left out.
         lost_s, lost: since when there is no estimate to fly on, and why; negative while there is.
         blind_s: since the last picture that told motion or place.
+        contradicted: pictures tell motions that contradict the IMU.
         radio_lost_s, ground_lost_s: of the pilot's radio and the ground station, once heard.
         had_fix: there has been a map fix.
         is_usable: the way home can be found with the position.
@@ -44,6 +45,7 @@ class Situation:
     lost_s: float = -math.inf
     lost: str = ""
     blind_s: float = 0.0
+    contradicted: bool = False
     radio_lost_s: float = -math.inf
     ground_lost_s: float = -math.inf
     had_fix: bool = True

@@ -23,6 +23,7 @@ _HANDED_AGL_M = 40.0  # odometry is scaled by whatever AGL it is handed; the fil
 _KEYFRAME_WAY = 0.35  # in AGL, then the keyframe is replaced
 _KEYFRAME_CLIMB = 0.12
 _KEYFRAME_TURN_RAD = 0.14
+_TOLD_TILT_RAD = math.radians(0.2)  # what attitudes leave open, as odometry has it
 _MAP_WAVES = 24
 _MAP_LENGTH_M = 50.0
 
@@ -215,6 +216,7 @@ def _odometry(
             motion = OdometryMotion(
                 float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
                 increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
+                _tilts_along(world, truth.quat_wxyz[[key, i]], errors.quats[[key, i]]),
             )  # fmt: skip
             events.append(MeasurementEvent(motion.t1_s + _ODOMETRY_LATE_S, motion))
             moved = math.hypot(way[0], way[1]) > _KEYFRAME_WAY or abs(way[2]) > _KEYFRAME_CLIMB
@@ -225,6 +227,21 @@ def _odometry(
         turn = rotation_from_vector([0.0, 0.0, errors.yaw[key]])
         key_turn = turn @ rotation_from_vector([*errors.tilt_ne[key], 0.0])
     return events
+
+
+def _tilts_along(world: FilterWorld, true_quats: Array, told_quats: Array) -> float:
+    """As `ground_motion.tilt_seen` has it, of two attitudes (2, 4) each, as they were and are told.
+
+    What of a tilt that nobody told is not taken for motion is seen.
+    """
+    true, told = _tilted_rad(*true_quats), _tilted_rad(*told_quats)
+    k = 1.0 - world.tilt_in_odometry
+    return float(k * told @ (true - 0.5 * told)) / _TOLD_TILT_RAD**2
+
+
+def _tilted_rad(quat0: Array, quat1: Array) -> Array:
+    """(2,) turn of the body's down axis between two attitudes, about north and east."""
+    return np.cross(rotation_from_quat(quat0)[:, 2], rotation_from_quat(quat1)[:, 2])[:2]
 
 
 def _fixes(

@@ -197,15 +197,36 @@ def _solve(
     return np.asarray(step, dtype=np.float64) if np.all(np.isfinite(step)) else None
 
 
-def tilt_share(motion: Motion, prior: MotionPrior) -> float:
-    """How much of a change of tilt error, which the prior says is none, the fit takes for motion.
+@dataclass(frozen=True, slots=True)
+class TiltSeen:
+    """What a fit and the attitudes say of each other.
 
-    With true tilts p and a prior of mean zero and information L, the fit's mean is off by
-    -Cov L p (the posterior of a linear model); of that, the way's part along the tilt.
+    Attributes:
+        share: how much of a change of tilt error, which the prior says is none, the fit takes for
+            motion. With true tilts p and a prior of mean zero and information L, the fit's mean is
+            off by -Cov L p (the posterior of a linear model); of that, the way's part along the
+            tilt.
+        along: `OdometryMotion.tilts_along`.
     """
-    covariance = motion.covariance
+
+    share: float = 0.0
+    along: float = 0.0
+
+
+def tilt_seen(motion: Motion, prior: MotionPrior, told_rad: Array) -> TiltSeen:
+    """How a fit's own word on tilting stands to what the attitudes tell.
+
+    That is `told_rad` w (2,), the turn of the optical axis about north and east. With the prior
+    N(0, s^2) of the turn beyond the attitudes' own taken out of its posterior N(m, c), the picture
+    says m / k, uncertain by c / k, with k = 1 - c / s^2. So it shows w + m / k, and the logarithm
+    of N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is
+    (m.w + k w.w / 2) / s^2.
+    """
+    covariance, variance = motion.covariance, prior.tilt_increment_rad**2
     along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
-    return min(float(along) / prior.tilt_increment_rad**2, 1.0)
+    k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)
+    ratio = told_rad @ (motion.turn_rad[:2] + 0.5 * k * told_rad) / variance
+    return TiltSeen(min(float(along) / variance, 1.0), float(ratio))
 
 
 def off_plane(motion: Motion, share: float) -> Motion:

@@ -33,10 +33,11 @@ from vwnav.vision.odometry.ground_motion import (
     Motion,
     MotionPrior,
     Sightings,
+    TiltSeen,
     centre_way,
     fit_motion,
     off_plane,
-    tilt_share,
+    tilt_seen,
 )
 from vwnav.vision.odometry.tracking import Points, find_corners, reduced_gray, reduction, track
 from vwnav.vision.shutter import as_at_once, ray_flow
@@ -248,8 +249,10 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        share = 0.0 if self._alone else tilt_share(motion, prior)
-        return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, share)
+        axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
+        told_rad = np.cross(*axes)[:2]
+        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, told_rad)
+        return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, tilt)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
         c = self._config
@@ -261,7 +264,7 @@ class Odometry:
         return MotionPrior(tilt_rad, c.slope, c.sigma_px)
 
     def _accept(
-        self, keyframe: _Keyframe, view: _ReducedView, motion: Motion, count: int, tilt_share: float
+        self, keyframe: _Keyframe, view: _ReducedView, motion: Motion, count: int, tilt: TiltSeen
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
         heading0_rad = _heading(keyframe.view.R_ned_camera, self._camera)
@@ -289,7 +292,8 @@ class Odometry:
             ),
             agl_m=keyframe.view.agl_m,
             tracks=count,
-            tilt_share=tilt_share,
+            tilt_share=tilt.share,
+            tilts_along=tilt.along,
         )
 
     def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:
