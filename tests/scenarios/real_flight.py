@@ -85,14 +85,13 @@ class RealFlight:
         return max(speed for _, _, speed in self._track)
 
     @contextlib.contextmanager
-    def started_again(self, folder: Path) -> Iterator["RealFlight"]:
+    def started_again(self) -> Iterator["RealFlight"]:
         """The same command, by a service or a person, while the aircraft is where it is."""
-        command = [*self.command[:-1], str(folder / "run")]
-        folder.mkdir()
-        with (folder / "log").open("wb") as log:
-            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT)
+        folder, path = self.folder.with_name("run-2"), self.log.with_name("log-2")
+        with path.open("wb") as log:
+            process = subprocess.Popen(self.command, stdout=log, stderr=log, cwd=ROOT)
         try:
-            yield RealFlight(command, process, folder / "run", folder / "log", self.truth)
+            yield RealFlight(self.command, process, folder, path, self.truth)
         finally:
             process.kill()
             process.wait()
@@ -110,6 +109,15 @@ class RealFlight:
                 if ours and b"--spare" not in words:
                     return int(folder.name)
         raise AssertionError("there is no watchdog")
+
+    def successor_pid(self) -> int:
+        """Of the second navigator."""
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                words = (folder / "cmdline").read_bytes().split(b"\0")
+                if b"--standby" in words and str(self.folder / "successor").encode() in words:
+                    return int(folder.name)
+        raise AssertionError("there is no successor")
 
     def _speed_m_s(self) -> float:
         state = self.truth.latest()

@@ -104,12 +104,31 @@ def test_a_navigator_that_sleeps_for_20_s_is_ended_and_landed_on_the_second_ones
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_second_navigator_that_ends_or_hangs_is_followed_by_a_third(tmp_path, number):
+    """It has to be loaded first, and finds the place from high enough alone."""
+    with real_flight(tmp_path, route_text="1,45,0,60\n2,45,-40,60\n") as flight:
+
+        def watchdog_said(text: str) -> int:
+            return (flight.folder / "watchdog.log").read_text(errors="replace").count(text)
+
+        flight.wait_until_on_route()
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        flight.wait(lambda: watchdog_said("estimates are handed on again") == 1, 20.0)
+        os.kill(flight.successor_pid(), number)
+        flight.wait(lambda: watchdog_said("estimates are handed on again") == 2, 60.0)
+        flight.wait_until_down(120.0)
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 100.0
+
+
+@pytest.mark.long
 def test_started_again_in_flight_it_joins_the_watchdog_and_a_person_gives_it_the_aircraft(tmp_path):
     with real_flight(tmp_path) as flight:
         flight.wait_until_on_route()
         flight.signal(signal.SIGKILL)
         killed_at = flight.place_ned_m()
-        with flight.started_again(tmp_path / "again") as again:
+        with flight.started_again() as again:
             again.wait(lambda: again.said("lands it, and a second navigator gives"), 60.0)
             again.wait_until_down(90.0)
             assert np.hypot(*(again.place_ned_m() - killed_at)[:2]) < 40.0
@@ -117,6 +136,7 @@ def test_started_again_in_flight_it_joins_the_watchdog_and_a_person_gives_it_the
             again.wait(lambda: again.said("ready: arm by the radio"), 60.0)
             time.sleep(5.0)  # with --truth it would have armed by itself
             assert again.process.poll() is None
+            assert (again.folder / "flight.mcap").exists()
             assert -again.place_ned_m()[2] < 0.5
             assert not again.said("taking off")
 

@@ -39,8 +39,9 @@ def test_it_is_ended_once_the_aircraft_has_been_told_to_land_and_the_operator_re
     stand, process = flying()
     hang(stand, 3.9)
     assert not process.ended
-    assert [m.text for m in hang(stand, 0.3) if m.get_type() == "STATUSTEXT"] == [
-        "vwnav hangs: ended, a second one gives estimates"
+    told = [m for m in hang(stand, 0.3) if m.get_type() == "STATUSTEXT"]
+    assert [(m.get_srcSystem(), m.text) for m in told] == [
+        (7, "vwnav hangs: ended, a second one gives estimates")
     ]
     assert process.ended
 

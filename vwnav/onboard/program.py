@@ -33,7 +33,7 @@ from vwnav.onboard.simulation import DEFAULT_ROUTE, DEFAULT_SITE
 from vwnav.pace import PacedClock
 from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.disk.thread import sync_file
-from vwnav.recording.run_folder import make_run_folder
+from vwnav.recording.run_folder import make_run_folder, unused
 from vwnav.screen import say
 from vwnav.sim.config import Manners, VehicleConfig
 from vwnav.sim.site import Site
@@ -63,6 +63,8 @@ def fly_route(options: FlyOptions) -> None:
     options = _with_simulated_defaults(options)
     with ExitStack() as stack:
         plan = plan_flight(options, stack)
+        if not options.sim and wait_for_the_aircraft(str(options.connection), ServiceManager()):
+            options = _of_a_flight_that_broke_off(options)
         folder = make_run_folder(options.output, "fly")
         save_config(plan.config, folder / "config.toml")
         sync_file(folder / "config.toml")
@@ -78,7 +80,6 @@ def fly_route(options: FlyOptions) -> None:
                 site, options.manners, options.wind_m_s, options.seed, clock, stack
             )
         assert link is not None
-        options = replace(options, rejoined=wait_for_the_aircraft(link, ServiceManager()))
         # An embedded simulation ends with its navigator: there is nothing left to succeed in.
         successor = [] if options.sim else options.successor(folder)
         watchdog = stack.enter_context(
@@ -126,6 +127,12 @@ def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
     if not is_site(str(options.video)) and options.camera is None:
         raise ConfigError("fly needs --camera: a flight wants a calibrated camera")
     return options
+
+
+def _of_a_flight_that_broke_off(options: FlyOptions) -> FlyOptions:
+    """The same command again: its folder holds that flight."""
+    output = None if options.output is None else unused(options.output)
+    return replace(options, rejoined=True, output=output)
 
 
 def _fly(

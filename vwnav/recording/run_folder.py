@@ -50,7 +50,7 @@ def make_run_folder(wanted: Path | None, kind: str) -> Path:
     Raises:
         VwnavError: the folder cannot be made or holds another run.
     """
-    folder = wanted or _unused(Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
+    folder = wanted or unused(Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
     if any((folder / name).exists() for name in ("trajectory.csv", "flight.mcap")):
         raise VwnavError(f"{folder} already holds a run; give another folder with -o")
     try:
@@ -60,8 +60,12 @@ def make_run_folder(wanted: Path | None, kind: str) -> Path:
     return folder
 
 
-def _unused(folder: Path) -> Path:
-    """A board without a battery for its clock may start twice at the same time."""
+def unused(folder: Path) -> Path:
+    """That one or, where it exists, the next number of it.
+
+    A board without a battery for its clock may start twice at the same time; a flight that broke
+    off is followed by another one of the same command.
+    """
     others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
     return next(each for each in chain([folder], others) if not each.exists())
 

@@ -295,7 +295,7 @@ class Watchdog:
                 self._config.end_after_s,
             )
             self._navigator.end()
-            self._outbox.put(self._voice.text(_ENDED_TEXT), t_s)
+            self._outbox.put(self._voice.text(_ENDED_TEXT, self._ear), t_s)
 
     def _flies(self, t_s: float) -> bool:
         """As it says itself, lately."""

@@ -165,11 +165,12 @@ class Voice:
         )
         return _packet(message.pack(self._encoder))
 
-    def text(self, text: str) -> Packet:
+    def text(self, text: str, ear: AutopilotEar) -> Packet:
         """For the ground stations, up to 50 characters: what an operator must know."""
+        self._encoder.srcSystem = ear.system_id or 1
         severity = mavlink.MAV_SEVERITY_CRITICAL
         message = mavlink.MAVLink_statustext_message(severity, text.encode("ascii"))
-        return _packet(message.pack(self._encoder))
+        return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
 
     def say(self, action: DeadManAction, ear: AutopilotEar, t_s: float) -> Packet:
         """The message that does `action` on the autopilot that `ear` hears."""
