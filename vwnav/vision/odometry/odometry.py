@@ -230,11 +230,8 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        # How the headings differ the picture tells better: an autopilot may have reset its own.
-        turn = rotation_from_vector([0.0, 0.0, motion.turn_rad[2]])
-        axis0, axis1 = keyframe.view.R_ned_camera[:, 2], turn @ view.R_ned_camera[:, 2]
-        told_rad = np.cross(axis0, axis1)[:2]
-        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, told_rad)
+        axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
+        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, *axes)
         return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, tilt)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
