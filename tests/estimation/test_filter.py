@@ -224,6 +224,21 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_agl_m
     assert (apart_m < 0.8) != blown_away
 
 
+def test_the_touch_of_one_that_came_down_blind_does_not_make_its_place_any_surer():
+    """The ground has stopped it: 50 m of uncertainty had become 38 by that."""
+    ekf = Ekf(EkfConfig())
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -6.0]), agl_m=6.0))
+    sigmas_m = []
+    for k in range(620):
+        t_s = 0.05 * k
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(Height(t_s, max(6.0 - 0.2 * t_s, 0.0)))
+        sigmas_m.append(ekf.estimate(t_s).sigma_horizontal_m)
+    assert sigmas_m[-1] > 20.0
+    assert sigmas_m[-1] > 0.95 * max(sigmas_m), (sigmas_m[-1], max(sigmas_m))
+    assert np.sqrt(ekf.state.P[3, 3]) < 1.0
+
+
 @pytest.mark.parametrize(("held", "turned"), [(True, False), (False, True)])
 def test_wind_that_takes_hold_at_take_off_does_not_turn_the_heading(monkeypatch, held, turned):
     """Before the first fix only odometry could turn it, and what it sees is the wind."""

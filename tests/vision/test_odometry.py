@@ -132,3 +132,14 @@ def test_an_upright_camera_tilts_as_the_aircraft_does_and_one_upside_down_the_ot
     motion = odometry.step(Frame(0.1, seen[1], 1), roll, AGL_M)
     assert isinstance(motion, OdometryMotion)
     assert least < motion.tilts_along < most
+
+
+def test_a_heading_that_the_autopilot_resets_is_no_tilting_that_the_picture_does_not_show():
+    """The aircraft leans and moves nowhere; its attitude jumps by 20 degrees about the vertical."""
+    leaning = rotation_from_vector([math.radians(10.0), 0.0, 0.0])
+    reset = rotation_from_vector([0.0, 0.0, math.radians(20.0)]) @ leaning
+    still, odometry = picture(ground(3), 0.0), Odometry(CAMERA, OdometryConfig())
+    odometry.step(Frame(0.0, still, 0), leaning, AGL_M)
+    motion = odometry.step(Frame(0.1, still, 1), reset, AGL_M)
+    assert isinstance(motion, OdometryMotion)
+    assert abs(motion.tilts_along) < 1.0

@@ -24,6 +24,7 @@ from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
+_PLACE = tuple(range(States.SIZE))[States.POSITION_NE]
 _STILL_S = 0.2
 _REST_SHARE = 0.3
 _LEAST_COS_TILT = 0.5
@@ -88,7 +89,8 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
 
     Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
     if the wind blew it away, at a height where no picture tells otherwise. One that was believed to
-    move before it came so low does fly there: the ground may fall away below it.
+    move before it came so low does fly there: the ground may fall away below it. It is the ground
+    that stops it, which tells nothing of how it flew, nor of the place where that has led.
     """
     speed_m_s = float(np.hypot(*state.x[States.VELOCITY_NE]))
     if state.agl_m > config.touching_agl_m or speed_m_s > config.touching_speed_m_s:
@@ -96,7 +98,8 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     H = np.zeros((2, States.SIZE))
     H[:, States.VELOCITY_NE] = np.eye(2)
     R = config.touching_sigma_m_s**2 * np.eye(2)
-    return fuse(state, Measurement(-state.x[States.VELOCITY_NE], H, R))[0]
+    slow = Measurement(-state.x[States.VELOCITY_NE], H, R, considered=_PLACE)
+    return fuse(state, slow)[0]
 
 
 def apply_range(

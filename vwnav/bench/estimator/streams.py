@@ -107,7 +107,7 @@ class _AttitudeErrors:
         steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
         self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)
         self.yaw = self.yaw + math.radians(world.yaw_step_deg) * (truth.t_s >= world.yaw_step_s)
-        tilted = _multiply(_small_quats(self.tilt_ne), truth.quat_wxyz)
+        self.tilted = tilted = _multiply(_small_quats(self.tilt_ne), truth.quat_wxyz)
         turn = np.zeros((n, 4))
         turn[:, 0], turn[:, 3] = np.cos(self.yaw / 2.0), np.sin(self.yaw / 2.0)
         self.quats = _multiply(turn, tilted)
@@ -216,7 +216,7 @@ def _odometry(
             motion = OdometryMotion(
                 float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
                 increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
-                _tilts_along(world, truth.quat_wxyz[[key, i]], errors.quats[[key, i]]),
+                _tilts_along(world, truth.quat_wxyz[[key, i]], errors.tilted[[key, i]]),
             )  # fmt: skip
             events.append(MeasurementEvent(motion.t1_s + _ODOMETRY_LATE_S, motion))
             moved = math.hypot(way[0], way[1]) > _KEYFRAME_WAY or abs(way[2]) > _KEYFRAME_CLIMB
@@ -232,7 +232,8 @@ def _odometry(
 def _tilts_along(world: FilterWorld, true_quats: Array, told_quats: Array) -> float:
     """As `ground_motion.tilt_seen` has it, of two attitudes (2, 4) each, as they were and are told.
 
-    What of a tilt that nobody told is not taken for motion is seen.
+    What of a tilt that nobody told is not taken for motion is seen. What is told is without the
+    heading's error, which the picture shows.
     """
     true, told = _tilted_rad(*true_quats), _tilted_rad(*told_quats)
     k = 1.0 - world.tilt_in_odometry

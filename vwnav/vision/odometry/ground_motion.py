@@ -10,6 +10,7 @@ homography the physically right one, and tells tilting from moving as well as pi
 together can.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -213,15 +214,24 @@ class TiltSeen:
     along: float = 0.0
 
 
-def tilt_seen(motion: Motion, prior: MotionPrior, told_rad: Array) -> TiltSeen:
+def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) -> TiltSeen:
     """How a fit's own word on tilting stands to what the attitudes tell.
 
-    That is `told_rad` w (2,), the turn of the optical axis about north and east. With the prior
-    N(0, s^2) of the turn beyond the attitudes' own taken out of its posterior N(m, c), the picture
-    says m / k, uncertain by c / k, with k = 1 - c / s^2. So it shows w + m / k, and the logarithm
-    of N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is
-    (m.w + k w.w / 2) / s^2.
+    That is w, the turn of the optical axis about north and east, in the heading that the picture
+    shows: an autopilot may have reset its own. With the prior N(0, s^2) of the turn beyond the
+    attitudes' own taken out of its posterior N(m, c), the picture says m / k, uncertain by c / k,
+    with k = 1 - c / s^2. So it shows w + m / k, and the logarithm of
+    N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is (m.w + k w.w / 2) / s^2.
+
+    Args:
+        motion: what was fitted.
+        prior: with which.
+        axis0: (3,) optical axis in NED of the keyframe.
+        axis1: (3,) the same of the picture, both as their attitudes have it.
     """
+    c, s = math.cos(motion.turn_rad[2]), math.sin(motion.turn_rad[2])
+    east, north = s * axis1[0] + c * axis1[1], c * axis1[0] - s * axis1[1]
+    told_rad = np.cross(axis0, [north, east, axis1[2]])[:2]
     covariance, variance = motion.covariance, prior.tilt_increment_rad**2
     along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
     k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)

@@ -250,8 +250,7 @@ class Odometry:
         if not _plausible(motion, config):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
         axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
-        told_rad = np.cross(*axes)[:2]
-        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, told_rad)
+        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, *axes)
         return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, tilt)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
