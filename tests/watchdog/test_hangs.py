@@ -35,9 +35,9 @@ def hang(stand: Stand, seconds: float) -> list:
     return stand.run(seconds)
 
 
-def test_it_is_ended_once_the_aircraft_has_been_told_to_land_and_the_operator_reads_it():
+def test_it_is_ended_while_the_aircraft_is_held_and_the_operator_reads_it():
     stand, process = flying()
-    hang(stand, 3.9)
+    hang(stand, 2.9)
     assert not process.ended
     told = [m for m in hang(stand, 0.3) if m.get_type() == "STATUSTEXT"]
     assert [(m.get_srcSystem(), m.text) for m in told] == [
@@ -50,7 +50,7 @@ def test_it_is_ended_once_the_aircraft_has_been_told_to_land_and_the_operator_re
 def test_its_successor_is_woken_then_whoever_flies(mode):
     second = Second()
     stand, process = flying(second, mode)
-    hang(stand, 4.2)
+    hang(stand, 3.2)
     assert process.ended
     stand.watchdog.handle_navigator_end(stand.t_s)
     assert second.steps[-1] is None
@@ -74,7 +74,7 @@ def test_one_whose_mission_broke_is_needed_for_its_estimates():
 def test_other_messages_are_no_sign_of_life():
     stand, process = flying()
     stand.beating = False
-    stand.run(4.2, lambda s: s.send(setpoint(3.0)))
+    stand.run(3.2, lambda s: s.send(setpoint(3.0)))
     assert process.ended
 
 
@@ -95,7 +95,7 @@ def test_a_navigator_that_nobody_could_follow_is_left_as_it_is():
     hang(stand, 20.0)
     assert not process.ended
     second.stands_by = True
-    hang(stand, 4.2)
+    hang(stand, 3.2)
     assert process.ended
 
 

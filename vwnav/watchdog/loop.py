@@ -38,12 +38,13 @@ class WatchdogConfig:
         calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
         end_after_s: in flight, neither a beat nor an estimate to hand on for so long: the navigator
-            is ended. By then the aircraft is told to land, and nobody would tell it where it is.
+            is ended. It gets the aircraft back no more then, and 5 s later the successor tells the
+            place: before ArduCopter gives its own up, 8 s after the last estimate (measured).
     """
 
     calls_first: bool = False
     limit_s: float = 900.0
-    end_after_s: float = 4.0
+    end_after_s: float = 3.0
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
 
 

@@ -11,7 +11,6 @@ COPTER_LANDS_WITHIN_M = {
     "link cut for 3 s": 45.0,
     "link cut for 5 s": 45.0,
     "link cut for 10 s": 220.0,
-    "navigator stopped": 220.0,
 }
 # Those that are flown in its manners too by `make test-long`.
 FLOWN_IN_COPTER_MANNERS = {
