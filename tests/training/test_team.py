@@ -43,7 +43,8 @@ def test_two_processes_learn_as_one_does(tmp_path):
         log = np.genfromtxt(
             tmp_path / name / "log.csv", delimiter=",", names=True, usecols=range(10)
         )
-        curves.append(log["matching"][:4])
+        learned = log["matching"][np.isfinite(log["matching"])]  # rows of a validation have none
+        curves.append(learned[:4])
     # The same pictures in the same order; batch norm looks at half a batch each.
     np.testing.assert_allclose(curves[1], curves[0], rtol=0.1)
     assert curves[1][-1] < curves[1][0]
