@@ -24,12 +24,11 @@ from vwnav.types import (
     Frame,
     FrameSource,
     MapFix,
-    Navigation,
     OdometryMotion,
     Rejected,
     RejectReason,
 )
-from vwnav.vehicle import Autopilot, VehicleState
+from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
 log = logging.getLogger(__name__)
 

@@ -23,6 +23,7 @@ from vwnav.types import (
     Prior,
     Rejected,
     RejectReason,
+    WeakFix,
 )
 
 MAX_VIEW_PX = 1400
@@ -101,6 +102,7 @@ class Query:
         features: name of the feature set.
         views: made so far, by heading and by height in pixels.
         piece: of the map that was looked at last: its level, its window and its features.
+        weak: places found so far that too little speaks for.
         ms: milliseconds spent per stage, named as in `MatchStats`.
     """
 
@@ -120,6 +122,7 @@ class Query:
         self.features = features
         self.views: dict[tuple[float, float], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
+        self.weak: list[WeakFix] = []
         self.ms: dict[str, float] = {}
         self._clock = clock
 
