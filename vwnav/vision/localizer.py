@@ -244,8 +244,7 @@ class Localizer:
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.
 
-        What is fine and was hardly turned or scaled stays as it is, as does what is not found
-        again.
+        What is fine and weak or hardly turned or scaled stays, as does what is not found again.
         """
         weak = found.consensus.log10_nfa > WORTH_LOG10_NFA
         if not found.candidate.coarse and (weak or not found.is_turned):
@@ -255,10 +254,10 @@ class Localizer:
         nadir = found.lat_lon_of_view(view.nadir_uv)
         closer = self._fine(query, found.hypothesis, nadir, radius_m, found.candidate.tests)
         again = self._register(query, closer)
-        if not isinstance(again, Registration):
-            return found
-        worth = found.candidate.coarse or again.consensus.log10_nfa <= WORTH_LOG10_NFA
-        return again if worth else found
+        enough = WEAK_LOG10_NFA if found.candidate.coarse else WORTH_LOG10_NFA
+        if isinstance(again, Registration) and again.consensus.log10_nfa <= enough:
+            return again
+        return found
 
     def _verified(self, query: Query, found: Registration) -> Registration | Rejected:
         """Weigh a registration; where the matches do not convince, the images must correlate.
