@@ -145,6 +145,18 @@ def test_places_that_have_nothing_to_do_with_each_other_are_never_a_fix():
             assert flight.join(*(anywhere(rng) for _ in range(3))) is None, seed
 
 
+def test_a_road_that_looks_alike_all_along_is_no_place():
+    """Every picture is found somewhere along the way that is flown, heading right, and surely."""
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        flight = Flight(rng)
+        ahead = np.array([math.cos(flight.heading_rad), math.sin(flight.heading_rad)])
+        for _ in range(10):
+            flight.fly()
+            off_ne_m = rng.uniform(-MAP_M / 4, MAP_M / 4) * ahead
+            assert flight.join(flight.right(decades=6.0, off_ne_m=off_ne_m)) is None, seed
+
+
 @given(SEEDS, st.floats(30.0, 300.0))
 @settings(max_examples=30, deadline=None)
 def test_two_ways_that_fit_alike_are_ambiguous(seed, apart_m):
@@ -223,10 +235,11 @@ def test_evidence_of_new_ground_adds_up_and_of_old_ground_does_not():
     def beside(east_m: float, decades: float) -> Carried:
         return replace(one, ground=(ShownGround(0.0, east_m, SEEN_M, decades),))
 
-    assert one.joined(beside(100.0, 3.0)).decades == pytest.approx(2.0 + 3.0 + 1.0)
-    assert one.joined(beside(60.0, 3.0)).decades == pytest.approx(2.0 + 0.6 * (3.0 + 1.0))
+    assert begun(place(0.0, 0.0, 0.0, decades=6.0), one.at, HOME).decades == pytest.approx(2.2)
+    assert one.joined(beside(100.0, 3.0)).decades == pytest.approx(one.decades + 3.0 + 0.5)
+    assert one.joined(beside(60.0, 3.0)).decades == pytest.approx(one.decades + 0.6 * 3.5)
     assert one.joined(beside(10.0, 3.0)).decades == pytest.approx(3.0)
-    assert one.joined(beside(10.0, 1.0)).decades == pytest.approx(2.0)
+    assert one.joined(beside(10.0, 1.0)).decades == pytest.approx(one.decades)
 
 
 def motion(t0_s: float, t1_s: float, north_m: float, down_m: float = 0.0) -> OdometryMotion:

@@ -48,12 +48,12 @@ from vwnav.types import (
 )
 
 SEQUENCES = "sequences"
-PICTURES = 8
+PICTURES = 10
 SEARCHED_EVERY = 4  # flights: a search takes as long as ten looks with a prior
 OUTAGE_M = 40.0  # one sigma of the place
 SHOWN = 3  # pairs on a map
-FOOTPRINT_PX = (180.0, 230.0)  # width of the ground of a frame
-STEP = 0.45  # of it, between two frames
+FOOTPRINT_PX = (155.0, 190.0)  # width of the ground of a frame
+STEP = 0.5  # of it, between two frames
 # One sigma of what odometry errs by: share of a step, and of the heading a step, radians.
 STEP_RATIO, STEP_YAW_RAD = 0.01, math.radians(0.3)
 # Nothing but texture; more of it that only one day has is sparser.

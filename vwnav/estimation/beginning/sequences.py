@@ -6,11 +6,13 @@ pictures agree with. Evidence is a power of ten (see `vwnav.vision.significance`
 pictures add up where the pictures are independent: that is on ground that none of the others has
 shown. Another look at the same ground matches the same features of the map, whatever it is.
 
-That a wrong place agrees with where the way leads is rare besides: at most one of ten does, on a
-map where all that looks alike lies along one road. Anywhere on open ground it is one of thousands.
+That a wrong place agrees with where the way leads is rare besides: one of hundreds does on open
+ground. Above a road that looks alike all along it may be one of ten, so that counts half a decade,
+and no picture tells more than a third of what is needed: it takes several.
 
 What is believed must have as much evidence as one picture alone must have, and lead every other
-hypothesis: ground that repeats is found at several places.
+hypothesis: ground that repeats is found at several places. A picture that shows other places only
+speaks against it as much as it would have spoken for it.
 """
 
 import math
@@ -27,7 +29,8 @@ from vwnav.types import Array, Attitude, MapFix, OdometryMotion, Rejected, WeakF
 
 MOST = 5  # hypotheses
 MOST_POSES = 1000  # pictures that come while one is searched for
-AGREEING_DECADES = 1.0  # what it says besides that a picture agrees
+MOST_OF_NEEDED = 1.0 / 3.0  # that one picture tells, however much it seems to say
+AGREEING_DECADES = 0.5  # what it says besides that a picture agrees
 LEAD_DECADES = 2.0  # of the best before the next
 NEW_GROUND = 0.5  # of a picture, that no other one has shown: less is another look at the same
 CHI_SQUARE_4 = 18.467  # 99.9 %
@@ -65,6 +68,7 @@ class Carried:
         at: the exposure on the way.
         ground: that its pictures have shown.
         needed: decades that are believed.
+        against: ground whose pictures have shown other places only.
     """
 
     pose: Array
@@ -72,11 +76,13 @@ class Carried:
     at: WayPose
     ground: tuple[ShownGround, ...]
     needed: float
+    against: tuple[ShownGround, ...] = ()
 
     @property
     def decades(self) -> float:
         """All the evidence."""
-        return sum(each.decades for each in self.ground)
+        pro, contra = (sum(e.decades for e in shown) for shown in (self.ground, self.against))
+        return pro - contra
 
     def distance2(self, other: "Carried") -> float:
         """Squared distance (Mahalanobis) to another hypothesis of the same exposure."""
@@ -115,13 +121,20 @@ class Carried:
         own, its = np.linalg.inv(self.covariance), np.linalg.inv(other.covariance)
         covariance = np.linalg.inv(weight * own + (1.0 - weight) * its)
         step = (1.0 - weight) * covariance @ its @ _difference(other.pose, self.pose)
-        return Carried(
+        return replace(
+            self,
             pose=self.pose + step,
             covariance=0.5 * (covariance + covariance.T),
-            at=self.at,
             ground=_with_ground(self.ground, other.ground[0]),
             needed=max(self.needed, other.needed),
         )
+
+    def contradicted(self, found: Sequence["Carried"]) -> "Carried":
+        """After a picture that shows other places."""
+        seen = max((each.ground[0] for each in found), key=lambda ground: ground.decades)
+        north_m, east_m = self.pose[:2].tolist()
+        here = replace(seen, north_m=north_m, east_m=east_m)
+        return replace(self, against=_with_ground(self.against, here))
 
 
 def begun(weak: WeakFix, at: WayPose, frame: LocalFrame) -> Carried | None:
@@ -137,8 +150,7 @@ def begun(weak: WeakFix, at: WayPose, frame: LocalFrame) -> Carried | None:
     covariance[2, 2] = fix.sigma_yaw_rad**2 + SIGMA_YAW_RAD**2
     covariance[3, 3] = (fix.sigma_agl_m / fix.agl_m) ** 2 + SIGMA_LOG_AGL**2
     pose = np.array([north_m, east_m, fix.yaw_rad, math.log(fix.agl_m)])
-    # However much one picture seems to say, it takes another one.
-    decades = min(weak.decades, 0.5 * weak.needed)
+    decades = min(weak.decades, MOST_OF_NEEDED * weak.needed)
     ground = ShownGround(north_m, east_m, weak.seen_m, decades)
     return Carried(pose, covariance, at, (ground,), weak.needed)
 
@@ -169,9 +181,11 @@ def leader(hypotheses: Sequence[Carried]) -> Carried | None:
 
 
 def _joined_nearest(carried: Carried, found: Sequence[Carried]) -> Carried:
-    nearest = min(found, key=carried.distance2, default=None)
-    agrees = nearest is not None and carried.distance2(nearest) <= CHI_SQUARE_4
-    return carried.joined(nearest) if nearest is not None and agrees else carried
+    if not found:
+        return carried
+    nearest = min(found, key=carried.distance2)
+    agrees = carried.distance2(nearest) <= CHI_SQUARE_4
+    return carried.joined(nearest) if agrees else carried.contradicted(found)
 
 
 def _is_known(carried: Carried) -> bool:
