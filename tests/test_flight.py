@@ -12,8 +12,8 @@ from vwnav.mission.config import FlightConfig
 from vwnav.mission.mission import Crew, Mission, Phase
 from vwnav.safety.check import Check
 from vwnav.safety.monitor import SafetyConfig
-from vwnav.types import Estimate, Navigation
-from vwnav.vehicle import FlightMode, Order, Request, VehicleState, VelocitySetpoint
+from vwnav.types import Estimate
+from vwnav.vehicle import FlightMode, Navigation, Order, Request, VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import GuardState, WatchdogReport
 
 ROUTE = np.array([[60.0, 0.0, -50.0], [60.0, 60.0, -50.0]])

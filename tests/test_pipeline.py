@@ -11,9 +11,10 @@ from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.states import Start
 from vwnav.estimation.timeline import Untracked
 from vwnav.feature_choice import FeatureChoice
+from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.pipeline import InlineExecutor, Pipeline, to_gray
+from vwnav.pipeline import InlineExecutor, Pipeline
 from vwnav.seams import PipelineConfig
 from vwnav.types import (
     Attitude,

@@ -18,8 +18,8 @@ from vwnav.mission.steering import Steering
 from vwnav.safety.hierarchy import Action, Rank
 from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Array, Estimate, Navigation
-from vwnav.vehicle import Autopilot, Order, Request, VehicleState, VelocitySetpoint
+from vwnav.types import Array, Estimate
+from vwnav.vehicle import Autopilot, Navigation, Order, Request, VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import GuardState
 
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end

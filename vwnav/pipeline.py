@@ -13,16 +13,16 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from vwnav.estimation.first_fix import FirstFix, start_at
+from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
+from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.inputs import Measurement
 from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.states import FilterState, Start
 from vwnav.estimation.timeline import Exposed, NedFix, Untracked
 from vwnav.feature_choice import FeatureChoice
+from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
@@ -31,7 +31,6 @@ from vwnav.types import (
     Attitude,
     Estimate,
     Frame,
-    Gray,
     MapFix,
     OdometryMotion,
     Prior,
@@ -45,6 +44,7 @@ MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
+LOST_SIGMA_M = 20.0  # of a place: beyond it pictures are joined
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
 
@@ -150,6 +150,8 @@ class Pipeline:
         self._next_attempt_s = -np.inf
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
+        self._sequences = Sequences(local_frame)
+        self._lost = True  # pictures are joined, see `Sequences`
         self.attempts = 0
         self.accepted = 0
 
@@ -196,12 +198,12 @@ class Pipeline:
         """Motion since the keyframe. In a video alone the pictures' own turning is the gyro."""
         now = self.estimate(frame.t_s)
         R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
-        motion: OdometryMotion | Rejected
+        motion = self._odometry.step(frame, R_ned_body, now.agl_m if now else UNKNOWN_AGL_M)
+        if self._lost:
+            told = attitude or self._odometry.counted_attitude(frame.t_s)
+            self._sequences.follow(motion, told)
         if now is None:
-            why = "height above ground not known yet"
-            motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, why)
-        else:
-            motion = self._odometry.step(frame, R_ned_body, now.agl_m)
+            motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground unknown")
         with self._lock:
             if self._ekf.counts_heading:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
@@ -236,6 +238,7 @@ class Pipeline:
         with self._lock:
             self._ekf.handle(Exposed(frame.t_s))
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
+        self._lost = begins or self._first_fix.young or searching or prior.sigma_m > LOST_SIGMA_M
         self._pending = _Attempt(frame.t_s, localizer, future, begins)
         return self._collect()
 
@@ -265,6 +268,8 @@ class Pipeline:
             outcome = Rejected(attempt.t_s, RejectReason.BROKEN, str(error))
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.TOO_LOW:
             return outcome  # nothing was tried: the map shows nothing that small
+        if isinstance(outcome, Rejected) and outcome.weak:
+            outcome = self._sequences.join(outcome)
         if isinstance(outcome, MapFix):
             outcome = self._fuse_fix(outcome, attempt.begins)
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.UNCONFIRMED:
@@ -340,10 +345,3 @@ class Pipeline:
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
-
-
-def to_gray(image: NDArray[np.uint8]) -> Gray:
-    """(h, w) of a gray or BGR picture."""
-    if image.ndim == 2:
-        return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -19,17 +19,15 @@ from vwnav.pipeline import Pipeline
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.stall import Stall
-from vwnav.seams import ATTITUDE_WAIT_S, StepResult, Watcher
+from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, StepResult, Watcher
 from vwnav.types import (
     Frame,
-    FrameSource,
     MapFix,
-    Navigation,
     OdometryMotion,
     Rejected,
     RejectReason,
 )
-from vwnav.vehicle import Autopilot, VehicleState
+from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
 log = logging.getLogger(__name__)
 

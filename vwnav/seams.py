@@ -41,6 +41,18 @@ class StepResult:
     estimate: Estimate | None
 
 
+class FrameSource(Protocol):
+    """Pictures, in order of time. `next_frame` waits for the next one; None is the end."""
+
+    def next_frame(self) -> Frame | None:
+        """The next picture; None at the end."""
+        ...
+
+    def close(self) -> None:
+        """Free the source."""
+        ...
+
+
 class Localizing(Protocol):
     """What the pipeline needs of `vwnav.vision.localizer.Localizer`."""
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 FeatureName = Literal["learned", "sift", "orb"]
 FEATURE_NAMES: tuple[FeatureName, ...] = ("learned", "sift", "orb")
-PlacedBy = Literal["keypoints", "correlation"]
+PlacedBy = Literal["keypoints", "correlation", "sequence"]
 PointKind = Literal["nadir", "center"]
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
@@ -165,8 +165,8 @@ class MapFix:
         covariance_ne_m2: (2, 2) of north and east.
         yaw_rad: heading of the body, 0 = true north, clockwise positive.
         agl_m: height above ground from the scale.
-        features: the set that made it, or that was tried before it was placed by correlation: such
-            a fix is a position alone, without heading and height.
+        features: the set that made it, or that was tried before.
+        placed_by: correlation tells a position alone; a sequence is several pictures, joined.
     """
 
     t_s: float
@@ -188,15 +188,32 @@ class MapFix:
         return float(np.sqrt(np.trace(self.covariance_ne_m2) / 2.0))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WeakFix:
+    """A place for which too little speaks to believe it alone.
+
+    Attributes:
+        fix: as it would be, with heading and height.
+        decades, needed: chance agrees as well once in ten to this power; so many are believed.
+        seen_m: longer side of the ground that the picture shows.
+    """
+
+    fix: MapFix
+    decades: float
+    needed: float
+    seen_m: float
+
+
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """No fix, and why: a result, not an error."""
+    """No fix, and why: a result, not an error. `weak`: places that the picture may show."""
 
     t_s: float
     reason: RejectReason
     detail: str = ""
     features: FeatureName | None = None
     stats: MatchStats = field(default_factory=MatchStats)
+    weak: tuple[WeakFix, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -321,33 +338,3 @@ class Estimate:
     def sigma_horizontal_m(self) -> float:
         """The larger semi-axis of the one-sigma ellipse."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Navigation:
-    """What there is to fly on.
-
-    Attributes:
-        estimate: the one that is also sent to the autopilot; None while there is none that we
-            would fly on.
-        lost: why there is none any more; empty before the first and while there is one.
-        seen_s: exposure of the newest picture that told a motion or a place.
-        contradicted: the newest picture's motion is not believed: it contradicts the IMU.
-    """
-
-    estimate: Estimate | None
-    lost: str = ""
-    seen_s: float | None = None
-    contradicted: bool = False
-
-
-class FrameSource(Protocol):
-    """Pictures, in order of time. `next_frame` waits for the next one; None is the end."""
-
-    def next_frame(self) -> Frame | None:
-        """The next picture; None at the end."""
-        ...
-
-    def close(self) -> None:
-        """Free the source."""
-        ...

@@ -198,3 +198,21 @@ class Autopilot(Protocol):
     def close(self) -> None:
         """End the link."""
         ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigation:
+    """What there is to fly on.
+
+    Attributes:
+        estimate: the one that is also sent to the autopilot; None while there is none that we
+            would fly on.
+        lost: why there is none any more; empty before the first and while there is one.
+        seen_s: exposure of the newest picture that told a motion or a place.
+        contradicted: the newest picture's motion is not believed: it contradicts the IMU.
+    """
+
+    estimate: Estimate | None
+    lost: str = ""
+    seen_s: float | None = None
+    contradicted: bool = False

@@ -10,7 +10,7 @@ import pytest
 from bench_scenes import ground
 from scipy import stats
 
-from vwnav.bench.localizer import boards, repeating, unrelated
+from vwnav.bench.localizer import boards, repeating, short_flights, unrelated
 from vwnav.bench.localizer.labels import UNCONFIRMED_PX, corrected
 from vwnav.bench.localizer.looks import CAMERA, LookCase, TruePose
 from vwnav.bench.localizer.scoring import judge, score, upper_bound
@@ -77,6 +77,23 @@ def test_drawn_ground_needs_no_data_and_a_person_gets_tables(bench, capsys):
     arguments = ("--set", "repeats", "--only", "houses", "--features", "orb", "--looks", 1)
     assert bench("localizer", *arguments) == 0
     assert "houses: the right place, a rough prior" in capsys.readouterr().out
+
+
+def test_short_flights_over_sand_are_scored_alone_and_joined(bench, capsys, monkeypatch):
+    monkeypatch.setattr(short_flights, "KINDS", {})
+    monkeypatch.setattr(short_flights, "PICTURES", 3)
+    arguments = ("--set", "repeats", "--only", "sequences", "--features", "sift", "--looks", 1)
+    assert bench("localizer", *arguments, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    rows = {row["kind"]: row for row in report["scores"]["sift"]}
+    assert set(rows) == {"prior", "search", "wrong", "wrong_search"}
+    assert all(row["flights"] == 1 and row["joined"] >= row["alone"] for row in rows.values())
+    assert report["false"]["sift"] == []
+
+
+def test_short_flights_of_the_judging_set_are_told_where_to_look(bench, capsys):
+    assert bench("localizer", "--set", "judge", "--only", "sequences", "--features", "sift") == 1
+    assert "bench features --sequence" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["localizer", "significance"])

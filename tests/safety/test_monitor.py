@@ -9,8 +9,8 @@ from vehicles import FLYING
 
 from vwnav.safety.hierarchy import Action, Decision, Rank, as_markdown
 from vwnav.safety.monitor import SafetyConfig, SafetyMonitor
-from vwnav.types import Estimate, Navigation
-from vwnav.vehicle import FlightMode, Order
+from vwnav.types import Estimate
+from vwnav.vehicle import FlightMode, Navigation, Order
 
 CONFIG = SafetyConfig()
 STEP_S = 0.1

@@ -8,8 +8,8 @@ from vehicles import FLYING
 
 from vwnav.safety.readiness import Equipment, check_flight, missing
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Estimate, Navigation
-from vwnav.vehicle import Finding, FlightMode
+from vwnav.types import Estimate
+from vwnav.vehicle import Finding, FlightMode, Navigation
 
 STANDING = replace(FLYING, armed=False, in_air=False, mode=FlightMode.HOLD)
 READY = Equipment(findings=(), link_refusal=None, picture_s=9.9, picture_trouble="")

@@ -12,9 +12,9 @@ from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import CalibrationError, SourceError
 from vwnav.geometry.calibration import save_camera
-from vwnav.pipeline import to_gray
+from vwnav.geometry.camera import to_gray
 from vwnav.screen import LiveLine, print_table, say
-from vwnav.types import FrameSource
+from vwnav.seams import FrameSource
 
 GOOD_HELD_OUT, BAD_HELD_OUT = 0.0008, 0.004  # of the picture's width
 GOOD_FOCAL, BAD_FOCAL = 0.001, 0.01  # sigma, of the focal length

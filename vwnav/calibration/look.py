@@ -12,10 +12,10 @@ from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
 from vwnav.geometry.calibration import load_camera
-from vwnav.geometry.camera import check_fits
-from vwnav.pipeline import to_gray
+from vwnav.geometry.camera import check_fits, to_gray
 from vwnav.screen import LiveLine, print_table
-from vwnav.types import Array, Frame, FrameSource, Gray
+from vwnav.seams import FrameSource
+from vwnav.types import Array, Frame, Gray
 from vwnav.vision.features.load import load_features
 
 KEYPOINTS = 1000

@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from vwnav.types import Frame, FrameSource
+from vwnav.seams import FrameSource
+from vwnav.types import Frame
 
 
 class RetimedSource:

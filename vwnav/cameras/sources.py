@@ -16,7 +16,7 @@ from vwnav.cameras.live import (
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 from vwnav.recording.reader import RecordedFrames
-from vwnav.types import FrameSource
+from vwnav.seams import FrameSource
 
 _PICAMERA = re.compile(r"picamera2(?::(\d+)x(\d+)(?:@(\d+))?)?")
 _SIZE = r"(\d+)x(\d+)(?:@(\d+(?:\.\d+)?))?"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.errors import CalibrationError
-from vwnav.types import Array
+from vwnav.types import Array, Gray
 
 CameraModel = Literal["pinhole", "fisheye"]
 # Columns are the camera's axes in the body: u is right, v is back, the optical axis is down.
@@ -268,3 +268,10 @@ def _window(ground_en_px: Array, max_size_px: int) -> tuple[tuple[int, int], Arr
     )
     corner = np.array([middle[0] - half[0], middle[1] + half[1]])
     return (int(size[0]), int(size[1])), corner
+
+
+def to_gray(image: NDArray[np.uint8]) -> Gray:
+    """(h, w) of a gray or BGR picture."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -8,8 +8,7 @@ from vwnav.safety.hierarchy import Action, Decision, Rank
 from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Navigation
-from vwnav.vehicle import Autopilot, VehicleState
+from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
 _TOO_LONG = "the link or the estimate was lost for too long"
 _DOING = {

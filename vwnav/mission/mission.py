@@ -6,8 +6,8 @@ from enum import Enum
 from typing import NamedTuple, Protocol
 
 from vwnav.safety.check import Check
-from vwnav.types import Array, Navigation
-from vwnav.vehicle import VehicleState
+from vwnav.types import Array
+from vwnav.vehicle import Navigation, VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
 
 ASKS = "a ground station asks for"  # as it is said and recorded

@@ -22,8 +22,8 @@ from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.recording.telemetry_files import load_telemetry
 from vwnav.screen import LiveLine, say
-from vwnav.seams import ATTITUDE_WAIT_S
-from vwnav.types import Attitude, Frame, FrameSource, Telemetry
+from vwnav.seams import ATTITUDE_WAIT_S, FrameSource
+from vwnav.types import Attitude, Frame, Telemetry
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
 LEAD_S = 1.0  # of the telemetry before the first picture

@@ -15,8 +15,7 @@ from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.screen import show_checks
-from vwnav.types import Navigation
-from vwnav.vehicle import Autopilot, VehicleState
+from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
 FIRST_STATE_S = 5.0
 

@@ -10,11 +10,11 @@ from vwnav.mavlink.links import parse_link
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.simulation import draw_site
+from vwnav.seams import FrameSource
 from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
-from vwnav.types import FrameSource
 
 
 def open_truth(

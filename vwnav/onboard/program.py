@@ -35,12 +35,12 @@ from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.disk.thread import sync_file
 from vwnav.recording.run_folder import make_run_folder, unused
 from vwnav.screen import say
+from vwnav.seams import FrameSource
 from vwnav.sim.config import Manners, VehicleConfig
 from vwnav.sim.site import Site
 from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
-from vwnav.types import FrameSource
 from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
 from vwnav.watchdog.priority import go_first

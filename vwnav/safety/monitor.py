@@ -11,8 +11,8 @@ from vwnav.safety.hierarchy import Action, Decision, Hierarchy
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
 from vwnav.safety.watches import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
-from vwnav.types import Array, Navigation
-from vwnav.vehicle import Order, VehicleState
+from vwnav.types import Array
+from vwnav.vehicle import Navigation, Order, VehicleState
 
 
 class SafetyMonitor:

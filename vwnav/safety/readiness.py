@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 from vwnav.safety.check import Check
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Navigation
-from vwnav.vehicle import Finding, VehicleState
+from vwnav.vehicle import Finding, Navigation, VehicleState
 
 _PICTURE_AGE_S = 1.0
 

@@ -280,11 +280,13 @@ class Acceptance:
     Attributes:
         threshold_px: largest error of an inlier, map pixels.
         max_log10_nfa: expected chance agreements, log10.
+        weak_log10_nfa: the same of what may be kept to be joined with other images.
         sigma_tilt_rad: of roll and pitch, when they are known.
         sigma_georeference_m: of the map, per axis.
     """
 
     threshold_px: float
     max_log10_nfa: float
+    weak_log10_nfa: float
     sigma_tilt_rad: float
     sigma_georeference_m: float

@@ -16,7 +16,16 @@ import numpy as np
 
 from vwnav.geometry.camera import Camera, Rectification
 from vwnav.maps.picture import MapReader, Window
-from vwnav.types import FeatureExtractor, Frame, MapFix, MatchStats, Prior, Rejected, RejectReason
+from vwnav.types import (
+    FeatureExtractor,
+    Frame,
+    MapFix,
+    MatchStats,
+    Prior,
+    Rejected,
+    RejectReason,
+    WeakFix,
+)
 from vwnav.vision.by_correlation import fix_by_correlation
 from vwnav.vision.candidates import (
     MAX_RIVALRY,
@@ -45,11 +54,15 @@ from vwnav.vision.registration import (
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 REFINED_COARSE = 3  # of what a search found, the best
-WORTH_LOG10_NFA = -4.0  # less is not verified
+WORTH_LOG10_NFA = -4.0  # less is never believed alone
+WEAK_LOG10_NFA = 2.0  # less is not even held against the image
+WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
 WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that are worth refining
 SURE_DECADES = 10.0  # so little chance that the rest need not be searched
 MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
 MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
+# Of such an image nothing is kept: all of it looks alike, or the best may not have been seen.
+SAID_NOTHING_OF = (RejectReason.AMBIGUOUS, RejectReason.GIVEN_UP)
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
@@ -97,7 +110,7 @@ class Localizer:
             seed: of every random choice; equal input and seed give an equal fix.
 
         Returns:
-            The fix, or why there is none.
+            The fix, or why there is none, with what places the image may show all the same.
 
         Raises:
             CalibrationError: the image is not of the camera's size.
@@ -115,6 +128,8 @@ class Localizer:
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
         )
+        if isinstance(outcome, Rejected) and outcome.reason not in SAID_NOTHING_OF:
+            outcome = replace(outcome, weak=self._weak(query))
         return replace(outcome, stats=timed)
 
     def _located(self, query: Query) -> MapFix | Rejected:
@@ -196,9 +211,11 @@ class Localizer:
 
     def _acceptance(self, candidate: Candidate) -> Acceptance:
         coarse = WORTH_COARSE_LOG10_NFA - math.log10(candidate.tests)
+        worth, weak = (coarse, coarse) if candidate.coarse else (WORTH_LOG10_NFA, WEAK_LOG10_NFA)
         return Acceptance(
             threshold_px=self._config.threshold_px,
-            max_log10_nfa=coarse if candidate.coarse else WORTH_LOG10_NFA,
+            max_log10_nfa=worth,
+            weak_log10_nfa=weak,
             sigma_tilt_rad=self._config.sigma_tilt_rad,
             sigma_georeference_m=self._pack.georeference_sigma_m,
         )
@@ -238,17 +255,20 @@ class Localizer:
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.
 
-        What is fine and was hardly turned or scaled stays as it is, as does what is not found
-        again.
+        What is fine and weak or hardly turned or scaled stays, as does what is not found again.
         """
-        if not (found.candidate.coarse or found.is_turned):
+        weak = found.consensus.log10_nfa > WORTH_LOG10_NFA
+        if not found.candidate.coarse and (weak or not found.is_turned):
             return found
         view = found.view.rectification
         radius_m = 6.0 * view.m_per_px + 0.05 * max(view.size_wh) * view.m_per_px
         nadir = found.lat_lon_of_view(view.nadir_uv)
         closer = self._fine(query, found.hypothesis, nadir, radius_m, found.candidate.tests)
         again = self._register(query, closer)
-        return again if isinstance(again, Registration) else found
+        enough = WEAK_LOG10_NFA if found.candidate.coarse else WORTH_LOG10_NFA
+        if isinstance(again, Registration) and again.consensus.log10_nfa <= enough:
+            return again
+        return found
 
     def _verified(self, query: Query, found: Registration) -> Registration | Rejected:
         """Weigh a registration; where the matches do not convince, the images must correlate.
@@ -263,10 +283,23 @@ class Localizer:
         if decades < needed:
             with query.stage("verify_ms"):
                 decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
-        if decades < needed:
+        if decades < needed or found.consensus.log10_nfa > WORTH_LOG10_NFA:
+            self._note(query, found, decades, needed)
             return may_be_chance(query, consensus)
         with query.stage("verify_ms"):
             return self._ambiguous(query, found) or found
+
+    def _note(self, query: Query, found: Registration, decades: float, needed: float) -> None:
+        """Keep what is too weak alone, if the map does not show the like of it."""
+        if decades < WEAKEST_DECADES or self._ambiguous(query, found) is not None:
+            return
+        seen_m = max(query.footprint_m(found.hypothesis.agl_m))
+        query.weak.append(WeakFix(fix_of(query, found), decades, needed, seen_m))
+
+    def _weak(self, query: Query) -> tuple[WeakFix, ...]:
+        """What was kept that is certain and near enough to be a fix, if more spoke for it."""
+        most_m = self._config.max_sigma_m
+        return tuple(each for each in query.weak if not implausible(query, each.fix, most_m))
 
     def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
         """A refusal where the map shows the like at other places, or turned, that are open too."""

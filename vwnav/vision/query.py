@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification
+from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification, to_gray
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.picture import MapFeatures, Window
@@ -23,6 +23,7 @@ from vwnav.types import (
     Prior,
     Rejected,
     RejectReason,
+    WeakFix,
 )
 from vwnav.vision.shutter import maps_at_once, ray_flow
 
@@ -102,6 +103,7 @@ class Query:
         features: name of the feature set.
         views: made so far, by heading and by height in pixels.
         piece: of the map that was looked at last: its level, its window and its features.
+        weak: places found so far that too little speaks for.
         ms: milliseconds spent per stage, named as in `MatchStats`.
     """
 
@@ -121,6 +123,7 @@ class Query:
         self.features = features
         self.views: dict[tuple[float, float], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
+        self.weak: list[WeakFix] = []
         self.ms: dict[str, float] = {}
         self._clock = clock
 
@@ -185,9 +188,7 @@ class QueryMaker:
         start = self._clock()
         image = frame.image
         check_fits(self._camera, image.shape[1], image.shape[0])
-        gray = np.asarray(
-            image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8
-        )
+        gray = to_gray(image)
         maps = self._maps
         if self._rolling_maps is not None and (flow := self._flow(frame, prior)) is not None:
             maps = maps_at_once(self._camera, self._rolling_maps, flow)

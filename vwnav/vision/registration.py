@@ -165,7 +165,7 @@ def register(
         if consensus is None:
             few = RejectReason.FEW_INLIERS
             return query.rejected(few, "no two matches agree", matches=len(pairs))
-        refusal = _refusal(query, consensus, accept.max_log10_nfa)
+        refusal = _refusal(query, consensus, accept)
         if refusal is not None:
             return refusal
         origin_px = map_.origin_px.astype(np.float64)
@@ -202,13 +202,16 @@ def may_be_chance(query: Query, consensus: Consensus) -> Rejected:
     return query.rejected(RejectReason.FEW_INLIERS, detail, matches=matches, inliers=inliers)
 
 
-def _refusal(query: Query, consensus: Consensus, max_log10_nfa: float) -> Rejected | None:
+def _refusal(query: Query, consensus: Consensus, accept: Acceptance) -> Rejected | None:
     """Why a consensus is not believed, None when it is."""
     matches, inliers = consensus.matches, len(consensus.uv_view)
     spread = consensus.uv_view - consensus.uv_view.mean(axis=0)
     width_px = float(np.linalg.svd(spread, compute_uv=False)[1]) / np.sqrt(inliers)
-    if consensus.log10_nfa > max_log10_nfa:
+    if consensus.log10_nfa > accept.weak_log10_nfa:
         return may_be_chance(query, consensus)
+    if consensus.log10_nfa > accept.max_log10_nfa:
+        # A few cells have their equals by chance.
+        return None if width_px >= MIN_WIDTH_PX else may_be_chance(query, consensus)
     if consensus.rival_cells > MAX_RIVALRY * consensus.cells:
         reason = RejectReason.AMBIGUOUS
         detail = f"{consensus.rival_cells} agree on another place, {consensus.cells} on the best"

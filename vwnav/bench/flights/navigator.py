@@ -29,8 +29,8 @@ from vwnav.seams import ATTITUDE_WAIT_S
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
-from vwnav.types import Estimate, FeatureExtractor, Frame, Navigation, Prior
-from vwnav.vehicle import VehicleState
+from vwnav.types import Estimate, FeatureExtractor, Frame, Prior
+from vwnav.vehicle import Navigation, VehicleState
 from vwnav.watchdog.keepalive import KeepAlive
 from vwnav.watchdog.loop import Resume
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vwnav.bench.features.scenes import generator
+from vwnav.bench.features.scenes import Mask, generator
 from vwnav.bench.localizer.labels import corrected
 from vwnav.bench.localizer.looks import (
     CAMERA,
@@ -36,7 +36,7 @@ from vwnav.bench.localizer.pictures import (
 from vwnav.cameras.image_folder import read_picture
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
-from vwnav.types import Array, Prior
+from vwnav.types import Array, Gray, Prior
 
 ELSEWHERE = "elsewhere"
 LOOKS_A_PICTURE = 4  # with a prior
@@ -57,21 +57,26 @@ def boards(folder: Path, split: Split, looks: int, only: str | None) -> Iterator
             together at wrong places.
         only: this source alone.
     """
-    by_source: dict[str, list[Pair]] = {}
-    for pair in registered_pairs(folder, split):
-        by_source.setdefault(pair.source, []).append(pair)
-    rng = generator(split, 0)
-    ordered = {
-        source: [pairs[i] for i in rng.permutation(len(pairs))]
-        for source, pairs in sorted(by_source.items())
-    }
-    strangers = _strangers(folder, split, ordered)
+    ordered = shuffled_pairs(folder, split)
+    strangers = strange_photos(folder, split, ordered)
     for number in range(-(-looks // LOOKS_A_PICTURE)):
         shown = [pairs[number % len(pairs)] for pairs in ordered.values()]
         yield _board(split, number, shown, strangers, only)
 
 
-def _strangers(folder: Path, split: Split, ordered: dict[str, list[Pair]]) -> list[Photo]:
+def shuffled_pairs(folder: Path, split: Split) -> dict[str, list[Pair]]:
+    """The pairs by their source, in an order of no meaning."""
+    by_source: dict[str, list[Pair]] = {}
+    for pair in registered_pairs(folder, split):
+        by_source.setdefault(pair.source, []).append(pair)
+    rng = generator(split, 0)
+    return {
+        source: [pairs[i] for i in rng.permutation(len(pairs))]
+        for source, pairs in sorted(by_source.items())
+    }
+
+
+def strange_photos(folder: Path, split: Split, ordered: dict[str, list[Pair]]) -> list[Photo]:
     """Pictures that may be looked for where they are not."""
     paired = [pair.frame for pairs in ordered.values() for pair in pairs]
     return list(dict.fromkeys(paired)) + other_photos(folder, split)
@@ -86,19 +91,10 @@ def _board(
     for index, pair in enumerate(shown):
         corner_px = map_pixel((_CELL_PX * (index % _COLUMNS), _CELL_PX * (index // _COLUMNS)))
         gray, mask = read_gray(pair.map_)
-        sources.append(
-            array_source(
-                read_picture(pair.map_.path),
-                level_georeference(ZOOM, *corner_px),
-                name=pair.map_.path.stem,
-                mask=mask,
-            )
-        )
+        sources.append(map_source(pair, corner_px, mask))
         masks.append((corner_px, mask))
         if only in (None, pair.source):
-            frame, frame_mask = read_gray(pair.frame)
-            H_map_frame, label_px = corrected(frame, frame_mask, gray, mask, pair.H_map_frame)
-            ground = SeenGround(frame, frame_mask, np.asarray(np.linalg.inv(H_map_frame)), mask)
+            ground, label_px = seen_ground(pair, gray, mask)
             name = f"{pair.frame.path.stem} {number}"
             looks += pair_looks(pair.source, name, ground, corner_px, label_px)
     if only in (None, ELSEWHERE):
@@ -106,6 +102,19 @@ def _board(
         elsewhere = [photo for photo in strangers if all(apart(photo.place, p) for p in places)]
         looks += _wrong_looks(f"{split} {number}", elsewhere, masks)
     return Board(sources, LEVELS, looks)
+
+
+def map_source(pair: Pair, corner_px: tuple[int, int], mask: Mask) -> DrawnSource:
+    """The map's picture of a pair, its first pixel at a global one of `ZOOM`."""
+    picture, georeference = read_picture(pair.map_.path), level_georeference(ZOOM, *corner_px)
+    return array_source(picture, georeference, name=pair.map_.path.stem, mask=mask)
+
+
+def seen_ground(pair: Pair, map_gray: Gray, map_mask: Mask) -> tuple[SeenGround, float]:
+    """The other picture of a pair, its label corrected, and one sigma of that, pixels."""
+    frame, mask = read_gray(pair.frame)
+    H_map_frame, label_px = corrected(frame, mask, map_gray, map_mask, pair.H_map_frame)
+    return SeenGround(frame, mask, np.asarray(np.linalg.inv(H_map_frame)), map_mask), label_px
 
 
 def pair_looks(
@@ -122,7 +131,7 @@ def pair_looks(
         cut = cut_frame(ground, rng)
         if cut is None:
             continue
-        pose = _pose(cut, corner_px)
+        pose = pose_of(cut, corner_px)
         m_per_px = ground_resolution_m_per_px(pose.lat_deg, ZOOM)
         prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
         asked: list[tuple[LookKind, Prior]] = [("prior", prior)]
@@ -142,7 +151,8 @@ def pair_looks(
             )
 
 
-def _pose(cut: Cut, corner_px: tuple[int, int]) -> TruePose:
+def pose_of(cut: Cut, corner_px: tuple[int, int]) -> TruePose:
+    """Where a frame was cut, of a map's picture at a global pixel of `ZOOM`."""
     lat_deg, lon_deg = place_of_pixel(corner_px, cut.nadir_uv)
     agl_m = cut.agl_px * ground_resolution_m_per_px(lat_deg, ZOOM)
     return TruePose(lat_deg, lon_deg, cut.rpy_rad[2], agl_m)

@@ -37,7 +37,7 @@ ORIGIN_LAT_DEG, ORIGIN_LON_DEG = 47.0, 8.0
 PRIOR_PX = 60.0
 PRIOR_YAW_RAD = math.radians(5.0)
 PRIOR_AGL_RATIO = 0.07
-_TILT_RAD = math.radians(3.0)  # one sigma of roll and of pitch; they are told as they are
+TILT_RAD = math.radians(3.0)  # one sigma of roll and of pitch; they are told as they are
 _FOOTPRINT = (0.5, 0.75)  # width of the ground that a frame shows, over the picture's shorter side
 _FOOTPRINT_PX = (150.0, 640.0)
 _SEEN, _SHARED = 0.99, 0.8  # of a frame that must show ground, and ground of the map
@@ -142,21 +142,29 @@ def cut_frame(ground: SeenGround, rng: np.random.Generator) -> Cut | None:
         width_px = float(np.clip(rng.uniform(*_FOOTPRINT) * min(w, h), *_FOOTPRINT_PX))
         agl_px = width_px * CAMERA.K[0, 0] / CAMERA.width_px
         nadir_uv = rng.uniform((0.0, 0.0), (w, h))
-        rpy_rad = (*rng.normal(0.0, _TILT_RAD, 2), float(rng.uniform(-math.pi, math.pi)))
-        H_map_frame = _map_from_frame(nadir_uv, rpy_rad, agl_px)
-        size_wh = (CAMERA.width_px, CAMERA.height_px)
-        shared = cv2.warpPerspective(
-            ground.map_mask.astype(np.uint8),
-            H_map_frame,
-            size_wh,
-            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-        )
-        if shared.mean() < _SHARED:
-            continue
-        image, seen = look_at(ground.gray, ground.mask, ground.H_gray_map @ H_map_frame, size_wh)
-        if seen.mean() >= _SEEN:
-            return Cut(image, nadir_uv, rpy_rad, agl_px)
+        rpy_rad = (*rng.normal(0.0, TILT_RAD, 2), float(rng.uniform(-math.pi, math.pi)))
+        cut = cut_at(ground, nadir_uv, rpy_rad, agl_px)
+        if cut is not None:
+            return cut
     return None
+
+
+def cut_at(
+    ground: SeenGround, nadir_uv: Array, rpy_rad: tuple[float, float, float], agl_px: float
+) -> Cut | None:
+    """The frame of a camera over a ground; None where it shows too little that both share."""
+    H_map_frame = _map_from_frame(nadir_uv, rpy_rad, agl_px)
+    size_wh = (CAMERA.width_px, CAMERA.height_px)
+    shared = cv2.warpPerspective(
+        ground.map_mask.astype(np.uint8),
+        H_map_frame,
+        size_wh,
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+    )
+    if shared.mean() < _SHARED:
+        return None
+    image, seen = look_at(ground.gray, ground.mask, ground.H_gray_map @ H_map_frame, size_wh)
+    return Cut(image, nadir_uv, rpy_rad, agl_px) if seen.mean() >= _SEEN else None
 
 
 def _map_from_frame(nadir_uv: Array, rpy_rad: tuple[float, float, float], agl_px: float) -> Array:

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 from vwnav.bench.features.scenes import generator
 from vwnav.bench.localizer.boards import LEVELS, LOOKS_A_PICTURE, pair_looks
 from vwnav.bench.localizer.looks import ZOOM, Board, SeenGround, map_pixel
-from vwnav.maps.build.raster import array_source, level_georeference
+from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.types import Gray
 
 SIDE_PX = 1000
 DRAWN_PX = 0.1  # error of the truth: none but that of drawing
 _CANVAS_PX = 1480  # turned by any angle it fills the picture
-_LASTING, _PASSING = 3.0, 6.0  # gray values: texture that both days have, and that one day has
+TEXTURE = (3.0, 6.0)  # gray values: what both days have, and what one day has
 
 Canvas = NDArray[np.float32]
+Drawing = Callable[[Canvas, np.random.Generator], None]
 
 
 def repeating_boards(looks: int, only: str | None) -> Iterator[Board]:
@@ -27,29 +28,32 @@ def repeating_boards(looks: int, only: str | None) -> Iterator[Board]:
         if only not in (None, kind):
             continue
         for number in range(-(-looks // LOOKS_A_PICTURE)):
-            map_, today = (_day(kind, draw, number, day) for day in (0, 1))
-            corner_px, everywhere = map_pixel((0, 0)), np.ones(map_.shape, np.bool_)
-            source = array_source(
-                np.asarray(cv2.cvtColor(map_, cv2.COLOR_GRAY2BGR), np.uint8),
-                level_georeference(ZOOM, *corner_px),
-                name=f"{kind} {number}",
-            )
-            ground = SeenGround(today, everywhere, np.eye(3), everywhere)
+            corner_px = map_pixel((0, 0))
+            source, ground = drawn(kind, draw, number, corner_px, TEXTURE)
             found = pair_looks(
                 kind, f"{kind} {number}", ground, corner_px, DRAWN_PX, searches=LOOKS_A_PICTURE
             )
             yield Board([source], LEVELS, list(found))
 
 
-def _day(
-    kind: str, draw: Callable[[Canvas, np.random.Generator], None], number: int, day: int
-) -> Gray:
+def drawn(
+    kind: str, draw: Drawing, number: int, corner_px: tuple[int, int], texture: tuple[float, float]
+) -> tuple[DrawnSource, SeenGround]:
+    """A map of a drawing, its first pixel at a global one of `ZOOM`, and how another day looks."""
+    map_, today = (_day(kind, draw, number, day, texture) for day in (0, 1))
+    picture = np.asarray(cv2.cvtColor(map_, cv2.COLOR_GRAY2BGR), np.uint8)
+    name, everywhere = f"{kind} {number}", np.ones(map_.shape, np.bool_)
+    source = array_source(picture, level_georeference(ZOOM, *corner_px), name=name)
+    return source, SeenGround(today, everywhere, np.eye(3), everywhere)
+
+
+def _day(kind: str, draw: Drawing, number: int, day: int, texture: tuple[float, float]) -> Gray:
     """One drawing; the plan and a faint texture last, the rest is of the day."""
     lasting, passing = generator(kind, number), generator(f"{kind} day", number, day)
     canvas = np.full((_CANVAS_PX, _CANVAS_PX), 105.0, np.float32)
-    canvas += _texture(lasting, _LASTING)
+    canvas += _texture(lasting, texture[0])
     draw(canvas, lasting)
-    canvas += _texture(passing, _PASSING)
+    canvas += _texture(passing, texture[1])
     turn = cv2.getRotationMatrix2D((_CANVAS_PX / 2, _CANVAS_PX / 2), lasting.uniform(0, 360), 1.0)
     turn[:, 2] = turn[:, 2] - (_CANVAS_PX - SIDE_PX) / 2
     turned = cv2.warpAffine(canvas, turn, (SIDE_PX, SIDE_PX), flags=cv2.INTER_LINEAR)
@@ -100,6 +104,10 @@ def _vineyard(canvas: Canvas, rng: np.random.Generator) -> None:
         canvas[y : y + 14] = 170.0
 
 
+def sand(canvas: Canvas, rng: np.random.Generator) -> None:
+    """Nothing that stands out."""
+
+
 def _runway(canvas: Canvas, rng: np.random.Generator) -> None:
     """A runway that looks the same from both ends but for its numbers."""
     middle, half, width = _CANVAS_PX // 2, 430, 64
@@ -125,7 +133,7 @@ def _runway(canvas: Canvas, rng: np.random.Generator) -> None:
         )
 
 
-KINDS: dict[str, Callable[[Canvas, np.random.Generator], None]] = {
+KINDS: dict[str, Drawing] = {
     "crossings": _crossings,
     "houses": _houses,
     "vineyard": _vineyard,

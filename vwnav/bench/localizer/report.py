@@ -9,6 +9,7 @@ from rich.table import Table
 from vwnav.bench.cells import number, percent, rounded
 from vwnav.bench.localizer.looks import LookKind
 from vwnav.bench.localizer.scoring import LocalizerReport, LookScore
+from vwnav.bench.localizer.sequences import ShortFlightOutcome, scores
 
 _TITLES: dict[LookKind, str] = {
     "prior": "the right place, a rough prior",
@@ -63,6 +64,35 @@ def tables(report: LocalizerReport) -> Iterator[Table]:
         for name, each in by_features.items():
             table.add_row(name, *_cells(each))
         yield table
+
+
+def sequences_as_json(outcomes: dict[str, list[ShortFlightOutcome]]) -> dict[str, object]:
+    """Plain values; the flights with a fix that misleads by name."""
+    return {
+        "scores": {
+            name: [rounded(asdict(each)) for each in scores(flights)]
+            for name, flights in outcomes.items()
+        },
+        "false": {
+            name: [asdict(each) for each in flights if each.alone_false or each.joined_false]
+            for name, flights in outcomes.items()
+        },
+    }
+
+
+def sequence_table(outcomes: dict[str, list[ShortFlightOutcome]]) -> Table:
+    """A line for each feature set, kind of look and group."""
+    columns = ["features", "group", "kind", "flights", "found", "joined", "first", "joined"]
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for place, column in enumerate([*columns, "false", "joined"]):
+        table.add_column(column, justify="left" if place < 3 else "right", no_wrap=True)
+    for name, flights in outcomes.items():
+        for each in scores(flights):
+            found, first = (each.alone, each.joined), (each.alone_first, each.joined_first)
+            counts = (str(value) for value in (each.flights, *found))
+            false = (str(value) for value in (each.alone_false, each.joined_false))
+            table.add_row(name, each.group, each.kind, *counts, *map(number, first), *false)
+    return table
 
 
 def _cells(each: LookScore) -> list[str]:

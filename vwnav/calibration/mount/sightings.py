@@ -124,6 +124,7 @@ class Spotter:
         accept = Acceptance(
             threshold_px=WIDE_PX,
             max_log10_nfa=KEEP_LOG10_NFA,
+            weak_log10_nfa=KEEP_LOG10_NFA,
             sigma_tilt_rad=float(TILT_OPEN_RAD),
             sigma_georeference_m=0.0,
         )

@@ -31,7 +31,9 @@ def localizer(
             "--looks", min=1, help="With a prior, for each group; a quarter as many without."
         ),
     ] = 16,
-    only: Annotated[str | None, typer.Option("--only", help="This group alone.")] = None,
+    only: Annotated[
+        str | None, typer.Option("--only", help="This group alone; sequences: short flights.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for localizer.json.")
     ] = None,
@@ -45,25 +47,34 @@ def localizer(
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from rich.console import Console
 
-    from vwnav.bench.localizer.report import as_json, tables
-    from vwnav.bench.localizer.run import bench_localizer
+    from vwnav.bench.localizer.report import as_json, sequence_table, sequences_as_json, tables
+    from vwnav.bench.localizer.run import bench_localizer, extractor_of
+    from vwnav.bench.localizer.sequences import bench_sequences
+    from vwnav.bench.localizer.short_flights import SEQUENCES, sequence_boards
     from vwnav.recording.run_folder import make_run_folder
     from vwnav.screen import LiveLine, say
 
     folder = None if output is None else make_run_folder(output, "bench")
     chosen, names = _scenes(scenes), [name for name in features.split(",") if name]
     with LiveLine() as line:
-        report = bench_localizer(
-            chosen, data, names, looks, only, lambda text: line.show(time.monotonic(), text)
-        )
-    values = as_json(report)
+
+        def progress(text: str) -> None:
+            line.show(time.monotonic(), text)
+
+        if only == SEQUENCES:
+            extractors = {name: extractor_of(name) for name in names}
+            flown = bench_sequences(sequence_boards(chosen, data, looks), extractors, progress)
+            values, shown = sequences_as_json(flown), [sequence_table(flown)]
+        else:
+            report = bench_localizer(chosen, data, names, looks, only, progress)
+            values, shown = as_json(report), list(tables(report))
     if json_:
         print(json.dumps(values))
     else:
         # A file has no width of its own.
         width = None if sys.stdout.isatty() else _WIDTH
         console = Console(file=sys.stdout, highlight=False, width=width)
-        for table in tables(report):
+        for table in shown:
             console.print(table)
     if folder is not None:
         (folder / "localizer.json").write_text(json.dumps(values, indent=1))

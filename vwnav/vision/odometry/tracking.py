@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.geometry.camera import to_gray
 from vwnav.types import Gray
 
 Points = NDArray[np.float32]
@@ -33,7 +34,7 @@ def reduced_gray(image: NDArray[np.uint8], factor: int) -> Gray:
         image: (h, w) gray or (h, w, 3) BGR.
         factor: from `reduction`.
     """
-    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    gray = to_gray(image)
     if factor == 1:
         return np.ascontiguousarray(gray, dtype=np.uint8)
     height, width = gray.shape[0] // factor, gray.shape[1] // factor

@@ -33,6 +33,7 @@ class FirstFix:
 
     Attributes:
         doubted: whether a beginning that a search found is searched for again.
+        young: whether it has had too few fixes since to be trusted.
     """
 
     def __init__(self) -> None:
@@ -40,6 +41,7 @@ class FirstFix:
         self._misses = 0
         self._fixes: int | None = None  # since a beginning that a search found
         self.doubted = False
+        self.young = False
 
     def prior(self, prior: Prior, t_s: float) -> Prior:
         """Around what was found, as far as an aircraft comes since; else without a place.
@@ -76,21 +78,21 @@ class FirstFix:
 
     def began(self) -> None:
         """A filter began at what was confirmed: nothing else says where it is."""
-        self._fixes, self.doubted = 0, False
+        self._fixes, self.doubted, self.young = 0, False, True
 
     def fused(self) -> None:
         """A fix was fused by a filter that has its beginning."""
         self._misses = 0
         if self._fixes is not None:
             self._fixes += 1
+            self.young = self._fixes < TRUSTED_AFTER
 
     def missed(self) -> None:
         """An image gave no fix."""
         self._misses += 1
         if self._found is not None and self._misses >= MISSES:
             self._found = None
-        young = self._fixes is not None and self._fixes < TRUSTED_AFTER
-        self.doubted = self.doubted or (young and self._misses >= DOUBTED_AFTER)
+        self.doubted = self.doubted or (self.young and self._misses >= DOUBTED_AFTER)
 
 
 def _agree(before: MapFix, fix: MapFix) -> bool:
