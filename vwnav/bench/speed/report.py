@@ -36,9 +36,9 @@ def as_json(report: SpeedReport) -> dict[str, Any]:
         "chosen": None
         if chosen is None
         else {
-            **_row_json(chosen.measured),
+            **_row_json(chosen.timed),
             "latency": rounded(asdict(chosen.latency)),
-            "config": chosen.measured.setting.as_config(report.wanted.target_hz),
+            "config": chosen.timed.setting.as_config(report.wanted.target_hz),
             "words": list(words(chosen, report.rows, report.wanted.target_hz, report.cores)),
         },
         "projection": [rounded(asdict(each)) for each in report.projected],
@@ -72,8 +72,7 @@ def _settings_table(report: SpeedReport) -> Group:
     title = (
         f"One picture located on the map, ms ({report.wanted.repeats} pictures a row; "
         f"{report.machine}, {report.cores} cores).\n"
-        "kp: keypoints; thr: threads; 3 m, inl: placed so, inliers on a real flight, "
-        "not here."
+        "kp: keypoints, thr: threads; within 3 m and inliers are of a real flight."
     )
     names = ["features", "size", "kp", "thr", "p50", "p99", "Hz", "extr", "match", "ver"]
     table = _table([*names, "3 m", "inl"])
@@ -136,11 +135,18 @@ def _table(columns: list[str]) -> Table:
 
 def refusal(report: SpeedReport) -> str:
     """Why nothing was chosen, and what may be done."""
+    advice = "ask for less with --target-hz, or stop what else runs"
+    wanted = f"{report.wanted.target_hz:g} Hz"
+    if report.tried:
+        rates = ", ".join(f"{each.latency.rate_hz:.1f}" for each in report.tried)
+        return (
+            f"nothing holds {wanted} here: settings that do alone reached {rates} Hz beside camera "
+            f"and link; {advice}"
+        )
     fastest = min(report.rows, key=lambda row: row.time.p99_ms)
     return (
-        f"nothing holds {report.wanted.target_hz:g} Hz here: the fastest, "
-        f"{described(fastest.setting)}, takes {fastest.time.p50_ms:.0f} ms, the slowest "
-        f"{fastest.time.p99_ms:.0f} ms; ask for less with --target-hz, or stop what else runs"
+        f"nothing holds {wanted} here: the fastest, {described(fastest.setting)}, takes "
+        f"{fastest.time.p50_ms:.0f} ms, the slowest {fastest.time.p99_ms:.0f} ms; {advice}"
     )
 
 
@@ -165,7 +171,7 @@ def write_settings(path: Path, report: SpeedReport) -> None:
     said = words(chosen, report.rows, report.wanted.target_hz, report.cores)
     head = f"Chosen by `vwnav bench speed` on {date.today()} for {report.machine}."
     comment = "".join(f"# {line}\n" for line in (head, *said))
-    settings = tomli_w.dumps(chosen.measured.setting.as_config(report.wanted.target_hz))
+    settings = tomli_w.dumps(chosen.timed.setting.as_config(report.wanted.target_hz))
     partial = path.with_name(path.name + ".part")
     try:
         partial.write_text(f"{comment}\n{settings}")

@@ -86,10 +86,10 @@ class Latency:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
-    """A setting that holds the rate here, in real time too."""
+class RealTimeRun:
+    """A setting in real time."""
 
-    measured: TimedSetting
+    timed: TimedSetting
     latency: Latency
 
 
@@ -114,7 +114,8 @@ class SpeedReport:
     """Everything that was measured.
 
     Attributes:
-        chosen: None where nothing holds the rate.
+        tried: in real time, the most accurate first.
+        chosen: of these; None where nothing holds the rate.
         projected: for boards that this one is not.
         before, after: what makes a board slow, before and after the load.
         skipped: one line for each thing that was left out.
@@ -124,7 +125,8 @@ class SpeedReport:
     machine: str
     cores: int
     rows: list[TimedSetting]
-    chosen: Choice | None
+    tried: list[RealTimeRun]
+    chosen: RealTimeRun | None
     projected: list[Projection]
     before: list[Check]
     after: list[Check]

@@ -13,18 +13,18 @@ from vwnav.bench.speed.settings import Setting
 from vwnav.types import FeatureExtractor, MapFix, MatchStats
 from vwnav.vision.localizer import Localizer
 
-_WARM_UP = 2
-Progress = Callable[[int], None]
+Say = Callable[[str], None]
 
 
 def time_settings(
-    wanted: list[Setting], ground: TrialGround, repeats: int, progress: Progress
+    wanted: list[Setting], ground: TrialGround, repeats: int, say: Say
 ) -> Iterator[TimedSetting]:
-    """Time each setting over `repeats` pictures. `progress` is told how many are done."""
-    done = 0
+    """Time each setting over `repeats` pictures. `say` is told which are next."""
     for _, group in groupby(wanted, lambda each: each.features):
         of_features = list(group)
-        extractor = of_features[0].load()
+        first = of_features[0]
+        say(f"bench: {first.label}, threads: {first.features.threads}")
+        extractor = first.load()
         for setting in of_features:
             times = time_step(setting, extractor, ground, repeats)
             name = extractor.feature_set_id
@@ -32,24 +32,22 @@ def time_settings(
                 setting=setting, feature_set_id=name, time=times,
                 accuracy=accuracy_of(setting, name),
             )  # fmt: skip
-            done += 1
-            progress(done)
 
 
 def time_step(
     setting: Setting, extractor: FeatureExtractor, ground: TrialGround, repeats: int
 ) -> StepTime:
-    """Locate pictures one after the other, the first few unmeasured."""
+    """Locate pictures one after the other; the first time of each, which allocates, not counted."""
     pack = ground.pack(extractor)
     sights = ground.sights(ground.agl_m(pack.levels[0].m_per_px, setting.size_wh))
     localizer = Localizer(pack, extractor, ground.camera, setting.localizer)
     spent_s: list[tuple[float, float]] = []
     stats: list[MatchStats] = []
     placed = 0
-    for turn, sight in enumerate(islice(cycle(sights), _WARM_UP + repeats)):
+    for turn, sight in enumerate(islice(cycle(sights), len(sights) + repeats)):
         start_s, cpu_s = time.perf_counter(), time.process_time()
         outcome = localizer.localize(sight.frame, sight.prior, sight.frame.index)
-        if turn >= _WARM_UP:
+        if turn >= len(sights):
             spent_s.append((time.perf_counter() - start_s, time.process_time() - cpu_s))
             stats.append(outcome.stats)
             placed += isinstance(outcome, MapFix)

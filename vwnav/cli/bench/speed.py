@@ -45,7 +45,7 @@ def speed(
     from vwnav.bench.speed.results import Wanted
     from vwnav.bench.speed.run import bench_speed
     from vwnav.errors import VwnavError
-    from vwnav.screen import progress_bar, say
+    from vwnav.screen import say
 
     if output is not None:
         check_place(output)
@@ -53,8 +53,7 @@ def speed(
         features=features or [], threads=threads, target_hz=target_hz, repeats=repeats,
         seconds=seconds,
     )  # fmt: skip
-    with progress_bar() as progress:
-        report = bench_speed(wanted, progress)
+    report = bench_speed(wanted, say)
     for line in report.skipped:
         say(f"bench: {line}")
     if as_json:
