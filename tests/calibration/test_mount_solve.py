@@ -19,9 +19,10 @@ CAMERA = Camera(
 )  # fmt: skip
 
 
-def fit(truth: Truth, seed: int, focal: bool = False):
+def fit(truth: Truth, seed: int, focal: bool = False, spoil=lambda seen: seen):
     """The fit, and (6,) its errors over its sigmas, and the errors themselves."""
     flight = fly(truth, seed)
+    flight.sightings = [spoil(each) for each in flight.sightings]
     history = FlownAttitudes(flight.attitudes)
     times = np.array([s.t_s for s in flight.sightings])
     heights = heights_at(flight.ranges, history, times + truth.offset_s)
@@ -82,6 +83,20 @@ def test_one_flight_tells_the_mount_to_a_fifth_of_a_degree():
     assert np.all(np.abs(errors[:2]) < np.radians(0.2))
     assert np.all(np.abs(errors[3:5]) < 0.002)
     assert np.all(np.abs(errors[:5]) < 3.0 * sigmas[:5])
+
+
+def test_matches_that_are_wrong_and_too_far_in_make_no_smaller_focal_length():
+    """One of seven, by 12 to 20 px: wrong ones lie within the picture, so more are inwards."""
+
+    def spoil(seen):
+        rng = np.random.default_rng(int(1e3 * seen.t_s))
+        out = seen.uv - [CX, CY]
+        inward = out / np.linalg.norm(out, axis=1, keepdims=True)
+        wrong = rng.uniform(12.0, 20.0, (len(out), 1)) * (rng.random((len(out), 1)) < 0.15)
+        return replace(seen, uv=seen.uv - wrong * inward)
+
+    _, errors, _ = fit(Truth(pictures=60, seconds=70.0, sigma_px=2.0), 3, True, spoil)
+    assert abs(errors[5]) < 0.002
 
 
 def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length():
