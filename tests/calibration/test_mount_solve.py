@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from mount_flights import CX, CY, K1, F, H, Truth, W, fly
 
-from vwnav.calibration.mount.history import FlownAttitudes, heights_at
+from vwnav.calibration.mount.history import FlownAttitudes, camera_heights_at, heights_at
 from vwnav.calibration.mount.solve import fit_mount
 from vwnav.calibration.mount.verdict import judge
 from vwnav.errors import CalibrationError
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import vector_from_rotation
+from vwnav.types import Attitude, Range
 
 CAMERA = Camera(
     width_px=W, height_px=H, K=np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]]),
@@ -97,6 +98,17 @@ def test_matches_that_are_wrong_and_too_far_in_make_no_smaller_focal_length():
 
     _, errors, _ = fit(Truth(pictures=60, seconds=70.0, sigma_px=2.0), 3, True, spoil)
     assert abs(errors[5]) < 0.002
+
+
+def test_a_camera_below_the_autopilot_is_lower_than_the_rangefinder_says():
+    """0.2 m are 0.4 % of focal length at 50 m."""
+    nose_up = np.array([np.cos(0.05), 0.0, np.sin(0.05), 0.0])
+    history = FlownAttitudes([Attitude(t, nose_up) for t in (0.0, 0.4, 0.8)])
+    ranges = [Range(t, 50.0 / np.cos(0.1)) for t in (0.0, 0.4, 0.8)]
+    arm_m, at_s = np.array([0.3, 0.1, 0.2]), np.array([0.2, 0.5])
+    below_m = 0.2 * np.cos(0.1) - 0.3 * np.sin(0.1)
+    heights_m = camera_heights_at(ranges, history, at_s, arm_m)
+    assert heights_m == pytest.approx(np.full(2, 50.0 - below_m))
 
 
 def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length():
