@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from mount_flights import CX, CY, K1, F, H, Truth, W, fly
 
-from vwnav.calibration.mount.history import FlownAttitudes, heights_at
+from vwnav.calibration.mount.history import FlownAttitudes, camera_heights_at, heights_at
 from vwnav.calibration.mount.solve import fit_mount
 from vwnav.calibration.mount.verdict import judge
 from vwnav.errors import CalibrationError
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import vector_from_rotation
+from vwnav.types import Attitude, Range
 
 CAMERA = Camera(
     width_px=W, height_px=H, K=np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]]),
@@ -19,9 +20,10 @@ CAMERA = Camera(
 )  # fmt: skip
 
 
-def fit(truth: Truth, seed: int, focal: bool = False):
+def fit(truth: Truth, seed: int, focal: bool = False, spoil=lambda seen: seen):
     """The fit, and (6,) its errors over its sigmas, and the errors themselves."""
     flight = fly(truth, seed)
+    flight.sightings = [spoil(each) for each in flight.sightings]
     history = FlownAttitudes(flight.attitudes)
     times = np.array([s.t_s for s in flight.sightings])
     heights = heights_at(flight.ranges, history, times + truth.offset_s)
@@ -82,6 +84,31 @@ def test_one_flight_tells_the_mount_to_a_fifth_of_a_degree():
     assert np.all(np.abs(errors[:2]) < np.radians(0.2))
     assert np.all(np.abs(errors[3:5]) < 0.002)
     assert np.all(np.abs(errors[:5]) < 3.0 * sigmas[:5])
+
+
+def test_matches_that_are_wrong_and_too_far_in_make_no_smaller_focal_length():
+    """One of seven, by 12 to 20 px: wrong ones lie within the picture, so more are inwards."""
+
+    def spoil(seen):
+        rng = np.random.default_rng(int(1e3 * seen.t_s))
+        out = seen.uv - [CX, CY]
+        inward = out / np.linalg.norm(out, axis=1, keepdims=True)
+        wrong = rng.uniform(12.0, 20.0, (len(out), 1)) * (rng.random((len(out), 1)) < 0.15)
+        return replace(seen, uv=seen.uv - wrong * inward)
+
+    _, errors, _ = fit(Truth(pictures=60, seconds=70.0, sigma_px=2.0), 3, True, spoil)
+    assert abs(errors[5]) < 0.002
+
+
+def test_a_camera_below_the_autopilot_is_lower_than_the_rangefinder_says():
+    """0.2 m are 0.4 % of focal length at 50 m."""
+    nose_up = np.array([np.cos(0.05), 0.0, np.sin(0.05), 0.0])
+    history = FlownAttitudes([Attitude(t, nose_up) for t in (0.0, 0.4, 0.8)])
+    ranges = [Range(t, 50.0 / np.cos(0.1)) for t in (0.0, 0.4, 0.8)]
+    arm_m, at_s = np.array([0.3, 0.1, 0.2]), np.array([0.2, 0.5])
+    below_m = 0.2 * np.cos(0.1) - 0.3 * np.sin(0.1)
+    heights_m = camera_heights_at(ranges, history, at_s, arm_m)
+    assert heights_m == pytest.approx(np.full(2, 50.0 - below_m))
 
 
 def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length():

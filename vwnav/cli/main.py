@@ -11,11 +11,11 @@ from vwnav.cli.bench.estimator import estimator
 from vwnav.cli.bench.features import drift, features
 from vwnav.cli.bench.flights import flights
 from vwnav.cli.bench.localizer import localizer
+from vwnav.cli.bench.shutter import shutter
 from vwnav.cli.bench.significance import significance
 from vwnav.cli.bench.speed import speed
 from vwnav.cli.bench.waypoints import waypoints
 from vwnav.cli.camera import calibrate, look
-from vwnav.cli.camera.shutter import shutter
 from vwnav.errors import PreflightError, VwnavError
 
 EXIT_FAILED = 1

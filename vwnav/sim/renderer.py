@@ -71,7 +71,12 @@ class CameraRenderer:
         rng: np.random.Generator,
         cache_dir: Path | None = None,
     ) -> None:
-        """`cache_dir` keeps drawn tiles between runs (see `tiles.default_cache_dir`)."""
+        """`cache_dir` keeps drawn tiles between runs (see `tiles.default_cache_dir`).
+
+        A calibration that knows its read-out has it; else it is that of `config`.
+        """
+        if camera.readout_s is not None:
+            config = replace(config, readout_s=camera.readout_s)
         self._camera, self._config, self._rng = camera, config, rng
         self._tiles = TileStore(site, cache_dir)
         self._sensor = Sensor(camera, config, rng)

@@ -66,6 +66,14 @@ def heights_at(ranges: Sequence[Range], history: FlownAttitudes, t_s: Array) -> 
     return np.asarray(np.where(nearest_s <= MAX_GAP_S, found, np.nan))
 
 
+def camera_heights_at(
+    ranges: Sequence[Range], history: FlownAttitudes, t_s: Array, t_body_camera_m: Array
+) -> Array:
+    """(k,) the same of a camera on its lever arm (3,), which may sit lower than the autopilot."""
+    below_m = history.at(t_s).R_ned_body[:, 2] @ t_body_camera_m
+    return np.asarray(heights_at(ranges, history, t_s) - below_m)
+
+
 def rotations_from_vectors(vectors_rad: Array) -> Array:
     """(k, 3, 3) of rotation vectors (k, 3), by Rodrigues' formula."""
     angle = np.linalg.norm(vectors_rad, axis=1)[:, None, None]

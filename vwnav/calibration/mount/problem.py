@@ -10,6 +10,7 @@ seen after the distortion is removed: a lens whose focus moved bends the same pi
 its distortion was calibrated to must not pass for knowledge of its focal length.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -34,10 +35,11 @@ SIGMA_TILT_RAD, TILT_S = np.radians(0.6), 20.0  # of the autopilot's level, wand
 SIGMA_HEADING_RAD = np.radians(10.0)  # of its compass, for good
 HEADING_WALK_RAD = np.radians(0.08)  # of its compass, per root second
 SIGMA_JITTER_RAD = np.radians(0.07)  # of a picture's own: vibration
-ROBUST_SIGMAS = 2.5
+CAUCHY_SIGMAS, TUKEY_SIGMAS = 2.5, 4.685  # 95 % efficiency for normal errors
 SIGMA_HEIGHT_M, SIGMA_HEIGHT_RATIO = 0.1, 0.01
 
 
+Weights = Callable[[Array], Array]
 # What is known otherwise: columns, derivatives by them, and the residual, in sigmas.
 Known = tuple[tuple[NDArray[np.int64], Array], float]
 
@@ -129,17 +131,18 @@ class MountProblem:
         rays = camera.bearings(self._uv)
         self._seen_px = camera.K[0, 0] * rays[:, :2] / rays[:, 2:]  # without distortion
 
-    def equations(self, at: Unknowns, sigma_px: float, free: Array) -> Equations:
+    def equations(self, at: Unknowns, sigma_px: float, free: Array, weights: Weights) -> Equations:
         """Linearised at some values.
 
         Args:
             at: the values.
             sigma_px: of a point, per axis.
             free: (7,) which of the shared unknowns may move.
+            weights: of errors in sigmas, `cauchy` or `tukey`.
         """
         n = len(self.sightings)
         errors_px, J_shared, J_tilt, J_place = self._points(at)
-        weight = self._share * _robust(np.linalg.norm(errors_px, axis=1) / sigma_px) / sigma_px**2
+        weight = self._share * weights(np.linalg.norm(errors_px, axis=1) / sigma_px) / sigma_px**2
         J_shared = J_shared * free
         information = np.zeros((SHARED + 6 * n, SHARED + 6 * n))
         gradient = np.zeros(SHARED + 6 * n)
@@ -250,9 +253,18 @@ class MountProblem:
         return found
 
 
-def _robust(sigmas: Array) -> Array:
-    """Weights of errors, in sigmas (Cauchy): some of the matches are wrong."""
-    return np.asarray(1.0 / (1.0 + (sigmas / ROBUST_SIGMAS) ** 2))
+def cauchy(sigmas: Array) -> Array:
+    """Weights of errors, in sigmas, far from the answer: what is far off still pulls."""
+    return np.asarray(1.0 / (1.0 + (sigmas / CAUCHY_SIGMAS) ** 2))
+
+
+def tukey(sigmas: Array) -> Array:
+    """Weights near the answer: what is far off is a wrong match, and pulls no more.
+
+    Wrong matches lie within the picture, so more of them are too far in than too far out: with
+    Cauchy's weights they made pictures, and the focal length, 0.1 % too small.
+    """
+    return np.asarray(np.clip(1.0 - (sigmas / TUKEY_SIGMAS) ** 2, 0.0, None) ** 2)
 
 
 def _projection_derivative(X: Array) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.calibration.mount.flight_file import FlightFile
-from vwnav.calibration.mount.history import FlownAttitudes, heights_at
+from vwnav.calibration.mount.history import FlownAttitudes, camera_heights_at
 from vwnav.calibration.mount.problem import Sighting
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame, lat_lon_from_mercator_px
@@ -56,6 +56,7 @@ class Spotter:
         """
         config = LocalizerConfig(sigma_tilt_rad=float(TILT_OPEN_RAD))
         self._config = config
+        self._arm_m = camera.t_body_camera_m
         camera = camera.without_arm()  # sought are the camera's own places
         self._pack, self._extractor, self._camera = pack, extractor, camera
         self._localizer = Localizer(pack, extractor, camera, config)
@@ -71,7 +72,9 @@ class Spotter:
         turned = self._history.at(at_s)
         if not turned.known[0]:
             return None
-        height_m = float(heights_at(self._flight.ranges, self._history, at_s)[0])
+        height_m = float(
+            camera_heights_at(self._flight.ranges, self._history, at_s, self._arm_m)[0]
+        )
         prior = self._prior(picture.t_s, turned.R_ned_body[0], height_m)
         fix = self._localizer.localize(picture, prior, picture.index)
         if not isinstance(fix, MapFix) or fix.yaw_rad is None or fix.agl_m is None:

@@ -14,6 +14,9 @@ from vwnav.calibration.mount.problem import (
     MountProblem,
     Sighting,
     Unknowns,
+    Weights,
+    cauchy,
+    tukey,
 )
 from vwnav.geometry.camera import MAX_READOUT_S, Camera
 from vwnav.geometry.rotations import rotation_from_vector, vector_from_rotation
@@ -67,9 +70,10 @@ def fit_mount(
     begun = [(_left_over(camera, history, few, each, held), each) for each in START_OFFSETS_S]
     start = _start(camera, sightings, min(begun)[1])
     problem = MountProblem(camera, history, sightings, start)
-    at, sigma_px = _converge(problem, start, FIRST_SIGMA_PX, free, STEPS)
+    at, sigma_px = _converge(problem, start, FIRST_SIGMA_PX, free, STEPS, cauchy)
+    at, sigma_px = _converge(problem, at, sigma_px, free, FEW_STEPS, tukey)
     found = _summary(problem, at)
-    equations = problem.equations(at, sigma_px, free)
+    equations = problem.equations(at, sigma_px, free, tukey)
     covariance = np.linalg.inv(equations.information)
     rows = np.zeros((6, len(covariance)))
     rows[:3] = at.R_body_camera @ problem.mean_tilt(at)
@@ -114,16 +118,21 @@ def _left_over(
     """The cost after a few steps from a time offset: it alone has more than one minimum."""
     start = _start(camera, sightings, offset_s)
     problem = MountProblem(camera, history, sightings, start)
-    at, _ = _converge(problem, start, FIRST_SIGMA_PX, free, FEW_STEPS)
-    return problem.equations(at, FIRST_SIGMA_PX, free).cost
+    at, _ = _converge(problem, start, FIRST_SIGMA_PX, free, FEW_STEPS, cauchy)
+    return problem.equations(at, FIRST_SIGMA_PX, free, cauchy).cost
 
 
 def _converge(
-    problem: MountProblem, at: Unknowns, sigma_px: float, free: Array, steps: int
+    problem: MountProblem,
+    at: Unknowns,
+    sigma_px: float,
+    free: Array,
+    steps: int,
+    weights: Weights,
 ) -> tuple[Unknowns, float]:
     """Gauss-Newton; the sigma of a point comes from the errors as they are."""
     for _ in range(steps):
-        equations = problem.equations(at, sigma_px, free)
+        equations = problem.equations(at, sigma_px, free, weights)
         step = np.asarray(np.linalg.solve(equations.information, equations.gradient), np.float64)
         at = at.moved(step)
         # Of a normal distribution in the plane the median distance is 1.177 sigma.
@@ -157,7 +166,7 @@ def _jackknife(
         part = MountProblem(
             problem.camera, problem.history, [problem.sightings[i] for i in kept], start
         )
-        solved, _ = _converge(part, start, sigma_px, free, FEW_STEPS)
+        solved, _ = _converge(part, start, sigma_px, free, FEW_STEPS, tukey)
         apart.append(_summary(part, solved) - found)
     blocks = len(apart)
     return np.asarray((blocks - 1.0) / blocks * np.sum(np.square(apart), axis=0))
