@@ -8,8 +8,12 @@ from rich.table import Table
 
 from vwnav.bench.cells import number, percent, rounded
 from vwnav.bench.localizer.looks import LookKind
-from vwnav.bench.localizer.scoring import LocalizerReport, LookScore
-from vwnav.bench.localizer.sequences import ShortFlightOutcome, scores
+from vwnav.bench.localizer.scoring import (
+    LocalizerReport,
+    LookScore,
+    ShortFlightOutcome,
+    sequence_scores,
+)
 
 _TITLES: dict[LookKind, str] = {
     "prior": "the right place, a rough prior",
@@ -70,7 +74,7 @@ def sequences_as_json(outcomes: dict[str, list[ShortFlightOutcome]]) -> dict[str
     """Plain values; the flights with a fix that misleads by name."""
     return {
         "scores": {
-            name: [rounded(asdict(each)) for each in scores(flights)]
+            name: [rounded(asdict(each)) for each in sequence_scores(flights)]
             for name, flights in outcomes.items()
         },
         "false": {
@@ -87,7 +91,7 @@ def sequence_table(outcomes: dict[str, list[ShortFlightOutcome]]) -> Table:
     for place, column in enumerate([*columns, "false", "joined"]):
         table.add_column(column, justify="left" if place < 3 else "right", no_wrap=True)
     for name, flights in outcomes.items():
-        for each in scores(flights):
+        for each in sequence_scores(flights):
             found, first = (each.alone, each.joined), (each.alone_first, each.joined_first)
             counts = (str(value) for value in (each.flights, *found))
             false = (str(value) for value in (each.alone_false, each.joined_false))

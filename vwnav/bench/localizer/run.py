@@ -16,6 +16,7 @@ from vwnav.bench.localizer.flown import flown_boards
 from vwnav.bench.localizer.looks import Board, open_board
 from vwnav.bench.localizer.repeating import repeating_boards
 from vwnav.bench.localizer.scoring import ALL, LocalizerReport, Outcome, judge
+from vwnav.bench.localizer.short_flights import FlownBoard, drawn_boards, flight_boards
 from vwnav.errors import ConfigError
 from vwnav.geometry.camera import Camera
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
@@ -101,6 +102,21 @@ def scene_boards(
             data = data_folder(folder)
             found = chain(boards(data, "eval", looks, only), flown_boards(data, looks, only))
     return (board for board in found if board.looks)
+
+
+def sequence_boards(scenes: SceneSet, folder: Path | None, flights: int) -> Iterator[FlownBoard]:
+    """The maps of a set with so many flights.
+
+    Raises:
+        ConfigError: the set is there to judge only, or there is no data folder.
+    """
+    match scenes:
+        case "repeats":
+            return drawn_boards(flights)
+        case "own":
+            return flight_boards(data_folder(folder), flights)
+        case "judge":
+            raise ConfigError("sequences of --set judge: vwnav bench features --sequence")
 
 
 def look_at_board(board: Board, extractor: FeatureExtractor) -> Iterator[Outcome]:

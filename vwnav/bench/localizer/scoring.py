@@ -192,3 +192,67 @@ class LocalizerReport:
 
 
 ALL = "all"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShortFlightOutcome:
+    """What came of a flight.
+
+    Attributes:
+        kind: of its looks.
+        alone, joined: number of the first picture with a right fix, from 1; None without one.
+        alone_false, joined_false: fixes that mislead, see `Outcome.false`.
+    """
+
+    group: str
+    name: str
+    kind: LookKind
+    alone: int | None
+    joined: int | None
+    alone_false: int
+    joined_false: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SequenceTally:
+    """Of many flights.
+
+    Attributes:
+        alone, joined: how many of them had a right fix.
+        alone_first, joined_first: number of the picture that gave the first one, mean of those.
+        alone_false, joined_false: fixes that mislead.
+    """
+
+    group: str
+    kind: LookKind
+    flights: int
+    alone: int
+    joined: int
+    alone_first: float | None
+    joined_first: float | None
+    alone_false: int
+    joined_false: int
+
+
+def sequence_scores(outcomes: list[ShortFlightOutcome]) -> Iterator[SequenceTally]:
+    """By kind of look and by group."""
+    for kind in LOOK_KINDS:
+        of_kind = [each for each in outcomes if each.kind == kind]
+        for group in dict.fromkeys(each.group for each in of_kind):
+            yield _tally(group, kind, [each for each in of_kind if each.group == group])
+
+
+def _tally(group: str, kind: LookKind, flights: list[ShortFlightOutcome]) -> SequenceTally:
+    alone = [each.alone for each in flights if each.alone is not None]
+    joined_ = [each.joined for each in flights if each.joined is not None]
+    return SequenceTally(
+        group=group,
+        kind=kind,
+        flights=len(flights),
+        alone=len(alone),
+        joined=len(joined_),
+        alone_first=float(np.mean(alone)) if alone else None,
+        joined_first=float(np.mean(joined_)) if joined_ else None,
+        alone_false=sum(each.alone_false for each in flights),
+        joined_false=sum(each.joined_false for each in flights),
+    )

@@ -38,8 +38,6 @@ from vwnav.bench.localizer.looks import (
 )
 from vwnav.bench.localizer.pictures import LEAST_SIDE_PX, Pair, Photo, apart, read_gray
 from vwnav.bench.localizer.repeating import DRAWN_PX, KINDS, TEXTURE, drawn, sand
-from vwnav.bench.localizer.run import SceneSet, data_folder
-from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.types import (
     OdometryMotion,
@@ -78,21 +76,6 @@ class ShortFlight:
 
 
 FlownBoard = tuple[Board, list[ShortFlight]]
-
-
-def sequence_boards(scenes: SceneSet, folder: Path | None, flights: int) -> Iterator[FlownBoard]:
-    """The maps of a set with so many flights.
-
-    Raises:
-        ConfigError: the set is there to judge only, or there is no data folder.
-    """
-    match scenes:
-        case "repeats":
-            return drawn_boards(flights)
-        case "own":
-            return flight_boards(data_folder(folder), flights)
-        case "judge":
-            raise ConfigError("sequences of --set judge: vwnav bench features --sequence")
 
 
 def flight_boards(folder: Path, flights: int) -> Iterator[FlownBoard]:

@@ -48,9 +48,9 @@ def localizer(
     from rich.console import Console
 
     from vwnav.bench.localizer.report import as_json, sequence_table, sequences_as_json, tables
-    from vwnav.bench.localizer.run import bench_localizer, extractor_of
+    from vwnav.bench.localizer.run import bench_localizer, extractor_of, sequence_boards
     from vwnav.bench.localizer.sequences import bench_sequences
-    from vwnav.bench.localizer.short_flights import SEQUENCES, sequence_boards
+    from vwnav.bench.localizer.short_flights import SEQUENCES
     from vwnav.recording.run_folder import make_run_folder
     from vwnav.screen import LiveLine, say
 
