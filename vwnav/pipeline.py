@@ -181,7 +181,7 @@ class Pipeline:
         not known, and how far beside the aircraft its centre lies neither: 10 degrees are 9 m at
         50 m, all pictures of the gap to the same side, which no covariance of a fix can say.
         """
-        picture = replace(frame, image=to_gray(frame.image))
+        picture = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
         with self._lock:
             alone = self._ekf.counts_heading
             attitude = None if alone else self._ekf.attitude_at(frame.t_s)

@@ -28,7 +28,6 @@ from vwnav.types import (
 )
 from vwnav.vision.by_correlation import fix_by_correlation
 from vwnav.vision.candidates import (
-    MAX_RIVALRY,
     PRIOR_SIGMAS,
     Acceptance,
     Candidate,
@@ -40,7 +39,7 @@ from vwnav.vision.candidates import (
 )
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
-from vwnav.vision.lever_arm import fix_of_body, prior_of_camera
+from vwnav.vision.lever_arm import LeverArm
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
     Registration,
@@ -51,9 +50,9 @@ from vwnav.vision.registration import (
     share_beside,
     share_turned,
 )
+from vwnav.vision.rivals import best_of
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
-REFINED_COARSE = 3  # of what a search found, the best
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
 WEAK_LOG10_NFA = 2.0  # less is not even held against the image
 WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
@@ -94,7 +93,8 @@ class Localizer:
         self._pack = pack
         self._extractor = extractor
         self._maker = QueryMaker(camera, extractor, clock)
-        self._arm_m = camera.t_body_camera_m if np.any(camera.t_body_camera_m) else None
+        arm_m = camera.t_body_camera_m
+        self._arm = LeverArm(arm_m) if np.any(arm_m) else None
         self._given_up = threading.Event()
 
     def give_up(self) -> None:
@@ -117,20 +117,22 @@ class Localizer:
             ModelError: the pack holds features of another model, or the model fails.
         """
         self._given_up.clear()
-        of_camera = prior if self._arm_m is None else prior_of_camera(prior, self._arm_m)
+        of_camera = self._arm.prior_of_camera(prior) if self._arm else prior
         query = self._maker.query(frame, of_camera, seed)
         outcome = self._located(query)
         if isinstance(outcome, MapFix):
-            outcome = implausible(query, outcome, self._config.max_sigma_m) or outcome
-        if isinstance(outcome, MapFix) and self._arm_m is not None:
-            outcome = fix_of_body(outcome, prior, self._arm_m)
+            refusal = implausible(query, outcome, self._config.max_sigma_m)
+            outcome = refusal or self._of_body(outcome, prior)
         stats = outcome.stats
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
         )
         if isinstance(outcome, Rejected) and outcome.reason not in SAID_NOTHING_OF:
-            outcome = replace(outcome, weak=self._weak(query))
+            outcome = replace(outcome, weak=self._weak(query, prior))
         return replace(outcome, stats=timed)
+
+    def _of_body(self, fix: MapFix, prior: Prior) -> MapFix:
+        return self._arm.fix_of_body(fix, prior) if self._arm else fix
 
     def _located(self, query: Query) -> MapFix | Rejected:
         """The way of an image: candidates, registered, refined, verified, one of them the fix."""
@@ -158,7 +160,10 @@ class Localizer:
             if found.reason in HOPELESS and not candidate.coarse:
                 return refusal
         if candidates[0].coarse:
-            best = self._best(query, coarse, len(candidates))
+            best = best_of(
+                query, coarse, len(candidates),
+                lambda hit: self._verified(query, self._refined(query, hit)),
+            )  # fmt: skip
             return fix_of(query, best) if isinstance(best, Registration) else best
         decades = self._config.min_decades
         first, accept = candidates[0], self._acceptance(candidates[0])
@@ -296,10 +301,14 @@ class Localizer:
         seen_m = max(query.footprint_m(found.hypothesis.agl_m))
         query.weak.append(WeakFix(fix_of(query, found), decades, needed, seen_m))
 
-    def _weak(self, query: Query) -> tuple[WeakFix, ...]:
+    def _weak(self, query: Query, prior: Prior) -> tuple[WeakFix, ...]:
         """What was kept that is certain and near enough to be a fix, if more spoke for it."""
         most_m = self._config.max_sigma_m
-        return tuple(each for each in query.weak if not implausible(query, each.fix, most_m))
+        return tuple(
+            replace(each, fix=self._of_body(each.fix, prior))
+            for each in query.weak
+            if not implausible(query, each.fix, most_m)
+        )
 
     def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
         """A refusal where the map shows the like at other places, or turned, that are open too."""
@@ -324,36 +333,6 @@ class Localizer:
         are least: `vwnav bench significance` measures how many of its powers of ten are a true one.
         """
         return max(0.0, -found.consensus.log10_nfa / self._extractor.log10_per_decade)
-
-    def _best(
-        self, query: Query, coarse: list[Registration], tests: int
-    ) -> Registration | Rejected:
-        """The best of what a search found, refined and verified, if no other place is as good."""
-        refusal = query.rejected(
-            RejectReason.FEW_INLIERS, f"nothing like it on the map ({tests} looks)"
-        )
-        verified: list[Registration] = []
-        tried: list[Registration] = []
-        for hit in sorted(coarse, key=lambda each: each.consensus.log10_nfa):
-            if any(hit.is_place_of(other) for other in tried):
-                continue
-            tried.append(hit)
-            closer = self._verified(query, self._refined(query, hit))
-            if isinstance(closer, Registration):
-                verified.append(closer)
-            elif len(tried) == 1 or closer.reason is RejectReason.AMBIGUOUS:
-                refusal = closer
-            if len(tried) == REFINED_COARSE:
-                break
-        if not verified or refusal.reason is RejectReason.AMBIGUOUS:
-            return refusal
-        best, *rivals = sorted(verified, key=lambda each: each.consensus.log10_nfa)
-        for rival in rivals:
-            strong = rival.consensus.cells >= MAX_RIVALRY * best.consensus.cells
-            if strong and not best.is_place_of(rival):
-                detail = "two places on the map fit as well"
-                return query.rejected(RejectReason.AMBIGUOUS, detail)
-        return best
 
 
 def _is_mistakable(share: float, cells: int) -> bool:

@@ -188,7 +188,7 @@ class QueryMaker:
         start = self._clock()
         image = frame.image
         check_fits(self._camera, image.shape[1], image.shape[0])
-        gray = to_gray(image)
+        gray = image if image.ndim == 2 else to_gray(image)
         maps = self._maps
         if self._rolling_maps is not None and (flow := self._flow(frame, prior)) is not None:
             maps = maps_at_once(self._camera, self._rolling_maps, flow)

@@ -34,7 +34,7 @@ def reduced_gray(image: NDArray[np.uint8], factor: int) -> Gray:
         image: (h, w) gray or (h, w, 3) BGR.
         factor: from `reduction`.
     """
-    gray = to_gray(image)
+    gray = image if image.ndim == 2 else to_gray(image)
     if factor == 1:
         return np.ascontiguousarray(gray, dtype=np.uint8)
     height, width = gray.shape[0] // factor, gray.shape[1] // factor

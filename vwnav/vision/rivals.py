@@ -1,0 +1,51 @@
+"""Which of the places that a search has found an image is at: the best, where none rivals it."""
+
+from collections.abc import Callable
+
+from vwnav.types import Rejected, RejectReason
+from vwnav.vision.candidates import MAX_RIVALRY
+from vwnav.vision.query import Query
+from vwnav.vision.registration import Registration
+
+REFINED_COARSE = 3  # of what a search found, the best
+
+
+def best_of(
+    query: Query,
+    coarse: list[Registration],
+    tests: int,
+    closer: Callable[[Registration], Registration | Rejected],
+) -> Registration | Rejected:
+    """The best of what a search found, refined and verified, if no other place is as good.
+
+    Args:
+        query: what was searched for.
+        coarse: what was found, in any order.
+        tests: looks that the search took.
+        closer: refines and verifies one of them.
+    """
+    refusal = query.rejected(
+        RejectReason.FEW_INLIERS, f"nothing like it on the map ({tests} looks)"
+    )
+    verified: list[Registration] = []
+    tried: list[Registration] = []
+    for hit in sorted(coarse, key=lambda each: each.consensus.log10_nfa):
+        if any(hit.is_place_of(other) for other in tried):
+            continue
+        tried.append(hit)
+        found = closer(hit)
+        if isinstance(found, Registration):
+            verified.append(found)
+        elif len(tried) == 1 or found.reason is RejectReason.AMBIGUOUS:
+            refusal = found
+        if len(tried) == REFINED_COARSE:
+            break
+    if not verified or refusal.reason is RejectReason.AMBIGUOUS:
+        return refusal
+    best, *rivals = sorted(verified, key=lambda each: each.consensus.log10_nfa)
+    for rival in rivals:
+        strong = rival.consensus.cells >= MAX_RIVALRY * best.consensus.cells
+        if strong and not best.is_place_of(rival):
+            detail = "two places on the map fit as well"
+            return query.rejected(RejectReason.AMBIGUOUS, detail)
+    return best
