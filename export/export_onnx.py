@@ -1,4 +1,4 @@
-"""Export a checkpoint to the one graph that flies: picture in; keypoints, descriptors out.
+"""Export a checkpoint to the one graph that flies: image in; keypoints, descriptors out.
 
 python export/export_onnx.py runs/default/last.pt -o models/vwnav_default.onnx
 python export/export_onnx.py runs/default/last.pt -o models/vwnav_default.onnx --checkpoint
@@ -89,7 +89,7 @@ def fold_batch_norm(module: nn.Module) -> None:
 
 
 def to_onnx(network: FeatureNetwork) -> onnx.ModelProto:
-    """Trace the whole extraction into one graph for pictures of any multiple of 32 pixels."""
+    """Trace the whole extraction into one graph for images of any multiple of 32 pixels."""
     identity = feature_set_id(network)
     folded = FeatureNetwork(network.config).eval()
     folded.load_state_dict(network.state_dict())
@@ -99,7 +99,7 @@ def to_onnx(network: FeatureNetwork) -> onnx.ModelProto:
     )
     program = torch.onnx.export(
         Extractor(folded).eval(),
-        (torch.from_numpy(parity.drawn_pictures(1)[0])[None, None], torch.tensor([300])),
+        (torch.from_numpy(parity.drawn_images(1)[0])[None, None], torch.tensor([300])),
         input_names=["image", "max_keypoints"],
         output_names=["keypoints", "scores", "descriptors"],
         dynamic_shapes={"image": {2: height, 3: width}, "max_keypoints": None},
@@ -128,16 +128,16 @@ def to_onnx(network: FeatureNetwork) -> onnx.ModelProto:
 
 
 def check(model: onnx.ModelProto, network: FeatureNetwork) -> None:
-    """Compare graph and network on drawn pictures of five sizes and several budgets.
+    """Compare graph and network on drawn images of five sizes and several budgets.
 
     Raises:
         ExportError: They differ.
     """
     session = parity.open_session(model.SerializeToString())
     extractor = Extractor(network)
-    for index, picture in enumerate(parity.drawn_pictures(10)):
+    for index, image in enumerate(parity.drawn_images(10)):
         result = parity.compare(
-            session, extractor, picture, max_keypoints=(1, 100, 1000, 5000)[index % 4]
+            session, extractor, image, max_keypoints=(1, 100, 1000, 5000)[index % 4]
         )
         if not result.ok:
             raise ExportError(

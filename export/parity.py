@@ -17,7 +17,7 @@ SAME_PX = 0.05  # keypoints nearer than this are the same
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parity:
-    """How well two extractions of one picture agree."""
+    """How well two extractions of one image agree."""
 
     keypoints: int  # of the exported graph
     found_share: float  # of them, also found by PyTorch within `SAME_PX`
@@ -52,7 +52,7 @@ def open_session(model: Path | bytes, threads: int = 1) -> onnxruntime.Inference
 def compare(
     session: onnxruntime.InferenceSession, extractor: Extractor, image: Image, max_keypoints: int
 ) -> Parity:
-    """Extract features of one grey picture (H, W) by both and compare."""
+    """Extract features of one grey image (H, W) by both and compare."""
     feed = {"image": image[None, None], "max_keypoints": np.array([max_keypoints], np.int64)}
     uv, scores, descriptors = session.run(None, feed)
     with torch.inference_mode():
@@ -74,24 +74,24 @@ def compare(
     )
 
 
-def drawn_pictures(count: int, seed: int = 0) -> list[Image]:
-    """Draw pictures of several sizes with boxes, lines and grain, so that a check needs no data."""
+def drawn_images(count: int, seed: int = 0) -> list[Image]:
+    """Draw images of several sizes with boxes, lines and grain, so that a check needs no data."""
     rng = np.random.default_rng(seed)
     sizes = [(256, 320), (480, 640), (224, 224), (256, 448), (96, 544)]
-    pictures = []
+    images = []
     for index in range(count):
         height, width = sizes[index % len(sizes)]
-        picture = np.full((height, width), 110, np.uint8)
+        image = np.full((height, width), 110, np.uint8)
         for _ in range(40):
             corners = rng.integers(0, (width, height), (4, 2)).astype(np.int32)
             if rng.random() < 0.5:
                 corners = corners[0] + (corners - corners.mean(axis=0).astype(np.int32)) // 4
             cv2.fillConvexPoly(
-                picture,
+                image,
                 cv2.convexHull(corners.astype(np.int32)),
                 int(rng.integers(256)),
                 cv2.LINE_AA,
             )
-        noise = rng.normal(0, 6, picture.shape)
-        pictures.append(np.clip(picture + noise, 0, 255).astype(np.uint8))
-    return pictures
+        noise = rng.normal(0, 6, image.shape)
+        images.append(np.clip(image + noise, 0, 255).astype(np.uint8))
+    return images

@@ -1,9 +1,9 @@
 """Make the int8 form of an exported graph: the same features, of the same name, in less time.
 
 python export/quantize.py models/vwnav_default.onnx -o models/vwnav_default_int8.onnx
-python export/quantize.py models/vwnav_default.onnx -o ... --data FOLDER --pictures 48
+python export/quantize.py models/vwnav_default.onnx -o ... --data FOLDER --images 48
 
-Static quantisation (QDQ): weights per channel, activations by what training pictures show. Only
+Static quantisation (QDQ): weights per channel, activations by what training images show. Only
 convolutions are quantised, and of those not the last one of each head: keypoints are ranked by what
 it says. All that comes after the network stays float.
 """
@@ -30,36 +30,36 @@ from onnxruntime.quantization import (
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python export/...` works
 
 from export.export_onnx import ExportError
-from export.pictures import Image, read_grey, training_pictures
+from export.images import Image, read_grey, training_images
 
-PICTURES = 48
-PICTURE_PX = 320  # the calibration keeps the activations of all pictures in memory
+IMAGES = 48
+IMAGE_PX = 320  # the calibration keeps the activations of all images in memory
 
 
-class _Pictures(CalibrationDataReader):
-    """Hands the pictures to the calibration, one by one."""
+class _Images(CalibrationDataReader):
+    """Hands the images to the calibration, one by one."""
 
-    def __init__(self, pictures: list[Image]) -> None:
+    def __init__(self, images: list[Image]) -> None:
         self._feeds: Iterator[dict[str, Any]] = iter(
-            {"image": picture[None, None], "max_keypoints": np.array([500], np.int64)}
-            for picture in pictures
+            {"image": image[None, None], "max_keypoints": np.array([500], np.int64)}
+            for image in images
         )
 
     def get_next(self) -> dict[str, Any] | None:
         return next(self._feeds, None)
 
 
-def quantise(model: onnx.ModelProto, pictures: list[Image]) -> onnx.ModelProto:
+def quantise(model: onnx.ModelProto, images: list[Image]) -> onnx.ModelProto:
     """Quantise a graph; metadata, inputs and outputs stay as they are.
 
     Args:
         model: as `export_onnx` makes it.
-        pictures: (H, W) uint8, H and W divisible by 32, such as the drone will see.
+        images: (H, W) uint8, H and W divisible by 32, such as the drone will see.
 
     Raises:
-        ExportError: there is no picture.
+        ExportError: there is no image.
     """
-    if not pictures:
+    if not images:
         raise ExportError("no pictures to calibrate with: give --data, a folder that holds train/")
     root = logging.getLogger()
     level = root.level
@@ -71,7 +71,7 @@ def quantise(model: onnx.ModelProto, pictures: list[Image]) -> onnx.ModelProto:
             quantize_static(
                 source,
                 output,
-                _Pictures(pictures),
+                _Images(images),
                 quant_format=QuantFormat.QDQ,
                 per_channel=True,
                 activation_type=QuantType.QUInt8,
@@ -137,12 +137,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("model", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True, help="the int8 .onnx file")
     parser.add_argument("--data", default="", help="folder that holds train/")
-    parser.add_argument("--pictures", type=int, default=PICTURES, help="to calibrate with")
+    parser.add_argument("--pictures", type=int, default=IMAGES, help="to calibrate with")
     given = parser.parse_args(arguments)
     try:
-        paths = training_pictures(given.data, given.pictures)
-        pictures = [read_grey(path, PICTURE_PX) for path in paths]
-        quantised = quantise(load_model(given.model), pictures)
+        paths = training_images(given.data, given.images)
+        images = [read_grey(path, IMAGE_PX) for path in paths]
+        quantised = quantise(load_model(given.model), images)
     except ExportError as error:
         print(f"quantize: {error}", file=sys.stderr)
         return 1
@@ -150,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     partial.write_bytes(quantised.SerializeToString())
     os.replace(partial, given.output)
     size_mb = given.output.stat().st_size / 1e6
-    print(f"wrote {given.output}: calibrated on {len(pictures)} pictures, {size_mb:.2f} MB")
+    print(f"wrote {given.output}: calibrated on {len(images)} pictures, {size_mb:.2f} MB")
     return 0
 
 

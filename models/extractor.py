@@ -13,14 +13,14 @@ BORDER_PX = 4  # a keypoint nearer to the edge has half of its surroundings miss
 
 
 def gather_windows(surface: Tensor, uv: Tensor) -> Tensor:
-    """Cut 5 x 5 windows out of a picture.
+    """Cut 5 x 5 windows out of an image.
 
     Args:
         surface: (B, 1, H, W).
-        uv: (B, n, 2) int64, pixels inside the picture.
+        uv: (B, n, 2) int64, pixels inside the image.
 
     Returns:
-        (B, n, 25), row by row, zero outside of the picture.
+        (B, n, 25), row by row, zero outside of the image.
     """
     radius = WINDOW_PX // 2
     padded = F.pad(surface, (radius, radius, radius, radius))
@@ -64,7 +64,7 @@ class CellPeaks(NamedTuple):
 def strongest_pixels(cells: Tensor) -> CellPeaks:
     """Find the strongest pixel of every cell, and whether it is the strongest of its 5 x 5 window.
 
-    One candidate per cell makes suppression cheap: it touches the full picture only there.
+    One candidate per cell makes suppression cheap: it touches the full image only there.
 
     Args:
         cells: (B, 64, h, w), the peak logits of the 64 pixels of each cell, row by row.
@@ -98,7 +98,7 @@ def cell_peaks(cells: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Extractor(nn.Module):
-    """Picture -> keypoints, scores, descriptors, best first; the module that is exported."""
+    """Image -> keypoints, scores, descriptors, best first; the module that is exported."""
 
     def __init__(self, network: FeatureNetwork) -> None:
         """Wrap a trained network."""
@@ -106,7 +106,7 @@ class Extractor(nn.Module):
         self.network = network
 
     def forward(self, image: Tensor, max_keypoints: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Extract features of one picture.
+        """Extract features of one image.
 
         Args:
             image: (1, 1, H, W) uint8; H and W divisible by 32.

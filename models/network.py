@@ -1,6 +1,6 @@
-"""The feature network: one grey picture in; descriptors, keypoint peaks and scores out.
+"""The feature network: one grey image in; descriptors, keypoint peaks and scores out.
 
-Made for pictures that are already rectified (north-up, nadir, known resolution), so it can be
+Made for images that are already rectified (north-up, nadir, known resolution), so it can be
 small: a pixel-unshuffle stem works at a quarter of the resolution at once, two coarser levels
 add context, and everything is fused at one eighth. All layers are plain convolution + batch
 norm + ReLU, which fold into one operation at export.
@@ -112,7 +112,7 @@ def fold4(image: Tensor) -> Tensor:
 
 
 class FeatureNetwork(nn.Module):
-    """Grey picture -> `DenseFeatures`."""
+    """Grey image -> `DenseFeatures`."""
 
     def __init__(self, config: NetworkConfig) -> None:
         """Build the layers; weights are random until a checkpoint is loaded."""
@@ -208,7 +208,7 @@ def sample_descriptors(descriptors: Tensor, uv: Tensor) -> Tensor:
 
     Args:
         descriptors: (B, D, h, w), one per 8 x 8 cell.
-        uv: (B, n, 2) float32, pixels of the full picture.
+        uv: (B, n, 2) float32, pixels of the full image.
 
     Returns:
         (B, n, D), unit length.

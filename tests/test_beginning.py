@@ -1,4 +1,4 @@
-"""Pictures that are each too weak for a fix, joined by the pipeline along their way."""
+"""Images that are each too weak for a fix, joined by the pipeline along their way."""
 
 from dataclasses import dataclass, field
 
@@ -25,13 +25,13 @@ from vwnav.types import (
 
 HOME = LocalFrame(60.4, 22.5, 0.0)
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-PICTURE = np.zeros((48, 64), np.uint8)
+IMAGE = np.zeros((48, 64), np.uint8)
 HEIGHT_M, NORTH_M_S, RATE_HZ = 50.0, 20.0, 5.0
 
 
 @dataclass
 class WeakLocalizer:
-    """Finds every picture where it was taken, `off_m` beside it, but too weakly for a fix."""
+    """Finds every image where it was taken, `off_m` beside it, but too weakly for a fix."""
 
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     off_m: float = 0.0
@@ -63,7 +63,7 @@ class WeakLocalizer:
 
 
 class NorthwardOdometry:
-    """Each picture is the keyframe of the next."""
+    """Each image is the keyframe of the next."""
 
     def __init__(self) -> None:
         self._before_s: float | None = None
@@ -107,7 +107,7 @@ def flown(localizer, odometry, start=None, seconds=20.0):
         for early_s in (0.1, 0.0):
             pipeline.feed(Attitude(t_s - early_s, LEVEL))
             pipeline.feed(Height(t_s - early_s, HEIGHT_M))
-        steps.append(pipeline.step(Frame(t_s, PICTURE, number)))
+        steps.append(pipeline.step(Frame(t_s, IMAGE, number)))
     return steps
 
 
@@ -115,7 +115,7 @@ def fixes(steps) -> list[MapFix]:
     return [step.outcome for step in steps if isinstance(step.outcome, MapFix)]
 
 
-def test_weak_pictures_together_begin_a_flight_that_none_of_them_could():
+def test_weak_images_together_begin_a_flight_that_none_of_them_could():
     steps = flown(WeakLocalizer(), NorthwardOdometry())
     reasons = [step.outcome.reason for step in steps if isinstance(step.outcome, Rejected)]
     assert RejectReason.UNCONFIRMED in reasons  # found once, as any other first fix
@@ -124,7 +124,7 @@ def test_weak_pictures_together_begin_a_flight_that_none_of_them_could():
     assert np.hypot(*off_m) < 4.0
 
 
-def test_without_odometry_weak_pictures_stay_what_they_are():
+def test_without_odometry_weak_images_stay_what_they_are():
     assert not fixes(flown(WeakLocalizer(), NoOdometry()))
 
 
@@ -132,7 +132,7 @@ def test_places_that_scatter_are_never_joined():
     assert not fixes(flown(WeakLocalizer(scattered_m=200.0), NorthwardOdometry()))
 
 
-def test_after_an_outage_weak_pictures_bring_the_place_back():
+def test_after_an_outage_weak_images_bring_the_place_back():
     start = Start(
         t_s=0.0,
         position_ned_m=np.array([0.0, 0.0, -HEIGHT_M]),
@@ -146,12 +146,12 @@ def test_after_an_outage_weak_pictures_bring_the_place_back():
     assert np.hypot(*off_m) < 3.0
 
 
-def test_while_the_place_is_known_weak_pictures_do_not_move_it():
+def test_while_the_place_is_known_weak_images_do_not_move_it():
     start = Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -HEIGHT_M]), sigma_m=1.0, agl_m=50.0)
     steps = flown(WeakLocalizer(off_m=5.0), NorthwardOdometry(), start, seconds=6.0)
     assert not fixes(steps)
 
 
-def test_what_is_recorded_of_a_picture_holds_no_weak_places():
+def test_what_is_recorded_of_an_image_holds_no_weak_places():
     steps = flown(WeakLocalizer(), NoOdometry(), seconds=3.0)
     assert not any(step.outcome.weak for step in steps)

@@ -29,7 +29,7 @@ from vwnav.types import (
 
 HOME = LocalFrame(60.4, 22.5, 0.0)
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-PICTURE = np.zeros((48, 64, 3), np.uint8)
+IMAGE = np.zeros((48, 64, 3), np.uint8)
 
 
 @dataclass
@@ -107,7 +107,7 @@ def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0, atti
         if attitude is not None:
             pipeline.feed(Attitude(t_s, attitude))
         pipeline.feed(Height(t_s, 50.0))
-        steps.append(pipeline.step(Frame(t_s, PICTURE, i)))
+        steps.append(pipeline.step(Frame(t_s, IMAGE, i)))
     return steps
 
 
@@ -122,7 +122,7 @@ def test_a_fix_moves_the_estimate_and_the_next_prior_is_tighter():
     assert localizer.priors[-1].sigma_m < localizer.priors[0].sigma_m
 
 
-def test_pictures_of_a_rolling_shutter_carry_how_the_body_moves():
+def test_images_of_a_rolling_shutter_carry_how_the_body_moves():
     """Turning by 0.5 rad/s to the right, as attitudes around the exposure say."""
     frames = []
 
@@ -136,7 +136,7 @@ def test_pictures_of_a_rolling_shutter_carry_how_the_body_moves():
         for i in range(1, 100):
             turned = quat_from_rotation(rotation_from_euler(0.0, 0.0, 0.01 * i))
             pipeline.feed(Attitude(0.02 * i, turned))
-        pipeline.step(Frame(1.0, PICTURE, 0))
+        pipeline.step(Frame(1.0, IMAGE, 0))
     without, with_it = frames
     assert without.rates_rad_s is None
     assert with_it.rates_rad_s == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
@@ -171,7 +171,7 @@ def test_what_a_search_finds_once_is_not_believed():
     steps += fly(pipeline, 1.0, t0_s=0.1)
     reasons = [each.outcome.reason for each in steps if isinstance(each.outcome, Rejected)]
     assert reasons.count(RejectReason.UNCONFIRMED) == 2  # there, and then elsewhere
-    assert localizer.priors[1].sigma_m < 10.0  # the second picture is looked for about the first
+    assert localizer.priors[1].sigma_m < 10.0  # the second image is looked for about the first
 
 
 def test_nor_in_a_flight_that_knows_its_height_and_not_its_place():
@@ -227,7 +227,7 @@ def test_a_start_of_unknown_position_searches_but_knows_the_height():
     assert localizer.priors[0].agl_m == pytest.approx(50.0, abs=2.0)
 
 
-def test_a_picture_without_attitude_moves_nothing_and_says_why():
+def test_an_image_without_attitude_moves_nothing_and_says_why():
     """In place of what is missing nothing is put: no level attitude, no fix of a lean unknown."""
     localizer = FakeLocalizer((30.0, 0.0))
     pipeline = make_pipeline(localizer, start=above_home())
@@ -246,7 +246,7 @@ def test_the_estimate_begins_with_the_first_attitude():
     assert fly(pipeline, 0.2, t0_s=1.0)[-1].estimate is not None
 
 
-def test_a_picture_is_covered_when_telemetry_has_reached_its_exposure():
+def test_an_image_is_covered_when_telemetry_has_reached_its_exposure():
     pipeline = make_pipeline(FakeLocalizer(), start=above_home())
     pipeline.feed(Attitude(0.10, LEVEL))
     assert not pipeline.covers(0.11)
@@ -258,7 +258,7 @@ def test_the_attitude_at_exposure_is_that_of_the_one_history():
     pipeline, R = make_pipeline(FakeLocalizer(), start=above_home()), rotation_from_euler
     for t_s, yaw_rad in ((0.0, 0.2), (0.2, 0.4)):
         pipeline.feed(Attitude(t_s, quat_from_rotation(R(0.1, 0.0, yaw_rad))))
-    pipeline.step(Frame(0.1, PICTURE, 0))
+    pipeline.step(Frame(0.1, IMAGE, 0))
     assert pipeline._odometry.attitudes[-1] == pytest.approx(R(0.1, 0.0, 0.3), abs=1e-6)
 
 
@@ -266,14 +266,14 @@ def test_a_video_alone_needs_no_attitude_and_its_localizer_is_told_none():
     config = EkfConfig().without_telemetry()
     localizer = FakeLocalizer((3.0, 0.0))
     pipeline = make_pipeline(localizer, ekf_config=config)
-    steps = [pipeline.step(Frame(0.1 * i, PICTURE, i)) for i in range(30)]
+    steps = [pipeline.step(Frame(0.1 * i, IMAGE, i)) for i in range(30)]
     assert pipeline.covers(99.0)
     assert localizer.priors[-1].roll_rad is None
     assert steps[-1].estimate.position_ned_m[0] == pytest.approx(3.0, abs=0.5)
 
 
 @pytest.mark.parametrize("alone", [True, False])
-def test_that_a_picture_was_not_followed_is_told_of_a_video_alone(alone):
+def test_that_an_image_was_not_followed_is_told_of_a_video_alone(alone):
     """With telemetry the autopilot goes on telling how it turns."""
     config = EkfConfig().without_telemetry() if alone else EkfConfig()
     pipeline, told = make_pipeline(FakeLocalizer(), ekf_config=config), []
@@ -307,7 +307,7 @@ def test_a_fix_that_the_filter_refuses_counts_as_rejected():
     assert np.hypot(*steps[-1].estimate.position_ned_m[:2]) < 2.0
 
 
-def test_a_picture_too_low_for_the_map_is_no_attempt():
+def test_an_image_too_low_for_the_map_is_no_attempt():
     pipeline = make_pipeline(FakeLocalizer(None, RejectReason.TOO_LOW), start=above_home())
     fly(pipeline, 2.0)
     assert pipeline.attempts == 0
@@ -335,7 +335,7 @@ def test_the_fallback_stands_in_and_the_primary_comes_back_by_itself():
     assert said[-1] == "learned features work again"
 
 
-def test_the_same_pictures_give_the_same_estimates():
+def test_the_same_images_give_the_same_estimates():
     runs = [fly(make_pipeline(FakeLocalizer((2.0, 1.0)), start=above_home()), 3.0) for _ in "ab"]
     first, second = ([s.estimate.position_ned_m for s in run] for run in runs)
     assert np.array_equal(first, second)
@@ -373,7 +373,7 @@ def test_where_nothing_can_stand_in_a_failure_is_said_once_and_tried_again():
 
 @dataclass
 class SlowExecutor(Executor):
-    """What a search finds comes `late_s` after its picture, by the pictures' own time."""
+    """What a search finds comes `late_s` after its image, by the images' own time."""
 
     late_s: float
     now_s: float = 0.0
@@ -403,7 +403,7 @@ def drift(pipeline, executor, localizer, seconds, height_m=50.0):
         localizer.north_east_m = (100.0 + SPEED_M_S * t_s, 50.0)
         pipeline.feed(Attitude(t_s, LEVEL))
         pipeline.feed(Height(t_s, height_m))
-        steps.append(pipeline.step(Frame(t_s, PICTURE, i)))
+        steps.append(pipeline.step(Frame(t_s, IMAGE, i)))
     return steps
 
 
@@ -456,5 +456,5 @@ def test_a_hopeless_search_is_given_up():
     assert [o.reason for o in outcomes].count(RejectReason.GIVEN_UP) == 2
 
 
-def test_gray_and_colour_pictures_are_taken():
-    assert to_gray(PICTURE).shape == to_gray(PICTURE[..., 0]).shape == (48, 64)
+def test_gray_and_colour_images_are_taken():
+    assert to_gray(IMAGE).shape == to_gray(IMAGE[..., 0]).shape == (48, 64)

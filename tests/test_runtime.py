@@ -68,7 +68,7 @@ class Link:
 
 @dataclass
 class Path:
-    """A pipeline that always believes `believed`; a picture takes `stall_s` or breaks it."""
+    """A pipeline that always believes `believed`; an image takes `stall_s` or breaks it."""
 
     believed: Estimate = ESTIMATE
     stall_s: float = 0.0
@@ -97,7 +97,7 @@ class Path:
         return StepResult(frame.t_s, motion, Rejected(frame.t_s, RejectReason.NOT_TRIED), None)
 
 
-class Pictures:
+class Images:
     """A noisy camera; `failures` are raised first, one a call."""
 
     def __init__(self, failures=(), frozen=False, size=(48, 64)):
@@ -157,21 +157,21 @@ class Record:
         self.events.append(text)
 
 
-def fly(path=None, mission=None, pictures=None, link=None, record=None):
+def fly(path=None, mission=None, images=None, link=None, record=None):
     path, mission, link = path or Path(), mission or Mission(), link or Link()
-    pictures, record = pictures or Pictures(), record or Record()
+    images, record = images or Images(), record or Record()
     handle = SimpleNamespace(report=None)
     runtime = FlightRuntime(
         path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48), record
     )
     try:
-        end = runtime.run(pictures, WallClock())
+        end = runtime.run(images, WallClock())
     finally:
-        pictures.closed.set()
+        images.closed.set()
     return SimpleNamespace(end=end, link=link, path=path, record=record, mission=mission)
 
 
-def test_estimates_and_telemetry_go_on_while_a_picture_stalls():
+def test_estimates_and_telemetry_go_on_while_an_image_stalls():
     flown = fly(Path(stall_s=5.0))
     assert flown.end.reason is None
     assert len(flown.path.seen) == 1
@@ -189,7 +189,7 @@ def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix(
     assert np.all(np.diff([each.t_s - each.t_last_fix_s for each in link.sent]) > 0.0)
 
 
-def test_pictures_that_break_the_pipeline_never_switch_vision_off():
+def test_images_that_break_the_pipeline_never_switch_vision_off():
     flown = fly(Path(broken=True), Mission(ticks=20))
     assert flown.end.reason is None
     assert len(flown.path.seen) > 40
@@ -197,7 +197,7 @@ def test_pictures_that_break_the_pipeline_never_switch_vision_off():
 
 
 def test_a_camera_that_fails_is_asked_again_and_the_flight_goes_on():
-    flown = fly(mission=Mission(ticks=40), pictures=Pictures([OSError("cable")]))
+    flown = fly(mission=Mission(ticks=40), images=Images([OSError("cable")]))
     assert flown.end.reason is None
     assert flown.path.seen
     assert sum("camera fails" in text for text in flown.record.events) == 1
@@ -228,7 +228,7 @@ def test_the_mission_flies_on_the_estimate_that_was_sent():
     assert flown.mission.navigation[-1].estimate in flown.link.sent
 
 
-def test_a_picture_waits_for_telemetry_of_its_exposure_and_not_for_ever():
+def test_an_image_waits_for_telemetry_of_its_exposure_and_not_for_ever():
     flown = fly(Path(covered=False), Mission(ticks=20))
     waits_s = [waited_s for _, waited_s in flown.path.seen]
     assert (
@@ -237,12 +237,12 @@ def test_a_picture_waits_for_telemetry_of_its_exposure_and_not_for_ever():
 
 
 @pytest.mark.parametrize(
-    ("pictures", "word"),
-    [(Pictures(frozen=True), "repeats its pictures"), (Pictures(size=(60, 80)), "calibration")],
+    ("images", "word"),
+    [(Images(frozen=True), "repeats its pictures"), (Images(size=(60, 80)), "calibration")],
     ids=["frozen", "another size"],
 )
-def test_pictures_that_cannot_be_true_are_not_seen_but_have_their_row(pictures, word):
-    flown = fly(pictures=pictures, mission=Mission(ticks=15))
+def test_images_that_cannot_be_true_are_not_seen_but_have_their_row(images, word):
+    flown = fly(images=images, mission=Mission(ticks=15))
     assert len(flown.path.seen) <= 1
     assert len(flown.record.frames) > 10
     seen_s = flown.mission.navigation[-1].seen_s

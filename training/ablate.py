@@ -2,7 +2,7 @@
 
 python training/ablate.py [--steps 1500] [--only NAME ...] [--out runs/ablations]
 
-Every row starts from random weights and sees the same pictures. The kept-aside pairs of two dates
+Every row starts from random weights and sees the same images. The kept-aside pairs of two dates
 are matched as they are, 60 views, 500 keypoints. A row that is there already is not run again; the
 table is rewritten after each. Where rows differ by less than two base runs of different seeds,
 the difference is chance.
@@ -111,7 +111,7 @@ ROWS = {
 
 @functools.cache
 def scenes_with(registered: str) -> tuple[list[Scene], list[Scene]]:
-    """Read the pictures once, with the labels of one folder of registrations."""
+    """Read the images once, with the labels of one folder of registrations."""
     return load_scenes(data_folder(), ROOT / PRESETS["nano"].sites, ROOT / registered)
 
 

@@ -23,7 +23,7 @@ class TrainConfig:
     data: str = ""  # empty: VWNAV_DATA, else ../shared/data
     sites: str = "runs/site_pairs"  # generated pairs, mixed in where there are any
     registered: str = "runs/registered"  # real pairs' labels made exact by training/register.py
-    terms: Terms = "all"  # "open": only pictures that anybody may use for anything
+    terms: Terms = "all"  # "open": only images that anybody may use for anything
     init: str = ""  # checkpoint whose weights a new run starts from, where they fit
     seed: int = 1
     network: NetworkConfig = field(default_factory=lambda: NETWORK_SIZES["default"])

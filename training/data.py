@@ -1,4 +1,4 @@
-"""Training pictures: where they are, which of them belong together, and how well.
+"""Training images: where they are, which of them belong together, and how well.
 
 Everything is decoded once. Training reads `train/` of the data folder and generated pairs only.
 """
@@ -21,9 +21,9 @@ from training.warps import FloatArray, Image
 
 ROOT = Path(__file__).resolve().parents[1]
 WEAK_PAIRS = "pairs_weak.json"
-PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
 Terms = Literal["all", "open"]
-# Sources whose pictures may be used for anything; generated pairs are, too.
+# Sources whose images may be used for anything; generated pairs are, too.
 OPEN_SOURCES = {
     "neon",
     "neon_sjer",
@@ -40,7 +40,7 @@ OPEN_SOURCES = {
 NEAR_FRAMES = 4  # frames of a flight so far apart in it may overlap
 # Of real pairs as their labels have them, and after `training/register.py`.
 LABELLED_NOISE, REGISTERED_NOISE = 0.3, 0.15
-# Draws per pair: large pictures hold many crops, small ones few.
+# Draws per pair: large images hold many crops, small ones few.
 PAIR_WEIGHTS = {
     "sztaki": 4.0,
     "cd_LEVIR": 4.0,
@@ -49,9 +49,9 @@ PAIR_WEIGHTS = {
     "quake_tr": 3.0,
     "stanford_drone": 2.0,
 }
-# Draws of all pairs of one place together: two campus places have 14 pairs of the same pictures.
+# Draws of all pairs of one place together: two campus places have 14 pairs of the same images.
 MOST_OF_A_PLACE = {"stanford_drone": 4.0}
-# Kept for validation with everything that shows them. The pictures of srif_whu overlap each other
+# Kept for validation with everything that shows them. The images of srif_whu overlap each other
 # at random; SIFT finds numbers 1 to 14 in none of the others.
 KEPT_PLACES = {
     *(f"srif_whu {number}" for number in range(1, 15)),
@@ -67,12 +67,12 @@ KEPT_PLACES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Looks at one place: one picture, or several with homographies from the first."""
+    """Looks at one place: one image, or several with homographies from the first."""
 
     group: str  # "pair", "single", "drone", "overlap", "series", "site"
     source: str
-    pictures: list[Image]  # (H, W, 3) BGR
-    H_i_0: list[FloatArray]  # takes points of picture 0 to picture i
+    images: list[Image]  # (H, W, 3) BGR
+    H_i_0: list[FloatArray]  # takes points of image 0 to image i
     masks: list[Image]  # (H, W), 255 where there is ground
     weight: float = 1.0
     label_noise: float = 0.0  # q of the generalised cross-entropy
@@ -87,16 +87,16 @@ def data_folder(given: str = "") -> Path | None:
 
 
 def read(path: Path) -> Image:
-    """Read a picture as (H, W, 3) BGR."""
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
+    """Read an image as (H, W, 3) BGR."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
         raise FileNotFoundError(f"no readable picture at {path}")
-    return picture
+    return image
 
 
-def ground_mask(picture: Image) -> Image:
-    """255 where a picture shows ground, 0 in the black corners that rotation left."""
-    black = (picture.max(axis=2) < 4).astype(np.uint8)
+def ground_mask(image: Image) -> Image:
+    """255 where an image shows ground, 0 in the black corners that rotation left."""
+    black = (image.max(axis=2) < 4).astype(np.uint8)
     black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
     return np.where(cv2.dilate(black, np.ones((7, 7), np.uint8)) > 0, 0, 255).astype(np.uint8)
 
@@ -104,7 +104,7 @@ def ground_mask(picture: Image) -> Image:
 def scene(
     group: str,
     source: str,
-    pictures: list[Image],
+    images: list[Image],
     *,
     H_i_0: list[FloatArray] | None = None,
     weight: float = 1.0,
@@ -112,15 +112,15 @@ def scene(
     name: str = "",
     place: str = "",
 ) -> Scene:
-    """Make a scene of registered pictures; homographies default to identity."""
-    # Only registered pictures have black corners; a mask for each of the others would cost seconds.
+    """Make a scene of registered images; homographies default to identity."""
+    # Only registered images have black corners; a mask for each of the others would cost seconds.
     if group == "pair":
-        masks = [ground_mask(p) for p in pictures]
+        masks = [ground_mask(p) for p in images]
     else:
-        masks = [np.full(p.shape[:2], 255, np.uint8) for p in pictures]
-    identities = [np.eye(3)] * len(pictures)
+        masks = [np.full(p.shape[:2], 255, np.uint8) for p in images]
+    identities = [np.eye(3)] * len(images)
     return Scene(
-        group, source, pictures, H_i_0 or identities, masks, weight, label_noise, name, place
+        group, source, images, H_i_0 or identities, masks, weight, label_noise, name, place
     )
 
 
@@ -145,7 +145,7 @@ def place_of(entry: dict[str, Any]) -> str:
     match source:
         case "stanford_drone" | "quake_tr":  # campus place, town
             return f"{source} {stem.split('_')[0]}"
-        case "cd_LEVIR" | "cd_levir256":  # the small pictures are cut from the large ones
+        case "cd_LEVIR" | "cd_levir256":  # the small images are cut from the large ones
             return "levir " + "_".join(stem.split("_")[:2])
         case "sztaki":  # Szada 1 to 7 are neighbours
             return f"{source} {stem.split('_')[0]}"
@@ -186,16 +186,16 @@ def labelled_pairs(folder: Path, registrations: Path) -> list[Scene]:
     return pairs + [pair for pair in weak if pair.label_noise == REGISTERED_NOISE]
 
 
-def single_pictures(folder: Path, group: str) -> Iterator[Scene]:
-    """Each picture of train/GROUP alone, every source with about equal say per picture area."""
+def single_images(folder: Path, group: str) -> Iterator[Scene]:
+    """Each image of train/GROUP alone, every source with about equal say per image area."""
     for path in sorted((folder / "train" / group).glob("*/*")):
-        if path.suffix.lower() in PICTURE_SUFFIXES:
-            picture = read(path)
-            weight = float(np.clip(picture.shape[0] * picture.shape[1] / 400**2, 0.3, 3.0))
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            image = read(path)
+            weight = float(np.clip(image.shape[0] * image.shape[1] / 400**2, 0.3, 3.0))
             yield scene(
                 group,
                 path.parent.name,
-                [picture],
+                [image],
                 weight=weight,
                 name=f"{path.parent.name}_{path.stem}",
                 place=path.parent.name if group == "drone" else "",
@@ -205,12 +205,10 @@ def single_pictures(folder: Path, group: str) -> Iterator[Scene]:
 def series(folder: Path) -> Iterator[Scene]:
     """Many dates of one place."""
     for place in sorted((folder / "train" / "series").iterdir()):
-        pictures = [
-            read(path)
-            for path in sorted(place.iterdir())
-            if path.suffix.lower() in PICTURE_SUFFIXES
+        images = [
+            read(path) for path in sorted(place.iterdir()) if path.suffix.lower() in IMAGE_SUFFIXES
         ]
-        yield scene("series", place.name, pictures, label_noise=0.3)
+        yield scene("series", place.name, images, label_noise=0.3)
 
 
 def overlapping(frames: list[Scene]) -> Iterator[Scene]:
@@ -220,7 +218,7 @@ def overlapping(frames: list[Scene]) -> Iterator[Scene]:
     Pairs with few inliers, or whose homography does not look like one plane seen twice from above,
     are left out.
     """
-    marks = [landmarks(frame.pictures[0]) for frame in frames]
+    marks = [landmarks(frame.images[0]) for frame in frames]
     for i, first in enumerate(frames):
         for j in range(i + 1, min(i + 1 + NEAR_FRAMES, len(frames))):
             second = frames[j]
@@ -231,7 +229,7 @@ def overlapping(frames: list[Scene]) -> Iterator[Scene]:
                 yield scene(
                     "overlap",
                     first.source,
-                    [first.pictures[0], second.pictures[0]],
+                    [first.images[0], second.images[0]],
                     H_i_0=[np.eye(3), H_b_a],
                     label_noise=LABELLED_NOISE,
                     name=f"{first.name}_{second.name}",
@@ -249,22 +247,22 @@ def save_registration(folder: Path, pair: Scene, offsets: NDArray[np.float32]) -
 
 
 def registered(pair: Scene, folder: Path) -> Scene:
-    """Move the ground of a pair's first picture to where the second one shows it.
+    """Move the ground of a pair's first image to where the second one shows it.
 
     Returns:
-        The pair with its first picture drawn again in the second one's frame; the pair as it is
+        The pair with its first image drawn again in the second one's frame; the pair as it is
         where `training/register.py` left nothing for it.
     """
     path = folder / f"{pair.name}.npz"
     if not path.exists():
         return pair
-    b = pair.pictures[1]
+    b = pair.images[1]
     with np.load(path) as file:
         offsets = cv2.resize(file["offsets"].astype(np.float32), (b.shape[1], b.shape[0]))
     v, u = np.indices(b.shape[:2], np.float64)
     labelled = np.stack([u - offsets[..., 0], v - offsets[..., 1]], axis=-1).reshape(-1, 2)
     H_a_b = np.linalg.inv(pair.H_i_0[1])
-    a, mask = pair.pictures[0], pair.masks[0]
+    a, mask = pair.images[0], pair.masks[0]
     shrink = warps.local_scale(H_a_b, np.array([b.shape[1], b.shape[0]]) / 2)
     if shrink > 1.3:  # without aliasing
         (a, H_small_a), (mask, _) = warps.shrunk(a, shrink), warps.shrunk(mask, shrink)
@@ -274,7 +272,7 @@ def registered(pair: Scene, folder: Path) -> Scene:
     ground = cv2.remap(mask, places[..., 0], places[..., 1], cv2.INTER_NEAREST)
     return replace(
         pair,
-        pictures=[drawn, b],
+        images=[drawn, b],
         H_i_0=[np.eye(3), np.eye(3)],
         masks=[ground, pair.masks[1]],
         label_noise=REGISTERED_NOISE,
@@ -298,17 +296,17 @@ def load_scenes(
         folder: the data folder, None for generated pairs alone.
         sites: folder of generated pairs.
         registrations: what `training/register.py` left.
-        terms: "open" leaves out pictures whose licence restricts their use.
+        terms: "open" leaves out images whose licence restricts their use.
 
     Returns:
         Scenes to train on, scenes to validate on.
     """
     scenes: list[Scene] = []
     if folder:
-        frames = list(single_pictures(folder, "drone"))
+        frames = list(single_images(folder, "drone"))
         scenes = [
             *labelled_pairs(folder, registrations),
-            *single_pictures(folder, "single"),
+            *single_images(folder, "single"),
             *frames,
             *(registered(pair, registrations) for pair in overlapping(frames)),
             *series(folder),

@@ -1,4 +1,4 @@
-"""SIFT landmarks that pictures of one ground are registered by, and the homography of two."""
+"""SIFT landmarks that images of one ground are registered by, and the homography of two."""
 
 from dataclasses import dataclass
 
@@ -17,18 +17,18 @@ LEAST_OVERLAP_INLIERS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """SIFT features of a picture, to register it with."""
+    """SIFT features of an image, to register it with."""
 
-    uv: FloatArray  # (n, 2), pixels of the full picture
+    uv: FloatArray  # (n, 2), pixels of the full image
     descriptors: NDArray[np.float32]  # (n, 128)
     shrunk: float  # of the full size, in which they were found
     size_wh: tuple[int, int]
 
 
-def landmarks(picture: Image) -> Landmarks:
-    """Find what a picture can be registered with."""
-    width = picture.shape[1]
-    small, H_small_full = warps.shrunk(picture, max(1.0, width / OVERLAP_WIDTH_PX))
+def landmarks(image: Image) -> Landmarks:
+    """Find what an image can be registered with."""
+    width = image.shape[1]
+    small, H_small_full = warps.shrunk(image, max(1.0, width / OVERLAP_WIDTH_PX))
     sift = cv2.SIFT.create(LANDMARKS, contrastThreshold=0.02, enable_precise_upscale=True)
     found, told = sift.detectAndCompute(to_grey(small), None)
     descriptors = np.zeros((0, sift.descriptorSize()), np.float32)
@@ -36,11 +36,11 @@ def landmarks(picture: Image) -> Landmarks:
         descriptors = told.astype(np.float32, copy=False)
     points = np.array([keypoint.pt for keypoint in found], np.float64).reshape(-1, 2)
     uv = warps.warp_points(np.linalg.inv(H_small_full), points)
-    return Landmarks(uv, descriptors, small.shape[1] / width, (width, picture.shape[0]))
+    return Landmarks(uv, descriptors, small.shape[1] / width, (width, image.shape[0]))
 
 
 def register(a: Landmarks, b: Landmarks) -> FloatArray | None:
-    """Homography b from a of two overlapping pictures, None where there is none to be sure of."""
+    """Homography b from a of two overlapping images, None where there is none to be sure of."""
     if min(len(a.uv), len(b.uv)) < LEAST_OVERLAP_INLIERS:
         return None
     similarity = a.descriptors @ b.descriptors.T  # SIFT's descriptors are all of one length

@@ -13,10 +13,10 @@ MASKED = -30.0  # a logit that means "not here"
 
 
 class Ground(NamedTuple):
-    """Where the ground of picture 0 lies in picture 1: a plane, and what relief adds to it."""
+    """Where the ground of image 0 lies in image 1: a plane, and what relief adds to it."""
 
     H_1_0: Tensor  # (B, 3, 3)
-    relief_px: Tensor  # (B, 2, h, w): (u, v) in picture 1, on an even grid over picture 0
+    relief_px: Tensor  # (B, 2, h, w): (u, v) in image 1, on an even grid over image 0
 
     def part(self, pairs: slice) -> "Ground":
         """Some pairs of the batch."""
@@ -24,7 +24,7 @@ class Ground(NamedTuple):
 
 
 def carry(ground: Ground, uv0: Tensor, size_px: int) -> Tensor:
-    """Carry points (B, n, 2) of picture 0, `size_px` wide and high, to picture 1."""
+    """Carry points (B, n, 2) of image 0, `size_px` wide and high, to image 1."""
     H_1_0 = ground.H_1_0
     carried = uv0 @ H_1_0[:, :, :2].transpose(1, 2) + H_1_0[:, None, :, 2]
     planar = carried[..., :2] / carried[..., 2:]
@@ -32,7 +32,7 @@ def carry(ground: Ground, uv0: Tensor, size_px: int) -> Tensor:
 
 
 def sample_surface(surface: Tensor, uv: Tensor, size_hw: tuple[int, int]) -> Tensor:
-    """Interpolate (B, C, h, w), spread over pictures of `size_hw`, at (B, n, 2): (B, C, n)."""
+    """Interpolate (B, C, h, w), spread over images of `size_hw`, at (B, n, 2): (B, C, n)."""
     size = torch.tensor([size_hw[1], size_hw[0]], device=uv.device)
     grid = ((2.0 * uv + 1.0) / size - 1.0).unsqueeze(1)
     return F.grid_sample(surface, grid, padding_mode="border", align_corners=False)[:, :, 0]
@@ -67,14 +67,14 @@ def match_log_probability(
     temperature: float,
     near_px: float,
 ) -> Tensor:
-    """Dual softmax: point i of picture 0 belongs to point i of picture 1 and to nothing else.
+    """Dual softmax: point i of image 0 belongs to point i of image 1 and to nothing else.
 
-    "Nothing else" is all other points of the pair and the cells of the other picture.
+    "Nothing else" is all other points of the pair and the cells of the other image.
 
     Args:
-        descriptors: (B, n, D) of unit length, of the points in either picture.
-        uv: (B, n, 2), pixels of the points in either picture.
-        cells: (B, D, h, w) dense descriptors of either picture.
+        descriptors: (B, n, D) of unit length, of the points in either image.
+        uv: (B, n, 2), pixels of the points in either image.
+        cells: (B, D, h, w) dense descriptors of either image.
         rivals: share of the cells that are compared, drawn at random.
         temperature: divides the cosine similarities.
         near_px: neighbours nearer than this may look the same: left out of the denominators.
@@ -118,15 +118,15 @@ def agreement_log_probability(
 ) -> Tensor:
     """Do both views put the peak of a small window at the same place of the ground?
 
-    The window, 13 x 13 pixels of picture 0, is carried to picture 1. In each view the logits in it
+    The window, 13 x 13 pixels of image 0, is carried to image 1. In each view the logits in it
     are a distribution over the same 169 places; returned is the expected reward of drawing a place
     from each: 1 for the same place, falling off as a Gaussian with their distance. A habit of the
     cell grid earns nothing, because the grids of the two views do not coincide.
 
     Args:
-        surfaces: (B, 1, H, W) peak logits of either picture.
-        centres_uv0: (B, n, 2), centres of the windows in picture 0, any fraction of a pixel.
-        ground: of the two pictures.
+        surfaces: (B, 1, H, W) peak logits of either image.
+        centres_uv0: (B, n, 2), centres of the windows in image 0, any fraction of a pixel.
+        ground: of the two images.
         sigma_px: (B,), how exactly the two shall agree.
 
     Returns:
@@ -143,7 +143,7 @@ def agreement_log_probability(
         inside = ((uv >= 0) & (uv <= side - 1.0)).all(dim=-1)
         logits = sample_surface(surface, uv, (side, side))[:, 0].masked_fill(~inside, MASKED)
         probability.append(logits.view(batch, count, -1).softmax(dim=-1))
-    # a Gaussian between all places of the window, for each pair of pictures
+    # a Gaussian between all places of the window, for each pair of images
     distance2 = torch.cdist(offsets, offsets) ** 2
     kernel = torch.exp(-0.5 * distance2 / sigma_px[:, None, None] ** 2)
     met = (probability[0] * (probability[1] @ kernel)).sum(dim=-1)
@@ -153,16 +153,16 @@ def agreement_log_probability(
 def repeat_probability(
     peak_logits: list[Tensor], ground: Ground, reach_px: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Will the keypoint of a cell of picture 0 have one of picture 1 beside it?
+    """Will the keypoint of a cell of image 0 have one of image 1 beside it?
 
-    Each cell draws its keypoint from the softmax of its 64 logits. What picture 1 draws is spread
-    by a Gaussian and carried to picture 0; a cell's expectation over it is the reward of DISK
+    Each cell draws its keypoint from the softmax of its 64 logits. What image 1 draws is spread
+    by a Gaussian and carried to image 0; a cell's expectation over it is the reward of DISK
     (Tyszkiewicz et al. 2020) without the matching, computed instead of sampled. Where nothing
     repeats the reward is small whatever is drawn, and so is its pull.
 
     Args:
-        peak_logits: (B, 64, h, w) of either picture.
-        ground: of the two pictures.
+        peak_logits: (B, 64, h, w) of either image.
+        ground: of the two images.
         reach_px: (B,), standard deviation of the Gaussian, whose peak is 1.
 
     Returns:
@@ -180,12 +180,12 @@ def repeat_probability(
 
 
 def spread(density: Tensor, sigma_px: Tensor) -> Tensor:
-    """Convolve (B, 1, H, W) with a Gaussian of its own for each picture, 1 at its peak."""
+    """Convolve (B, 1, H, W) with a Gaussian of its own for each image, 1 at its peak."""
     radius = int(3.0 * float(sigma_px.max()) + 1.0)
     steps = torch.arange(-radius, radius + 1, device=density.device)
     kernel = torch.exp(-0.5 * (steps / sigma_px[:, None]) ** 2)[:, None]
-    pictures = density.transpose(0, 1)  # each picture is a channel, with kernels of its own
-    rows = F.conv2d(pictures, kernel[:, :, None], padding=(0, radius), groups=len(density))
+    images = density.transpose(0, 1)  # each image is a channel, with kernels of its own
+    rows = F.conv2d(images, kernel[:, :, None], padding=(0, radius), groups=len(density))
     both = F.conv2d(rows, kernel[..., None], padding=(radius, 0), groups=len(density))
     return both.transpose(0, 1)
 

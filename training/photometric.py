@@ -67,7 +67,7 @@ def random_tone_curve(rng: np.random.Generator, change: float = 35.0) -> Image:
 def smooth_field(
     rng: np.random.Generator, size_px: int, low: float, high: float
 ) -> NDArray[np.float32]:
-    """Draw a slowly changing factor over the picture, (size_px, size_px)."""
+    """Draw a slowly changing factor over the image, (size_px, size_px)."""
     coarse = rng.uniform(low, high, (3, 3)).astype(np.float32)
     field = cv2.resize(coarse, (size_px, size_px), interpolation=cv2.INTER_CUBIC)
     return np.asarray(field, np.float32)
@@ -90,7 +90,7 @@ def shadow_field(rng: np.random.Generator, size_px: int) -> NDArray[np.float32]:
 def season(bgr: Image, grey: Image, rng: np.random.Generator) -> Image:
     """Make what grows brighter or darker than the rest: crops, leaves, dry grass, wet soil.
 
-    By the excess of green over red and blue (Woebbecke et al. 1995), relative to the picture.
+    By the excess of green over red and blue (Woebbecke et al. 1995), relative to the image.
     """
     if bgr.ndim == 2:
         return grey
@@ -120,7 +120,7 @@ def cast_shadows(grey: Image, rng: np.random.Generator) -> Image:
 
 
 def change_things(grey: Image, rng: np.random.Generator) -> Image:
-    """Move patches of the picture elsewhere in it: cars, heaps, new roofs."""
+    """Move patches of the image elsewhere in it: cars, heaps, new roofs."""
     changed = grey.copy()
     size = grey.shape[0]
     for _ in range(rng.integers(1, 5)):
@@ -134,7 +134,7 @@ def change_things(grey: Image, rng: np.random.Generator) -> Image:
 def recolour(grey: Image, rng: np.random.Generator) -> Image:
     """Change the brightness of some covers and not of others: crops, mown grass, wet soil.
 
-    A cover is a band of brightness of the blurred picture; its texture stays.
+    A cover is a band of brightness of the blurred image; its texture stays.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), float(rng.uniform(2.0, 8.0))).astype(np.float32)
     middle, width = np.quantile(smooth, rng.uniform()), rng.uniform(6.0, 25.0)
@@ -152,7 +152,7 @@ def snow(grey: Image, rng: np.random.Generator) -> Image:
 
 
 def haze(grey: Image, rng: np.random.Generator) -> Image:
-    """Mix in scattered light, unevenly over the picture (Koschmieder's law)."""
+    """Mix in scattered light, unevenly over the image (Koschmieder's law)."""
     lost = smooth_field(rng, grey.shape[0], 0.0, float(rng.uniform(0.2, 0.7))).clip(0.0, 0.8)
     light = float(rng.uniform(140.0, 240.0))
     return (grey + lost * (light - grey)).clip(0, 255).astype(np.uint8)

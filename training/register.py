@@ -31,7 +31,7 @@ from training.data import (
     overlapping,
     real_pairs,
     save_registration,
-    single_pictures,
+    single_images,
 )
 from training.photometric import to_grey
 from training.train import start_from
@@ -39,9 +39,9 @@ from training.validate import Extract, learned, mutual_matches
 from training.warps import FloatArray, Image
 from vwnav.types import Features
 
-WORKING_PX = 1024  # larger pictures are shrunk to this
+WORKING_PX = 1024  # larger images are shrunk to this
 SCALES = (0.7, 1.0, 1.4)
-ALL = 100_000  # keypoints, of each picture
+ALL = 100_000  # keypoints, of each image
 MOST_PX = 20.0  # labels are not more wrong than this
 NEIGHBOURS = 10
 AGREEING = 4  # of the neighbours
@@ -54,9 +54,9 @@ SMOOTHING_PX = ((8.0, 1.0), (24.0, 0.03), (72.0, 0.001))
 
 @dataclass(frozen=True, slots=True)
 class Displacements:
-    """By how much picture b shows things beside where the label puts them."""
+    """By how much image b shows things beside where the label puts them."""
 
-    uv: FloatArray  # (n, 2) in picture b
+    uv: FloatArray  # (n, 2) in image b
     offset: FloatArray  # (n, 2), from the labelled place to the true one
 
 
@@ -70,7 +70,7 @@ def of_any_size(extract: Extract, image: Image) -> Features:
 
 
 def dense_matches(a_in_b: Image, b: Image, extract: Extract) -> Displacements:
-    """Match two grey pictures in one frame at several scales, and keep what neighbours confirm."""
+    """Match two grey images in one frame at several scales, and keep what neighbours confirm."""
     places, offsets = [], []
     for scale in SCALES:
         mode = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
@@ -78,7 +78,7 @@ def dense_matches(a_in_b: Image, b: Image, extract: Extract) -> Displacements:
             of_any_size(extract, cv2.resize(p, None, fx=scale, fy=scale, interpolation=mode))
             for p in (a_in_b, b)
         )
-        # half-pixel rule back to the pictures as they are
+        # half-pixel rule back to the images as they are
         uv_a, uv_b = ((uv + 0.5) / scale - 0.5 for uv in mutual_matches(*found))
         near = np.linalg.norm(uv_b - uv_a, axis=1) < MOST_PX
         places.append(uv_b[near])
@@ -114,8 +114,8 @@ def offset_field(found: Displacements, size_wh: tuple[int, int]) -> NDArray[np.f
 
 
 def register_again(pair: Scene, extract: Extract) -> NDArray[np.float32] | None:
-    """Displacement field of a pair in pixels of its second picture; None where nothing is sure."""
-    a, b = (to_grey(picture) for picture in pair.pictures)
+    """Displacement field of a pair in pixels of its second image; None where nothing is sure."""
+    a, b = (to_grey(image) for image in pair.images)
     scale = min(1.0, WORKING_PX / max(b.shape))
     small_b = cv2.resize(b, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     size_wh = (small_b.shape[1], small_b.shape[0])
@@ -130,7 +130,7 @@ def pairs_to_register(folder: Path) -> Iterator[Scene]:
     """All real pairs: of two dates, and of two viewpoints."""
     yield from real_pairs(folder)
     yield from real_pairs(folder, listing=WEAK_PAIRS)
-    yield from overlapping(list(single_pictures(folder, "drone")))
+    yield from overlapping(list(single_images(folder, "drone")))
 
 
 def main(arguments: list[str] | None = None) -> None:

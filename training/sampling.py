@@ -1,7 +1,7 @@
 """Pairs of views cut from scenes, with everything the losses need to know about them.
 
 A sample costs a few milliseconds of one core. Sample i depends on (seed, i) alone, so a resumed run
-sees the same pictures as one that was never interrupted.
+sees the same images as one that was never interrupted.
 """
 
 from dataclasses import dataclass, field
@@ -82,10 +82,10 @@ class ViewPair:
 def draw_views(scene: Scene, rng: np.random.Generator, config: SampleConfig) -> ViewPair:
     """Cut two views of a scene: of two dates where it has several, with a random homography."""
     size = config.size_px
-    several = len(scene.pictures) > 1
-    i, j = rng.choice(len(scene.pictures), 2, replace=False) if several else (0, 0)
+    several = len(scene.images) > 1
+    i, j = rng.choice(len(scene.images), 2, replace=False) if several else (0, 0)
     H_j_i = scene.H_i_0[j] @ np.linalg.inv(scene.H_i_0[i])
-    height, width = scene.pictures[i].shape[:2]
+    height, width = scene.images[i].shape[:2]
     zoom_range = (config.zoom_min, config.zoom_max)
     H_i_view0 = warps.random_crop_frame(rng, (width, height), size, zoom_range)
     H_1_0 = warps.random_relative_view(rng, config.warp, size)
@@ -98,8 +98,8 @@ def draw_views(scene: Scene, rng: np.random.Generator, config: SampleConfig) -> 
     solid0, solid1 = (np.where(both == 255, 255, 0).astype(np.uint8) for both in (both0, both1))
     return ViewPair(
         views=(
-            warps.view(scene.pictures[i], H_i_view0, size),
-            warps.view(scene.pictures[j], H_j_view1, size),
+            warps.view(scene.images[i], H_i_view0, size),
+            warps.view(scene.images[j], H_j_view1, size),
         ),
         seen_by_both=(solid0, solid1),
         H_1_0=H_1_0,
@@ -158,7 +158,7 @@ def common_corners(pair: ViewPair, count: int) -> FloatArray:
     """Find corners that both clean views have: the teacher of the keypoint head.
 
     It takes the geometric mean of both measures, the second carried into the first. Between two
-    dates a corner may be off by a pixel, so the second picture's counts within 3 x 3.
+    dates a corner may be off by a pixel, so the second image's counts within 3 x 3.
 
     Returns:
         (n, 2) sub-pixel positions in view 0, strongest first.

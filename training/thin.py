@@ -3,7 +3,7 @@
 python training/thin.py models/vwnav_default.ckpt --size default -o runs/thin/default.ckpt
 python training/train.py --preset default --init runs/thin/default.ckpt
 
-A convolution's responses to real pictures need fewer directions than it has channels. The strongest
+A convolution's responses to real images need fewer directions than it has channels. The strongest
 directions are kept: the convolution computes those, and a 1 x 1 convolution leads back (Zhang et
 al. 2015, "Accelerating very deep convolutional networks", eq. 7). What is lost at first, some
 minutes of training bring back. Layers of another shape than before start anew.
@@ -28,17 +28,17 @@ from models.network import (
     NetworkConfig,
 )
 from training.config import load_checkpoint
-from training.data import PICTURE_SUFFIXES, data_folder
+from training.data import IMAGE_SUFFIXES, data_folder
 from training.journal import save_checkpoint
 from training.train import start_from
 
-PICTURES = 60
+IMAGES = 60
 SIDE_PX = 320
 THIN = 4  # layers of a thin block: two convolutions, batch norm, ReLU
 
 
 class Responses:
-    """Mean and covariance of what a convolution says, over pictures and places."""
+    """Mean and covariance of what a convolution says, over images and places."""
 
     def __init__(self, channels: int) -> None:
         """Start with nothing seen."""
@@ -73,13 +73,13 @@ def thin_blocks(network: FeatureNetwork) -> Iterator[tuple[str, nn.Sequential]]:
             yield name, module
 
 
-def thinned(whole: FeatureNetwork, config: NetworkConfig, pictures: list[Tensor]) -> FeatureNetwork:
+def thinned(whole: FeatureNetwork, config: NetworkConfig, images: list[Tensor]) -> FeatureNetwork:
     """The network of a configuration with ranks, as near as it can be to a whole one.
 
     Args:
         whole: trained, of the same widths.
         config: of the thin network.
-        pictures: (1, 1, H, W) grey levels, to see responses on.
+        images: (1, 1, H, W) grey levels, to see responses on.
     """
     thin = FeatureNetwork(config)
     fitting = {
@@ -94,8 +94,8 @@ def thinned(whole: FeatureNetwork, config: NetworkConfig, pictures: list[Tensor]
     ]
     whole.eval()
     with torch.inference_mode():
-        for picture in pictures:
-            whole(picture)
+        for image in images:
+            whole(image)
     for hook in hooks:
         hook.remove()
     for name, block in thin_blocks(thin):
@@ -119,14 +119,14 @@ def replace_block(block: nn.Sequential, whole: nn.Sequential, seen: Responses) -
     return kept
 
 
-def training_pictures(folder: Path) -> list[Tensor]:
-    """Pictures of the training set, evenly over its single and drone pictures."""
+def training_images(folder: Path) -> list[Tensor]:
+    """Images of the training set, evenly over its single and drone images."""
     paths = sorted(p for kind in ("single", "drone") for p in (folder / "train" / kind).glob("*/*"))
-    paths = [p for p in paths if p.suffix.lower() in PICTURE_SUFFIXES]
-    chosen = [paths[i] for i in np.linspace(0, len(paths) - 1, PICTURES).astype(int)]
+    paths = [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES]
+    chosen = [paths[i] for i in np.linspace(0, len(paths) - 1, IMAGES).astype(int)]
     read = (cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in chosen)
-    pictures = [picture[:SIDE_PX, :SIDE_PX] for picture in read if picture is not None]
-    whole = [p[: p.shape[0] // SIZE_MULTIPLE_PX * SIZE_MULTIPLE_PX] for p in pictures]
+    images = [image[:SIDE_PX, :SIDE_PX] for image in read if image is not None]
+    whole = [p[: p.shape[0] // SIZE_MULTIPLE_PX * SIZE_MULTIPLE_PX] for p in images]
     whole = [p[:, : p.shape[1] // SIZE_MULTIPLE_PX * SIZE_MULTIPLE_PX] for p in whole]
     return [torch.from_numpy(p.astype(np.float32))[None, None] for p in whole if p.size]
 
@@ -152,7 +152,7 @@ def main(arguments: list[str] | None = None) -> None:
     whole = FeatureNetwork(NetworkConfig(**saved["config"]["network"]))
     start_from(whole, str(given.weights))
     config = NETWORK_SIZES[given.size]
-    thin = thinned(whole, config, training_pictures(folder))
+    thin = thinned(whole, config, training_images(folder))
     fields = {name: getattr(config, name) for name in config.__dataclass_fields__}
     given.out.parent.mkdir(parents=True, exist_ok=True)
     save_checkpoint(

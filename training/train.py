@@ -4,12 +4,12 @@ Two minutes, to see that everything works:
     python training/train.py --preset smoke
 The released model (on two CPU cores, or a GPU if there is one):
     python training/train.py --preset default --minutes 180
-Go on after an interruption, with the same pictures, optimizer and learning rate:
+Go on after an interruption, with the same images, optimizer and learning rate:
     python training/train.py --resume runs/default/last.pt
 On several GPUs or machines, or here on two processor cores, sharing each batch:
     torchrun --nproc-per-node 2 training/train.py --preset nano
 
-Pictures come from --data, else VWNAV_DATA, else ../shared/data (only its train/), and from
+Images come from --data, else VWNAV_DATA, else ../shared/data (only its train/), and from
 generated pairs in runs/site_pairs. A run leaves config.json, log.csv, TensorBoard events, last.pt.
 """
 
@@ -82,7 +82,7 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.json").write_text(json.dumps(asdict(config), indent=2))
 
-    # pictures, and what SIFT makes of the kept-aside ones
+    # images, and what SIFT makes of the kept-aside ones
     started = time.monotonic()
     training, kept = scenes or load_scenes(
         data_folder(config.data),
@@ -190,9 +190,9 @@ def main(
 
     team.leave()
     if journal is not None:
-        pictures = [view[f"image{k}"][0].numpy() for view in views for k in (0, 1)]
+        images = [view[f"image{k}"][0].numpy() for view in views for k in (0, 1)]
         bias = average.module.peak_bias + torch.from_numpy(
-            validate.peak_bias(average.module, pictures)
+            validate.peak_bias(average.module, images)
         ).to(average.module.peak_bias)
         average.module.peak_bias.copy_(bias)
         report(journal)

@@ -22,7 +22,7 @@ RIGHT_PX = 3.0  # a match nearer than this to the truth counts as an inlier
 PLACE_PX = 8.0  # a pair counts as located when its centre is found this near to the truth
 KEYPOINTS = 500
 SHIFTS_PX = (20.0, 30.0, 40.0)  # of keypoints, to see how many meet by chance
-SAME_PX = 1.5  # keypoints of a picture and of the turned one that are nearer are the same
+SAME_PX = 1.5  # keypoints of an image and of the turned one that are nearer are the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ def learned(network: FeatureNetwork, keypoints: int = KEYPOINTS) -> Extract:
 def peak_bias(network: FeatureNetwork, images: list[Image]) -> NDArray[np.float64]:
     """Measure by how much keypoints lie beside what they mean: (u, v) in pixels.
 
-    A picture turned by half a turn has its keypoints at (W - 1 - u, H - 1 - v); half of what they
+    An image turned by half a turn has its keypoints at (W - 1 - u, H - 1 - v); half of what they
     are off on average is the bias of either.
 
     Args:
@@ -102,7 +102,7 @@ def upright_sift(image: Image, keypoints: int = KEYPOINTS) -> Features:
 
 
 def mutual_matches(found0: Features, found1: Features) -> tuple[FloatArray, FloatArray]:
-    """Positions (n, 2) in both pictures of features that are each other's nearest."""
+    """Positions (n, 2) in both images of features that are each other's nearest."""
     if min(len(found0.uv), len(found1.uv)) == 0:
         return np.zeros((0, 2)), np.zeros((0, 2))
     similarity = found0.descriptors @ found1.descriptors.T
@@ -112,7 +112,7 @@ def mutual_matches(found0: Features, found1: Features) -> tuple[FloatArray, Floa
 
 
 def finds_its_place(uv0: FloatArray, uv1: FloatArray, H_1_0: FloatArray, size_px: int) -> bool:
-    """Does a similarity through the matches put the picture's centre where it belongs?"""
+    """Does a similarity through the matches put the image's centre where it belongs?"""
     fit = estimate_similarity(uv0, uv1, RIGHT_PX, seed=0)
     if fit is None:
         return False
@@ -122,7 +122,7 @@ def finds_its_place(uv0: FloatArray, uv1: FloatArray, H_1_0: FloatArray, size_px
 
 
 def repeated_above_chance(uv0: FloatArray, uv1: FloatArray, view: Sample) -> float:
-    """Share of keypoints found again within 3 px, less the share with one picture's shifted.
+    """Share of keypoints found again within 3 px, less the share with one image's shifted.
 
     Args:
         uv0: (n, 2) keypoints of view 0; only those on ground that view 1 sees count.

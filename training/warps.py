@@ -1,6 +1,6 @@
-"""Random views of the ground: homographies, the pictures they give, and points carried along.
+"""Random views of the ground: homographies, the images they give, and points carried along.
 
-Everything maps pixels with centres at integers. `H_b_a` takes points of picture a to picture b.
+Everything maps pixels with centres at integers. `H_b_a` takes points of image a to image b.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class WarpConfig:
     scale_min: float = 0.7
     scale_max: float = 1.4
     tilt_sigma: float = 0.06  # perspective: relative change of scale from the centre to an edge
-    shift_sigma: float = 0.08  # of the picture's width
+    shift_sigma: float = 0.08  # of the image's width
     aspect_sigma: float = 0.03
 
 
@@ -48,7 +48,7 @@ def centred(H: FloatArray, centre_to: FloatArray, centre_from: FloatArray) -> Fl
 
 
 def warp_points(H_b_a: FloatArray, points_a_uv: FloatArray) -> FloatArray:
-    """Carry points (n, 2) of picture a to picture b."""
+    """Carry points (n, 2) of image a to image b."""
     homogeneous = points_a_uv @ H_b_a[:, :2].T + H_b_a[:, 2]
     return homogeneous[:, :2] / homogeneous[:, 2:]
 
@@ -82,11 +82,11 @@ def random_crop_frame(
     size_px: int,
     zoom_range: tuple[float, float],
 ) -> FloatArray:
-    """Draw where in a source picture the crop lies: any heading, mirrored half of the time.
+    """Draw where in a source image the crop lies: any heading, mirrored half of the time.
 
     Args:
         rng: Random generator.
-        source_wh: Size of the source picture.
+        source_wh: Size of the source image.
         size_px: Side of the square crop.
         zoom_range: Source pixels per crop pixel, least and most; less where the source is too
             small.
@@ -101,7 +101,7 @@ def random_crop_frame(
     centre = (
         np.array([rng.uniform(margin, width - margin), rng.uniform(margin, height - margin)]) - 0.5
     )
-    # Quarter turns keep a crop inside of its picture; a free angle would leave black corners.
+    # Quarter turns keep a crop inside of its image; a free angle would leave black corners.
     angle_rad = rng.integers(4) * np.pi / 2 + (
         rng.uniform(-0.8, 0.8) if min(width, height) > 1.3 * zoom * size_px else 0.0
     )
@@ -110,7 +110,7 @@ def random_crop_frame(
 
 
 def view(source: Image, H_source_view: FloatArray, size_px: int) -> Image:
-    """Look at a source picture through a homography, without aliasing; outside of it is zero.
+    """Look at a source image through a homography, without aliasing; outside of it is zero.
 
     Args:
         source: (H, W) or (H, W, C) uint8.
@@ -133,7 +133,7 @@ def view(source: Image, H_source_view: FloatArray, size_px: int) -> Image:
 
 
 def shrunk(source: Image, factor: float) -> tuple[Image, FloatArray]:
-    """Make a picture smaller by about `factor`; returns it with H_small_source (3, 3)."""
+    """Make an image smaller by about `factor`; returns it with H_small_source (3, 3)."""
     size = (round(source.shape[1] / factor), round(source.shape[0] / factor))
     sx, sy = size[0] / source.shape[1], size[1] / source.shape[0]
     # Half-pixel rule: (u + 0.5) s - 0.5.
@@ -142,7 +142,7 @@ def shrunk(source: Image, factor: float) -> tuple[Image, FloatArray]:
 
 
 def around_view(source: Image, H_source_view: FloatArray, size_px: int) -> tuple[Image, FloatArray]:
-    """Cut out what a view sees of a source picture, and return it with its top left corner."""
+    """Cut out what a view sees of a source image, and return it with its top left corner."""
     last = size_px - 1.0
     seen = warp_points(H_source_view, np.array([[0, 0], [last, 0], [last, last], [0, last]]))
     least = np.clip(np.floor(seen.min(axis=0)) - 8, 0, None).astype(int)
@@ -171,7 +171,7 @@ def random_relief(rng: np.random.Generator, size_px: int, sigma_px: float) -> Re
 
 
 def relief_at(relief: Relief, points_uv: FloatArray, size_px: int) -> FloatArray:
-    """Interpolate a relief over a picture of `size_px` at points (h, w, 2)."""
+    """Interpolate a relief over an image of `size_px` at points (h, w, 2)."""
     nodes = (points_uv + 0.5) * (relief.shape[0] / size_px) - 0.5  # half-pixel rule
     place = nodes.astype(np.float32)
     return _looked_up(relief, place).astype(np.float64)

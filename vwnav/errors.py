@@ -10,7 +10,7 @@ class ConfigError(VwnavError):
 
 
 class CalibrationError(VwnavError):
-    """A camera calibration cannot be read or does not fit the pictures."""
+    """A camera calibration cannot be read or does not fit the images."""
 
 
 class MapError(VwnavError):
@@ -22,7 +22,7 @@ class ModelError(VwnavError):
 
 
 class SourceError(VwnavError):
-    """Pictures, video or telemetry cannot be read."""
+    """Images, video or telemetry cannot be read."""
 
 
 class RouteError(VwnavError):

@@ -1,6 +1,6 @@
 """The mission as a state machine over estimates: what is asked of the autopilot, tick by tick.
 
-`Flight.tick` is called at a steady rate with what there is to fly on; it never looks at a picture
+`Flight.tick` is called at a steady rate with what there is to fly on; it never looks at an image
 and never waits. Safety may overrule each setpoint, and the pilot overrules everything.
 """
 
@@ -229,7 +229,7 @@ class Flight:
         return True
 
     def _sighted(self, t_s: float, navigation: Navigation) -> Navigation:
-        """Pictures count from the climb on: standing and lifting off there is little to see."""
+        """Images count from the climb on: standing and lifting off there is little to see."""
         if self.phase is Phase.TAKEOFF or self._phase_since_s is None:
             return replace(navigation, seen_s=t_s)
         if self.phase is Phase.CLIMB:

@@ -2,7 +2,7 @@
 
     frame -> undistort -> rectify -> features -> match -> homography -> fix -> EKF -> guidance
 
-`Pipeline.feed` takes the autopilot's measurements as they come, `Pipeline.step` a picture to an
+`Pipeline.feed` takes the autopilot's measurements as they come, `Pipeline.step` an image to an
 `Estimate`; `fly`, `replay` and the tests all run them. Guidance and safety (`vwnav.flight`) turn
 estimates into setpoints.
 """
@@ -44,7 +44,7 @@ MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
-LOST_SIGMA_M = 20.0  # of a place: beyond it pictures are joined
+LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
 
@@ -97,7 +97,7 @@ class InlineExecutor(Executor):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """A picture that is being matched to the map.
+    """An image that is being matched to the map.
 
     Attributes:
         begins: nothing that is believed said where on the map it was taken.
@@ -110,7 +110,7 @@ class _Attempt:
 
 
 class Pipeline:
-    """From pictures and measurements to the estimate of position, velocity and heading.
+    """From images and measurements to the estimate of position, velocity and heading.
 
     `feed` and `estimate` may be called from other threads at any time; `step` from one only.
     """
@@ -130,7 +130,7 @@ class Pipeline:
 
         Args:
             features: chooses the localizer of each attempt.
-            odometry: measures motion between pictures.
+            odometry: measures motion between images.
             ekf: the filter; `initialise` it first where the start is known.
             local_frame: the run's NED origin.
             sigma_tilt_rad: attitude error that the localizer puts into a fix's covariance.
@@ -151,7 +151,7 @@ class Pipeline:
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
         self._sequences = Sequences(local_frame)
-        self._lost = True  # pictures are joined, see `Sequences`
+        self._lost = True  # images are joined, see `Sequences`
         self.attempts = 0
         self.accepted = 0
 
@@ -161,41 +161,41 @@ class Pipeline:
             return self._ekf.estimate(t_s)
 
     def feed(self, measurement: Telemetry) -> None:
-        """Take a measurement of the autopilot; the estimate lives on it when pictures stall."""
+        """Take a measurement of the autopilot; the estimate lives on it when images stall."""
         with self._lock:
             self._ekf.handle(measurement)
 
     def covers(self, t_s: float) -> bool:
         """Whether telemetry has reached an exposure: waiting tells no more of the attitude there.
 
-        A picture handed to `step` before that has an attitude carried on from before it, or none.
+        An image handed to `step` before that has an attitude carried on from before it, or none.
         Wait no longer than `ATTITUDE_WAIT_S` after the exposure.
         """
         with self._lock:
             return self._ekf.covers(t_s)
 
     def step(self, frame: Frame) -> StepResult:
-        """Take one picture through the whole path.
+        """Take one image through the whole path.
 
-        A picture whose attitude is not known moves nothing. Which way the ground passed in it is
+        An image whose attitude is not known moves nothing. Which way the ground passed in it is
         not known, and how far beside the aircraft its centre lies neither: 10 degrees are 9 m at
-        50 m, all pictures of the gap to the same side, which no covariance of a fix can say.
+        50 m, all images of the gap to the same side, which no covariance of a fix can say.
         """
-        picture = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
+        image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
         with self._lock:
             alone = self._ekf.counts_heading
             attitude = None if alone else self._ekf.attitude_at(frame.t_s)
             if self._rolling and attitude is not None:
                 now = self._ekf.estimate(frame.t_s)
-                picture = with_motion(picture, self._ekf.attitude_at, now)
-        motion = self._track(picture, attitude)
+                image = with_motion(image, self._ekf.attitude_at, now)
+        motion = self._track(image, attitude)
         finished = self._collect() or self._give_up(frame.t_s)
-        started = self._attempt_if_due(picture, attitude)
+        started = self._attempt_if_due(image, attitude)
         outcome = started or finished or Rejected(frame.t_s, RejectReason.NOT_TRIED)
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
     def _track(self, frame: Frame, attitude: Attitude | None) -> OdometryMotion | Rejected:
-        """Motion since the keyframe. In a video alone the pictures' own turning is the gyro."""
+        """Motion since the keyframe. In a video alone the images' own turning is the gyro."""
         now = self.estimate(frame.t_s)
         R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
         motion = self._odometry.step(frame, R_ned_body, now.agl_m if now else UNKNOWN_AGL_M)
@@ -216,7 +216,7 @@ class Pipeline:
         return motion
 
     def _attempt_if_due(self, frame: Frame, attitude: Attitude | None) -> MapFix | Rejected | None:
-        """Start matching this picture when it is time to; the outcome if it is there at once."""
+        """Start matching this image when it is time to; the outcome if it is there at once."""
         if self._pending is not None or frame.t_s < self._next_attempt_s:
             return None
         if attitude is None and not self._ekf.counts_heading:
@@ -294,7 +294,7 @@ class Pipeline:
         more than it says, and what the localizer does not look for can never put it right.
         """
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
-        # count it twice if the picture were rectified with its corrected attitude.
+        # count it twice if the image were rectified with its corrected attitude.
         roll_rad, pitch_rad = None, None
         if measured is not None:
             R_ned_body = rotation_from_quat(measured.quat_wxyz)

@@ -1,6 +1,6 @@
 """The flight as three steps that must not wait for each other, and the threads that call them.
 
-Pictures go through the pipeline as they come; telemetry goes into it and the estimate goes out at a
+Images go through the pipeline as they come; telemetry goes into it and the estimate goes out at a
 steady 50 Hz (a gap of 200 ms stops the autopilot's fusion); the mission ticks at 20 Hz. In life
 each step has a thread; a simulation in lockstep calls them one after the other.
 """
@@ -41,14 +41,14 @@ _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
 # What simulated time waits for (`vwnav.clock`), beside the beats of the loops:
 TELEMETRY_LATE_S = 0.1  # from the measurement of an attitude to the filter
-PICTURE_LATE_S = 0.07  # from a picture's arrival to the end of its step
+IMAGE_LATE_S = 0.07  # from an image's arrival to the end of its step
 
 
 class FlightRuntime:
     """A flight's steps; `run` calls them in threads until the flight has ended.
 
-    Whatever breaks, the aircraft is not left: a watcher that fails (a full disk) is left out, a
-    picture or a camera that fails is a missing picture, a link step that fails is tried again, and
+    Whatever breaks, the aircraft is not left: a watcher that fails (a full disk) is left out, an
+    image or a camera that fails is a missing image, a link step that fails is tried again, and
     when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
     estimates go on until the motors stop. Where the link's steps fail on and on, no estimate goes
     out: the program ends, the watchdog lands the aircraft, and its successor gives estimates. Where
@@ -180,7 +180,7 @@ class FlightRuntime:
             self._event("the mission hangs: the watchdog lands the aircraft")
 
     def step_vision(self, frame: Frame) -> None:
-        """One picture through the pipeline; one that breaks it is a picture that told nothing."""
+        """One image through the pipeline; one that breaks it is an image that told nothing."""
         trouble = self._camera.look(frame)
         try:
             step = self._without(frame, trouble) if trouble else self._pipeline.step(frame)
@@ -201,7 +201,7 @@ class FlightRuntime:
         self._watch(lambda: self._watcher.saw_frame(frame, step))
 
     def covers(self, frame: Frame) -> bool:
-        """Whether telemetry reaches to a picture's exposure."""
+        """Whether telemetry reaches to an image's exposure."""
         return self._pipeline.covers(frame.t_s)
 
     # ---- life
@@ -210,8 +210,8 @@ class FlightRuntime:
         """Fly; returns when the mission has ended. An interrupt lands first.
 
         Args:
-            source: of the pictures.
-            clock: the one that stamps pictures and telemetry.
+            source: of the images.
+            clock: the one that stamps images and telemetry.
 
         Raises:
             Exception: what broke the mission, after the aircraft has been brought down.
@@ -287,7 +287,7 @@ class FlightRuntime:
                 return
 
     def _vision_loop(self, source: FrameSource, clock: Clock) -> None:
-        """Pictures as they come; a camera that fails is asked again every second."""
+        """Images as they come; a camera that fails is asked again every second."""
         vision = clock.join("vision")
         while not self._stop.is_set():
             try:
@@ -301,7 +301,7 @@ class FlightRuntime:
                     self._event("the camera has stopped: flying on without pictures")
                 return
             self._await_telemetry(frame, clock)
-            vision.until(clock() + PICTURE_LATE_S)
+            vision.until(clock() + IMAGE_LATE_S)
             self.step_vision(frame)
             vision.leave()
 
@@ -326,7 +326,7 @@ class FlightRuntime:
     # ---- what must never end a flight
 
     def _without(self, frame: Frame, trouble: str) -> StepResult:
-        """The step of a picture that is not used."""
+        """The step of an image that is not used."""
         nothing = Rejected(frame.t_s, RejectReason.NO_FRAME, trouble)
         return StepResult(frame.t_s, nothing, nothing, self._pipeline.estimate(frame.t_s))
 

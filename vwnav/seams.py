@@ -6,7 +6,7 @@ from typing import Protocol
 from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
 from vwnav.vehicle import VehicleState
 
-ATTITUDE_WAIT_S = 0.4  # a picture waits so long after its exposure for its attitude to come
+ATTITUDE_WAIT_S = 0.4  # an image waits so long after its exposure for its attitude to come
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class FeatureChoiceConfig:
 class PipelineConfig(FeatureChoiceConfig):
     """How often the map is asked, and for how long."""
 
-    fix_interval_s: float = 0.2  # a picture is matched to the map this often
+    fix_interval_s: float = 0.2  # an image is matched to the map this often
     search_interval_s: float = 1.0  # the same while the position is unknown: a search is slow
     max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
     doubt_after: int = (
@@ -33,7 +33,7 @@ class PipelineConfig(FeatureChoiceConfig):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
-    """What one picture brought. `outcome` may belong to an earlier picture (see its `t_s`)."""
+    """What one image brought. `outcome` may belong to an earlier image (see its `t_s`)."""
 
     t_s: float
     motion: OdometryMotion | Rejected
@@ -42,10 +42,10 @@ class StepResult:
 
 
 class FrameSource(Protocol):
-    """Pictures, in order of time. `next_frame` waits for the next one; None is the end."""
+    """Images, in order of time. `next_frame` waits for the next one; None is the end."""
 
     def next_frame(self) -> Frame | None:
-        """The next picture; None at the end."""
+        """The next image; None at the end."""
         ...
 
     def close(self) -> None:
@@ -57,7 +57,7 @@ class Localizing(Protocol):
     """What the pipeline needs of `vwnav.vision.localizer.Localizer`."""
 
     def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
-        """Where a picture was taken."""
+        """Where an image was taken."""
         ...
 
     def give_up(self) -> None:
@@ -69,7 +69,7 @@ class Tracking(Protocol):
     """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
 
     def counted_attitude(self, t_s: float) -> Attitude:
-        """Of a video alone: level, with the heading counted from its pictures."""
+        """Of a video alone: level, with the heading counted from its images."""
         ...
 
     def step(
@@ -83,7 +83,7 @@ class Watcher(Protocol):
     """Sees what happens, for the record and the screen. Called from the loops: must be quick."""
 
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
-        """A picture went through the pipeline."""
+        """An image went through the pipeline."""
         ...
 
     def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:

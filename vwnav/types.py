@@ -1,7 +1,7 @@
 """The values that travel between rooms, and the protocols at the seams.
 
 Everything is SI and radians unless a name says otherwise; `docs/conventions.md` holds the table.
-Times `t_s` are seconds on one monotonic clock, at exposure for pictures. NaN never means "unknown":
+Times `t_s` are seconds on one monotonic clock, at exposure for images. NaN never means "unknown":
 unknown values are None.
 """
 
@@ -25,7 +25,7 @@ LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture of the camera.
+    """One image of the camera.
 
     Attributes:
         t_s: time of exposure.
@@ -95,12 +95,12 @@ class FeatureExtractor(Protocol):
         ...
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
-        """The strongest keypoints of a picture (h, w)."""
+        """The strongest keypoints of an image (h, w)."""
         ...
 
 
 class RejectReason(Enum):
-    """Why no position came out of a picture."""
+    """Why no position came out of an image."""
 
     NO_MAP = "no map under the prior"
     TOO_DARK = "picture without contrast"
@@ -121,12 +121,12 @@ class RejectReason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known before a picture is matched; every field may be unknown.
+    """What is known before an image is matched; every field may be unknown.
 
     Attributes:
         lat_deg, lon_deg: where the body is thought to be.
         sigma_m: one-sigma of that, per horizontal axis.
-        yaw_rad: heading of the body (of the picture's upper edge for a picture alone).
+        yaw_rad: heading of the body (of the image's upper edge for an image alone).
         agl_m: height of the body above the ground, `sigma_agl_ratio` its relative sigma.
         roll_rad, pitch_rad: attitude of the body; unknown is taken as level.
     """
@@ -157,7 +157,7 @@ class MatchStats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapFix:
-    """Where a picture was taken.
+    """Where an image was taken.
 
     Attributes:
         lat_deg, lon_deg: of the body ("nadir"), or of the image centre ("center") when the
@@ -166,7 +166,7 @@ class MapFix:
         yaw_rad: heading of the body, 0 = true north, clockwise positive.
         agl_m: height above ground from the scale.
         features: the set that made it, or that was tried before.
-        placed_by: correlation tells a position alone; a sequence is several pictures, joined.
+        placed_by: correlation tells a position alone; a sequence is several images, joined.
     """
 
     t_s: float
@@ -195,7 +195,7 @@ class WeakFix:
     Attributes:
         fix: as it would be, with heading and height.
         decades, needed: chance agrees as well once in ten to this power; so many are believed.
-        seen_m: longer side of the ground that the picture shows.
+        seen_m: longer side of the ground that the image shows.
     """
 
     fix: MapFix
@@ -206,7 +206,7 @@ class WeakFix:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """No fix, and why: a result, not an error. `weak`: places that the picture may show."""
+    """No fix, and why: a result, not an error. `weak`: places that the image may show."""
 
     t_s: float
     reason: RejectReason
@@ -228,8 +228,8 @@ class OdometryMotion:
         agl_m: the AGL that scaled it (displacement is proportional to it).
         tracks: inliers that carried it.
         tilt_share: of a change of the attitude's tilt error between the two, how much was taken
-            for motion, 0 to 1: pictures tell tilting from moving only as well as they can.
-        tilts_along: log-likelihood ratio of what the picture itself shows of tilting: as much as
+            for motion, 0 to 1: images tell tilting from moving only as well as they can.
+        tilts_along: log-likelihood ratio of what the image itself shows of tilting: as much as
             its attitudes tell, against nothing. Negative of a camera that is mounted upside down.
     """
 

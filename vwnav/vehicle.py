@@ -208,8 +208,8 @@ class Navigation:
         estimate: the one that is also sent to the autopilot; None while there is none that we
             would fly on.
         lost: why there is none any more; empty before the first and while there is one.
-        seen_s: exposure of the newest picture that told a motion or a place.
-        contradicted: the newest picture's motion is not believed: it contradicts the IMU.
+        seen_s: exposure of the newest image that told a motion or a place.
+        contradicted: the newest image's motion is not believed: it contradicts the IMU.
     """
 
     estimate: Estimate | None

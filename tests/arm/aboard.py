@@ -1,6 +1,6 @@
 """What runs inside the emulated tree: one part of the program, its result as a line of JSON.
 
-FOLDER/python tests/arm/aboard.py imports | features PICTURE OUT MODEL... | flight FOLDER MODEL |
+FOLDER/python tests/arm/aboard.py imports | features IMAGE OUT MODEL... | flight FOLDER MODEL |
                                   recorder FOLDER | watchdog URL
 """
 
@@ -28,13 +28,13 @@ def imports() -> dict[str, Any]:
     return {"machine": platform.machine(), "imported": len(DEPENDENCIES)}
 
 
-def features(picture: str, out: str, *models: str) -> dict[str, Any]:
-    """The picture's features by each released model, into OUT-MODEL.npz."""
+def features(image: str, out: str, *models: str) -> dict[str, Any]:
+    """The image's features by each released model, into OUT-MODEL.npz."""
     import numpy as np
 
     from vwnav.vision.features.learned import LearnedFeatures
 
-    gray, seconds = np.load(picture), {}
+    gray, seconds = np.load(image), {}
     for model in models:
         extractor = LearnedFeatures(Path(model))
         start_s = time.process_time()
@@ -45,7 +45,7 @@ def features(picture: str, out: str, *models: str) -> dict[str, Any]:
 
 
 def flight(folder: str, model: str) -> dict[str, Any]:
-    """A flight's pictures through the pipeline, from where it is known to be."""
+    """A flight's images through the pipeline, from where it is known to be."""
     import cv2
     import numpy as np
 
@@ -77,7 +77,7 @@ def flight(folder: str, model: str) -> dict[str, Any]:
         told = load_telemetry(place / "telemetry.csv").measurements(0.0)
         video = VideoFile(place / "flight.mkv")
         while (frame := video.next_frame()) is not None:
-            # One row of telemetry after the picture: its attitude is known.
+            # One row of telemetry after the image: its attitude is known.
             while told and (told[0].t_s <= frame.t_s or not assembled.pipeline.covers(frame.t_s)):
                 assembled.pipeline.feed(told.pop(0))
             step = assembled.pipeline.step(frame)
@@ -106,8 +106,8 @@ def recorder(folder: str) -> dict[str, Any]:
     writer.close()
     read = list(read_recording(path))
     texts = [each.content["text"] for each in read if each.topic == "/event"]
-    pictures = sum(each.topic == "/camera" for each in read)
-    return {"events": texts == [str(i) for i in range(40)], "pictures": pictures,
+    images = sum(each.topic == "/camera" for each in read)
+    return {"events": texts == [str(i) for i in range(40)], "pictures": images,
             "whole": not is_cut_off(path)}  # fmt: skip
 
 

@@ -20,8 +20,8 @@ from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.sim.lens import RenderConfig
+from vwnav.sim.named_sites import parse_site
 from vwnav.sim.renderer import CameraRenderer
-from vwnav.sim.sites import parse_site
 from vwnav.types import Features
 from vwnav.vision.features.learned import LearnedFeatures
 from vwnav.vision.matching import match
@@ -44,7 +44,7 @@ def ground(look: str, size_wh: tuple[int, int]) -> np.ndarray:
 
 
 def inliers(query: Features, reference: Features) -> int:
-    """Of the matches of two pictures of one place."""
+    """Of the matches of two images of one place."""
     pairs = match(query, reference)
     if len(pairs) < 4:
         return 0
@@ -65,14 +65,14 @@ def agreement(here: Features, there: Features) -> tuple[float, float]:
 
 
 def check_models(aarch64, cpu: str, size_wh: tuple[int, int], models, folder: Path) -> None:
-    """One picture by each model, there and here, and matched with the map's features."""
-    picture, map_picture = ground("flight", size_wh), ground("map", size_wh)
-    np.save(folder / "picture.npy", picture)
+    """One image by each model, there and here, and matched with the map's features."""
+    image, map_image = ground("flight", size_wh), ground("map", size_wh)
+    np.save(folder / "picture.npy", image)
     run = aarch64(cpu, ABOARD, "features", folder / "picture.npy", folder / "there", *models)
     print(f"{cpu} {size_wh} {run.said} peak {run.peak_mb:.0f} MB")
     for model in models:
         extractor = LearnedFeatures(Path(model))
-        here, mapped = (extractor.extract(each, 1000) for each in (picture, map_picture))
+        here, mapped = (extractor.extract(each, 1000) for each in (image, map_image))
         loaded = np.load(folder / f"there-{model}.npz")
         uv, descriptors = loaded["uv"], loaded["descriptors"]
         there = Features(uv, descriptors, np.ones(len(uv), np.float32))
@@ -145,7 +145,7 @@ def test_doctor_finds_the_autopilot_on_the_link(aarch64, cpu):
 
 @pytest.fixture(scope="session")
 def flight(tmp_path_factory) -> Path:
-    """Map, calibration, telemetry and 60 pictures of a flight, drawn once."""
+    """Map, calibration, telemetry and 60 images of a flight, drawn once."""
     folder = tmp_path_factory.mktemp("flight")
     site = parse_site("sim:default")
     frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
@@ -164,8 +164,8 @@ def flight(tmp_path_factory) -> Path:
     R_ned_body = rotation_from_euler(0.0, 0.0, HEADING_RAD)
     for i in range(FRAMES):
         at = direction * (i / FPS * SPEED_M_S + START_M) + [0.0, 0.0, -AGL_M]
-        picture = renderer.render(at, R_ned_body, i / FPS, SPEED_M_S * direction, np.zeros(3))
-        video.write(picture)
+        image = renderer.render(at, R_ned_body, i / FPS, SPEED_M_S * direction, np.zeros(3))
+        video.write(image)
     video.release()
     renderer.close()
     rows = [f"{i / FPS},0,0,{np.degrees(HEADING_RAD)},{AGL_M}" for i in range(FRAMES + 1)]

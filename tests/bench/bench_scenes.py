@@ -6,20 +6,20 @@ import cv2
 import numpy as np
 
 from vwnav.bench.features.methods import FeatureSet, Method
-from vwnav.bench.features.scenes import MapPicture, Scene
+from vwnav.bench.features.scenes import ReferenceMap, Scene
 from vwnav.types import Features
 
 
 def ground(height: int = 400, width: int = 400, seed: int = 0) -> np.ndarray:
     """(h, w, 3) ground with corners everywhere."""
     rng = np.random.default_rng(seed)
-    picture = np.full((height, width, 3), 110, np.uint8)
+    image = np.full((height, width, 3), 110, np.uint8)
     for _ in range(height * width // 900):
         corner = rng.integers(0, (width, height))
         size = rng.integers(4, 24, 2)
         shade = rng.integers(0, 256, 3).tolist()
-        cv2.rectangle(picture, corner.tolist(), (corner + size).tolist(), shade, -1)
-    return cv2.GaussianBlur(picture, (0, 0), 0.8)
+        cv2.rectangle(image, corner.tolist(), (corner + size).tolist(), shade, -1)
+    return cv2.GaussianBlur(image, (0, 0), 0.8)
 
 
 def features(uv: np.ndarray) -> Features:
@@ -30,7 +30,7 @@ def features(uv: np.ndarray) -> Features:
 
 
 def fixed(name: str, *found: Features) -> FeatureSet:
-    """A feature set that finds the map's features first, then the picture's, and so on."""
+    """A feature set that finds the map's features first, then the image's, and so on."""
     answers = cycle(found)
     return FeatureSet(name, lambda gray, count: next(answers), [Method(name)])
 
@@ -42,10 +42,10 @@ def scene(H_1_0: np.ndarray | None, *, side: int = 128, unit_per_px: float = 1.0
     return Scene(
         group="drawn",
         name="one",
-        picture=blank,
+        image=blank,
         mask=everywhere,
         keypoints=100,
-        map_=MapPicture(blank, everywhere, 100, unit_per_px, "px"),
+        map_=ReferenceMap(blank, everywhere, 100, unit_per_px, "px"),
         window=(-1.0, -1.0, side + 1.0, side + 1.0),
         point0_uv=middle,
         point1_uv=middle,

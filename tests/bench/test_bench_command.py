@@ -25,7 +25,7 @@ THESIS = {"points_per_image", "extract_ms", "matched_per_image", "match_ms", "ma
 
 @pytest.fixture
 def data(tmp_path):
-    """A data folder with one registered pair and one drone picture."""
+    """A data folder with one registered pair and one drone image."""
     folder = tmp_path / "data"
     (folder / "eval" / "pair" / "drawn").mkdir(parents=True)
     (folder / "eval" / "drone" / "flight").mkdir(parents=True)
@@ -74,7 +74,7 @@ def test_json_is_one_object_that_says_everything(bench, data, capsys):
     assert "xfeat is left out" in report["skipped"]
 
 
-def test_a_person_gets_tables_and_a_folder_with_plot_and_pictures(bench, data, tmp_path, capsys):
+def test_a_person_gets_tables_and_a_folder_with_plot_and_images(bench, data, tmp_path, capsys):
     with pytest.raises(SystemExit) as done:
         bench("--data", data, "-o", tmp_path / "out")
     assert not done.value.code

@@ -1,4 +1,4 @@
-"""Faults do to bytes and pictures what they say, and the table holds what it must."""
+"""Faults do to bytes and images what they say, and the table holds what it must."""
 
 import math
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_an_imu_on_its_side_feels_gravity_to_the_right():
     [camera.sun_glare, camera.half_covered, camera.out_of_focus, camera.upside_down,
      camera.repeating_ground, camera.overexposed],
 )  # fmt: skip
-def test_poor_pictures_keep_size_and_time(make):
+def test_poor_images_keep_size_and_time(make):
     seen = make()(frame(3))
     assert seen.image.shape == (480, 640)
     assert seen.image.dtype == np.uint8
@@ -76,7 +76,7 @@ def test_poor_pictures_keep_size_and_time(make):
     assert not np.array_equal(seen.image, frame(3).image)
 
 
-def test_a_loop_shows_ten_pictures_again_in_their_order():
+def test_a_loop_shows_ten_images_again_in_their_order():
     loop = camera.looping()
     seen = [loop(frame(i)) for i in range(25)]
     for i in (10, 19, 24):

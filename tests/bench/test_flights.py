@@ -17,10 +17,10 @@ from vwnav.bench.resampling import interval
 from vwnav.cli.main import app
 from vwnav.errors import RouteError, VwnavError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.guidance.missions import load_route
+from vwnav.guidance.plan_files import load_route
 from vwnav.onboard.simulation import ROUTES
 from vwnav.sim.config import Manners
-from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M
+from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M
 
 CAMPAIGN = Campaign(route_ned_m=((60.0, 0.0, -50.0), (0.0, 80.0, -50.0)), sites=2)
 

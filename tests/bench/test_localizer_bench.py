@@ -28,7 +28,7 @@ EVERYWHERE = np.ones((500, 500), np.bool_)
 
 @pytest.fixture
 def data(tmp_path):
-    """A data folder with one registered pair, and pictures of two other places."""
+    """A data folder with one registered pair, and images of two other places."""
     folder = tmp_path / "data"
     places = {"train/pair/cd_LEVIR/1_a": 0, "train/pair/cd_LEVIR/1_b": 0}
     places |= {"train/single/fields/1": 1, "train/drone/flight/1": 2}
@@ -117,7 +117,7 @@ def test_a_folder_without_good_pairs_is_one_line_and_exit_1(
     assert error.count("\n") == 0
 
 
-def test_a_picture_that_is_none_is_one_line_and_exit_1(bench, data, capsys):
+def test_an_image_that_is_none_is_one_line_and_exit_1(bench, data, capsys):
     (data / "train/pair/cd_LEVIR/1_a.jpg").write_bytes(b"not a picture")
     assert bench("localizer", "--data", data, "--features", "sift", "--looks", 1) == 1
     error = capsys.readouterr().err.strip()
@@ -186,7 +186,7 @@ def test_a_label_that_is_off_is_corrected_and_says_how_well_it_is_known():
     assert sigma_px < 0.5
 
 
-def test_a_label_between_unrelated_pictures_stays_and_is_not_trusted():
+def test_a_label_between_unrelated_images_stays_and_is_not_trusted():
     a, b = (cv2.cvtColor(ground(500, 500, seed), cv2.COLOR_BGR2GRAY) for seed in (0, 1))
     H, sigma_px = corrected(a, EVERYWHERE, b, EVERYWHERE, np.eye(3))
     assert np.array_equal(H, np.eye(3))

@@ -32,7 +32,7 @@ def test_a_missing_model_is_an_error(tmp_path):
 
 
 @pytest.mark.usefixtures("no_xfeat")
-def test_every_set_finds_its_own_picture_again():
+def test_every_set_finds_its_own_image_again():
     gray = ground()[:, :, 0]
     sets, _ = methods.feature_sets([])
     for each in sets:

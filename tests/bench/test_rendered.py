@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from vwnav.bench.estimator.benchmark import as_json
 from vwnav.bench.estimator.flown import NavigatedFlight, Run
 from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
-from vwnav.bench.estimator.rendered_flight import RENDERED_S, pictures, plan_flight
+from vwnav.bench.estimator.rendered_flight import RENDERED_S, images, plan_flight
 from vwnav.bench.estimator.rendered_run import fly_rendered
 from vwnav.bench.estimator.rendered_scenarios import judge_odometry, judge_rendered
 from vwnav.bench.estimator.run import play
@@ -18,8 +18,8 @@ from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
 from vwnav.estimation.timeline import NedFix
+from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M
 from vwnav.sim.renderer import default_camera
-from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M
 from vwnav.types import Frame, MapFix
 
 SECONDS = 11.0
@@ -27,9 +27,9 @@ SECONDS = 11.0
 
 @pytest.fixture(scope="module")
 def short_flight():
-    """A climb with the first fixes, flown once, and its pictures."""
+    """A climb with the first fixes, flown once, and its images."""
     flight = plan_flight(0, 0, SECONDS)
-    frames = list(pictures(flight, default_camera()))
+    frames = list(images(flight, default_camera()))
     return frames, navigated(frames)
 
 
@@ -63,14 +63,14 @@ def test_fixes_come_and_the_estimate_is_near_the_truth(short_flight):
 
 def test_the_same_flight_gives_the_same_estimates(short_flight):
     frames, flown = short_flight
-    drawn_again = islice(pictures(plan_flight(0, 0, SECONDS), default_camera()), 40)
+    drawn_again = islice(images(plan_flight(0, 0, SECONDS), default_camera()), 40)
     for before, again in zip(frames[:40], drawn_again, strict=True):
         assert np.array_equal(before.image, again.image)
     assert np.array_equal(places(navigated(frames)), places(flown))
 
 
 def test_the_truth_is_not_navigated_by(short_flight):
-    """Another truth, the same pictures and telemetry: the same estimates, other errors."""
+    """Another truth, the same images and telemetry: the same estimates, other errors."""
     frames, flown = short_flight
     flight = plan_flight(0, 0, SECONDS)
     moved = replace(flight.truth, position_ned_m=flight.truth.position_ned_m + 50.0)
@@ -79,7 +79,7 @@ def test_the_truth_is_not_navigated_by(short_flight):
     assert np.min(np.hypot(*elsewhere.run.rows.error_ne_m.T)) > 50.0
 
 
-def test_black_pictures_give_no_fix(short_flight):
+def test_black_images_give_no_fix(short_flight):
     black = [Frame(f.t_s, np.zeros_like(f.image), f.index) for f in short_flight[0]]
     flown = navigated(black)
     assert flown.fixes == 0
@@ -107,9 +107,9 @@ def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
     runs = played(world)
     found = odometry_errors([way_errors(run) for run in runs])
     fixes = [fix_errors(run) for run in runs]
-    assert found.picture == pytest.approx(0.0015, rel=0.1)
+    assert found.image == pytest.approx(0.0015, rel=0.1)
     assert found.kept == pytest.approx(0.0015, rel=0.2)
-    assert found.yaw_picture_rad == pytest.approx(world.odometry_yaw_rad, rel=0.1)
+    assert found.yaw_image_rad == pytest.approx(world.odometry_yaw_rad, rel=0.1)
     assert found.tilt == pytest.approx(0.3, abs=0.06)
     assert parts([f.ne_m for f in fixes]).white == pytest.approx(0.4, rel=0.15)
     assert parts([f.ne_m for f in fixes]).slow == pytest.approx(world.map_error_m, rel=0.35)

@@ -3,11 +3,13 @@ import pytest
 from bench_scenes import features
 
 from vwnav.bench.features.repeatability import repeatability
-from vwnav.bench.features.scenes import MapPicture
+from vwnav.bench.features.scenes import ReferenceMap
 from vwnav.types import Features
 
 SIDE = 400
-MAP = MapPicture(np.zeros((SIDE, SIDE), np.uint8), np.ones((SIDE, SIDE), np.bool_), 1000, 1.0, "px")
+MAP = ReferenceMap(
+    np.zeros((SIDE, SIDE), np.uint8), np.ones((SIDE, SIDE), np.bool_), 1000, 1.0, "px"
+)
 SAME = np.eye(3)
 
 
@@ -29,14 +31,14 @@ def test_the_same_keypoints_are_all_repeated():
 
 
 def test_clustered_keypoints_do_not_pass_for_repeated_ones():
-    # Both pictures have theirs in one corner, unrelated within it: shifted by 20 px they still do.
+    # Both images have theirs in one corner, unrelated within it: shifted by 20 px they still do.
     found = repeatability(anywhere(1000, 0, SIDE / 4), anywhere(1000, 1, SIDE / 4), SAME, MAP)
     assert found.repeated > 0.9
     assert found.above_chance < 0.45
 
 
 def test_what_the_map_does_not_show_does_not_count():
-    half = MapPicture(MAP.gray, MAP.mask.copy(), 1000, 1.0, "px")
+    half = ReferenceMap(MAP.gray, MAP.mask.copy(), 1000, 1.0, "px")
     half.mask[:, : SIDE // 2] = False
     found = repeatability(anywhere(500, 0), anywhere(500, 0), SAME, half)
     assert found.repeated == 1.0

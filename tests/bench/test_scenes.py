@@ -8,7 +8,7 @@ from bench_scenes import ground
 from vwnav.bench.features.flight_scenes import Shot, flight_scenes
 from vwnav.bench.features.methods import FeatureSet, Method
 from vwnav.bench.features.pair_scenes import Registered, view_pairs
-from vwnav.bench.features.scenes import look_at, map_side, picture_side
+from vwnav.bench.features.scenes import image_side, look_at, map_side
 from vwnav.bench.features.scoring import Judge
 from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
@@ -20,7 +20,7 @@ SIFT = FeatureSet("sift", SiftFeatures().extract, [Method("sift")])
 
 
 def test_sides_hold_the_size_and_fit_the_extractors():
-    assert [picture_side(s) for s in (1, 32, 33.0, 700)] == [32, 32, 64, 704]
+    assert [image_side(s) for s in (1, 32, 33.0, 700)] == [32, 32, 64, 704]
     assert [map_side(s) for s in (384, 640, 641, 1152, 1153)] == [384, 640, 1152, 1152, 1664]
 
 
@@ -38,12 +38,12 @@ def test_a_shrunk_view_keeps_places_to_a_fraction_of_a_pixel():
 
 
 def test_a_pair_of_views_is_related_by_its_homography():
-    picture = ground(600, 700)
-    pair = Registered("one", picture, picture, np.eye(3))
+    image = ground(600, 700)
+    pair = Registered("one", image, image, np.eye(3))
     (scene,) = view_pairs("group", [pair], 1)
     back = cv2.warpPerspective(scene.map_.gray, np.linalg.inv(scene.H_1_0), (384, 384))
     inner = slice(120, 264)
-    difference = back[inner, inner].astype(float) - scene.picture[inner, inner]
+    difference = back[inner, inner].astype(float) - scene.image[inner, inner]
     assert np.abs(difference).mean() < 8.0
     assert np.abs(back[inner, inner].astype(float).mean() - back.mean()) < 60.0
 
@@ -53,10 +53,10 @@ def test_scenes_are_the_same_every_time_and_differ_from_each_other():
     first, second = view_pairs("group", [pair], 2, same_day=True)
     again, _ = view_pairs("group", [pair], 2, same_day=True)
     assert np.array_equal(first.map_.gray, again.map_.gray)
-    assert not np.array_equal(first.picture, second.picture)
+    assert not np.array_equal(first.image, second.image)
 
 
-def test_pictures_that_share_no_ground_are_an_error():
+def test_images_that_share_no_ground_are_an_error():
     away = np.array([[1.0, 0.0, 5000.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     with pytest.raises(SourceError, match="share"):
         list(view_pairs("group", [Registered("one", ground(), ground(), away)], 1))

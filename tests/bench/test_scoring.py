@@ -3,7 +3,7 @@ import pytest
 from bench_scenes import features, fixed, scene
 
 from vwnav.bench.features.methods import FeatureSet, Method
-from vwnav.bench.features.scenes import MapPicture
+from vwnav.bench.features.scenes import ReferenceMap
 from vwnav.bench.features.scoring import (
     Judge,
     area_under_curve,
@@ -53,7 +53,7 @@ def test_a_place_is_off_by_what_the_map_is_off():
 
 
 def test_without_a_label_right_matches_say_what_repeats():
-    # The feature set is asked for the map, the picture, and the map and the picture of 1000.
+    # The feature set is asked for the map, the image, and the map and the image of 1000.
     found = outcome(None, places(), places() + np.array([1.0, 0.5]))
     assert found.repeatable.repeated == 1.0
     assert found.repeatable.above_chance > 0.5
@@ -111,7 +111,7 @@ def test_a_large_map_is_extracted_without_gaps_or_doubles():
         rows, columns = np.nonzero(gray)
         return features(np.stack([columns, rows], axis=1))
 
-    map_ = MapPicture(blank, np.ones_like(blank, np.bool_), 1000, 1.0, "px")
+    map_ = ReferenceMap(blank, np.ones_like(blank, np.bool_), 1000, 1.0, "px")
     found = map_features(FeatureSet("bright", bright, [Method("bright")]), map_)
     assert {tuple(uv) for uv in found.uv.astype(int)} == {tuple(uv) for uv in marks.reshape(-1, 2)}
     assert len(found) == marks[..., 0].size

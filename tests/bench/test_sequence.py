@@ -28,7 +28,7 @@ def test_a_hard_turn_stays():
 
 
 def test_of_the_real_track_two_places_are_left_out(data_folder):
-    """Its own columns say the same: the picture of 1270 was fitted 14 % too small."""
+    """Its own columns say the same: the image of 1270 was fitted 14 % too small."""
     flight = data_folder / "flights" / "islamabad" / "sift_track_every10.csv"
     rows = list(csv.DictReader(flight.open()))
     places = np.array([(float(row["lat"]), float(row["lon"])) for row in rows])

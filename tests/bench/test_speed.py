@@ -17,7 +17,7 @@ from vwnav.bench.speed.settings import (
     CAMERA_HZ,
     SIZES_WH,
     feature_choices,
-    pictures_apart,
+    images_apart,
     settings,
     thread_counts,
 )
@@ -73,7 +73,7 @@ def test_the_most_accurate_that_is_fast_enough_comes_first_and_of_equals_what_ta
     assert ranking(rows, 30.0) == []
 
 
-def test_one_picture_of_sixty_is_no_difference_but_inliers_are():
+def test_one_image_of_sixty_is_no_difference_but_inliers_are():
     assert Accuracy(59 / 60, 150.0).merit > Accuracy(1.0, 60.0).merit
     assert Accuracy(0.9, 150.0).merit < Accuracy(1.0, 60.0).merit
 
@@ -108,8 +108,8 @@ def test_nobody_is_told_of_a_cost_where_there_is_none(rows):
 
 
 @pytest.mark.parametrize(("target_hz", "apart"), [(5.0, 6), (8.0, 3), (30.0, 1), (0.5, 60)])
-def test_as_many_pictures_are_matched_as_were_asked_for(target_hz, apart):
-    assert pictures_apart(target_hz) == apart
+def test_as_many_images_are_matched_as_were_asked_for(target_hz, apart):
+    assert images_apart(target_hz) == apart
     setting = next(settings(feature_choices(["nano"]), range(1, 2)))
     interval_s = setting.as_config(target_hz)["pipeline"]["fix_interval_s"]
     assert apart - 1 < CAMERA_HZ * interval_s < apart

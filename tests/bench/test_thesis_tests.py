@@ -58,7 +58,7 @@ def test_each_autopilot_flies_the_failsafe_test_in_its_own_modes():
     assert faults == [PilotSwitches, PilotHandsBack, RadioOff]  # a stick does not end GUIDED
 
 
-def test_files_are_a_table_and_three_pictures(tmp_path):
+def test_files_are_a_table_and_three_images(tmp_path):
     pytest.importorskip("matplotlib")
     names = save_plots(HOVER, hover(), tmp_path)
     assert names == ["hover_altitude.png", "hover_position.png", "hover_yaw.png"]

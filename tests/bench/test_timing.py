@@ -3,13 +3,13 @@ import time
 import numpy as np
 from bench_scenes import features, fixed, ground, scene
 
+from vwnav.bench.features.figures import draw
 from vwnav.bench.features.methods import OPENCV_SIFT, FeatureSet, Method
-from vwnav.bench.features.pictures import draw
 from vwnav.bench.features.scoring import Judge
 from vwnav.bench.features.thesis import thesis_rows
 from vwnav.bench.features.timing import measure
 
-PICTURE = ground(64, 64)[:, :, 0]
+IMAGE = ground(64, 64)[:, :, 0]
 
 
 def slow(name: str, spent_s: float) -> FeatureSet:
@@ -35,7 +35,7 @@ def wait_for_other_threads():
 
 def test_times_are_given_against_sift():
     wait_for_other_threads()
-    times = measure([slow("quick", 0.002), slow(OPENCV_SIFT, 0.008)], PICTURE, PICTURE, repeats=5)
+    times = measure([slow("quick", 0.002), slow(OPENCV_SIFT, 0.008)], IMAGE, IMAGE, repeats=5)
     assert times[OPENCV_SIFT].extract_cpu_to_sift == 1.0
     assert 0.15 < times["quick"].extract_cpu_to_sift < 0.5
     assert times["quick"].extract_cpu_to_xfeat is None

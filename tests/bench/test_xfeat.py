@@ -18,8 +18,8 @@ def test_xfeat_in_onnxruntime_says_what_the_package_says(capsys):
 
     gray = ground(192, 256)[:, :, 0].copy()
     found = load_xfeat().extract(gray, 300)
-    picture = torch.from_numpy(gray).float()[None, None]
-    expected = published_model().detectAndCompute(picture, top_k=300)[0]
+    image = torch.from_numpy(gray).float()[None, None]
+    expected = published_model().detectAndCompute(image, top_k=300)[0]
     assert capsys.readouterr().out == ""
     assert len(found) == len(expected["keypoints"]) > 100
     assert np.array_equal(found.uv, expected["keypoints"].numpy())

@@ -49,7 +49,7 @@ class Truth:
     bank_deg: float = 25.0
     turns: bool = True
     rangefinder: bool = True
-    pictures: int = 120
+    images: int = 120
     seconds: float = 120.0
     sigma_px: float = 0.8
 
@@ -95,7 +95,7 @@ def fly(truth: Truth, seed: int) -> MountFlight:
             metres = -place[i, 2] / R[i, 2, 2] * (1 + 0.01 * rng.normal()) + bias
             ranges.append(Range(float(t[i]), float(metres)))
     R_mount = mount(truth.mount_rpy_deg)
-    stamps = np.linspace(0.0, truth.seconds, truth.pictures)
+    stamps = np.linspace(0.0, truth.seconds, truth.images)
     sightings = [_sighting(truth, rng, s, t, R, place, velocity, R_mount) for s in stamps]
     # Exp(drift) R = told, so R M = told (told^T R) M: what is asked is the mean of told^T R M.
     at = np.searchsorted(t, stamps + truth.offset_s)

@@ -80,14 +80,14 @@ def test_banked_turns_tell_the_focal_length_without_a_rangefinder():
 
 
 def test_one_flight_tells_the_mount_to_a_fifth_of_a_degree():
-    _, errors, sigmas = fit(Truth(pictures=60, seconds=70.0), 3)
+    _, errors, sigmas = fit(Truth(images=60, seconds=70.0), 3)
     assert np.all(np.abs(errors[:2]) < np.radians(0.2))
     assert np.all(np.abs(errors[3:5]) < 0.002)
     assert np.all(np.abs(errors[:5]) < 3.0 * sigmas[:5])
 
 
 def test_matches_that_are_wrong_and_too_far_in_make_no_smaller_focal_length():
-    """One of seven, by 12 to 20 px: wrong ones lie within the picture, so more are inwards."""
+    """One of seven, by 12 to 20 px: wrong ones lie within the image, so more are inwards."""
 
     def spoil(seen):
         rng = np.random.default_rng(int(1e3 * seen.t_s))
@@ -96,7 +96,7 @@ def test_matches_that_are_wrong_and_too_far_in_make_no_smaller_focal_length():
         wrong = rng.uniform(12.0, 20.0, (len(out), 1)) * (rng.random((len(out), 1)) < 0.15)
         return replace(seen, uv=seen.uv - wrong * inward)
 
-    _, errors, _ = fit(Truth(pictures=60, seconds=70.0, sigma_px=2.0), 3, True, spoil)
+    _, errors, _ = fit(Truth(images=60, seconds=70.0, sigma_px=2.0), 3, True, spoil)
     assert abs(errors[5]) < 0.002
 
 
@@ -112,7 +112,7 @@ def test_a_camera_below_the_autopilot_is_lower_than_the_rangefinder_says():
 
 
 def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length():
-    calm = Truth(pictures=50, seconds=60.0, turns=False, rangefinder=False, focal=0.98)
+    calm = Truth(images=50, seconds=60.0, turns=False, rangefinder=False, focal=0.98)
     found, _, _ = fit(calm, 1, focal=True)
     verdict = judge(CAMERA, found, True, False, np.radians(4.0))
     why = {each.name: each.refused for each in verdict.told}
@@ -124,6 +124,6 @@ def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length()
 
 
 def test_a_mount_that_is_hardly_told_is_refused_as_a_whole():
-    found, _, _ = fit(Truth(pictures=30, seconds=40.0), 1)
+    found, _, _ = fit(Truth(images=30, seconds=40.0), 1)
     with pytest.raises(CalibrationError, match=r"tells the mount to 2\.0 degrees only"):
         judge(CAMERA, replace(found, sigmas_rad=np.radians([2.0, 0.1, 0.1])), False, True, 0.5)

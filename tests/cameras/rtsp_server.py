@@ -14,12 +14,12 @@ PACKET = 1400
 
 
 class RtspServer(socketserver.ThreadingTCPServer):
-    """Serves `pictures()`, JPEG files of baseline coding, 4:2:0, to everybody who plays it."""
+    """Serves `images()`, JPEG files of baseline coding, 4:2:0, to everybody who plays it."""
 
     allow_reuse_address, daemon_threads = True, True
 
-    def __init__(self, pictures: Callable[[], Iterable[bytes]], size_wh: tuple[int, int]) -> None:
-        self.pictures, self.size_wh = pictures, size_wh
+    def __init__(self, images: Callable[[], Iterable[bytes]], size_wh: tuple[int, int]) -> None:
+        self.images, self.size_wh = images, size_wh
         super().__init__(("127.0.0.1", 0), Session)
 
     @property
@@ -57,12 +57,12 @@ class Session(socketserver.StreamRequestHandler):
 
     def _play(self) -> None:
         sequence = 0
-        for picture, jpeg in enumerate(self.server.pictures()):
+        for image, jpeg in enumerate(self.server.images()):
             tables, scan = parts_of(jpeg)
             for offset in range(0, len(scan), PACKET):
                 piece = scan[offset : offset + PACKET]
                 last = offset + PACKET >= len(scan)
-                head = struct.pack(">BBHII", 0x80, 26 | last << 7, sequence, picture * 3000, 1)
+                head = struct.pack(">BBHII", 0x80, 26 | last << 7, sequence, image * 3000, 1)
                 width, height = (side // 8 for side in self.server.size_wh)
                 head += struct.pack(">II", offset, 1 << 24 | 255 << 16 | width << 8 | height)
                 head += struct.pack(">HH", 0, len(tables)) + tables if offset == 0 else b""

@@ -1,4 +1,4 @@
-"""Pictures from files, folders and live sources."""
+"""Images from files, folders and live sources."""
 
 import http.server
 import itertools
@@ -20,8 +20,8 @@ from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 
 
-def picture(number: int, width: int = 160) -> np.ndarray:
-    """A smooth picture whose brightness tells its number."""
+def drawn(number: int, width: int = 160) -> np.ndarray:
+    """A smooth image whose brightness tells its number."""
     image = np.zeros((120, width, 3), np.uint8)
     image[:] = 10 + 5 * number
     image[20:40, 20:40] = 255 - 5 * number
@@ -33,7 +33,7 @@ def write_video(path, fourcc: str, count: int = 30, fps: float = 20.0) -> None:
     assert writer.isOpened()
     for number in range(count):
         noise = np.random.default_rng(number).integers(0, 30, (120, 160, 3), np.uint8)
-        writer.write(picture(number) + noise)
+        writer.write(drawn(number) + noise)
     writer.release()
 
 
@@ -69,7 +69,7 @@ def test_a_video_is_read_whole_with_its_own_times(tmp_path, name, fourcc):
 
 
 @pytest.mark.parametrize(("name", "fourcc"), [("a.avi", "MJPG"), ("a.mkv", "mp4v")])
-def test_a_video_that_ends_in_a_picture_gives_the_good_ones_then_one_clear_line(
+def test_a_video_that_ends_in_an_image_gives_the_good_ones_then_one_clear_line(
     tmp_path, name, fourcc
 ):
     write_video(tmp_path / name, fourcc)
@@ -106,7 +106,7 @@ def with_index_in_front(whole: bytes) -> bytes:
     return boxes[b"ftyp"] + bytes(moov) + rest
 
 
-def test_a_cut_mp4_whose_index_is_in_front_gives_the_good_pictures_first(tmp_path):
+def test_a_cut_mp4_whose_index_is_in_front_gives_the_good_images_first(tmp_path):
     path = tmp_path / "a.mp4"
     write_video(path, "mp4v")
     front = with_index_in_front(path.read_bytes())
@@ -127,7 +127,7 @@ def test_what_is_no_video_or_not_there_says_so(tmp_path):
 
 def test_a_folder_is_read_in_natural_order_at_its_rate(tmp_path):
     for number in (10, 9, 1):
-        cv2.imwrite(str(tmp_path / f"f{number}.png"), picture(number))
+        cv2.imwrite(str(tmp_path / f"f{number}.png"), drawn(number))
     (tmp_path / "notes.txt").write_text("not a picture")
     frames = frames_of(open_source(str(tmp_path), fps=4.0))
     assert [int(f.image[100, 100, 0]) for f in frames] == [15, 55, 60]
@@ -143,8 +143,8 @@ def with_exif_date(jpeg: bytes, date: str) -> bytes:
     return jpeg[:2] + b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block + jpeg[2:]
 
 
-def test_times_come_from_exif_where_all_pictures_have_them(tmp_path):
-    jpeg = cv2.imencode(".jpg", picture(1))[1].tobytes()
+def test_times_come_from_exif_where_all_images_have_them(tmp_path):
+    jpeg = cv2.imencode(".jpg", drawn(1))[1].tobytes()
     for number, second in enumerate((58, 59, 62)):
         date = f"2026:06:01 10:{second // 60:02d}:{second % 60:02d}"
         (tmp_path / f"{number}.jpg").write_bytes(with_exif_date(jpeg, date))
@@ -153,7 +153,7 @@ def test_times_come_from_exif_where_all_pictures_have_them(tmp_path):
     assert [f.t_s for f in frames_of(ImageFolder(tmp_path, 1.0))] == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_a_broken_picture_is_named(tmp_path):
+def test_a_broken_image_is_named(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"")
     with pytest.raises(SourceError, match=r"a\.jpg is not a picture"):
         ImageFolder(tmp_path, 1.0).next_frame()
@@ -165,7 +165,7 @@ def test_an_empty_folder_is_refused(tmp_path):
 
 
 class SteadyGrabber:
-    """A camera of 200 pictures a second that may break."""
+    """A camera of 200 images a second that may break."""
 
     def __init__(self, count: int) -> None:
         self.numbers, self.closed = iter(range(count)), False
@@ -173,13 +173,13 @@ class SteadyGrabber:
     def grab(self):
         time.sleep(0.005)
         number = next(self.numbers, None)
-        return None if number is None else (float(number), picture(number % 40))
+        return None if number is None else (float(number), drawn(number % 40))
 
     def close(self) -> None:
         self.closed = True
 
 
-def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
+def test_a_live_camera_hands_out_the_newest_image_and_counts_the_others():
     grabber = SteadyGrabber(1000)
     source = RealTimeSource(lambda: grabber)
     first = source.next_frame()
@@ -192,7 +192,7 @@ def test_a_live_camera_hands_out_the_newest_picture_and_counts_the_others():
     assert source.next_frame() is None
 
 
-def test_a_camera_that_stops_is_an_error_after_its_last_picture():
+def test_a_camera_that_stops_is_an_error_after_its_last_image():
     source = RealTimeSource(lambda: SteadyGrabber(1))
     assert source.next_frame().index == 0
     with pytest.raises(SourceError, match="no pictures any more"):
@@ -211,7 +211,7 @@ def test_a_camera_that_hangs_is_an_error_in_time():
 
 @pytest.mark.parametrize("pulled", ["ends", "raises"])
 def test_a_camera_that_is_plugged_in_again_comes_back_by_itself(monkeypatch, pulled):
-    """Pulled out after three pictures, not to be opened twice, then there again."""
+    """Pulled out after three images, not to be opened twice, then there again."""
     monkeypatch.setattr("vwnav.cameras.live._AGAIN_S", 0.05)
     opened = []
 
@@ -251,7 +251,7 @@ class MjpegHandler(http.server.BaseHTTPRequestHandler):
         self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
         self.end_headers()
         for number in itertools.count():
-            jpeg = cv2.imencode(".jpg", picture(number % 40))[1].tobytes()
+            jpeg = cv2.imencode(".jpg", drawn(number % 40))[1].tobytes()
             head = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
             try:
                 self.wfile.write(head.encode() + jpeg + b"\r\n")
@@ -286,7 +286,7 @@ def test_without_picamera2_it_says_how_to_get_it():
 
 
 class FakePicamera:
-    """A Raspberry Pi camera as picamera2 has it, whose every picture ends its first row at 5 s."""
+    """A Raspberry Pi camera as picamera2 has it, whose every image ends its first row at 5 s."""
 
     model = "imx219"
 
@@ -305,7 +305,7 @@ class FakePicamera:
 
     def capture_request(self):
         return SimpleNamespace(
-            make_array=lambda _: picture(1),
+            make_array=lambda _: drawn(1),
             get_metadata=lambda: {"SensorTimestamp": 5_000_000_000, "ExposureTime": 4000},
             release=lambda: None,
         )
@@ -314,7 +314,7 @@ class FakePicamera:
 @pytest.mark.parametrize(
     ("model", "readout_s"), [("imx219", 0.02329), ("imx296", 0.0), ("unheard of", 0.0)]
 )
-def test_a_pi_cameras_picture_is_stamped_at_its_centre_row(monkeypatch, model, readout_s):
+def test_a_pi_cameras_image_is_stamped_at_its_centre_row(monkeypatch, model, readout_s):
     """1232 rows of 18.9 us, as the sensor's driver has them; its stamp is the first row's end."""
     monkeypatch.setattr(FakePicamera, "model", model)
     module = SimpleNamespace(Picamera2=FakePicamera)
@@ -325,7 +325,7 @@ def test_a_pi_cameras_picture_is_stamped_at_its_centre_row(monkeypatch, model, r
 
 def test_a_calibrated_offset_moves_every_stamp(tmp_path):
     for number in range(3):
-        cv2.imwrite(str(tmp_path / f"{number}.png"), picture(number))
+        cv2.imwrite(str(tmp_path / f"{number}.png"), drawn(number))
     source = RetimedSource(open_source(str(tmp_path), fps=4.0), 0.07)
     assert [round(f.t_s, 6) for f in frames_of(source)] == [0.07, 0.32, 0.57]
     source.close()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rtsp_server import RtspServer, bright
 
-from vwnav.cameras.live import AskedPictures, V4l2Grabber
+from vwnav.cameras.live import AskedImages, V4l2Grabber
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
 
@@ -88,7 +88,7 @@ def test_luminance_is_taken_as_it_comes(camera, pixels):
 
 def test_motion_jpeg_comes_in_colour_and_is_what_is_asked_where_nothing_is(camera):
     _, opened = camera
-    grabber = V4l2Grabber("/dev/null", AskedPictures())
+    grabber = V4l2Grabber("/dev/null", AskedImages())
     assert grabber.grab()[1].shape == (480, 640, 3)
     assert opened[0].get(cv2.CAP_PROP_FOURCC) == FOURCC["MJPG"]
     assert opened[0].get(cv2.CAP_PROP_FRAME_WIDTH) == 1920
@@ -155,7 +155,7 @@ def test_a_pipeline_that_fails_says_why_in_one_line(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(shutil.which("gst-launch-1.0") is None, reason="GStreamer is not installed")
-def test_the_real_gstreamer_gives_pictures():
+def test_the_real_gstreamer_gives_images():
     source = open_source("gst:322x240@30:videotestsrc is-live=true pattern=white")
     frames = [source.next_frame() for _ in range(3)]
     source.close()
@@ -164,11 +164,11 @@ def test_the_real_gstreamer_gives_pictures():
 
 
 def test_an_rtsp_camera_is_seen():
-    def pictures():
+    def images():
         for number in itertools.count():
             yield cv2.imencode(".jpg", bright(number))[1].tobytes()
 
-    with RtspServer(pictures, (160, 120)) as server:
+    with RtspServer(images, (160, 120)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         source = open_source(server.url)
         frames = [source.next_frame() for _ in range(4)]

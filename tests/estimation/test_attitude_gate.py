@@ -60,7 +60,7 @@ def test_one_level_attitude_among_right_ones_is_refused_and_leaves_no_trace(imu)
 @pytest.mark.parametrize("imu", [True, False])
 @pytest.mark.parametrize("turned_deg", [0.0, 118.0])
 def test_level_attitudes_while_the_link_is_cut_are_none_of_the_autopilot(imu, turned_deg):
-    """15 a second for five, as pictures came: nothing else of the autopilot is heard meanwhile."""
+    """15 a second for five, as images came: nothing else of the autopilot is heard meanwhile."""
     ekf = cruising(2.0, imu, lambda t: quat(turned_deg))
     for i in range(75):
         ekf.handle(Attitude(2.0 + (i + 1) / 15.0, LEVEL))

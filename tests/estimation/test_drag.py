@@ -1,4 +1,4 @@
-"""What the air does to the aircraft tells how fast it flies, where pictures do not."""
+"""What the air does to the aircraft tells how fast it flies, where images do not."""
 
 import gzip
 import math
@@ -24,7 +24,7 @@ RECORDINGS = Path(__file__).resolve().parents[3] / "shared" / "data" / "mavlink"
 
 
 def goes_blind(seed: int, imu_hz: float = 100.0) -> tuple[FilterWorld, Run]:
-    """A minute of flight with pictures, then without, in wind with gusts."""
+    """A minute of flight with images, then without, in wind with gusts."""
     world = FilterWorld(seconds=SEEN_S + BLIND_S, imu_hz=imu_hz, hover_share=0.3)
     rng = np.random.default_rng(seed)
     stream = sense(world, fly(world, [rng])[0], rng)
@@ -37,7 +37,7 @@ def goes_blind(seed: int, imu_hz: float = 100.0) -> tuple[FilterWorld, Run]:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_without_pictures_the_velocity_stays_known_and_the_truth_within_5_sigma(seed):
+def test_without_images_the_velocity_stays_known_and_the_truth_within_5_sigma(seed):
     world, run = goes_blind(seed)
     assert run.last.x[States.DRAG] == pytest.approx(world.drag_per_s, abs=0.05)
     for t_s, error_m, P in zip(run.rows.t_s, run.rows.error_ne_m, run.rows.P, strict=True):

@@ -159,7 +159,7 @@ def test_who_stands_comes_to_rest_whatever_was_believed_in_the_landing():
     assert np.hypot(*ekf.estimate(3.0).velocity_ned_m_s[:2]) < 0.1
 
 
-def test_ways_from_a_forgotten_keyframe_are_told_from_picture_to_picture():
+def test_ways_from_a_forgotten_keyframe_are_told_from_image_to_image():
     """A hovering aircraft's keyframe stays for minutes; the filter has begun anew meanwhile."""
     ekf, told = hovering(seconds=4.0), []
     for i in range(1, 30):

@@ -162,7 +162,7 @@ def test_a_barometer_that_jumps_for_good_costs_no_height_above_ground():
 
 
 def test_the_imu_is_used_where_it_is_streamed():
-    """Between pictures the accelerometer knows better than thrust and drag do."""
+    """Between images the accelerometer knows better than thrust and drag do."""
     world = replace(USUAL, seconds=60.0, hover_share=0.0)
     errors = []
     for imu_hz in (0.0, 50.0):
@@ -256,7 +256,7 @@ def test_wind_that_takes_hold_at_take_off_does_not_turn_the_heading(monkeypatch,
 
 
 def test_a_long_way_without_fixes_is_the_sum_of_its_pieces():
-    """What the heading's error does to the place far away, no picture's noise may move.
+    """What the heading's error does to the place far away, no image's noise may move.
 
     By the gain whose heading rows alone were zero it moved 5.9 m in 480 m, now 2.4.
     """

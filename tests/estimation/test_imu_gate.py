@@ -127,8 +127,8 @@ def test_what_it_told_before_it_was_found_out_is_taken_back(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("off_m_s2", [(4, 0, 0), (0, -3, 0), (0, 0, 4), (-3, 2, -2), (6, 6, 0)])
-def test_an_accelerometer_that_is_off_is_told_from_pictures_that_are(off_m_s2, seed):
-    """The pictures were blamed for it: without them it flew on by it, 1 km away at 69 m/s."""
+def test_an_accelerometer_that_is_off_is_told_from_images_that_are(off_m_s2, seed):
+    """The images were blamed for it: without them it flew on by it, 1 km away at 69 m/s."""
     said: list[str] = []
     run = play(altered(stream_of(seed), off_by(off_m_s2), 15.0, math.inf), say=said.append)
     assert [each for each in said if "accelerometer is off" in each]

@@ -27,7 +27,7 @@ def tell(
         x = np.zeros(States.SIZE)
         x[States.VELOCITY.start] = 8.0 - 0.1 * i * brakes_m_s2
         t_s = begin_s + 0.1 * i
-        state = FilterState(t_s, x, P, True, True, tracked_s=t_s, pictured_s=t_s)
+        state = FilterState(t_s, x, P, True, True, tracked_s=t_s, exposed_s=t_s)
         gate.learn(agrees, state)
     return begin_s + seconds
 
@@ -68,7 +68,7 @@ def test_in_steady_flight_ways_of_another_moment_agree_and_that_proves_nothing()
     assert not gate.lost
 
 
-def test_after_a_gap_of_pictures_it_may_be_the_filter_that_is_wrong():
+def test_after_a_gap_of_images_it_may_be_the_filter_that_is_wrong():
     gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
     tell(gate, tell(gate, 0.0, 0.8, False) + 1.0, 1.0, False)
     assert not gate.lost

@@ -14,7 +14,7 @@ from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Asked
 from vwnav.estimation.states import Start
 from vwnav.estimation.timeline import NedFix
-from vwnav.recording.input_log import PictureSeen, read_input_log
+from vwnav.recording.input_log import ImageSeen, read_input_log
 from vwnav.types import Array, Estimate
 
 MOST_SIGMAS = 5.0
@@ -53,7 +53,7 @@ def replayed(input_log: Path, ekf: Ekf, truth: Truth) -> Iterator[tuple[Estimate
     fix_s, asked = -math.inf, 0
     for seen in read_input_log(input_log):
         asked += isinstance(seen, Asked)
-        if isinstance(seen, PictureSeen) or (isinstance(seen, Asked) and asked % 4):
+        if isinstance(seen, ImageSeen) or (isinstance(seen, Asked) and asked % 4):
             continue
         if isinstance(seen, Start | Asked):
             estimate = ekf.take(seen)

@@ -1,4 +1,4 @@
-"""Weak places of several pictures joined: what is found, and what must never be."""
+"""Weak places of several images joined: what is found, and what must never be."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -51,9 +51,9 @@ class Flight:
     """A straight way over the map, as the truth has it and as odometry does.
 
     Attributes:
-        step_m: between pictures.
+        step_m: between images.
         turned_rad, stretched: of the odometry's axes against the map's, and of its unit.
-        loses: pictures that odometry does not reach.
+        loses: images that odometry does not reach.
     """
 
     rng: np.random.Generator
@@ -102,8 +102,8 @@ class Flight:
         return place(*(self.place_ne_m + off_m), yaw_rad, decades=decades)
 
     def join(self, *weak: WeakFix) -> MapFix | None:
-        picture = Rejected(float(self.number), RejectReason.FEW_INLIERS, weak=weak)
-        outcome = self.sequences.join(picture)
+        image = Rejected(float(self.number), RejectReason.FEW_INLIERS, weak=weak)
+        outcome = self.sequences.join(image)
         return outcome if isinstance(outcome, MapFix) else None
 
     def off_m(self, fix: MapFix) -> float:
@@ -111,10 +111,10 @@ class Flight:
         return float(np.linalg.norm(there - self.place_ne_m))
 
 
-def flown(flight: Flight, pictures: int, see) -> list[MapFix]:
-    """The fixes of so many pictures; `see` says what each shows."""
+def flown(flight: Flight, images: int, see) -> list[MapFix]:
+    """The fixes of so many images; `see` says what each shows."""
     fixes = []
-    for _ in range(pictures):
+    for _ in range(images):
         flight.fly()
         fix = flight.join(*see())
         if fix is not None:
@@ -136,7 +136,7 @@ def test_a_right_sequence_is_found_among_wrong_places(seed, turned_rad, stretche
 
 
 def test_places_that_have_nothing_to_do_with_each_other_are_never_a_fix():
-    """600 flights of 15 pictures, each with three wrong places."""
+    """600 flights of 15 images, each with three wrong places."""
     for seed in range(600):
         rng = np.random.default_rng(seed)
         flight = Flight(rng)
@@ -146,7 +146,7 @@ def test_places_that_have_nothing_to_do_with_each_other_are_never_a_fix():
 
 
 def test_a_road_that_looks_alike_all_along_is_no_place():
-    """Every picture is found somewhere along the way that is flown, heading right, and surely."""
+    """Every image is found somewhere along the way that is flown, heading right, and surely."""
     for seed in range(200):
         rng = np.random.default_rng(seed)
         flight = Flight(rng)
@@ -216,7 +216,7 @@ def test_carried_in_two_steps_it_comes_to_the_same_place_as_in_one(seed):
 @given(SEEDS)
 @settings(max_examples=30, deadline=None)
 def test_what_errs_alike_is_not_more_certain_together(seed):
-    """Two pictures that share all of their error: joined they are as unsure as one."""
+    """Two images that share all of their error: joined they are as unsure as one."""
     rng = np.random.default_rng(seed)
     one = begun(place(*rng.normal(0.0, 50.0, 2), 1.0), pose(rng, 0.0), HOME)
     assert one.joined(one).covariance == pytest.approx(one.covariance)
@@ -266,7 +266,7 @@ def test_a_way_adds_up_its_keyframes_in_heights():
     assert pose.variance == pytest.approx(0.01 + 0.04)
 
 
-def test_a_picture_that_is_not_reached_begins_another_way_unless_the_keyframe_still_stands():
+def test_an_image_that_is_not_reached_begins_another_way_unless_the_keyframe_still_stands():
     way = WayCounted()
     way.follow(motion(0.0, 1.0, 5.0), 0.1)
     assert way.follow(Rejected(2.0, RejectReason.FEW_MATCHES), 0.1).way == 1

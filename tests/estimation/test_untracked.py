@@ -1,4 +1,4 @@
-"""Pictures of a video alone that cannot be followed: what they leave open, and for how long."""
+"""Images of a video alone that cannot be followed: what they leave open, and for how long."""
 
 import math
 
@@ -33,7 +33,7 @@ def way(t0_s: float, t1_s: float) -> OdometryMotion:
 
 
 def followed(seconds: float = 2.0) -> tuple[Ekf, float]:
-    """A video alone that flies north at 10 m/s and is seen to, and the time of its last picture."""
+    """A video alone that flies north at 10 m/s and is seen to, and the time of its last image."""
     ekf, t_s = Ekf(EkfConfig().without_telemetry()), 0.0
     start = np.array([0.0, 0.0, -AGL_M])
     ekf.initialise(Start(t_s=0.0, position_ned_m=start, agl_m=AGL_M, sigma_velocity_m_s=15.0))
@@ -47,13 +47,13 @@ def followed(seconds: float = 2.0) -> tuple[Ekf, float]:
 
 
 def see(ekf: Ekf, t0_s: float, t1_s: float) -> Verdict:
-    """A picture that was followed from the one before."""
+    """An image that was followed from the one before."""
     ekf.handle(Attitude(t1_s, LEVEL))
     return ekf.handle(way(t0_s, t1_s)).verdict
 
 
 def lose(ekf: Ekf, t_s: float, *gaps_s: float) -> float:
-    """Pictures so far apart that were not followed; the time of the last one."""
+    """Images so far apart that were not followed; the time of the last one."""
     for gap_s in gaps_s:
         t_s += gap_s
         ekf.estimate(t_s)  # which tells the filter the time, as a pipeline does
@@ -69,7 +69,7 @@ def sigmas(found: Estimate) -> np.ndarray:
 
 
 @given(gaps)
-def test_no_sigma_falls_while_no_picture_is_followed(gaps_s):
+def test_no_sigma_falls_while_no_image_is_followed(gaps_s):
     ekf, t_s = followed(0.5)
     before = sigmas(ekf.estimate(t_s))
     for gap_s in gaps_s:
@@ -80,7 +80,7 @@ def test_no_sigma_falls_while_no_picture_is_followed(gaps_s):
 
 
 @given(gaps)
-def test_how_often_pictures_come_that_tell_nothing_does_not_matter(gaps_s):
+def test_how_often_images_come_that_tell_nothing_does_not_matter(gaps_s):
     """A turn lasts: the heading is as open after one gap as after many that are as long."""
     many, t_s = followed(0.5)
     one, _ = followed(0.5)
@@ -115,7 +115,7 @@ def test_ways_are_not_turned_by_a_heading_that_is_not_known_until_a_fix_tells_it
     assert see(ekf, t_s + 0.1, t_s + 0.2) is Verdict.FUSED
 
 
-def test_an_outage_is_counted_from_the_last_picture_that_was_followed():
+def test_an_outage_is_counted_from_the_last_image_that_was_followed():
     """Two of half a second leave less open than one of a second."""
     apart, t_s = followed()
     t_s = lose(apart, t_s, 0.2)
@@ -128,7 +128,7 @@ def test_an_outage_is_counted_from_the_last_picture_that_was_followed():
 
 
 def test_a_fix_of_before_the_loss_leaves_the_heading_of_now_open():
-    """A search in another thread ends when the history no longer reaches its picture."""
+    """A search in another thread ends when the history no longer reaches its image."""
     from vwnav.estimation.timeline import Exposed
 
     ekf, t_s = followed()

@@ -23,8 +23,8 @@ def run(session, image, max_keypoints):
 @pytest.mark.parametrize("index", range(5))
 def test_the_graph_says_what_pytorch_says_at_every_size(model, network, index):
     session = parity.open_session(model.SerializeToString())
-    picture = parity.drawn_pictures(5)[index]
-    result = parity.compare(session, Extractor(network), picture, max_keypoints=400)
+    image = parity.drawn_images(5)[index]
+    result = parity.compare(session, Extractor(network), image, max_keypoints=400)
     assert result.ok, result
     assert result.keypoints > 50
 
@@ -48,7 +48,7 @@ def test_the_graph_has_no_batch_norm_left_and_no_path_of_the_machine(model):
 
 
 @pytest.mark.parametrize(("size", "most"), [("nano", 0.25e9), ("default", 1.3e9)])
-def test_a_picture_costs_half_of_what_it_did(size, most):
+def test_an_image_costs_half_of_what_it_did(size, most):
     graph = export_onnx.to_onnx(FeatureNetwork(NETWORK_SIZES[size]).eval())
     assert graph_cost(graph.SerializeToString()).macs <= most
 
@@ -57,7 +57,7 @@ def test_an_export_is_whole_and_can_be_opened(checkpoint, tmp_path, monkeypatch,
     monkeypatch.setattr(export_onnx, "to_onnx", lambda _: model)  # tracing again takes long
     output = tmp_path / "model.onnx"
     assert export_onnx.main([str(checkpoint), "-o", str(output)]) == 0
-    uv, scores, _ = run(parity.open_session(output), parity.drawn_pictures(1)[0], 50)
+    uv, scores, _ = run(parity.open_session(output), parity.drawn_images(1)[0], 50)
     assert 0 < len(uv) == len(scores) <= 50
     assert [p.name for p in tmp_path.iterdir()] == ["model.onnx"]
 

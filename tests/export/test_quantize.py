@@ -4,23 +4,23 @@ import pytest
 
 from export import parity, quantize, verify
 from export.export_onnx import ExportError
-from export.pictures import read_grey, training_pictures
+from export.images import read_grey, training_images
 from vwnav.vision.features.learned import LearnedFeatures
 
 
 @pytest.fixture(scope="module")
 def quantised(model) -> onnx.ModelProto:
-    return quantize.quantise(model, parity.drawn_pictures(3))
+    return quantize.quantise(model, parity.drawn_images(3))
 
 
-def run(model, picture):
-    feed = {"image": picture[None, None], "max_keypoints": np.array([300], np.int64)}
+def run(model, image):
+    feed = {"image": image[None, None], "max_keypoints": np.array([300], np.int64)}
     return parity.open_session(model.SerializeToString()).run(None, feed)
 
 
 def test_int8_finds_nearly_the_same_features(model, quantised):
-    picture = parity.drawn_pictures(5, seed=4)[1]
-    (uv, _, descriptors), (uv8, _, descriptors8) = run(model, picture), run(quantised, picture)
+    image = parity.drawn_images(5, seed=4)[1]
+    (uv, _, descriptors), (uv8, _, descriptors8) = run(model, image), run(quantised, image)
     distance = np.linalg.norm(uv8[:, None] - uv[None], axis=2)
     same, nearest = distance.min(axis=1) < 1.0, distance.argmin(axis=1)
     cosine = (descriptors8 * descriptors[nearest]).sum(axis=1)[same]
@@ -46,7 +46,7 @@ def test_weights_are_a_byte_each_but_for_the_ends_of_the_heads(model, quantised)
 def test_the_drone_flies_it_like_the_float_one(quantised, tmp_path):
     path = tmp_path / "vwnav_nano_int8.onnx"
     onnx.save(quantised, path)
-    found = LearnedFeatures(path).extract(parity.drawn_pictures(2)[1], 200)
+    found = LearnedFeatures(path).extract(parity.drawn_images(2)[1], 200)
     assert len(found) == 200
 
 
@@ -63,7 +63,7 @@ def test_what_cannot_be_quantised_is_refused_with_one_line(harm, quantised, tmp_
     assert not (tmp_path / "int8.onnx").exists()
 
 
-def test_without_training_pictures_nothing_is_written(model, tmp_path, capsys):
+def test_without_training_images_nothing_is_written(model, tmp_path, capsys):
     path = tmp_path / "model.onnx"
     onnx.save(model, path)
     arguments = [str(path), "-o", str(tmp_path / "int8.onnx"), "--data", str(tmp_path)]
@@ -71,15 +71,15 @@ def test_without_training_pictures_nothing_is_written(model, tmp_path, capsys):
     assert "--data" in capsys.readouterr().err
 
 
-def test_calibration_pictures_come_from_all_training_sources_and_no_other(tmp_path):
+def test_calibration_images_come_from_all_training_sources_and_no_other(tmp_path):
     import cv2
 
     for place in ("train/single/a", "train/single/b", "train/drone/c", "eval/single/d"):
         (tmp_path / place).mkdir(parents=True)
         for number in range(5):
-            picture = np.full((70, 100), 20 * number, np.uint8)
-            cv2.imwrite(str(tmp_path / place / f"{number}.png"), picture)
-    chosen = training_pictures(str(tmp_path), 6)
+            image = np.full((70, 100), 20 * number, np.uint8)
+            cv2.imwrite(str(tmp_path / place / f"{number}.png"), image)
+    chosen = training_images(str(tmp_path), 6)
     assert len(set(chosen)) == 6
     assert {p.parent.name for p in chosen} == {"a", "b", "c"}
     assert read_grey(chosen[0]).shape == (64, 96)
@@ -89,7 +89,7 @@ def test_verify_compares_the_precisions_and_says_who_wins(
     model, quantised, checkpoint, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(verify, "REPEATS", 1)
-    monkeypatch.setattr(verify, "training_pictures", lambda *_: [])
+    monkeypatch.setattr(verify, "training_images", lambda *_: [])
     paths = [tmp_path / "float.onnx", tmp_path / "int8.onnx"]
     for each, path in zip((model, quantised), paths, strict=True):
         onnx.save(each, path)

@@ -1,4 +1,4 @@
-"""A camera above level ground with a map of it: the geometry of pictures, without pictures."""
+"""A camera above level ground with a map of it: the geometry of images, without images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ LAT_DEG, LON_DEG, ZOOM = 33.6, 73.1, 19
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What one picture sees: pixels of ground points, and the same points on the map."""
+    """What one image sees: pixels of ground points, and the same points on the map."""
 
     camera: Camera
     R_ned_camera: Array
@@ -40,7 +40,7 @@ def shoot(
     yaw_rad: float | None = None,
     points: int = 80,
 ) -> Shot:
-    """Pixels spread over the picture of a camera with random attitude, followed to the map."""
+    """Pixels spread over the image of a camera with random attitude, followed to the map."""
     camera = Camera.from_hfov(640, 480, 70.0)
     yaw_rad = rng.uniform(-np.pi, np.pi) if yaw_rad is None else yaw_rad
     roll_rad, pitch_rad = rng.uniform(-tilt_rad, tilt_rad, 2)

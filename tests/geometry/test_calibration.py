@@ -190,7 +190,7 @@ def test_missing_file_wrong_kind_and_huge_file_are_refused(tmp_path: Path) -> No
     assert "1 MB" in refused(tmp_path / "camera.json")
 
 
-def test_calibration_for_other_pictures_is_refused() -> None:
+def test_calibration_for_other_images_is_refused() -> None:
     camera = Camera.from_hfov(640, 480, 60.0)
     check_fits(camera, 640, 480)
     with pytest.raises(CalibrationError, match="640 x 480 px but they are 1280 x 720"):

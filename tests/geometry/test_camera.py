@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
 
 SIZE_WH = (640, 480)
-# Lenses whose distortion still grows outwards all over the picture.
+# Lenses whose distortion still grows outwards all over the image.
 lenses = st.builds(
     lambda f, cx, cy, k: Camera(
         width_px=640,
@@ -84,19 +84,19 @@ def test_scaling_moves_pixels_by_the_half_pixel_rule(
 
 
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])
-def test_undistorted_picture_is_that_of_the_undistorted_camera(model: str) -> None:
+def test_undistorted_image_is_that_of_the_undistorted_camera(model: str) -> None:
     K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
     camera = Camera(width_px=640, height_px=480, K=K, distortion=(-0.1, 0.02, 0, 0), model=model)
-    # A picture that holds its own coordinates, so that a look-up shows where a pixel came from.
-    picture = np.dstack(np.meshgrid(np.arange(640.0), np.arange(480.0))).astype(np.float32)
-    picture = cv2.remap(picture, *camera.undistort_maps(), cv2.INTER_LINEAR)
+    # An image that holds its own coordinates, so that a look-up shows where a pixel came from.
+    image = np.dstack(np.meshgrid(np.arange(640.0), np.arange(480.0))).astype(np.float32)
+    image = cv2.remap(image, *camera.undistort_maps(), cv2.INTER_LINEAR)
     uv = np.array([[100, 50], [500, 400], [320, 240]])
     expected = camera.project(camera.undistorted().bearings(uv))
-    np.testing.assert_allclose(picture[uv[:, 1], uv[:, 0]], expected, atol=0.05)
+    np.testing.assert_allclose(image[uv[:, 1], uv[:, 0]], expected, atol=0.05)
 
 
 @pytest.mark.parametrize("hfov_deg", [20.0, 60.0, 120.0])
-def test_field_of_view_reaches_the_edges_of_the_picture(hfov_deg: float) -> None:
+def test_field_of_view_reaches_the_edges_of_the_image(hfov_deg: float) -> None:
     camera = Camera.from_hfov(640, 480, hfov_deg)
     left, right = camera.bearings(np.array([[-0.5, 239.5], [639.5, 239.5]]))
     assert np.degrees(np.arccos(left @ right)) == pytest.approx(hfov_deg)

@@ -113,7 +113,7 @@ def test_error_of_the_map_adds_to_the_covariance(shot_of) -> None:
 
 
 def one_sided(shot_of, seed: int):
-    """A tilted picture taken for level, with inliers on its left half only."""
+    """A tilted image taken for level, with inliers on its left half only."""
     shot = shot_of(np.random.default_rng(seed), points=160)
     level = turned(0.3) @ shot.camera.R_body_camera
     view = rectification(shot.camera.K, (640, 480), level, shot.agl_m, 0.3)
@@ -129,7 +129,7 @@ def heading_without_tilt(shot) -> float:
 
 
 @given(seeds)
-def test_heading_and_scale_of_a_tilted_picture_are_those_of_its_middle(shot_of, seed: int) -> None:
+def test_heading_and_scale_of_a_tilted_image_are_those_of_its_middle(shot_of, seed: int) -> None:
     shot, view, uv_rect, map_px = one_sided(shot_of, seed)
     fit = estimate_homography(uv_rect, map_px, 2.0, seed)
     seen = fit.H, view, uv_rect, map_px, shot.px_per_m, LEANING
@@ -160,7 +160,7 @@ def test_the_sigmas_in_the_middle_are_what_noise_on_the_pairs_does(shot_of) -> N
 
 
 @given(seeds)
-def test_a_similarity_on_one_side_of_a_tilted_picture_knows_its_heading_less(
+def test_a_similarity_on_one_side_of_a_tilted_image_knows_its_heading_less(
     shot_of, seed: int
 ) -> None:
     shot, view, uv_rect, map_px = one_sided(shot_of, seed)

@@ -31,7 +31,7 @@ def test_view_pixels_are_metres_east_and_south_of_the_nadir(
 
 
 @given(tilts, tilts, yaws)
-def test_view_holds_the_picture(roll: float, pitch: float, yaw: float) -> None:
+def test_view_holds_the_image(roll: float, pitch: float, yaw: float) -> None:
     view = rectification(CAMERA.K, SIZE_WH, attitude(roll, pitch, yaw), 50.0, 0.25, 4096)
     corners = np.array([[0.0, 0.0], [639.0, 0.0], [0.0, 479.0], [639.0, 479.0], [320.0, 240.0]])
     rays_down = np.column_stack([corners, np.ones(5)]) @ view.H_rect_frame[2]
@@ -43,7 +43,7 @@ def test_view_holds_the_picture(roll: float, pitch: float, yaw: float) -> None:
 
 
 @given(tilts, tilts, yaws, st.floats(5.0, 500.0))
-def test_large_views_are_cut_about_the_middle_of_the_picture(
+def test_large_views_are_cut_about_the_middle_of_the_image(
     roll: float, pitch: float, yaw: float, agl_m: float
 ) -> None:
     view = rectification(CAMERA.K, SIZE_WH, attitude(roll, pitch, yaw), agl_m, 0.1, 512)
@@ -67,7 +67,7 @@ def test_nose_to_the_east_puts_the_upper_edge_to_the_right() -> None:
     assert ahead[1] == pytest.approx(view.nadir_uv[1], abs=1e-6)
 
 
-def test_nose_up_puts_the_nadir_below_the_middle_of_the_picture() -> None:
+def test_nose_up_puts_the_nadir_below_the_middle_of_the_image() -> None:
     # Nose up and heading north: the camera looks ahead, to the north of the nadir.
     view = rectification(CAMERA.K, SIZE_WH, attitude(0.0, 0.2, 0.0), 50.0, 0.25)
     middle = transform_points(view.H_rect_frame, np.array([319.5, 239.5]))[0]

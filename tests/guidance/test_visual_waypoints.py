@@ -35,7 +35,7 @@ def test_waypoints_are_reached_in_order_only() -> None:
     assert waypoints.step(around(PLACES[1], 20, 3.0)) == ()
 
 
-def test_one_picture_may_reach_several() -> None:
+def test_one_image_may_reach_several() -> None:
     waypoints = VisualWaypoints(PLACES, VisualWaypointConfig(radius_m=500.0, min_matches=1))
     assert waypoints.step(PLACES[:1]) == (0, 1)
 

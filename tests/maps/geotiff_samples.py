@@ -57,7 +57,7 @@ def write_tiff(path: Path, bands: np.ndarray, *, alpha: bool = False, **profile)
 
 
 def write_palette_tiff(path: Path, rgb: np.ndarray, *, transparent: int | None = None) -> Path:
-    """An indexed picture of 64 colours; index 5 is unused but for a hole if one is wanted."""
+    """An indexed image of 64 colours; index 5 is unused but for a hole if one is wanted."""
     levels = (rgb.astype(int) // 64).clip(0, 3)
     index = (levels[0] * 16 + levels[1] * 4 + levels[2]).astype(np.uint8) + 10
     if transparent is not None:

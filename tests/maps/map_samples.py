@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, level_georeference
-from vwnav.maps.picture import Mask
+from vwnav.maps.image import Mask
 from vwnav.types import Features, Gray
 
 ZOOM = 18

@@ -14,8 +14,8 @@ from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.builder import BuildOptions, build_pack, default_levels
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.maps.heights import HeightGrid
+from vwnav.maps.image import MapImage, Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Picture, Window
 
 
 class Failing(SiftStub):
@@ -37,30 +37,30 @@ def test_the_finest_level_keeps_the_resolution_and_two_coarser_follow(m_per_px: 
     assert levels == (levels[0], levels[0] - 1, levels[0] - 2)
 
 
-def test_a_pack_shows_the_picture_it_was_built_from(tmp_path: Path):
+def test_a_pack_shows_the_image_it_was_built_from(tmp_path: Path):
     with MapPack.open(small_pack(tmp_path / "a.mbtiles")) as pack:
         x, y = ORIGIN_PX
-        picture = pack.picture(ZOOM, Window(x, y, x + 700, y + 600))
-    assert picture.mask.all()
-    assert np.array_equal(picture.bgr, textured(600, 700))
+        image = pack.colour_image(ZOOM, Window(x, y, x + 700, y + 600))
+    assert image.mask.all()
+    assert np.array_equal(image.bgr, textured(600, 700))
 
 
 def test_a_coarser_level_is_the_mean_of_the_finer_one(tmp_path: Path):
     with MapPack.open(small_pack(tmp_path / "a.mbtiles")) as pack:
         x, y = ORIGIN_PX
-        picture = pack.picture(ZOOM - 1, Window(x // 2, y // 2, x // 2 + 350, y // 2 + 300))
+        image = pack.colour_image(ZOOM - 1, Window(x // 2, y // 2, x // 2 + 350, y // 2 + 300))
     expected = textured(600, 700).reshape(300, 2, 350, 2, 3).mean(axis=(1, 3))
-    assert np.abs(picture.bgr - expected).max() <= 0.51
+    assert np.abs(image.bgr - expected).max() <= 0.51
 
 
 def test_levels_that_do_not_follow_each_other_are_rendered_from_the_source(tmp_path: Path):
     options = BuildOptions(levels=(ZOOM, ZOOM - 2))
     with MapPack.open(small_pack(tmp_path / "a.mbtiles", options=options)) as pack:
         x, y = (value // 4 for value in ORIGIN_PX)
-        picture = pack.picture(ZOOM - 2, Window(x, y, x + 175, y + 150))
+        image = pack.colour_image(ZOOM - 2, Window(x, y, x + 175, y + 150))
         assert [level.zoom for level in pack.levels] == [ZOOM, ZOOM - 2]
     expected = textured(600, 700).reshape(150, 4, 175, 4, 3).mean(axis=(1, 3))
-    assert np.abs(picture.bgr - expected).max() <= 1.0
+    assert np.abs(image.bgr - expected).max() <= 1.0
 
 
 def test_the_first_source_wins_where_two_overlap(tmp_path: Path):
@@ -72,7 +72,7 @@ def test_the_first_source_wins_where_two_overlap(tmp_path: Path):
     ]
     build_pack(sources, tmp_path / "a.mbtiles", [], BuildOptions(levels=(ZOOM,)))
     with MapPack.open(tmp_path / "a.mbtiles") as pack:
-        row = pack.picture(ZOOM, Window(x, y + 100, x + 500, y + 101)).bgr[0]
+        row = pack.colour_image(ZOOM, Window(x, y + 100, x + 500, y + 101)).bgr[0]
     assert (row[:300] == (0, 0, 200)).all()
     assert (row[300:] == (200, 0, 0)).all()
 
@@ -176,11 +176,11 @@ def test_a_level_far_too_fine_is_refused_before_the_disk_is_full(tmp_path: Path)
 def test_a_large_raster_is_read_in_parts_of_bounded_size(tmp_path: Path):
     largest = 0
 
-    def draw(window: Window) -> Picture:
+    def draw(window: Window) -> MapImage:
         nonlocal largest
         h, w = window.shape
         largest = max(largest, h * w)
-        return Picture(np.full((h, w, 3), 99, np.uint8), np.ones((h, w), bool))
+        return MapImage(np.full((h, w, 3), 99, np.uint8), np.ones((h, w), bool))
 
     georeference = level_georeference(ZOOM, *ORIGIN_PX)
     source = DrawnSource("huge", (12_000, 12_000), georeference, draw)

@@ -10,7 +10,7 @@ from vwnav.maps.codec import (
     encode_features,
     encode_tile,
 )
-from vwnav.maps.picture import Picture
+from vwnav.maps.image import MapImage
 from vwnav.types import Features
 
 seeds = st.integers(0, 2**32 - 1)
@@ -78,7 +78,7 @@ def test_a_tile_comes_back_exactly_with_its_mask(seed: int, complete: bool):
     rng = np.random.default_rng(seed)
     bgr = rng.integers(0, 256, (256, 256, 3), np.uint8)
     mask = np.ones((256, 256), bool) if complete else rng.random((256, 256)) < 0.5
-    back = decode_tile(encode_tile(Picture(bgr, mask)))
+    back = decode_tile(encode_tile(MapImage(bgr, mask)))
     assert np.array_equal(back.mask, mask)
     assert np.array_equal(back.bgr[mask], bgr[mask])
     assert not back.bgr[~mask].any()
@@ -89,7 +89,7 @@ def test_a_tile_comes_back_exactly_with_its_mask(seed: int, complete: bool):
     [
         b"",
         b"no picture",
-        encode_tile(Picture(np.zeros((256, 256, 3), np.uint8), np.ones((256, 256), bool)))[:40],
+        encode_tile(MapImage(np.zeros((256, 256, 3), np.uint8), np.ones((256, 256), bool)))[:40],
     ],
 )
 def test_what_is_no_tile_is_refused(data: bytes):

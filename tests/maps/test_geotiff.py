@@ -20,8 +20,8 @@ from vwnav.errors import MapError
 from vwnav.geometry.geodesy import mercator_px
 from vwnav.maps.build.builder import build_pack
 from vwnav.maps.build.geotiff import RasterFile, read_heights
+from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
 
 
 def pack_of(path: Path, extractors=(), crs: str | None = None) -> MapPack:
@@ -77,10 +77,10 @@ def test_a_rotated_raster_lies_where_its_transform_says(tmp_path: Path):
 
 def test_a_palette_is_expanded_through_its_colours(tmp_path: Path):
     rgb = texture_rgb()
-    picture = RasterFile(write_palette_tiff(tmp_path / "p.tif", rgb)).window(Window(0, 0, 320, 300))
+    image = RasterFile(write_palette_tiff(tmp_path / "p.tif", rgb)).window(Window(0, 0, 320, 300))
     expected = np.moveaxis((rgb // 64) * 64 + 32, 0, -1)[..., ::-1]
-    assert np.array_equal(picture.bgr, expected)
-    assert picture.mask.all()
+    assert np.array_equal(image.bgr, expected)
+    assert image.mask.all()
 
 
 def test_a_hole_in_a_palette_has_no_data(tmp_path: Path):
@@ -113,7 +113,7 @@ def test_black_corners_without_any_declaration_make_no_features(tmp_path: Path):
         zoom = pack.levels[0].zoom
         window = pack.window(zoom)
         found = pack.features_in(zoom, *window, SiftStub()).features.uv
-        mask = np.pad(pack.picture(zoom, window).mask, 20)
+        mask = np.pad(pack.colour_image(zoom, window).mask, 20)
     near = [mask[int(v) + 5 : int(v) + 36, int(u) + 5 : int(u) + 36].all() for u, v in found]
     assert len(found) > 500
     assert all(near)
@@ -121,19 +121,19 @@ def test_black_corners_without_any_declaration_make_no_features(tmp_path: Path):
 
 def test_sixteen_bits_are_stretched_and_gray_becomes_colour(tmp_path: Path):
     ramp = np.linspace(200, 3000, 320)[None, None].repeat(300, axis=1).astype(np.uint16)
-    picture = RasterFile(write_tiff(tmp_path / "d.tif", ramp)).window(Window(0, 0, 320, 300))
-    assert picture.bgr[0, 10, 0] < 20 < 235 < picture.bgr[0, -10, 0]
-    assert (np.diff(picture.bgr[0, :, 0].astype(int)) >= 0).all()
-    assert np.array_equal(picture.bgr[..., 0], picture.bgr[..., 2])
+    image = RasterFile(write_tiff(tmp_path / "d.tif", ramp)).window(Window(0, 0, 320, 300))
+    assert image.bgr[0, 10, 0] < 20 < 235 < image.bgr[0, -10, 0]
+    assert (np.diff(image.bgr[0, :, 0].astype(int)) >= 0).all()
+    assert np.array_equal(image.bgr[..., 0], image.bgr[..., 2])
 
 
 @pytest.mark.parametrize("photometric", ["rgb", "minisblack"])
 def test_infrared_in_a_fourth_band_is_left_out(tmp_path: Path, photometric: str):
     bands = np.concatenate([texture_rgb(), np.full((1, 300, 320), 255, np.uint8)])
     path = write_tiff(tmp_path / "nir.tif", bands, photometric=photometric, ALPHA="NO")
-    picture = RasterFile(path).window(Window(0, 0, 320, 300))
-    assert np.array_equal(picture.bgr[..., ::-1], np.moveaxis(bands[:3], 0, -1))
-    assert picture.mask.all()
+    image = RasterFile(path).window(Window(0, 0, 320, 300))
+    assert np.array_equal(image.bgr[..., ::-1], np.moveaxis(bands[:3], 0, -1))
+    assert image.mask.all()
 
 
 def test_a_raster_that_lies_nowhere_is_refused(tmp_path: Path):
@@ -190,6 +190,6 @@ def test_heights_elsewhere_are_refused(tmp_path: Path):
 )
 def test_the_black_surroundings_of_real_orthophotos_are_holes(data_folder: Path, name, share):
     raster = RasterFile(data_folder / "flights" / name)
-    picture = raster.window(Window(0, 0, *raster.size_wh))
-    assert picture.mask.mean() == pytest.approx(share, abs=0.01)
-    assert picture.bgr[picture.mask].min(axis=1).mean() > 40
+    image = raster.window(Window(0, 0, *raster.size_wh))
+    assert image.mask.mean() == pytest.approx(share, abs=0.01)
+    assert image.bgr[image.mask].min(axis=1).mean() > 40

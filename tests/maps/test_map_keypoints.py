@@ -12,21 +12,21 @@ from vwnav.maps.build.keypoints import (
     spread,
     usable_mask,
 )
-from vwnav.maps.picture import Picture, Tile
+from vwnav.maps.image import MapImage, Tile
 from vwnav.types import Features
 
-WORLD = Picture(textured(1024, 1024), np.ones((1024, 1024), bool))  # all of zoom 2
+WORLD = MapImage(textured(1024, 1024), np.ones((1024, 1024), bool))  # all of zoom 2
 
 
-def world_with_hole() -> Picture:
+def world_with_hole() -> MapImage:
     mask = np.ones((1024, 1024), bool)
     mask[300:420, 260:700] = False
-    return Picture(np.where(mask[..., None], WORLD.bgr, 0).astype(np.uint8), mask)
+    return MapImage(np.where(mask[..., None], WORLD.bgr, 0).astype(np.uint8), mask)
 
 
-def reader(world: Picture):
+def reader(world: MapImage):
     margin = 64
-    padded = Picture(
+    padded = MapImage(
         np.pad(world.bgr, ((margin, margin), (margin, margin), (0, 0))),
         np.pad(world.mask, margin),
     )
@@ -37,7 +37,7 @@ def reader(world: Picture):
     return read
 
 
-def global_keypoints(world: Picture, extractor) -> np.ndarray:
+def global_keypoints(world: MapImage, extractor) -> np.ndarray:
     found = []
     for block in (Tile(2, x, y) for x in (0, 2) for y in (0, 2)):
         for tile, features in extract_block(reader(world), block, extractor).items():
@@ -55,7 +55,7 @@ def test_tile_and_block_borders_neither_double_nor_lose_keypoints():
     dots = np.full((1024, 1024, 3), 90, np.uint8)
     places = np.r_[20:1000:60, 255, 256, 511, 512, 767, 768]
     dots[np.ix_(places, places)] = 255
-    found = global_keypoints(Picture(dots, WORLD.mask), DotFinder())
+    found = global_keypoints(MapImage(dots, WORLD.mask), DotFinder())
     expected = {(u, v) for u in places.tolist() for v in places.tolist()}
     assert len(found) == len(expected)
     assert {(u, v) for u, v in found.tolist()} == expected
@@ -77,7 +77,7 @@ def test_no_keypoint_lies_within_a_descriptor_radius_of_missing_data():
 
 def test_a_block_without_data_asks_the_extractor_for_nothing():
     stub = SiftStub()
-    assert extract_block(reader(Picture.empty((1024, 1024))), Tile(2, 0, 0), stub) == {}
+    assert extract_block(reader(MapImage.empty((1024, 1024))), Tile(2, 0, 0), stub) == {}
     assert stub.calls == 0
 
 
@@ -107,5 +107,5 @@ def test_spreading_keeps_as_many_as_are_wanted_or_there_are(count: int, wanted: 
     assert (np.diff(features.scores[chosen]) <= 0).all()
 
 
-def test_the_edge_of_a_picture_itself_is_usable():
+def test_the_edge_of_an_image_itself_is_usable():
     assert usable_mask(np.ones((50, 50), bool)).all()

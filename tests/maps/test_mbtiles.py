@@ -9,8 +9,8 @@ from rasterio.shutil import copy as copy_raster
 from rasterio.warp import transform_bounds
 from test_geotiff import pack_of, worst_mark_error_px
 
+from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
 
 # GDAL's MBTiles driver stands for all other software that opens these files.
 WORLD_M = 2 * 20037508.342789244
@@ -28,11 +28,11 @@ def test_gdal_reads_the_same_pixels_at_the_same_place(holed_pack_file: Path):
         assert file.driver == "MBTiles"
         x0 = round((file.bounds.left / WORLD_M + 0.5) * 256 * 2**ZOOM)
         y0 = round((0.5 - file.bounds.top / WORLD_M) * 256 * 2**ZOOM)
-        picture = pack.picture(ZOOM, Window(x0, y0, x0 + file.width, y0 + file.height))
+        image = pack.colour_image(ZOOM, Window(x0, y0, x0 + file.width, y0 + file.height))
         rgba = np.moveaxis(file.read(), 0, -1)
-    assert np.array_equal(rgba[..., 3] > 0, picture.mask)
-    assert picture.mask.sum() > 380_000
-    assert np.array_equal(rgba[picture.mask][:, 2::-1], picture.bgr[picture.mask])
+    assert np.array_equal(rgba[..., 3] > 0, image.mask)
+    assert image.mask.sum() > 380_000
+    assert np.array_equal(rgba[image.mask][:, 2::-1], image.bgr[image.mask])
 
 
 def test_gdal_puts_imagery_that_is_off_the_grid_where_the_pack_does(tmp_path: Path):
@@ -70,6 +70,6 @@ def test_the_metadata_are_those_of_mbtiles_1_3(holed_pack_file: Path):
 def test_a_hole_in_the_map_lies_where_the_mask_says(holed_pack_file: Path):
     x, y = ORIGIN_PX
     with MapPack.open(holed_pack_file) as pack:
-        mask = pack.picture(ZOOM, Window(x, y, x + 700, y + 600)).mask
+        mask = pack.colour_image(ZOOM, Window(x, y, x + 700, y + 600)).mask
     assert not mask[:200, :150].any()
     assert mask.sum() == 700 * 600 - 200 * 150

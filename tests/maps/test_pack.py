@@ -13,8 +13,8 @@ from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 
 from vwnav.errors import MapError, ModelError
 from vwnav.geometry.geodesy import lat_lon_from_mercator_px
+from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
 
 X, Y = ORIGIN_PX
 
@@ -28,7 +28,7 @@ def changed(pack_file: Path, folder: Path, *statements: str) -> Path:
     return Path(copy)
 
 
-def test_features_lie_on_the_picture_they_were_found_in(sift_pack: MapPack):
+def test_features_lie_on_the_image_they_were_found_in(sift_pack: MapPack):
     found = sift_pack.features_in(ZOOM, X + 100, Y + 100, X + 400, Y + 400, SiftStub())
     assert found.origin_px.tolist() == [X + 100, Y + 100]
     direct = SiftStub().extract(
@@ -94,7 +94,7 @@ def test_a_window_beside_the_map_has_no_features_and_no_data(sift_pack: MapPack)
 
 
 @pytest.mark.parametrize("window", [(0, 0, 0, 5), (5, 5, 4, 9), (0, 0, 100_000, 100_000)])
-def test_a_picture_without_end_is_refused(sift_pack: MapPack, window):
+def test_an_image_without_end_is_refused(sift_pack: MapPack, window):
     with pytest.raises(ValueError, match="expected 1 to"):
         sift_pack.image(ZOOM, *window)
     with pytest.raises(ValueError, match="levels"):
@@ -170,7 +170,7 @@ def test_damaged_features_cost_their_tile_and_one_warning(sift_pack_file, tmp_pa
 
 
 @pytest.mark.parametrize("damage", ["zeroblob(500)", "NULL", "'text'"])
-def test_a_damaged_picture_is_no_data_with_one_warning(sift_pack_file, tmp_path, damage, caplog):
+def test_a_damaged_image_is_no_data_with_one_warning(sift_pack_file, tmp_path, damage, caplog):
     statement = f"UPDATE tiles SET tile_data = {damage} WHERE zoom_level = {ZOOM}"
     with MapPack.open(changed(sift_pack_file, tmp_path, statement)) as pack:
         _, mask = pack.image(ZOOM, X + 300, Y + 300, X + 310, Y + 310)
@@ -276,5 +276,5 @@ def test_memory_stays_bounded_however_much_is_read(sift_pack: MapPack):
         for x in range(X - 3000, X + 3000, 256):
             sift_pack.covers(*lat_lon_from_mercator_px(float(x), float(Y), ZOOM))
             sift_pack.features_in(level.zoom, x, Y, x + 256, Y + 256, SiftStub())
-    assert len(sift_pack._pictures._values) <= 64
+    assert len(sift_pack._images._values) <= 64
     assert len(sift_pack._features._values) <= 192

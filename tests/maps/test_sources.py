@@ -13,12 +13,12 @@ from test_geotiff import pack_of, worst_mark_error_px
 from vwnav.errors import MapError
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.sources import default_options, open_sources
+from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
 
 
-def write_world_picture(folder: Path, suffix: str, world: str, *, prj: bool) -> Path:
-    """A marked picture whose world file names the centre of its first pixel."""
+def write_world_image(folder: Path, suffix: str, world: str, *, prj: bool) -> Path:
+    """A marked image whose world file names the centre of its first pixel."""
     path = folder / f"marks{suffix}"
     cv2.imwrite(str(path), np.moveaxis(marked_rgb(), 0, -1), [cv2.IMWRITE_JPEG_QUALITY, 98])
     numbers = (PIXEL_M, 0, 0, -PIXEL_M, LEFT_M + PIXEL_M / 2, TOP_M - PIXEL_M / 2)
@@ -33,8 +33,8 @@ def write_world_picture(folder: Path, suffix: str, world: str, *, prj: bool) -> 
     [(".jpg", ".jgw"), (".jpg", ".wld"), (".png", ".pgw"), (".png", ".wld"), (".tif", ".tfw")],
 )
 @pytest.mark.parametrize("prj", [True, False])
-def test_a_picture_with_a_world_file_lies_in_its_place(tmp_path, suffix, world, prj):
-    path = write_world_picture(tmp_path, suffix, world, prj=prj)
+def test_an_image_with_a_world_file_lies_in_its_place(tmp_path, suffix, world, prj):
+    path = write_world_image(tmp_path, suffix, world, prj=prj)
     (source,) = open_sources([path], None if prj else UTM)
     build_pack([source], tmp_path / "a.mbtiles", [])
     with MapPack.open(tmp_path / "a.mbtiles") as pack:
@@ -42,13 +42,13 @@ def test_a_picture_with_a_world_file_lies_in_its_place(tmp_path, suffix, world, 
 
 
 def test_a_world_file_without_a_coordinate_system_is_asked_about(tmp_path: Path):
-    path = write_world_picture(tmp_path, ".jpg", ".jgw", prj=False)
+    path = write_world_image(tmp_path, ".jpg", ".jgw", prj=False)
     with pytest.raises(MapError, match="--crs EPSG"):
         open_sources([path])
 
 
 def test_a_damaged_prj_is_one_clear_error(tmp_path: Path):
-    path = write_world_picture(tmp_path, ".jpg", ".jgw", prj=False)
+    path = write_world_image(tmp_path, ".jpg", ".jgw", prj=False)
     path.with_suffix(".prj").write_text("nonsense")
     with pytest.raises(MapError, match="not a coordinate system"):
         open_sources([path])
@@ -56,14 +56,14 @@ def test_a_damaged_prj_is_one_clear_error(tmp_path: Path):
 
 def test_a_folder_stands_for_its_table_or_its_rasters(tmp_path: Path):
     write_tiff(tmp_path / "b.tif", texture_rgb())
-    write_world_picture(tmp_path, ".jpg", ".jgw", prj=True)
+    write_world_image(tmp_path, ".jpg", ".jgw", prj=True)
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
     assert [source.name for source in open_sources([tmp_path])] == ["b.tif", "marks.jpg"]
     (tmp_path / "map.csv").write_text("file,north,west,south,east\nmarks.jpg,60,22,59,23\n")
     assert [source.name for source in open_sources([tmp_path])] == ["marks.jpg"]
 
 
-def test_pictures_may_be_listed_beside_their_table(tmp_path: Path):
+def test_images_may_be_listed_beside_their_table(tmp_path: Path):
     (tmp_path / "tables").mkdir()
     table = tmp_path / "tables" / "map.csv"
     table.write_text("file,north,west,south,east\na.png,60,22,59,23\n")
@@ -98,10 +98,10 @@ def test_a_pack_is_rebuilt_from_itself_pixel_for_pixel(tmp_path: Path):
     x, y = ORIGIN_PX
     window = Window(x - 5, y - 5, x + 705, y + 605)
     with MapPack.open(path) as pack:
-        before = pack.picture(ZOOM, window)
+        before = pack.colour_image(ZOOM, window)
     rebuilt(path, SiftStub())
     with MapPack.open(path) as pack:
-        after = pack.picture(ZOOM, window)
+        after = pack.colour_image(ZOOM, window)
     assert np.array_equal(before.mask, after.mask)
     assert np.array_equal(before.bgr, after.bgr)
 

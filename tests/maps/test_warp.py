@@ -13,7 +13,7 @@ from vwnav.maps.build.raster import (
     local_georeference,
 )
 from vwnav.maps.build.warp import PlacedRaster, render
-from vwnav.maps.picture import Window
+from vwnav.maps.image import Window
 
 ZOOM = 18
 
@@ -38,7 +38,7 @@ def test_corner_pixels_and_places_are_inverse(south, west, u, v):
     assert np.allclose(back, ([u], [v]), atol=1e-4)
 
 
-def test_the_corners_of_a_picture_are_its_outer_corners():
+def test_the_corners_of_an_image_are_its_outer_corners():
     georeference = corner_georeference((60.0, 22.0, 60.01, 22.02), (1000, 800))
     u, v = georeference.pixel_from_lat_lon(np.array([60.01, 60.0]), np.array([22.0, 22.02]))
     assert np.allclose((u, v), ([0, 1000], [0, 800]), atol=1e-6)
@@ -46,8 +46,8 @@ def test_the_corners_of_a_picture_are_its_outer_corners():
 
 def test_pixels_that_coincide_with_the_level_are_copied():
     bgr = textured(300, 280)
-    picture = render(aligned(bgr), ZOOM, Window(37_000_000, 19_000_000, 37_000_280, 19_000_300))
-    assert np.array_equal(picture.bgr, bgr)
+    image = render(aligned(bgr), ZOOM, Window(37_000_000, 19_000_000, 37_000_280, 19_000_300))
+    assert np.array_equal(image.bgr, bgr)
 
 
 def test_what_lies_elsewhere_renders_as_nothing():
@@ -73,13 +73,13 @@ def test_neighbouring_blocks_meet_without_a_seam():
 def test_a_much_finer_raster_is_averaged_not_picked():
     checker = (np.indices((512, 512)).sum(axis=0) % 2 * 200).astype(np.uint8)
     raster = aligned(np.repeat(checker[..., None], 3, axis=2), 37_000_192, 19_000_192)
-    picture = render(raster, ZOOM - 3, Window(4_625_024, 2_375_024, 4_625_088, 2_375_088))
-    inner = picture.bgr[4:-4, 4:-4]
-    assert picture.mask[4:-4, 4:-4].all()
+    image = render(raster, ZOOM - 3, Window(4_625_024, 2_375_024, 4_625_088, 2_375_088))
+    inner = image.bgr[4:-4, 4:-4]
+    assert image.mask[4:-4, 4:-4].all()
     assert np.abs(inner.astype(int) - 100).max() <= 2
 
 
-def test_missing_data_do_not_bleed_into_the_picture():
+def test_missing_data_do_not_bleed_into_the_image():
     mask = np.ones((200, 200), bool)
     mask[80:120, 80:120] = False
     bgr = np.where(mask[..., None], 200, 0).astype(np.uint8).repeat(3, axis=2)
@@ -87,9 +87,9 @@ def test_missing_data_do_not_bleed_into_the_picture():
     georeference = local_georeference(frame, (20.0, -20.0), 0.2)
     raster = PlacedRaster.of(array_source(bgr, georeference, name="a", mask=mask))
     x, y = (int(value) for value in mercator_px(46.8, -92.0, 20))
-    picture = render(raster, 20, Window(x - 100, y - 100, x + 100, y + 100))
-    assert 500 < (~picture.mask[30:-30, 30:-30]).sum() < 12_000
-    assert np.abs(picture.bgr[picture.mask].astype(int) - 200).max() <= 6
+    image = render(raster, 20, Window(x - 100, y - 100, x + 100, y + 100))
+    assert 500 < (~image.mask[30:-30, 30:-30]).sum() < 12_000
+    assert np.abs(image.bgr[image.mask].astype(int) - 200).max() <= 6
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from export.parity import drawn_pictures
+from export.parity import drawn_images
 from models.extractor import BORDER_PX, Extractor, cell_peaks
 from models.network import FeatureNetwork, NetworkConfig
 
@@ -21,7 +21,7 @@ def extract(extractor, image, max_keypoints):
 
 @pytest.mark.parametrize("max_keypoints", [1, 100, 5000])
 def test_never_more_keypoints_than_asked_for_and_the_best_first(extractor, max_keypoints):
-    uv, scores, descriptors = extract(extractor, drawn_pictures(1)[0], max_keypoints)
+    uv, scores, descriptors = extract(extractor, drawn_images(1)[0], max_keypoints)
     assert 0 < len(uv) <= max_keypoints
     assert len(uv) == len(scores) == len(descriptors)
     assert (np.diff(scores) <= 0).all()
@@ -29,7 +29,7 @@ def test_never_more_keypoints_than_asked_for_and_the_best_first(extractor, max_k
 
 
 def test_keypoints_keep_away_from_the_border_and_from_each_other(extractor):
-    image = drawn_pictures(1)[0]
+    image = drawn_images(1)[0]
     uv, _, _ = extract(extractor, image, 5000)
     limit = np.array(image.shape[::-1]) - 1 - BORDER_PX
     assert (uv > BORDER_PX - 1).all()

@@ -64,7 +64,7 @@ def test_brightness_and_contrast_hardly_change_what_the_network_sees(gain, offse
     assert difference.abs().mean() < 0.05
 
 
-def test_a_flat_picture_is_seen_as_nothing_not_as_noise():
+def test_a_flat_image_is_seen_as_nothing_not_as_noise():
     assert normalise_contrast(torch.full((1, 1, 64, 64), 200.0)).abs().max() < 1e-3
 
 

@@ -14,7 +14,7 @@ from vwnav.cli.localize import localize
 from vwnav.errors import ConfigError, MapError, ModelError, SourceError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "vision"))
-from vision_scenes import CAMERA, HOME, ground_pack, picture, texture
+from vision_scenes import CAMERA, HOME, frame_at, ground_pack, texture
 
 FIELDS = {
     "image", "status", "reason", "lat_deg", "lon_deg", "sigma_m", "yaw_deg", "agl_m", "keypoints",
@@ -25,7 +25,7 @@ PLACE = ("--lat", "47.0", "--lon", "8.0", "--sigma-m", "30", "--yaw-deg", "0", "
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a map and pictures of it: two good ones and a black one."""
+    """A folder with a map and images of it: two good ones and a black one."""
     from vwnav.vision.features.load import load_features
 
     folder = tmp_path_factory.mktemp("localize")
@@ -33,7 +33,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ground_pack(folder / "map.mbtiles", ground, (load_features("orb"),))
     (folder / "pictures").mkdir()
     for name, north_m, east_m in (("a.png", 10.0, -8.0), ("b.png", -6.0, 4.0)):
-        image = picture(ground, north_m, east_m, 60.0).image
+        image = frame_at(ground, north_m, east_m, 60.0).image
         cv2.imwrite(str(folder / "pictures" / name), image)
     cv2.imwrite(str(folder / "pictures" / "dark.png"), np.zeros((360, 480), np.uint8))
     return folder
@@ -51,7 +51,7 @@ def lines(result) -> list[dict]:
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-def test_each_picture_gives_one_json_object(scene: Path):
+def test_each_image_gives_one_json_object(scene: Path):
     found = lines(run(scene, scene / "pictures", "--hfov-deg", "70", *PLACE, "--json"))
     assert [Path(line["image"]).name for line in found] == ["a.png", "b.png", "dark.png"]
     assert [line["status"] for line in found] == ["fix", "fix", "rejected"]
@@ -61,7 +61,7 @@ def test_each_picture_gives_one_json_object(scene: Path):
     assert ned[:2] == pytest.approx([10.0, -8.0], abs=0.5)
 
 
-def test_a_rejected_picture_is_a_result_with_its_reason(scene: Path):
+def test_a_rejected_image_is_a_result_with_its_reason(scene: Path):
     (line,) = lines(run(scene, scene / "pictures/dark.png", "--hfov-deg", "70", "--json"))
     assert line["status"] == "rejected"
     assert line["reason"] == "picture without contrast"
@@ -75,7 +75,7 @@ def test_without_a_prior_the_map_is_searched(scene: Path):
     assert min(line["yaw_deg"], 360 - line["yaw_deg"]) < 1.0
 
 
-def test_a_table_tells_what_is_known_of_each_picture(scene: Path, tmp_path: Path):
+def test_a_table_tells_what_is_known_of_each_image(scene: Path, tmp_path: Path):
     known = {"lat_deg": 47.0, "lon_deg": 8.0, "sigma_m": 30, "agl_m": 60, "yaw_deg": 0}
     with (tmp_path / "table.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, ["image", *known, "roll_deg", "pitch_deg"])
@@ -95,7 +95,7 @@ def test_a_camera_file_stands_for_the_field_of_view(scene: Path, tmp_path: Path)
     assert line["status"] == "fix"
 
 
-def test_for_people_there_is_a_line_per_picture(scene: Path):
+def test_for_people_there_is_a_line_per_image(scene: Path):
     result = run(scene, scene / "pictures", "--hfov-deg", "70", *PLACE)
     assert result.exit_code == 0
     first, _, last = result.stdout.splitlines()
@@ -117,7 +117,7 @@ def test_exif_gives_place_heading_height_and_lens(scene: Path, tmp_path: Path):
     assert (line["status"], line["point"]) == ("fix", "nadir")
 
 
-def test_a_picture_that_was_turned_after_it_was_taken_is_found(scene: Path, tmp_path: Path):
+def test_an_image_that_was_turned_after_it_was_taken_is_found(scene: Path, tmp_path: Path):
     Image = pytest.importorskip("PIL.Image")
     names = {"RelativeAltitude": 60, "GimbalYawDegree": 0, "GimbalPitchDegree": -90}
     xmp = "".join(f'drone-dji:{n}="{v}" ' for n, v in {**names, "GimbalRollDegree": 0}.items())
@@ -168,10 +168,10 @@ def test_a_missing_map_is_one_error(tmp_path: Path, scene: Path):
     assert isinstance(CliRunner().invoke(app, arguments).exception, MapError)
 
 
-def test_a_damaged_picture_is_named_after_the_others_are_done(scene: Path, tmp_path: Path):
+def test_a_damaged_image_is_named_after_the_others_are_done(scene: Path, tmp_path: Path):
     (tmp_path / "cut.png").write_bytes((scene / "pictures/a.png").read_bytes()[:500])
-    pictures = (tmp_path / "cut.png", scene / "pictures/b.png")
-    result = run(scene, *pictures, "--hfov-deg", "70", *PLACE, "--json")
+    images = (tmp_path / "cut.png", scene / "pictures/b.png")
+    result = run(scene, *images, "--hfov-deg", "70", *PLACE, "--json")
     assert json.loads(result.stdout.splitlines()[-1])["status"] == "fix"
     assert isinstance(result.exception, SourceError)
     assert "1 of 2" in str(result.exception)

@@ -32,7 +32,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
-from vwnav.recording.input_log import About, InputLog, PictureSeen, read_input_log
+from vwnav.recording.input_log import About, ImageSeen, InputLog, read_input_log
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.runtime import FlightRuntime
@@ -134,7 +134,7 @@ class Odometry:
         return OdometryMotion(before_s, frame.t_s, way, 0.003 * np.eye(3), 0.0, 0.01, agl_m, 80)
 
 
-class Pictures:
+class Images:
     def __init__(self):
         self.count = 0
 
@@ -149,8 +149,8 @@ def make_pack(path: Path, hill_m: float) -> Path:
     """200 m of nothing around home, with a slope in its terrain heights."""
     slope = np.linspace(0.0, hill_m, 20, dtype=np.float32).reshape(20, 1).repeat(20, 1)
     heights = HeightGrid((60.39, 22.48, 60.41, 22.52), 30.0 + slope)
-    picture = np.random.default_rng(0).integers(20, 200, (400, 400, 3), dtype=np.uint8)
-    source = array_source(picture, local_georeference(HOME, (100.0, -100.0), 0.5), name="place")
+    image = np.random.default_rng(0).integers(20, 200, (400, 400, 3), dtype=np.uint8)
+    source = array_source(image, local_georeference(HOME, (100.0, -100.0), 0.5), name="place")
     build_pack([source], path, [], BuildOptions(heights=heights))
     return path
 
@@ -184,7 +184,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
             pipeline, mission, Link(), EstimateGuard(), SimpleNamespace(report=None),
             CameraWatch(64, 48), record,
         )  # fmt: skip
-        runtime.run(Pictures(), WallClock())
+        runtime.run(Images(), WallClock())
         record.close(SimpleNamespace(sim=False), assembled)
     return folder
 
@@ -214,7 +214,7 @@ def test_a_flight_replays_to_the_identical_trajectory(flown, pack_file, tmp_path
 
 
 def test_a_recording_of_the_first_release_replays(pack_file, tmp_path):
-    """Five seconds, written by 0.1.0's recorder beside its filter, with pictures of 64 x 48 px.
+    """Five seconds, written by 0.1.0's recorder beside its filter, with images of 64 x 48 px.
 
     0.1.0's own filter ended 0.2 m from there: the present one knows more of what it is told.
     """
@@ -233,7 +233,7 @@ def test_not_only_the_rounded_rows_but_every_bit_of_the_estimates_comes_back(flo
     with MapPack.open(pack_file) as pack:
         ekf = Ekf(Config().ekf, ground_of(pack, HOME))
         told = [
-            seen for seen in read_input_log(flown / "flight.mcap") if type(seen) is not PictureSeen
+            seen for seen in read_input_log(flown / "flight.mcap") if type(seen) is not ImageSeen
         ]
         again = [plain(estimate) for estimate in map(ekf.take, told) if estimate is not None]
     in_flight = [

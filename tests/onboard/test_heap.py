@@ -24,7 +24,7 @@ print(held_mb, resident_mb() - before_mb - 200 * 0.02)
 """
 
 
-def test_pictures_of_all_sizes_leave_nothing_behind():
+def test_images_of_all_sizes_leave_nothing_behind():
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True
     )

@@ -134,7 +134,7 @@ class Flown:
         )
         self.root = root
         self.left: list[tuple[float, Path]] = []
-        self._picture = np.random.default_rng(5).integers(0, 255, (160, 240), np.uint8)
+        self._image = np.random.default_rng(5).integers(0, 255, (160, 240), np.uint8)
         ticks = set(np.unique(np.round(moments / TICK_S).astype(int)))
         for tick in range(round(seconds / TICK_S)):
             self._tick(tick)
@@ -146,7 +146,7 @@ class Flown:
     def _tick(self, tick: int) -> None:
         t_s = self.model.now_s = tick * TICK_S
         self.recorder.event(t_s, "x" * 200)
-        self.recorder.frame(Frame(t_s, self._picture, tick))
+        self.recorder.frame(Frame(t_s, self._image, tick))
         self.rows.write(step(t_s))
         settle(self.recorder, t_s)
         settle_rows(self.folder / "trajectory.csv.part", tick + 1)

@@ -26,7 +26,7 @@ def fix(t_s: float) -> MapFix:
 
 
 def record(path, seconds: float = 3.0) -> None:
-    recorder = Recorder(path, {"ekf": {"sigma_m": 1.0}}, picture_rate_hz=2.0)
+    recorder = Recorder(path, {"ekf": {"sigma_m": 1.0}}, image_rate_hz=2.0)
     for i in range(int(seconds * 30)):
         t_s = i / 30
         recorder.frame(Frame(t_s, IMAGE, i))
@@ -50,7 +50,7 @@ def test_what_is_recorded_is_read_back(tmp_path):
     assert records[-1].t_s == 3.0
 
 
-def test_pictures_come_back_at_no_more_than_the_rate(tmp_path):
+def test_images_come_back_at_no_more_than_the_rate(tmp_path):
     record(tmp_path / "a.mcap")
     source = RecordedFrames(tmp_path / "a.mcap")
     frames = list(iter(source.next_frame, None))
@@ -60,8 +60,8 @@ def test_pictures_come_back_at_no_more_than_the_rate(tmp_path):
     assert abs(int(frames[1].image[60, 80]) - 90) < 3
 
 
-def test_a_recording_is_a_source_of_pictures_with_its_own_telemetry(tmp_path):
-    recorder = Recorder(tmp_path / "a.mcap", {}, picture_rate_hz=100.0)
+def test_a_recording_is_a_source_of_images_with_its_own_telemetry(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap", {}, image_rate_hz=100.0)
     for i in range(4):
         attitude = Attitude(50.0 + i, np.array([1.0, 0.0, 0.0, 0.0]))
         flags = (True, True, True, FlightMode.OFFBOARD, attitude, 10.0 * i, 50.0 + i, None, 0.9)
@@ -108,7 +108,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second(tmp_path):
 
 
 def test_the_flight_never_waits_for_the_disk(tmp_path):
-    recorder = Recorder(tmp_path / "a.mcap", {}, picture_rate_hz=1000.0)
+    recorder = Recorder(tmp_path / "a.mcap", {}, image_rate_hz=1000.0)
     big = np.random.default_rng(0).integers(0, 255, (1080, 1920), np.uint8)
     start_s = time.perf_counter()
     for i in range(30_000):

@@ -46,7 +46,7 @@ def rows_of(folder, steps):
         return list(csv.DictReader(file))
 
 
-def test_time_counts_from_the_first_picture_and_the_unknown_is_empty(tmp_path):
+def test_time_counts_from_the_first_image_and_the_unknown_is_empty(tmp_path):
     first, second = rows_of(tmp_path, [step(100.0), step(100.5)])
     assert (first["t_s"], second["t_s"]) == ("0.0000", "0.5000")
     assert {value for name, value in first.items() if name != "t_s"} == {""}

@@ -43,7 +43,7 @@ def test_csv_rows_are_measurements_in_order_of_time(tmp_path):
     assert told[4].height_m == 20.0
 
 
-def test_attitudes_a_second_apart_are_filled_up_so_that_each_picture_has_one(tmp_path):
+def test_attitudes_a_second_apart_are_filled_up_so_that_each_image_has_one(tmp_path):
     told = csv_of(tmp_path, "t_s,pitch_deg,yaw_deg\n0,0,350\n1,20,10\n9,0,0\n").measurements(0.0)
     assert [seen.t_s for seen in told] == pytest.approx([*np.arange(0.0, 1.05, 0.1), 9.0])
     assert angles_deg(told[5]) == pytest.approx([0.0, 10.0, 0.0], abs=2.0)
@@ -66,7 +66,7 @@ def test_an_attitude_of_which_an_angle_is_empty_is_none(tmp_path):
     assert [seen.t_s for seen in log.measurements(0.0)] == [0.0, 0.2]
 
 
-def test_the_start_of_the_video_is_an_offset_and_times_are_the_pictures_own(tmp_path):
+def test_the_start_of_the_video_is_an_offset_and_times_are_the_images_own(tmp_path):
     log = csv_of(tmp_path, "t_s,height_m\n100,1\n101,2\n", start_s=100.5)
     assert log.measurements(0.0) == [Height(-0.5, 1.0), Height(0.5, 2.0)]
     assert log.measurements(7.0)[0].t_s == 6.5

@@ -1,4 +1,4 @@
-"""Pictures of another size, and one picture again and again."""
+"""Images of another size, and one image again and again."""
 
 import numpy as np
 import pytest
@@ -7,29 +7,29 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.types import Frame
 
 
-def picture(seed: int, shape=(48, 64)) -> Frame:
+def seen(seed: int, shape=(48, 64)) -> Frame:
     image = np.random.default_rng(seed).integers(0, 255, shape, dtype=np.uint8)
     return Frame(index=0, t_s=float(seed), image=image)
 
 
-def test_pictures_that_differ_are_good_and_their_time_is_kept():
+def test_images_that_differ_are_good_and_their_time_is_kept():
     watch = CameraWatch(64, 48)
-    assert watch.picture_s is None
-    assert [watch.look(picture(seed)) for seed in range(3)] == ["", "", ""]
-    assert watch.picture_s == 2.0
+    assert watch.image_s is None
+    assert [watch.look(seen(seed)) for seed in range(3)] == ["", "", ""]
+    assert watch.image_s == 2.0
     assert watch.trouble == ""
 
 
-def test_one_picture_again_is_trouble_until_another_comes():
+def test_one_image_again_is_trouble_until_another_comes():
     watch = CameraWatch(64, 48)
-    watch.look(picture(1))
-    assert "repeats" in watch.look(picture(1))
+    watch.look(seen(1))
+    assert "repeats" in watch.look(seen(1))
     assert "repeats" in watch.trouble
-    assert watch.look(picture(2)) == ""
+    assert watch.look(seen(2)) == ""
     assert watch.trouble == ""
 
 
-def test_a_picture_of_one_shade_may_come_again():
+def test_an_image_of_one_shade_may_come_again():
     watch = CameraWatch(64, 48)
     dark = Frame(index=0, t_s=0.0, image=np.zeros((48, 64), dtype=np.uint8))
     assert [watch.look(dark), watch.look(dark)] == ["", ""]
@@ -37,14 +37,14 @@ def test_a_picture_of_one_shade_may_come_again():
 
 @pytest.mark.parametrize("shape", [(64, 48), (48, 63), (47, 64)])
 def test_another_size_is_not_what_was_calibrated(shape):
-    trouble = CameraWatch(64, 48).look(picture(1, shape))
+    trouble = CameraWatch(64, 48).look(seen(1, shape))
     assert "pictures of 64 x 48 px" in trouble
     assert f"are {shape[1]} x {shape[0]} px" in trouble
 
 
 def test_a_change_anywhere_on_its_grid_is_seen():
     watch = CameraWatch(64, 48)
-    first = picture(1)
+    first = seen(1)
     changed = first.image.copy()
     changed[32, 48] ^= 1
     watch.look(first)
@@ -53,7 +53,7 @@ def test_a_change_anywhere_on_its_grid_is_seen():
 
 def test_the_buffer_of_the_camera_may_be_used_again():
     watch = CameraWatch(64, 48)
-    frame = picture(1)
+    frame = seen(1)
     watch.look(frame)
-    frame.image[:] = picture(2).image
+    frame.image[:] = seen(2).image
     assert watch.look(frame) == ""

@@ -273,7 +273,7 @@ def test_a_gap_is_remembered_for_a_while() -> None:
     assert flight.monitor.gap_s == 0.0
 
 
-def test_without_pictures_it_stops_then_comes_down_while_it_still_knows_where() -> None:
+def test_without_images_it_stops_then_comes_down_while_it_still_knows_where() -> None:
     flight = Flight()
     flight.fly(5.0)
     assert flight.fly(blind_s=0.9).action is Action.NAVIGATE

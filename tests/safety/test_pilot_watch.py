@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
+from vwnav.safety.conditions import PilotWatch
 from vwnav.safety.monitor import SafetyConfig
-from vwnav.safety.watches import PilotWatch
 from vwnav.vehicle import FlightMode
 
 DATA = Path(os.environ.get("VWNAV_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))

@@ -12,7 +12,7 @@ from vwnav.types import Estimate
 from vwnav.vehicle import Finding, FlightMode, Navigation
 
 STANDING = replace(FLYING, armed=False, in_air=False, mode=FlightMode.HOLD)
-READY = Equipment(findings=(), link_refusal=None, picture_s=9.9, picture_trouble="")
+READY = Equipment(findings=(), link_refusal=None, image_s=9.9, image_trouble="")
 ESTIMATE = Estimate(
     t_s=10.0, position_ned_m=np.zeros(3), velocity_ned_m_s=np.zeros(3), covariance=np.eye(6),
     quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]), sigma_yaw_rad=0.1, agl_m=0.1, sigma_agl_m=0.1,
@@ -53,9 +53,9 @@ def test_what_the_vehicle_lacks_is_said(changes, word):
         ({"findings": None}, "not read yet"),
         ({"findings": (NO_VISION,)}, "EKF2_EV_CTRL: is 0, should be 1"),
         ({"link_refusal": "57600 baud is too little"}, "57600 baud"),
-        ({"picture_s": None}, "no picture has come"),
-        ({"picture_s": 7.0}, "no picture for 3.0 s"),
-        ({"picture_trouble": "the camera repeats its pictures"}, "repeats"),
+        ({"image_s": None}, "no picture has come"),
+        ({"image_s": 7.0}, "no picture for 3.0 s"),
+        ({"image_trouble": "the camera repeats its pictures"}, "repeats"),
     ],
 )
 def test_what_the_equipment_lacks_is_said(changes, word):
@@ -89,7 +89,7 @@ def test_what_is_well_is_shown_too_in_its_order():
 def test_all_that_is_wrong_is_shown_at_once():
     vehicle = replace(STANDING, connected=False, battery_ratio=0.2, armable=False)
     warns = replace(NO_VISION, parameter="NAV_DLL_ACT", present=None, severity="warn")
-    equipment = replace(READY, findings=(NO_VISION, warns), picture_s=8.9)
+    equipment = replace(READY, findings=(NO_VISION, warns), image_s=8.9)
     assert shown(vehicle, Navigation(None), equipment) == [
         ("link", "FAIL", "the autopilot is not heard"),
         ("EKF2_EV_CTRL", "FAIL", "is 0, should be 1: vision is not fused"),
@@ -113,7 +113,7 @@ def test_what_the_vehicle_lacks_has_its_name(changes, name):
 @pytest.mark.parametrize(
     ("changes", "name"),
     [({"findings": None}, "parameters"), ({"link_refusal": "57600 baud"}, "link"),
-     ({"picture_s": None}, "camera"), ({"picture_trouble": "repeats"}, "camera")],
+     ({"image_s": None}, "camera"), ({"image_trouble": "repeats"}, "camera")],
 )  # fmt: skip
 def test_what_the_equipment_lacks_has_its_name(changes, name):
     assert trouble(equipment=replace(READY, **changes)).startswith(f"{name}: ")
@@ -121,5 +121,5 @@ def test_what_the_equipment_lacks_has_its_name(changes, name):
 
 def test_exactly_enough_is_enough():
     assert trouble(vehicle=replace(STANDING, battery_ratio=0.35)) == ""
-    assert trouble(equipment=replace(READY, picture_s=9.0)) == ""
+    assert trouble(equipment=replace(READY, image_s=9.0)) == ""
     assert trouble(vehicle=replace(STANDING, armable=False, connected=False)).count("; ") == 1

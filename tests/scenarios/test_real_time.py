@@ -198,7 +198,7 @@ def test_steps_of_the_link_that_fail_now_and_then_are_flown_through(tmp_path):
 
 @pytest.mark.long
 def test_a_watchdog_that_is_killed_is_replaced_and_it_flies_on(tmp_path):
-    """To the end of the route, unless the machine is too busy for pictures: then it lands."""
+    """To the end of the route, unless the machine is too busy for images: then it lands."""
     with real_flight(tmp_path) as flight:
         flight.wait_until_on_route()
         os.kill(flight.watchdog_pid(), signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""The simulated camera: a picture shows where the vehicle was when it was exposed."""
+"""The simulated camera: an image shows where the vehicle was when it was exposed."""
 
 import time
 
@@ -45,7 +45,7 @@ class Renderer:
 
 
 @pytest.mark.parametrize(("late_s", "off_m"), [(0.0, 0.0), (0.06, 0.0), (0.5, 3.7)])
-def test_a_picture_waits_for_truth_of_its_exposure_and_not_for_ever(late_s, off_m):
+def test_an_image_waits_for_truth_of_its_exposure_and_not_for_ever(late_s, off_m):
     truth = LateTruth(late_s)
     camera = SimulatedCamera(Renderer(), truth, HOME, WallClock(), flown_m=50.0)
     frames = [camera.next_frame() for _ in range(4)]

@@ -64,8 +64,8 @@ def make(site: Site, config: RenderConfig, seed: int = 0) -> CameraRenderer:
 
 
 def view_of(renderer: CameraRenderer, position: Array, R: Array, velocity: Array = STILL) -> Array:
-    picture = renderer.render(np.asarray(position), R, 0.0, velocity, STILL)
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    image = renderer.render(np.asarray(position), R, 0.0, velocity, STILL)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
 def over_threshold(site: Site, height_m: float) -> Array:
@@ -75,7 +75,7 @@ def over_threshold(site: Site, height_m: float) -> Array:
 
 
 def seen_at(points_ne: Array, position: Array, R_ned_body: Array) -> NDArray[np.float32]:
-    """Where the camera model says that points (n, 2) of the ground are, well inside the picture."""
+    """Where the camera model says that points (n, 2) of the ground are, well inside the image."""
     camera = default_camera()
     offset = np.column_stack([points_ne, np.zeros(len(points_ne))]) - position
     uv = camera.project(offset @ R_ned_body @ camera.R_body_camera)
@@ -98,7 +98,7 @@ def test_corners_of_the_ground_land_where_the_camera_projects_them(seed: int) ->
     grid = 2.0 * np.stack(np.meshgrid(np.arange(-60, 61), np.arange(-60, 61)), -1).reshape(-1, 2)
     uv = seen_at(grid.astype(float), position, R)
     near = np.hypot(*(uv[:, None] - uv[None] + 1e3 * np.eye(len(uv))[..., None]).T).min(axis=0)
-    uv = uv[near > 14.0]  # squares too small on the picture have no corner to refine
+    uv = uv[near > 14.0]  # squares too small on the image have no corner to refine
     assert len(uv) > 20
     apart = np.hypot(*(refined(view, uv) - uv).T)
     assert np.median(apart) < 0.2
@@ -120,7 +120,7 @@ def test_the_runways_threshold_is_seen_where_the_vectors_say(
     assert np.median(np.hypot(*apart.T)) < 1.0
 
 
-def test_the_same_seed_renders_the_same_pictures() -> None:
+def test_the_same_seed_renders_the_same_images() -> None:
     runs = []
     for _ in range(2):
         renderer = make(CHESS, RenderConfig(background=False), seed=4)
@@ -214,7 +214,7 @@ def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
 
 
 def test_a_rolling_shutter_of_a_turning_camera_leans_each_row_its_own_way() -> None:
-    """About the vertical, where the picture's middle does not move at all."""
+    """About the vertical, where the image's middle does not move at all."""
     readout_s, rates, height_m = 0.02, np.array([0.3, -0.2, 1.05]), 20.0
     config = replace(PERFECT, readout_s=readout_s, exposure_s=1e-6)
     position = np.array([0.0, 0.0, -height_m])

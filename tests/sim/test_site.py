@@ -24,8 +24,8 @@ def site() -> Site:
     return Site(1)
 
 
-def gray(picture: np.ndarray) -> np.ndarray:
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+def gray(image: np.ndarray) -> np.ndarray:
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
 
 
 def strip_centre(site: Site, along: float, across: float) -> tuple[float, float]:
@@ -40,10 +40,10 @@ def around(
     return site.render(look, north0, east0, size, r)  # type: ignore[arg-type]
 
 
-def upright_root_sift(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def upright_root_sift(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     sift = cv2.SIFT_create(500)
-    keypoints = [cv2.KeyPoint(*k.pt, k.size, 0) for k in sift.detect(picture.astype(np.uint8))]
-    keypoints, found = sift.compute(picture.astype(np.uint8), keypoints)
+    keypoints = [cv2.KeyPoint(*k.pt, k.size, 0) for k in sift.detect(image.astype(np.uint8))]
+    keypoints, found = sift.compute(image.astype(np.uint8), keypoints)
     return np.array([k.pt for k in keypoints]), np.sqrt(found / found.sum(1, keepdims=True))
 
 
@@ -213,7 +213,7 @@ def test_noise_is_one_field_seen_through_every_window() -> None:
     np.testing.assert_allclose(large[100:190, 50:170], part, atol=0.02)
 
 
-def test_windows_that_make_no_picture_are_refused(site: Site) -> None:
+def test_windows_that_make_no_image_are_refused(site: Site) -> None:
     with pytest.raises(ValueError, match="expected a window"):
         site.render("flight", 0.0, 0.0, (0, 10), 0.3)
     with pytest.raises(ValueError, match="expected a window"):

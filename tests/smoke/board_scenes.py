@@ -1,11 +1,11 @@
-"""Pictures of the board by a projection of our own, which shares nothing with OpenCV's."""
+"""Images of the board by a projection of our own, which shares nothing with OpenCV's."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from vwnav.calibration.board import COLUMNS, ROWS, board_picture
+from vwnav.calibration.board import COLUMNS, ROWS, board_image
 
 SQUARE_PX = 60
 SUPERSAMPLED = 2  # rays a pixel, each way
@@ -70,11 +70,11 @@ class Studio:
         self.x, self.y = (ray.astype(np.float32) for ray in lens.rays(*coarse))
         margin = SQUARE_PX
         self.paper = cv2.copyMakeBorder(
-            board_picture(SQUARE_PX), *[margin] * 4, cv2.BORDER_CONSTANT, value=255
+            board_image(SQUARE_PX), *[margin] * 4, cv2.BORDER_CONSTANT, value=255
         )
 
     def photograph(self, R: np.ndarray, t: np.ndarray, noise: float = 2.0) -> np.ndarray:
-        """Gray picture of the board whose point X (squares) is at R X + t in camera axes."""
+        """Gray image of the board whose point X (squares) is at R X + t in camera axes."""
         normal = R[:, 2]
         n0, n1, n2 = normal.astype(np.float32)
         depth = np.float32(normal @ t) / (n0 * self.x + n1 * self.y + n2)
@@ -94,7 +94,7 @@ class Studio:
         return np.clip(grey, 0, 255).astype(np.uint8)
 
     def view(self, number: int, tilt_deg: float = 32.0) -> np.ndarray:
-        """One of the poses that a person would show: about the picture, turned, tilted."""
+        """One of the poses that a person would show: about the image, turned, tilted."""
         rng = np.random.default_rng([7, number])
         lens = self.lens
         lean = np.radians(tilt_deg) * rng.uniform(0.3, 1.0)

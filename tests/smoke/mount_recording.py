@@ -22,12 +22,12 @@ from vwnav.geometry.rotations import (
 from vwnav.recording.input_log import About, InputLog
 from vwnav.recording.recorder import Recorder
 from vwnav.sim.lens import RenderConfig
+from vwnav.sim.named_sites import parse_site
 from vwnav.sim.renderer import CameraRenderer, default_camera
-from vwnav.sim.sites import parse_site
 from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Attitude, Frame, Range
 
-SECONDS, START_S, PICTURE_HZ = 110.0, 14.0, 1.5
+SECONDS, START_S, IMAGE_HZ = 110.0, 14.0, 1.5
 LEG_S, SPEED_M_S, HEIGHT_M = 8.0, 8.0, 45.0
 TURNS_DEG = (90, 90, -180, -90, -90, 180)
 
@@ -83,13 +83,13 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
         default_cache_dir(),
     )  # fmt: skip
     lean = []
-    with closing(Recorder(path, {}, picture_rate_hz=10.0)) as recorder:
+    with closing(Recorder(path, {}, image_rate_hz=10.0)) as recorder:
         log = InputLog(recorder, about)
         for i in range(0, len(truth.t_s), 3):
             log.input(Attitude(float(truth.t_s[i]), quats[i]))
             if mounted.rangefinder and i % 9 == 0:
                 log.input(_range(truth, quats, i, rng))
-        stamps = np.arange(START_S, SECONDS - 1.0, 1.0 / PICTURE_HZ)
+        stamps = np.arange(START_S, SECONDS - 1.0, 1.0 / IMAGE_HZ)
         for number, stamp in enumerate(stamps):
             i = round((stamp + mounted.offset_s) / DT_S)
             R = rotation_from_quat(truth.quat_wxyz[i])
@@ -110,7 +110,7 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
             yaw = np.arctan2(turn[1, 0], turn[0, 0])
             unturned = rotation_from_euler(0.0, 0.0, -yaw) @ told
             lean.append(vector_from_rotation(unturned.T @ R))
-            time.sleep(0.02)  # the writer drops pictures that come faster than it encodes
+            time.sleep(0.02)  # the writer drops images that come faster than it encodes
     renderer.close()
     return rotation_from_vector(np.mean(lean, axis=0)) @ mounted.camera.R_body_camera
 

@@ -17,8 +17,8 @@ from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.sim.lens import RenderConfig
+from vwnav.sim.named_sites import parse_site
 from vwnav.sim.renderer import CameraRenderer, default_camera
-from vwnav.sim.sites import parse_site
 from vwnav.vision.features.load import load_features
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +52,7 @@ class Place:
     video: Path
     camera: Path
     telemetry: Path
-    picture: Path
+    image: Path
     truth_lat_lon_deg: np.ndarray
     frame: LocalFrame
 
@@ -95,14 +95,14 @@ def place(tmp_path_factory) -> Place:
     camera = default_camera()
     save_camera(camera, folder / "camera.toml")
     path_ned_m = _path()
-    pictures = _render(site, camera, path_ned_m)
+    images = _render(site, camera, path_ned_m)
     writer = cv2.VideoWriter(
         str(folder / "flight.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (640, 480)
     )
-    for picture in pictures:
-        writer.write(picture)
+    for image in images:
+        writer.write(image)
     writer.release()
-    cv2.imwrite(str(folder / "picture.png"), pictures[0])
+    cv2.imwrite(str(folder / "picture.png"), images[0])
     rows = [f"{i / FPS},0,0,{np.degrees(HEADING_RAD)},{AGL_M}" for i in range(FRAMES + 1)]
     header = "t_s,roll_deg,pitch_deg,yaw_deg,agl_m"
     (folder / "telemetry.csv").write_text("\n".join([header, *rows]) + "\n")
@@ -129,12 +129,12 @@ def _render(site, camera, path_ned_m) -> list[np.ndarray]:
     renderer = CameraRenderer(site, camera, config, np.random.default_rng(5))
     R_ned_body = rotation_from_euler(0.0, 0.0, HEADING_RAD)
     velocity = SPEED_M_S * np.array([np.cos(HEADING_RAD), np.sin(HEADING_RAD), 0.0])
-    pictures = [
+    images = [
         renderer.render(at, R_ned_body, i / FPS, velocity, np.zeros(3))
         for i, at in enumerate(path_ned_m)
     ]
     renderer.close()
-    return pictures
+    return images
 
 
 def read_run(folder: Path) -> dict:

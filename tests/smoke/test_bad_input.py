@@ -74,7 +74,7 @@ def test_a_recording_that_is_none(vwnav, place, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_calibration_for_another_picture_size(replay, tmp_path):
+def test_a_calibration_for_another_image_size(replay, tmp_path):
     save_camera(Camera.from_hfov(1920, 1080, 80.0), tmp_path / "camera.json")
     done, out = replay(camera=tmp_path / "camera.json")
     assert done.code == 1

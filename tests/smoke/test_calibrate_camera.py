@@ -1,4 +1,4 @@
-"""`vwnav calibrate board` and `camera` by the real commands, on pictures of our own projection."""
+"""`vwnav calibrate board` and `camera` by the real commands, on images of our own projection."""
 
 import re
 import struct
@@ -31,8 +31,8 @@ def studio(request) -> Studio:
     return studio_of(request.param)
 
 
-def picture_in(pdf: bytes) -> Image.Image:
-    """The page's only picture: its CCITT data in the envelope of a TIFF."""
+def image_in(pdf: bytes) -> Image.Image:
+    """The page's only image: its CCITT data in the envelope of a TIFF."""
     columns, rows = (int(re.search(rb"/%s (\d+)" % name, pdf)[1]) for name in (b"Columns", b"Rows"))
     data = re.search(rb"CCITTFaxDecode.*?stream\r?\n(.*?)\r?\nendstream", pdf, re.S)[1]
     tags = [
@@ -52,7 +52,7 @@ def test_the_board_is_drawn_to_scale(vwnav, tmp_path, paper):
     pdf = (tmp_path / "board.pdf").read_bytes()
     page = [float(x) for x in re.search(rb"MediaBox \[ ([\d. ]+) ?\]", pdf)[1].split()]
     assert np.allclose(np.array(page[2:]) / 72 * 25.4, [width_mm, height_mm], atol=0.01)
-    drawn = np.asarray(picture_in(pdf).convert("L"))
+    drawn = np.asarray(image_in(pdf).convert("L"))
     px_per_mm = drawn.shape[1] / width_mm
     small = cv2.resize(drawn, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     view = BoardFinder().find(small)
@@ -62,7 +62,7 @@ def test_the_board_is_drawn_to_scale(vwnav, tmp_path, paper):
     assert np.abs(apart).max() < 0.05
 
 
-def test_the_lens_is_found_from_a_folder_of_pictures(vwnav, tmp_path, studio):
+def test_the_lens_is_found_from_a_folder_of_images(vwnav, tmp_path, studio):
     for number in range(VIEWS):
         cv2.imwrite(str(tmp_path / f"{number}.png"), studio.view(number))
     done = vwnav("calibrate", "camera", tmp_path, "-o", tmp_path / "camera.toml")
@@ -91,9 +91,9 @@ def test_a_video_of_the_board_serves_too(vwnav, tmp_path):
     studio, path = studio_of(PINHOLE), tmp_path / "board.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 15.0, (640, 480))
     for number in range(VIEWS):
-        picture = cv2.cvtColor(studio.view(number), cv2.COLOR_GRAY2BGR)
+        image = cv2.cvtColor(studio.view(number), cv2.COLOR_GRAY2BGR)
         for _ in range(3):
-            writer.write(picture)
+            writer.write(image)
     writer.release()
     done = vwnav("calibrate", "camera", path, "-o", tmp_path / "camera.json")
     assert done.code == 0, done.err
@@ -124,7 +124,7 @@ def test_what_fixes_no_lens_is_refused_in_one_line(vwnav, tmp_path):
 
 
 def test_a_half_shown_board_is_told_what_is_missing(vwnav, tmp_path):
-    """Only the middle of the picture, leaning one way: usable at best, and it says why."""
+    """Only the middle of the image, leaning one way: usable at best, and it says why."""
     studio = studio_of(PINHOLE)
     rng = np.random.default_rng(4)
     for number in range(14):

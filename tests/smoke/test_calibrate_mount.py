@@ -71,7 +71,7 @@ def test_a_flight_over_another_place_is_refused(mount, place, tmp_path):
     assert not out.exists()
 
 
-def test_too_few_pictures_with_an_attitude_are_refused(mount, place, tmp_path):
+def test_too_few_images_with_an_attitude_are_refused(mount, place, tmp_path):
     (tmp_path / "t.csv").write_text("t_s,roll_deg,pitch_deg,yaw_deg\n0,0,0,20\n0.4,0,0,20\n")
     done, _ = mount(place.video, "--telemetry", tmp_path / "t.csv")
     assert done.code == 1
@@ -89,7 +89,7 @@ def test_vwnav_camera_tells_and_draws_what_it_sees(vwnav, place, tmp_path):
     assert "10.0 pictures a second" in done.out
     drawn = cv2.imread(str(tmp_path / "seen.png")).astype(int)
     green = (drawn[..., 1] - drawn[..., 0] > 60) & (drawn[..., 1] - drawn[..., 2] > 60)
-    assert green.sum() > 2000  # its keypoints, on a picture in grey
+    assert green.sum() > 2000  # its keypoints, on an image in grey
 
 
 def test_vwnav_camera_complains_in_one_line(vwnav, place, tmp_path):

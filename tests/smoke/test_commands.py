@@ -61,7 +61,7 @@ def test_the_same_recording_gives_the_same_trajectory(vwnav, place, replayed, tm
     assert first == second
 
 
-def test_a_replay_replays_from_its_own_recording_without_pictures(vwnav, place, replayed, tmp_path):
+def test_a_replay_replays_from_its_own_recording_without_images(vwnav, place, replayed, tmp_path):
     recording = replayed[1] / "flight.mcap"
     done = vwnav("replay", recording, "--map", place.pack, "-o", tmp_path / "b", blocked=False)
     assert done.code == 0, done.err
@@ -85,7 +85,7 @@ def test_replay_with_telemetry_gives_the_nadir(vwnav, place, tmp_path, features)
 def test_localize_prints_one_json_object_with_the_agreed_fields(vwnav, place):
     lat, lon = place.truth_lat_lon_deg[0]
     done = vwnav(
-        "localize", place.picture, "--map", place.pack, "--camera", place.camera, "--json",
+        "localize", place.image, "--map", place.pack, "--camera", place.camera, "--json",
         "--lat", lat + 0.0002, "--lon", lon, "--sigma-m", 40, "--agl-m", 66, "--yaw-deg", 30,
     )  # fmt: skip
     assert done.code == 0, done.err
@@ -96,7 +96,7 @@ def test_localize_prints_one_json_object_with_the_agreed_fields(vwnav, place):
     assert set(found["time_ms"]) == {"rectify", "extract", "match", "verify", "total"}
 
 
-def test_a_rejected_picture_is_a_result(vwnav, place, tmp_path):
+def test_a_rejected_image_is_a_result(vwnav, place, tmp_path):
     cv2.imwrite(str(tmp_path / "black.png"), np.zeros((480, 640), np.uint8))
     done = vwnav(
         "localize", tmp_path / "black.png", "--map", place.pack, "--hfov-deg", 70, "--json"

@@ -48,7 +48,7 @@ def test_it_runs_where_only_it_is_installed(wheel, tmp_path):
     script = (
         "import vwnav\nfrom pathlib import Path\n"
         "from vwnav.vision.features.learned import LearnedFeatures\n"
-        "from vwnav.sim.sites import parse_site\n"
+        "from vwnav.sim.named_sites import parse_site\n"
         f"assert Path(vwnav.__file__).is_relative_to({str(tmp_path)!r})\n"
         f"[LearnedFeatures(Path(name)) for name in {MODELS!r}]\n"
         "assert parse_site('sim:default').render('map', 0.0, 0.0, (64, 64), 0.3).shape[:2]"

@@ -19,7 +19,7 @@ def test_a_long_curve_is_smoothed_without_moving_it():
     assert smooth.values == pytest.approx([2.0 * m for m in smooth.minutes])
 
 
-def test_the_picture_is_drawn_for_two_runs(tmp_path):
+def test_the_image_is_drawn_for_two_runs(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "log.csv").write_text(LOG + "50,60.0,2.5,1.0,0.1\n100,120.0,,,,31.5\n")

@@ -27,24 +27,24 @@ def test_pairs_that_are_far_off_are_left_out():
 
 
 def test_black_corners_are_no_ground_but_dark_roofs_are():
-    picture = np.full((100, 100, 3), 120, np.uint8)
-    picture[:40, :40] = 0
-    picture[70:74, 70:74] = 0
-    mask = data.ground_mask(picture)
+    image = np.full((100, 100, 3), 120, np.uint8)
+    image[:40, :40] = 0
+    image[70:74, 70:74] = 0
+    mask = data.ground_mask(image)
     assert mask[10, 10] == 0
     assert mask[72, 72] == 255
     assert mask[90, 10] == 255
 
 
-def test_generated_pairs_are_found_and_lone_pictures_are_not(tmp_path):
-    picture = np.full((64, 64, 3), 100, np.uint8)
+def test_generated_pairs_are_found_and_lone_images_are_not(tmp_path):
+    image = np.full((64, 64, 3), 100, np.uint8)
     for name in ("0_a.jpg", "0_b.jpg", "1_a.jpg"):
-        cv2.imwrite(str(tmp_path / name), picture)
+        cv2.imwrite(str(tmp_path / name), image)
     scenes = list(data.site_pairs(tmp_path))
-    assert [len(s.pictures) for s in scenes] == [2]
+    assert [len(s.images) for s in scenes] == [2]
 
 
-def test_a_picture_that_cannot_be_read_is_named(tmp_path):
+def test_an_image_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.jpg"):
         data.read(tmp_path / "gone.jpg")
 
@@ -54,7 +54,7 @@ def test_without_data_there_is_nothing_to_train_on(tmp_path):
 
 
 @needs_data
-def test_only_training_pictures_are_ever_read(monkeypatch):
+def test_only_training_images_are_ever_read(monkeypatch):
     seen = []
     monkeypatch.setattr(
         data, "read", lambda path: seen.append(path) or np.zeros((9, 9, 3), np.uint8)
@@ -82,8 +82,8 @@ def test_frames_that_share_nothing_are_not_registered():
 
 
 def test_frames_of_different_flights_are_no_neighbours():
-    picture = np.zeros((50, 50, 3), np.uint8)
-    frames = [data.scene("drone", source, [picture]) for source in ("a", "b")]
+    image = np.zeros((50, 50, 3), np.uint8)
+    frames = [data.scene("drone", source, [image]) for source in ("a", "b")]
     assert list(data.overlapping(frames)) == []
 
 
@@ -137,9 +137,9 @@ def test_a_place_with_many_pairs_counts_no_more_than_one_with_few(monkeypatch):
 
 
 def weak_folder(tmp_path):
-    picture = np.random.default_rng(0).integers(50, 200, (40, 40, 3)).astype(np.uint8)
+    image = np.random.default_rng(0).integers(50, 200, (40, 40, 3)).astype(np.uint8)
     for letter in "ab":
-        cv2.imwrite(str(tmp_path / f"x_{letter}.png"), picture)
+        cv2.imwrite(str(tmp_path / f"x_{letter}.png"), image)
     pair = {
         "src": "drawn",
         "split": "train",

@@ -106,8 +106,8 @@ def test_flat_surfaces_earn_little():
     assert agreement(flat, flat) < 0.05
 
 
-def test_what_only_one_picture_shows_is_left_out_of_the_window():
-    # The window leaves picture 1 to the right; the peak outside of it earns nothing.
+def test_what_only_one_image_shows_is_left_out_of_the_window():
+    # The window leaves image 1 to the right; the peak outside of it earns nothing.
     H_1_0 = torch.from_numpy(warps.translation(31.0, 0.0)).float()[None]
     reward = agreement(surface_with_peak(35, 30), torch.zeros(1, 1, 64, 64), H_1_0)
     assert reward < 0.05
@@ -217,7 +217,7 @@ def test_where_nothing_repeats_nothing_pulls():
     assert logits0.grad.abs().max() < 1e-3
 
 
-def test_each_picture_is_spread_by_its_own_gaussian():
+def test_each_image_is_spread_by_its_own_gaussian():
     density = torch.zeros(2, 1, 16, 16)
     density[:, :, 8, 8] = 1.0
     near = losses.spread(density, torch.tensor([1.0, 2.0]))

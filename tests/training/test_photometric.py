@@ -15,7 +15,7 @@ def view():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_change_alters_the_picture_and_nothing_of_its_form(view, name):
+def test_each_change_alters_the_image_and_nothing_of_its_form(view, name):
     config = PhotometricConfig(**(NOTHING | {name: 1.0}))
     plain = photometric.photograph(view, np.random.default_rng(4), PhotometricConfig(**NOTHING))
     photo = photometric.photograph(view, np.random.default_rng(4), config)

@@ -19,7 +19,7 @@ def scenery() -> np.ndarray:
 
 
 def relief(v, u) -> np.ndarray:
-    """A displacement of up to 6 px that changes over the picture, (..., 2)."""
+    """A displacement of up to 6 px that changes over the image, (..., 2)."""
     return np.stack([6.0 * np.sin(u / 60.0), 4.0 * np.cos(v / 80.0)], axis=-1)
 
 
@@ -51,8 +51,8 @@ def test_the_displacement_is_found_to_a_pixel(offsets):
 def test_a_registered_pair_lies_on_itself(pair, offsets, tmp_path):
     data.save_registration(tmp_path, pair, offsets)
     again = data.registered(pair, tmp_path)
-    a, b = (p[30:-30, 30:-30].astype(float) for p in again.pictures)
-    before = cv2.warpPerspective(pair.pictures[0], pair.H_i_0[1], (SIDE, SIDE))[30:-30, 30:-30]
+    a, b = (p[30:-30, 30:-30].astype(float) for p in again.images)
+    before = cv2.warpPerspective(pair.images[0], pair.H_i_0[1], (SIDE, SIDE))[30:-30, 30:-30]
     assert np.abs(a - b).mean() < 0.4 * np.abs(before - b).mean()
     assert again.label_noise == data.REGISTERED_NOISE
     np.testing.assert_array_equal(again.H_i_0[1], np.eye(3))
@@ -71,9 +71,9 @@ def test_a_registration_cut_off_while_it_is_written_leaves_no_file(
     assert data.registered(pair, tmp_path) is pair
 
 
-def test_ground_that_one_picture_lacks_stays_masked(pair, offsets, tmp_path):
+def test_ground_that_one_image_lacks_stays_masked(pair, offsets, tmp_path):
     data.save_registration(tmp_path, pair, np.zeros_like(offsets))
-    black = [pair.pictures[0].copy(), pair.pictures[1]]
+    black = [pair.images[0].copy(), pair.images[1]]
     black[0][: 2 * 100] = 0
     cut = data.scene("pair", "test", black, H_i_0=pair.H_i_0, name=pair.name)
     mask = data.registered(cut, tmp_path).masks[0]
@@ -85,10 +85,10 @@ def test_a_pair_without_registration_stays_as_it_is(pair, tmp_path):
     assert data.registered(pair, tmp_path) is pair
 
 
-def test_pictures_that_share_nothing_keep_their_label(pair):
+def test_images_that_share_nothing_keep_their_label(pair):
     rng = np.random.default_rng(1)
     other = cv2.resize(rng.integers(0, 255, (80, 80, 3)).astype(np.uint8), (SIDE, SIDE))
-    strangers = data.scene("pair", "test", [pair.pictures[1], other])
+    strangers = data.scene("pair", "test", [pair.images[1], other])
     assert register.register_again(strangers, all_of_sift) is None
 
 

@@ -27,7 +27,7 @@ def test_both_views_look_alike_at_corresponding_points(relief_share, drawn_scene
         uv = [sample[f"uv{k}"].round().long().clamp(0, 223) for k in (0, 1)]
         grey = [sample[f"image{k}"][0][uv[k][:, 1], uv[k][:, 0]].float() for k in (0, 1)]
         differences.append((grey[0] - grey[1]).abs())
-    assert torch.cat(differences).median() < 12  # noise of the drawn pictures is 6 of 255
+    assert torch.cat(differences).median() < 12  # noise of the drawn images is 6 of 255
 
 
 def test_corners_are_carried_by_the_homography(drawn_scenes):
@@ -38,10 +38,10 @@ def test_corners_are_carried_by_the_homography(drawn_scenes):
     np.testing.assert_allclose(carried, sample["corners1"][present].numpy(), atol=0.01)
 
 
-def test_black_corners_of_a_registered_picture_count_as_unseen():
-    picture = np.random.default_rng(0).integers(50, 200, (300, 300, 3)).astype(np.uint8)
-    picture[:, :150] = 0
-    pair = scene("pair", "drawn", [picture, picture])
+def test_black_corners_of_a_registered_image_count_as_unseen():
+    image = np.random.default_rng(0).integers(50, 200, (300, 300, 3)).astype(np.uint8)
+    image[:, :150] = 0
+    pair = scene("pair", "drawn", [image, image])
     views = draw_views(pair, np.random.default_rng(0), SampleConfig())
     dark = views.views[0].max(axis=2) == 0
     assert dark.any()

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from export.parity import drawn_pictures
+from export.parity import drawn_images
 from training.data import ROOT
 from training.team import Share, Team
 
@@ -25,9 +25,9 @@ def test_a_batch_that_cannot_be_shared_is_refused(monkeypatch):
 
 
 def test_two_processes_learn_as_one_does(tmp_path):
-    for i, picture in enumerate(drawn_pictures(6)):
+    for i, image in enumerate(drawn_images(6)):
         for letter in "ab":
-            cv2.imwrite(str(tmp_path / f"{i}_{letter}.jpg"), cv2.resize(picture, (300, 300)))
+            cv2.imwrite(str(tmp_path / f"{i}_{letter}.jpg"), cv2.resize(image, (300, 300)))
     script = [str(ROOT / "training/train.py"), "--preset", "smoke", "--max-steps", "20"]
     changes = {"minutes": 0, "threads": 1, "loader_processes": 0, "log_every_steps": 5}
     changes |= {"sites": tmp_path, "validation_pairs": 1, "bfloat16": "false"}
@@ -45,6 +45,6 @@ def test_two_processes_learn_as_one_does(tmp_path):
         )
         learned = log["matching"][np.isfinite(log["matching"])]  # rows of a validation have none
         curves.append(learned[:4])
-    # The same pictures in the same order; batch norm looks at half a batch each.
+    # The same images in the same order; batch norm looks at half a batch each.
     np.testing.assert_allclose(curves[1], curves[0], rtol=0.1)
     assert curves[1][-1] < curves[1][0]

@@ -10,44 +10,44 @@ SMALL = NetworkConfig(stem_channels=8, channels=16, keypoint_channels=16, score_
 
 
 @pytest.fixture
-def pictures() -> list[torch.Tensor]:
+def images() -> list[torch.Tensor]:
     generator = torch.Generator().manual_seed(2)
     return [255 * torch.rand(1, 1, 64, 96, generator=generator) for _ in range(3)]
 
 
 @pytest.fixture
-def whole(pictures) -> FeatureNetwork:
+def whole(images) -> FeatureNetwork:
     """Random weights with the statistics of real responses."""
     torch.manual_seed(1)
     network = FeatureNetwork(SMALL).train()
     with torch.no_grad():
         for _ in range(30):
-            network(torch.cat(pictures))
+            network(torch.cat(images))
     return network.eval()
 
 
-def difference(whole, thin, picture) -> float:
+def difference(whole, thin, image) -> float:
     with torch.inference_mode():
-        a, b = whole.eval()(picture).descriptors, thin.eval()(picture).descriptors
+        a, b = whole.eval()(image).descriptors, thin.eval()(image).descriptors
     return float((a - b).norm() / a.norm())
 
 
-def test_at_full_rank_nothing_changes(whole, pictures):
+def test_at_full_rank_nothing_changes(whole, images):
     config = replace(SMALL, stem_rank=8, rank=16, coarse_rank=16)
-    thin = thinned(whole, config, pictures)
+    thin = thinned(whole, config, images)
     assert len(list(thin_blocks(thin))) == 9
-    assert difference(whole, thin, pictures[0]) < 1e-4
+    assert difference(whole, thin, images[0]) < 1e-4
 
 
-def test_at_half_of_the_rank_the_strongest_directions_stay(whole, pictures):
+def test_at_half_of_the_rank_the_strongest_directions_stay(whole, images):
     config = replace(SMALL, stem_rank=4, rank=8, coarse_rank=8)
     torch.manual_seed(5)
     anew = FeatureNetwork(config)
     anew.load_state_dict(
         anew.state_dict() | {"descriptors.weight": whole.state_dict()["descriptors.weight"]}
     )
-    near = difference(whole, thinned(whole, config, pictures), pictures[0])
-    assert near < 0.7 * difference(whole, anew, pictures[0])
+    near = difference(whole, thinned(whole, config, images), images[0])
+    assert near < 0.7 * difference(whole, anew, images[0])
 
 
 def test_directions_are_those_of_the_responses():

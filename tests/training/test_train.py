@@ -113,7 +113,7 @@ def test_an_interrupted_run_resumes_to_the_same_weights(drawn_scenes, tmp_path, 
         torch.testing.assert_close(states[1][name], value, atol=1e-6, rtol=1e-5)
 
 
-def test_without_pictures_training_says_what_to_do(tmp_path):
+def test_without_images_training_says_what_to_do(tmp_path):
     with pytest.raises(SystemExit, match="no training pictures"):
         train.main(replace(SHORT, out=str(tmp_path)), scenes=([], []))
 

@@ -16,7 +16,7 @@ def random_view(seed):
     return warps.random_relative_view(np.random.default_rng(seed), warps.WarpConfig(), SIZE)
 
 
-def smooth_picture(seed=0, size=96):
+def smooth_image(seed=0, size=96):
     noise = np.random.default_rng(seed).normal(size=(size, size))
     smooth = cv2.GaussianBlur(noise, (0, 0), 3)
     return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
@@ -43,10 +43,10 @@ def test_points_are_carried_as_kornia_carries_them(seed):
 
 
 def test_a_view_shows_what_kornia_shows():
-    picture = smooth_picture()
+    image = smooth_image()
     H_source_view = warps.centred(warps.similarity(0.3, 0.8), np.full(2, 47.5), np.full(2, 31.5))
-    ours = warps.view(picture, H_source_view, SIZE).astype(np.float32)
-    source = torch.from_numpy(picture).float()[None, None]
+    ours = warps.view(image, H_source_view, SIZE).astype(np.float32)
+    source = torch.from_numpy(image).float()[None, None]
     H_view_source = torch.from_numpy(np.linalg.inv(H_source_view)).float()[None]
     theirs = kornia.geometry.warp_perspective(
         source, H_view_source, (SIZE, SIZE), align_corners=True
@@ -56,10 +56,10 @@ def test_a_view_shows_what_kornia_shows():
 
 def test_a_shrunk_view_stays_in_its_place():
     # A bright square, seen three times smaller, keeps its centre: the half-pixel rule.
-    picture = np.zeros((300, 300), np.uint8)
-    picture[120:180, 90:150] = 255
+    image = np.zeros((300, 300), np.uint8)
+    image[120:180, 90:150] = 255
     H_source_view = warps.centred(warps.similarity(0.0, 3.0), np.full(2, 149.5), np.full(2, 31.5))
-    seen = warps.view(picture, H_source_view, SIZE)
+    seen = warps.view(image, H_source_view, SIZE)
     moments = cv2.moments(seen)
     centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
     expected = warps.warp_points(np.linalg.inv(H_source_view), np.array([[119.5, 149.5]]))[0]
@@ -103,8 +103,8 @@ def test_a_bent_view_shows_points_where_relief_puts_them():
     planar = warps.warp_points(H_1_0, uv0[0])[None]
     there = planar + warps.relief_at(relief, uv0, size)
 
-    def seen(picture, uv):
-        return cv2.remap(picture, uv.astype(np.float32), None, cv2.INTER_LINEAR)[0].astype(float)
+    def seen(image, uv):
+        return cv2.remap(image, uv.astype(np.float32), None, cv2.INTER_LINEAR)[0].astype(float)
 
     truth = seen(scenery, uv0)
     assert np.abs(seen(bent, there) - truth).mean() < 3.0

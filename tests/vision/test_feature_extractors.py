@@ -20,7 +20,7 @@ def found_again(uv0: np.ndarray, uv1: np.ndarray, within_px: float) -> float:
     return float(np.mean(apart.min(axis=1) <= within_px))
 
 
-def test_a_picture_without_structure_has_no_features(extractor: FeatureExtractor):
+def test_an_image_without_structure_has_no_features(extractor: FeatureExtractor):
     for gray_value in (0, 128, 255):
         found = extractor.extract(np.full((96, 128), gray_value, np.uint8), 500)
         assert len(found) == 0
@@ -28,14 +28,14 @@ def test_a_picture_without_structure_has_no_features(extractor: FeatureExtractor
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 200), (15, 15), (33, 40)])
-def test_tiny_pictures_are_no_error(extractor: FeatureExtractor, shape: tuple[int, int]):
+def test_tiny_images_are_no_error(extractor: FeatureExtractor, shape: tuple[int, int]):
     noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
     found = extractor.extract(noise, 100)
     assert np.all(found.uv >= -0.5)
     assert np.all(found.uv <= np.array(shape[::-1]) - 0.5)
 
 
-def test_what_is_no_gray_picture_is_refused(extractor: FeatureExtractor):
+def test_what_is_no_gray_image_is_refused(extractor: FeatureExtractor):
     for wrong in (np.zeros((64, 64, 3), np.uint8), np.zeros((64, 64)), np.zeros((0, 9), np.uint8)):
         with pytest.raises(ValueError, match="expected a gray picture"):
             extractor.extract(wrong, 10)
@@ -49,7 +49,7 @@ def test_no_more_keypoints_than_asked_for_strongest_first(extractor: FeatureExtr
     assert np.all(np.diff(found.scores) <= 0.0)
 
 
-def test_the_same_picture_gives_the_same_features(extractor: FeatureExtractor):
+def test_the_same_image_gives_the_same_features(extractor: FeatureExtractor):
     first, second = extractor.extract(SCENE, 300), extractor.extract(SCENE.copy(), 300)
     assert np.array_equal(first.uv, second.uv)
     assert np.array_equal(first.descriptors, second.descriptors)
@@ -72,7 +72,7 @@ extractor_named = functools.cache(load_features)
     cells_v=st.integers(0, 5),
     name=st.sampled_from(["learned", "sift", "orb"]),
 )
-def test_shifting_the_picture_shifts_the_keypoints(cells_u: int, cells_v: int, name: str):
+def test_shifting_the_image_shifts_the_keypoints(cells_u: int, cells_v: int, name: str):
     du, dv = 8 * cells_u, 8 * cells_v
     still = extractor_named(name).extract(SCENE[:240, :240].copy(), 900)
     moved = extractor_named(name).extract(SCENE[dv : 240 + dv, du : 240 + du].copy(), 250)
@@ -81,7 +81,7 @@ def test_shifting_the_picture_shifts_the_keypoints(cells_u: int, cells_v: int, n
 
 
 def test_keypoints_have_the_centre_convention(extractor: FeatureExtractor):
-    """A picture turned by half a turn has its keypoints at (w - 1 - u, h - 1 - v): no bias."""
+    """An image turned by half a turn has its keypoints at (w - 1 - u, h - 1 - v): no bias."""
     found = extractor.extract(SCENE, 600)
     turned = extractor.extract(np.ascontiguousarray(SCENE[::-1, ::-1]), 600)
     back = np.array(SCENE.shape[::-1]) - 1.0 - turned.uv

@@ -4,7 +4,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from vision_scenes import CAMERA, GROUND_PX, HOME, M_PER_PX, ground_pack, picture, texture
+from vision_scenes import CAMERA, GROUND_PX, HOME, M_PER_PX, frame_at, ground_pack, texture
 
 from vwnav.errors import CalibrationError, ModelError
 from vwnav.geometry.camera import Camera
@@ -31,8 +31,8 @@ def error_ne_m(fix: MapFix, north_m: float, east_m: float) -> np.ndarray:
     return np.array([ned[0] - north_m, ned[1] - east_m])
 
 
-def test_a_fix_is_where_the_picture_was_taken(pack, ground, extractor):
-    frame = picture(ground, 20.0, -15.0, AGL_M, rpy_deg=(0, 0, 35), rng=np.random.default_rng(0))
+def test_a_fix_is_where_the_image_was_taken(pack, ground, extractor):
+    frame = frame_at(ground, 20.0, -15.0, AGL_M, rpy_deg=(0, 0, 35), rng=np.random.default_rng(0))
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior_at(24, -10, yaw_deg=38), 0)
     assert isinstance(fix, MapFix)
     assert np.linalg.norm(error_ne_m(fix, 20.0, -15.0)) < 0.4
@@ -49,7 +49,7 @@ def test_the_errors_are_those_of_the_covariance(pack, ground, learned):
     for _ in range(25):
         north_m, east_m = rng.uniform(-45, 45, 2)
         true_deg = (*rng.normal(0, 2.0, 2), rng.uniform(-180, 180))
-        frame = picture(ground, north_m, east_m, AGL_M, rpy_deg=true_deg, rng=rng)
+        frame = frame_at(ground, north_m, east_m, AGL_M, rpy_deg=true_deg, rng=rng)
         fix = localizer.localize(frame, prior_at(north_m, east_m, yaw_deg=true_deg[2]), 0)
         error = error_ne_m(fix, north_m, east_m)
         squared.append(error @ np.linalg.solve(fix.covariance_ne_m2, error))
@@ -58,7 +58,7 @@ def test_the_errors_are_those_of_the_covariance(pack, ground, learned):
 
 
 def test_a_known_tilt_is_taken_out(pack, ground, extractor):
-    frame = picture(ground, 0.0, 10.0, AGL_M, rpy_deg=(9, -7, 80))
+    frame = frame_at(ground, 0.0, 10.0, AGL_M, rpy_deg=(9, -7, 80))
     tilted = {"roll_rad": math.radians(9), "pitch_rad": math.radians(-7)}
     prior = prior_at(0.0, 10.0, yaw_deg=80.0, **tilted)
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
@@ -71,7 +71,7 @@ def test_a_camera_on_an_arm_is_found_and_its_body_is_told(pack, ground, sift, ya
     rpy_deg, arm_m = (9.0, -7.0, 80.0), np.array([0.9, -0.6, 0.4])
     at_m = rotation_from_euler(*np.radians(rpy_deg)) @ arm_m
     camera = replace(CAMERA, t_body_camera_m=arm_m)
-    frame = picture(ground, at_m[0], 10.0 + at_m[1], AGL_M - at_m[2], rpy_deg=rpy_deg)
+    frame = frame_at(ground, at_m[0], 10.0 + at_m[1], AGL_M - at_m[2], rpy_deg=rpy_deg)
     tilted = {"roll_rad": math.radians(9), "pitch_rad": math.radians(-7)}
     prior = prior_at(0.0, 10.0, yaw_deg=80.0 + yaw_off_deg, **tilted)
     of_body = Localizer(pack, sift, camera).localize(frame, prior, 0)
@@ -82,12 +82,12 @@ def test_a_camera_on_an_arm_is_found_and_its_body_is_told(pack, ground, sift, ya
     assert of_body.agl_m - of_camera.agl_m == pytest.approx(at_m[2], abs=0.2)
 
 
-def test_without_attitude_the_fix_is_of_the_pictures_centre(pack, ground, extractor):
-    frame = picture(ground, 0.0, 0.0, AGL_M, rpy_deg=(0, 6, 0))
+def test_without_attitude_the_fix_is_of_the_images_centre(pack, ground, extractor):
+    frame = frame_at(ground, 0.0, 0.0, AGL_M, rpy_deg=(0, 6, 0))
     prior = replace(prior_at(0.0, 0.0), roll_rad=None, pitch_rad=None)
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
     assert fix.point == "center"
-    center_north_m = AGL_M * math.tan(math.radians(6))  # nose up: the picture looks ahead
+    center_north_m = AGL_M * math.tan(math.radians(6))  # nose up: the image looks ahead
     assert np.linalg.norm(error_ne_m(fix, center_north_m, 0.0)) < 1.0
 
 
@@ -95,7 +95,7 @@ def test_without_attitude_the_fix_is_of_the_pictures_centre(pack, ground, extrac
 @pytest.mark.parametrize("agl_factor", [0.85, 1.15])
 @pytest.mark.parametrize("north_off_m", [-60.0, 60.0])
 def test_a_rough_prior_is_enough(pack, ground, learned, yaw_off_deg, agl_factor, north_off_m):
-    frame = picture(ground, 5.0, 30.0, AGL_M, rpy_deg=(0, 0, -70), rng=np.random.default_rng(2))
+    frame = frame_at(ground, 5.0, 30.0, AGL_M, rpy_deg=(0, 0, -70), rng=np.random.default_rng(2))
     rough = {"sigma_m": 50.0, "sigma_yaw_rad": 0.26, "sigma_agl_ratio": 0.15}
     place = prior_at(5.0 + north_off_m, 30.0, yaw_deg=-70 + yaw_off_deg, **rough)
     fix = Localizer(pack, learned, CAMERA).localize(
@@ -115,7 +115,7 @@ def test_a_rough_prior_is_enough(pack, ground, learned, yaw_off_deg, agl_factor,
     ],
 )
 def test_what_is_not_known_is_searched(pack, ground, extractor, unknown):
-    frame = picture(ground, -22.0, 31.0, 90.0, rpy_deg=(0, 0, 151), rng=np.random.default_rng(3))
+    frame = frame_at(ground, -22.0, 31.0, 90.0, rpy_deg=(0, 0, 151), rng=np.random.default_rng(3))
     prior = prior_at(-22.0, 31.0, yaw_deg=151.0, agl_m=90.0)
     prior = replace(prior, **dict.fromkeys(unknown))
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
@@ -130,19 +130,19 @@ def test_an_unrelated_map_gives_no_fix(pack, extractor):
     seeds = {"learned": range(100, 160), "sift": range(200, 225), "orb": range(300, 415)}
     for seed in seeds[extractor.name]:
         scene = texture(seed, 320)
-        frame = picture(scene, 0.0, 0.0, 50.0, rng=np.random.default_rng(seed))
+        frame = frame_at(scene, 0.0, 0.0, 50.0, rng=np.random.default_rng(seed))
         outcome = localizer.localize(frame, prior_at(0, 0, agl_m=50.0, sigma_m=20.0), seed)
         assert isinstance(outcome, Rejected)
         assert outcome.reason in (RejectReason.FEW_INLIERS, RejectReason.AMBIGUOUS)
 
 
 def test_an_unrelated_map_gives_no_fix_to_a_search_either(pack, learned):
-    frame = picture(texture(77), 0.0, 0.0, 80.0, rng=np.random.default_rng(0))
+    frame = frame_at(texture(77), 0.0, 0.0, 80.0, rng=np.random.default_rng(0))
     assert isinstance(Localizer(pack, learned, CAMERA).localize(frame, Prior(), 0), Rejected)
 
 
 @pytest.mark.parametrize("prior", [prior_at(0.0, 0.0), Prior()], ids=["prior", "none"])
-def test_black_and_white_pictures_are_too_dark(pack, extractor, prior):
+def test_black_and_white_images_are_too_dark(pack, extractor, prior):
     for value in (0, 255):
         frame = Frame(1.5, np.full((360, 480), value, np.uint8), 3)
         outcome = Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
@@ -157,9 +157,9 @@ def test_noise_gives_no_fix(pack, extractor):
     assert isinstance(outcome, Rejected)
 
 
-def test_a_tiny_picture_gives_no_fix(pack, ground, extractor):
+def test_a_tiny_image_gives_no_fix(pack, ground, extractor):
     camera = Camera.from_hfov(12, 9, 70.0)
-    frame = picture(ground, 0.0, 0.0, AGL_M, camera=camera)
+    frame = frame_at(ground, 0.0, 0.0, AGL_M, camera=camera)
     outcome = Localizer(pack, extractor, camera).localize(frame, prior_at(0.0, 0.0), 0)
     assert isinstance(outcome, Rejected)
 
@@ -167,7 +167,7 @@ def test_a_tiny_picture_gives_no_fix(pack, ground, extractor):
 @pytest.mark.parametrize("name", ["lat_deg", "yaw_rad", "agl_m", "sigma_m", "roll_rad"])
 def test_a_prior_with_a_nan_is_refused_and_nothing_is_raised(pack, ground, orb, name):
     prior = replace(prior_at(0.0, 0.0), **{name: math.nan})
-    outcome = Localizer(pack, orb, CAMERA).localize(picture(ground, 0, 0, AGL_M), prior, 0)
+    outcome = Localizer(pack, orb, CAMERA).localize(frame_at(ground, 0, 0, AGL_M), prior, 0)
     assert outcome.reason is RejectReason.PRIOR
 
 
@@ -180,7 +180,7 @@ def test_a_prior_with_a_nan_is_refused_and_nothing_is_raised(pack, ground, orb, 
     ],
 )
 def test_a_hopeless_prior_is_refused_with_its_reason(pack, ground, orb, known, reason):
-    frame = picture(ground, 0.0, 0.0, AGL_M)
+    frame = frame_at(ground, 0.0, 0.0, AGL_M)
     outcome = Localizer(pack, orb, CAMERA).localize(frame, prior_at(0.0, 0.0, **known), 0)
     assert outcome.reason is reason
     assert outcome.detail
@@ -190,7 +190,7 @@ def test_a_map_without_features_gives_no_fix(tmp_path, ground, orb):
     flat = np.full((600, 600), 120, np.uint8)
     with MapPack.open(ground_pack(tmp_path / "flat.mbtiles", flat, (orb,))) as flat_pack:
         outcome = Localizer(flat_pack, orb, CAMERA).localize(
-            picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0
+            frame_at(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0
         )
     assert outcome.reason is RejectReason.FEW_KEYPOINTS
 
@@ -200,7 +200,7 @@ def test_a_map_that_repeats_itself_is_ambiguous(tmp_path, orb):
     ground = np.tile(tile, (4, 4))
     with MapPack.open(ground_pack(tmp_path / "tiled.mbtiles", ground, (orb,))) as tiled:
         outcome = Localizer(tiled, orb, CAMERA).localize(
-            picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0, sigma_m=30.0), 0
+            frame_at(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0, sigma_m=30.0), 0
         )
     assert isinstance(outcome, Rejected)
 
@@ -217,20 +217,20 @@ def half_turned(tmp_path_factory, orb):
 
 def test_a_map_that_looks_the_same_turned_by_a_half_is_ambiguous_to_a_search(half_turned, orb):
     ground, pack = half_turned
-    frame = picture(ground, 30.0, -20.0, AGL_M, rng=np.random.default_rng(0))
+    frame = frame_at(ground, 30.0, -20.0, AGL_M, rng=np.random.default_rng(0))
     outcome = Localizer(pack, orb, CAMERA).localize(frame, Prior(), 0)
     assert outcome.reason is RejectReason.AMBIGUOUS
 
 
 def test_with_a_heading_it_is_not(half_turned, orb):
     ground, pack = half_turned
-    frame = picture(ground, 30.0, -20.0, AGL_M, rng=np.random.default_rng(0))
+    frame = frame_at(ground, 30.0, -20.0, AGL_M, rng=np.random.default_rng(0))
     fix = Localizer(pack, orb, CAMERA).localize(frame, prior_at(24.0, -24.0, sigma_m=20.0), 0)
     assert np.linalg.norm(error_ne_m(fix, 30.0, -20.0)) < 2 * M_PER_PX
 
 
 class Blind:
-    """An extractor that finds nothing in a picture."""
+    """An extractor that finds nothing in an image."""
 
     def __init__(self, extractor) -> None:
         self.name, self.feature_set_id = extractor.name, extractor.feature_set_id
@@ -243,7 +243,7 @@ class Blind:
 def test_a_view_without_keypoints_is_placed_by_correlation_which_tells_a_position_alone(
     pack, ground, orb
 ):
-    frame = picture(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
+    frame = frame_at(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
     prior = prior_at(24.0, -12.0, agl_m=36.0, sigma_m=3.0)
     fix = Localizer(pack, Blind(orb), CAMERA).localize(frame, prior, 0)
     assert isinstance(fix, MapFix)
@@ -258,7 +258,7 @@ def test_a_view_without_keypoints_is_placed_by_correlation_which_tells_a_positio
 def test_without_tilt_heading_or_a_good_place_nothing_is_placed_by_correlation(
     pack, ground, orb, known
 ):
-    frame = picture(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
+    frame = frame_at(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
     prior = prior_at(24.0, -12.0, **{"agl_m": 36.0, "sigma_m": 3.0, **known})
     assert isinstance(Localizer(pack, Blind(orb), CAMERA).localize(frame, prior, 0), Rejected)
 
@@ -266,13 +266,13 @@ def test_without_tilt_heading_or_a_good_place_nothing_is_placed_by_correlation(
 def test_unrelated_ground_is_not_placed_by_correlation_either(pack, orb):
     localizer = Localizer(pack, Blind(orb), CAMERA)
     for seed in range(400, 430):
-        frame = picture(texture(seed, 320), 0.0, 0.0, 36.0, rng=np.random.default_rng(seed))
+        frame = frame_at(texture(seed, 320), 0.0, 0.0, 36.0, rng=np.random.default_rng(seed))
         outcome = localizer.localize(frame, prior_at(0, 0, agl_m=36.0, sigma_m=3.0), seed)
         assert isinstance(outcome, Rejected)
 
 
-def test_the_same_picture_gives_the_same_fix(pack, ground, extractor):
-    frame = picture(ground, 3.0, 4.0, AGL_M, rng=np.random.default_rng(4))
+def test_the_same_image_gives_the_same_fix(pack, ground, extractor):
+    frame = frame_at(ground, 3.0, 4.0, AGL_M, rng=np.random.default_rng(4))
     first, second = (
         Localizer(pack, extractor, CAMERA).localize(frame, prior_at(0.0, 0.0), 5) for _ in range(2)
     )
@@ -287,7 +287,7 @@ def test_the_same_picture_gives_the_same_fix(pack, ground, extractor):
 def test_the_times_come_from_the_clock_that_is_handed_in(pack, ground, orb):
     ticks = iter(range(100))
     localizer = Localizer(pack, orb, CAMERA, clock=lambda: next(ticks) * 0.001)
-    fix = localizer.localize(picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0)
+    fix = localizer.localize(frame_at(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0)
     assert fix.stats.extract_ms == pytest.approx(1.0)
 
 
@@ -309,13 +309,13 @@ class OtherModel:
 def test_a_pack_of_another_model_is_an_error(pack, ground):
     with pytest.raises(ModelError, match="vwnav map build"):
         Localizer(pack, OtherModel(), CAMERA).localize(
-            picture(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0
+            frame_at(ground, 0.0, 0.0, AGL_M), prior_at(0.0, 0.0), 0
         )
 
 
-def test_a_picture_covered_in_part_is_still_found(pack, ground, extractor):
+def test_an_image_covered_in_part_is_still_found(pack, ground, extractor):
     """A logo, a propeller: what does not move with the ground is outvoted."""
-    frame = picture(ground, 12.0, 8.0, AGL_M, rng=np.random.default_rng(6))
+    frame = frame_at(ground, 12.0, 8.0, AGL_M, rng=np.random.default_rng(6))
     logo = cv2.resize(texture(9, 320), (150, 110))
     frame.image[:110, :150] = logo
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior_at(10.0, 10.0), 0)

@@ -25,7 +25,7 @@ def ground(seed: int) -> np.ndarray:
     return cv2.GaussianBlur(noise, (0, 0), 2.0) * 3
 
 
-def picture(texture, shift_px: float, roof: slice | None = None, roof_gain: float = 2.0):
+def image(texture, shift_px: float, roof: slice | None = None, roof_gain: float = 2.0):
     """Seen from above after flying north by so many pixels; `roof` columns move faster."""
 
     def seen(px: float):
@@ -42,7 +42,7 @@ def picture(texture, shift_px: float, roof: slice | None = None, roof_gain: floa
 def motions(shifts_px, roof=None):
     odometry, texture = Odometry(CAMERA, OdometryConfig()), ground(1)
     results = [
-        odometry.step(Frame(0.1 * i, picture(texture, px, roof), i), LEVEL, AGL_M)
+        odometry.step(Frame(0.1 * i, image(texture, px, roof), i), LEVEL, AGL_M)
         for i, px in enumerate(shifts_px)
     ]
     return results[1:]
@@ -56,7 +56,7 @@ def test_the_way_is_metric():
 
 
 def test_a_hover_does_not_drift():
-    """Every picture is compared with the one keyframe, however long it lasts."""
+    """Every image is compared with the one keyframe, however long it lasts."""
     swaying = [3.0 * math.sin(0.7 * i) for i in range(60)] + [0.0]
     found = motions(swaying)
     assert all(isinstance(m, OdometryMotion) and m.t0_s == 0.0 for m in found)
@@ -78,7 +78,7 @@ def test_it_says_how_much_of_a_tilt_that_nobody_told_it_takes_for_motion(hfov_de
     camera = Camera.from_hfov(WIDTH, HEIGHT, hfov_deg)
     tilt_rad = math.radians(0.2)
     turn = rotation_from_vector([tilt_rad, 0.0, 0.0])
-    still = picture(ground(3), 0.0)
+    still = image(ground(3), 0.0)
     H = camera.K @ turn @ np.linalg.inv(camera.K)
     tilted = cv2.warpPerspective(still, H, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
     odometry = Odometry(camera, OdometryConfig())
@@ -122,7 +122,7 @@ def test_an_upright_camera_tilts_as_the_aircraft_does_and_one_upside_down_the_ot
 ):
     """The aircraft rolls by one degree on the spot, and its attitudes say so."""
     roll = rotation_from_vector([math.radians(1.0), 0.0, 0.0])
-    still = picture(ground(3), 0.0)
+    still = image(ground(3), 0.0)
     R_camera0_camera1 = CAMERA.R_body_camera.T @ roll @ CAMERA.R_body_camera
     H = CAMERA.K @ R_camera0_camera1.T @ np.linalg.inv(CAMERA.K)
     rolled = cv2.warpPerspective(still, H, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
@@ -134,11 +134,11 @@ def test_an_upright_camera_tilts_as_the_aircraft_does_and_one_upside_down_the_ot
     assert least < motion.tilts_along < most
 
 
-def test_a_heading_that_the_autopilot_resets_is_no_tilting_that_the_picture_does_not_show():
+def test_a_heading_that_the_autopilot_resets_is_no_tilting_that_the_image_does_not_show():
     """The aircraft leans and moves nowhere; its attitude jumps by 20 degrees about the vertical."""
     leaning = rotation_from_vector([math.radians(10.0), 0.0, 0.0])
     reset = rotation_from_vector([0.0, 0.0, math.radians(20.0)]) @ leaning
-    still, odometry = picture(ground(3), 0.0), Odometry(CAMERA, OdometryConfig())
+    still, odometry = image(ground(3), 0.0), Odometry(CAMERA, OdometryConfig())
     odometry.step(Frame(0.0, still, 0), leaning, AGL_M)
     motion = odometry.step(Frame(0.1, still, 1), reset, AGL_M)
     assert isinstance(motion, OdometryMotion)

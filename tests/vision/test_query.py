@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from vision_scenes import CAMERA, M_PER_PX, picture, texture
+from vision_scenes import CAMERA, M_PER_PX, frame_at, texture
 
 from vwnav.errors import CalibrationError
 from vwnav.geometry.homography import transform_points
@@ -26,7 +26,7 @@ def query_of(maker, image, rpy_deg=(0.0, 0.0, 0.0)):
 
 def view_of(extractor, rpy_deg=(0.0, 0.0, 0.0)):
     maker, yaw_rad = maker_of(extractor), math.radians(rpy_deg[2])
-    query = query_of(maker, picture(GROUND, 10.0, -5.0, 60.0, rpy_deg=rpy_deg).image, rpy_deg)
+    query = query_of(maker, frame_at(GROUND, 10.0, -5.0, 60.0, rpy_deg=rpy_deg).image, rpy_deg)
     made = maker.rectify(query, yaw_rad, 60.0, M_PER_PX)
     return query, maker.view(query, yaw_rad, made, 500)
 
@@ -45,7 +45,7 @@ def test_the_view_is_the_ground_seen_from_above(orb, rpy_deg):
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 45.0])
-def test_keypoints_lie_inside_the_picture(extractor, yaw_deg):
+def test_keypoints_lie_inside_the_image(extractor, yaw_deg):
     query, view = view_of(extractor, (0.0, 0.0, yaw_deg))
     H_frame_rect = np.linalg.inv(view.rectification.H_rect_frame)
     uv = transform_points(H_frame_rect, view.features.uv.astype(np.float64))
@@ -63,7 +63,7 @@ def test_halving_keeps_the_centre_convention():
     assert uv.tolist() == [[20.5, 10.5], [40.5, 60.5]]
 
 
-def test_a_picture_shrunk_a_lot_does_not_alias(orb):
+def test_an_image_shrunk_a_lot_does_not_alias(orb):
     stripes = np.zeros((360, 480), np.uint8)
     stripes[:, ::2] = 255
     maker = maker_of(orb)
@@ -83,13 +83,13 @@ def test_distortion_is_removed_first(orb):
     assert np.abs(columns - (0.3 * rays[0, 0] + rays[0, 2])).max() < 1.0
 
 
-def test_a_picture_of_another_size_is_an_error_of_calibration(orb):
+def test_an_image_of_another_size_is_an_error_of_calibration(orb):
     with pytest.raises(CalibrationError, match="480 x 360"):
         query_of(maker_of(orb), np.zeros((480, 640), np.uint8))
 
 
-def test_colour_and_gray_pictures_give_the_same_view(orb):
-    gray = picture(GROUND, 0.0, 0.0, 60.0).image
+def test_colour_and_gray_images_give_the_same_view(orb):
+    gray = frame_at(GROUND, 0.0, 0.0, 60.0).image
     from_colour = query_of(maker_of(orb), cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)).image.at_scale(
         1.0
     )[0]

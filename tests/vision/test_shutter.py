@@ -63,7 +63,7 @@ def test_points_are_put_back_to_the_middle_rows_moment(rate, velocity, tilt):
         assert px_apart(camera, back, at_once) < 0.15
 
 
-def test_a_picture_is_put_back_too():
+def test_an_image_is_put_back_too():
     """As a line of points: what the maps fetch is where the rows saw it."""
     seen, at_once, flow = seen_and_at_once(LENS, (0.3, -0.5, 1.0), (12.0, 3.0, 1.0), (0.1, -0.1, 2))
     assert flow is not None

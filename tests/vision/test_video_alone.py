@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from vision_scenes import HOME, ground_pack, picture, texture
+from vision_scenes import HOME, frame_at, ground_pack, texture
 
 from vwnav.assemble import assemble_with
 from vwnav.config import Config
@@ -16,25 +16,25 @@ from vwnav.pipeline import InlineExecutor
 from vwnav.types import Estimate, MapFix, OdometryMotion, Rejected
 
 AGL_M, SPEED_M_S, INTERVAL_S = 80.0, 8.0, 0.5
-TRUSTED, LOST, AFTER = 14, 4, 6  # pictures before, in the loss, and after it
+TRUSTED, LOST, AFTER = 14, 4, 6  # images before, in the loss, and after it
 SIZE_PX = 900
 CAMERA = Camera.from_hfov(320, 240, 70.0)
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What becomes of it in the pictures in which sight is lost."""
+    """What becomes of it in the images in which sight is lost."""
 
     turns_deg: float = 0.0
     climbs_m: float = 0.0
-    pictures: int = LOST
+    images: int = LOST
     dark: bool = False
 
     @property
     def _lost(self) -> np.ndarray:
-        """(n,) how much of the loss is over at each picture, 0 to 1."""
-        count = TRUSTED + self.pictures + AFTER
-        return np.clip((np.arange(count) - TRUSTED + 1) / self.pictures, 0.0, 1.0)
+        """(n,) how much of the loss is over at each image, 0 to 1."""
+        count = TRUSTED + self.images + AFTER
+        return np.clip((np.arange(count) - TRUSTED + 1) / self.images, 0.0, 1.0)
 
     @property
     def headings_rad(self) -> np.ndarray:
@@ -51,12 +51,12 @@ class Flight:
         return np.cumsum(SPEED_M_S * INTERVAL_S * nose, axis=0) - [70.0, 30.0]
 
     def shows(self, number: int) -> bool:
-        return not (self.dark and TRUSTED <= number < TRUSTED + self.pictures)
+        return not (self.dark and TRUSTED <= number < TRUSTED + self.images)
 
 
 @dataclass(frozen=True)
 class Row:
-    """The estimate of one picture beside the truth."""
+    """The estimate of one image beside the truth."""
 
     estimate: Estimate
     outcome: MapFix | Rejected
@@ -89,7 +89,7 @@ def field_pack(tmp_path_factory, field, sift):
 
 
 def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
-    """From the picture before the loss on; the map is asked no more after `most_fixes`."""
+    """From the image before the loss on; the map is asked no more after `most_fixes`."""
     config = Config()
     changed = {"ekf": config.ekf.without_telemetry()}
     changed["pipeline"] = replace(config.pipeline, most_fixes=most_fixes)
@@ -101,7 +101,7 @@ def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
     poses = zip(flight.places_ne_m, flight.headings_rad, flight.agls_m, strict=True)
     for number, (place, yaw_rad, agl_m) in enumerate(poses):
         rpy_deg = (0.0, 0.0, math.degrees(yaw_rad))
-        frame = picture(field, *place, agl_m, rpy_deg=rpy_deg, rng=rng, camera=CAMERA)
+        frame = frame_at(field, *place, agl_m, rpy_deg=rpy_deg, rng=rng, camera=CAMERA)
         image = frame.image if flight.shows(number) else np.zeros_like(frame.image)
         step = pipeline.step(replace(frame, t_s=number * INTERVAL_S, index=number, image=image))
         if number < TRUSTED - 1:
@@ -119,7 +119,7 @@ def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
     [
         pytest.param(Flight(turns_deg=185.0), id="185 degrees in four pictures"),
         pytest.param(
-            Flight(turns_deg=-90.0, climbs_m=16.0, pictures=10, dark=True),
+            Flight(turns_deg=-90.0, climbs_m=16.0, images=10, dark=True),
             id="turns and climbs in 5 s of black",
             marks=pytest.mark.long,
         ),
@@ -136,10 +136,10 @@ def test_what_sight_was_lost_of_is_found_again_and_never_claimed(flight, field, 
         assert abs(row.agl_off_m) < 3.0
 
 
-def test_a_turn_that_no_picture_and_no_fix_tells_leaves_heading_and_place_open(
+def test_a_turn_that_no_image_and_no_fix_tells_leaves_heading_and_place_open(
     field, field_pack, sift
 ):
-    """Nothing is measured from the turn on: no sigma falls, whatever ways the pictures show."""
+    """Nothing is measured from the turn on: no sigma falls, whatever ways the images show."""
     rows = flown(Flight(turns_deg=185.0), field, field_pack, sift, most_fixes=8)
     assert not any(isinstance(row.motion, OdometryMotion) for row in rows[1 : LOST + 1])
     assert all(isinstance(row.motion, OdometryMotion) for row in rows[LOST + 1 :])

@@ -1,4 +1,4 @@
-"""Generated ground, and pictures of it from known poses."""
+"""Generated ground, and images of it from known poses."""
 
 import math
 from pathlib import Path
@@ -55,7 +55,7 @@ def ground_pack(
     return path
 
 
-def picture(
+def frame_at(
     gray: np.ndarray,
     north_m: float,
     east_m: float,

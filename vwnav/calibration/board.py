@@ -1,6 +1,6 @@
-"""The ChArUco board: its drawing to scale, and its corners in a picture.
+"""The ChArUco board: its drawing to scale, and its corners in an image.
 
-One layout on every paper, so that a picture need not say which paper it shows: how large the
+One layout on every paper, so that an image need not say which paper it shows: how large the
 squares are is nothing that a lens can tell.
 """
 
@@ -37,7 +37,7 @@ PAPERS = {"a4": Paper(210, 297, 25), "a3": Paper(297, 420, 36)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """The board's corners that a picture shows.
+    """The board's corners that an image shows.
 
     Attributes:
         ids: (n,) which of the corners, row by row from 0.
@@ -74,20 +74,20 @@ def write_board(path: Path, paper: str) -> Paper:
     return sheet
 
 
-def board_picture(square_px: int) -> Gray:
+def board_image(square_px: int) -> Gray:
     """The board alone, without a margin; each corner lies between pixels."""
     size_wh = (COLUMNS * square_px, ROWS * square_px)
     return np.asarray(_board().generateImage(size_wh, None, 0, 1), np.uint8)
 
 
 class BoardFinder:
-    """Finds the board in pictures."""
+    """Finds the board in images."""
 
     def __init__(self) -> None:
         self._detector = cv2.aruco.CharucoDetector(_board())
 
     def find(self, gray: Gray) -> BoardView | None:
-        """The board as a picture (h, w) shows it; None where too little of it is seen."""
+        """The board as an image (h, w) shows it; None where too little of it is seen."""
         corners, ids, _, _ = self._detector.detectBoard(gray)
         if ids is None or len(ids) < LEAST_CORNERS:
             return None
@@ -104,7 +104,7 @@ def _board() -> cv2.aruco.CharucoBoard:
 
 def _page(sheet: Paper, name: str) -> Image.Image:
     page = Image.new("1", (sheet.width_mm * _PX_PER_MM, sheet.height_mm * _PX_PER_MM), 1)
-    board = Image.fromarray(board_picture(sheet.square_mm * _PX_PER_MM))
+    board = Image.fromarray(board_image(sheet.square_mm * _PX_PER_MM))
     left = (page.width - board.width) // 2
     top = (page.height - board.height) // 3
     page.paste(board.convert("1", dither=Image.Dither.NONE), (left, top))

@@ -9,13 +9,13 @@ import numpy as np
 from vwnav.calibration.board import COLUMNS, ROWS, BoardView
 from vwnav.types import Array
 
-GRID_COLUMNS, GRID_ROWS = 5, 4  # cells of the picture, each of which wants a corner
+GRID_COLUMNS, GRID_ROWS = 5, 4  # cells of the image, each of which wants a corner
 ENOUGH_VIEWS = 20
 ENOUGH_COVERED = 0.9  # of the cells
 TILT_RAD = math.radians(15.0)  # a view leans to a side when it leans by this much
 VIEWS_A_SIDE = 2
 MOST_VIEWS = 60
-NEW_SHARE = 0.06  # of the picture's width: the board's outline has moved by so much
+NEW_SHARE = 0.06  # of the image's width: the board's outline has moved by so much
 _ACROSS = ("left", "", "right")
 _DOWN = ("upper", "", "lower")
 _SIDES = {(0, 1): "right", (0, -1): "left", (1, 1): "lower", (1, -1): "upper"}
@@ -52,7 +52,7 @@ class Coverage:
 
     @property
     def covered(self) -> float:
-        """Share of the picture's cells in which a corner has been."""
+        """Share of the image's cells in which a corner has been."""
         return float(np.mean(self._seen))
 
     @property
@@ -93,7 +93,7 @@ def _homography(view: BoardView) -> Array:
 
 
 def _outline(view: BoardView) -> Array:
-    """(4, 2) pixels of the board's corners, those outside of the picture too."""
+    """(4, 2) pixels of the board's corners, those outside of the image too."""
     corners = np.array([[0.0, 0.0], [COLUMNS, 0.0], [COLUMNS, ROWS], [0.0, ROWS]])
     return np.asarray(cv2.perspectiveTransform(corners[None], _homography(view))[0])
 

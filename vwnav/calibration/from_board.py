@@ -16,25 +16,25 @@ from vwnav.geometry.camera import to_gray
 from vwnav.screen import LiveLine, print_table, say
 from vwnav.seams import FrameSource
 
-GOOD_HELD_OUT, BAD_HELD_OUT = 0.0008, 0.004  # of the picture's width
+GOOD_HELD_OUT, BAD_HELD_OUT = 0.0008, 0.004  # of the image's width
 GOOD_FOCAL, BAD_FOCAL = 0.001, 0.01  # sigma, of the focal length
 LEAST_LEAN_RAD = math.radians(8.0)
-GOOD_CENTRE = 0.001  # sigma of the principal point, of the picture's width
+GOOD_CENTRE = 0.001  # sigma of the principal point, of the image's width
 
 
 def calibrate_camera(source: str, output: Path) -> None:
     """Watch the board, fit the lens, write the calibration file and print what it is worth.
 
     Raises:
-        VwnavError: of the source, or the pictures fix no lens.
+        VwnavError: of the source, or the images fix no lens.
     """
     if output.exists():
         raise CalibrationError(f"{output} is there already; give another file with -o")
-    pictures = open_source(source)
+    images = open_source(source)
     try:
-        coverage, size_wh, seen = _watch(pictures)
+        coverage, size_wh, seen = _watch(images)
     finally:
-        pictures.close()
+        images.close()
     if not coverage.views:
         raise CalibrationError(
             f"the board is in none of {seen} pictures: `vwnav calibrate board` draws it; it wants "
@@ -56,14 +56,14 @@ def calibrate_camera(source: str, output: Path) -> None:
     print_table("camera calibration", _rows(fit, coverage, verdict, output))
 
 
-def _watch(pictures: FrameSource) -> tuple[Coverage, tuple[int, int], int]:
+def _watch(images: FrameSource) -> tuple[Coverage, tuple[int, int], int]:
     """Views until the source ends; of a live camera until they are enough, or Ctrl-C."""
-    finder, live, seen = BoardFinder(), isinstance(pictures, RealTimeSource), 0
+    finder, live, seen = BoardFinder(), isinstance(images, RealTimeSource), 0
     coverage: Coverage | None = None
     size_wh = (0, 0)
     with LiveLine() as line:
         try:
-            while (frame := pictures.next_frame()) is not None:
+            while (frame := images.next_frame()) is not None:
                 seen += 1
                 size = (frame.image.shape[1], frame.image.shape[0])
                 if coverage is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.calibration.mount.flight_file import FlightFile, pictures_of, read_flight
+from vwnav.calibration.mount.flight_file import FlightFile, images_of, read_flight
 from vwnav.calibration.mount.history import FlownAttitudes
 from vwnav.calibration.mount.problem import Sighting
 from vwnav.calibration.mount.sightings import Spotter, spot_all
@@ -22,8 +22,8 @@ from vwnav.screen import print_table, progress_bar, say
 from vwnav.types import FeatureExtractor, Frame
 from vwnav.vision.features.load import load_features
 
-LEAST_PICTURES = 25  # that are found on the map
-MOST_PICTURES, FIRST_PICTURES, TURN_PICTURES = 150, 30, 6
+LEAST_IMAGES = 25  # that are found on the map
+MOST_IMAGES, FIRST_IMAGES, TURN_IMAGES = 150, 30, 6
 QUARTERS_DEG = (0.0, 90.0, 180.0, -90.0)
 
 
@@ -41,7 +41,7 @@ class MountOptions:
 
 
 def calibrate_mount(options: MountOptions) -> None:
-    """Find the pictures on the map, solve, write the calibration and print what was told.
+    """Find the images on the map, solve, write the calibration and print what was told.
 
     Raises:
         VwnavError: of a file, or the flight tells nothing.
@@ -75,41 +75,41 @@ class _MountSession:
         self._source, self._focal = options.source, options.focal
         self._flight, self._pack, self._extractor = flight, pack, extractor
         self.history = FlownAttitudes(flight.attitudes)
-        stamps = np.array([frame.t_s for frame in pictures_of(options.source)])
+        stamps = np.array([frame.t_s for frame in images_of(options.source)])
         known = self.history.at(stamps).known if len(stamps) else np.zeros(0, bool)
         self.stamps = stamps[known]
-        if len(self.stamps) < LEAST_PICTURES:
+        if len(self.stamps) < LEAST_IMAGES:
             raise CalibrationError(
                 f"{len(self.stamps)} of {len(stamps)} pictures have an attitude; "
-                f"{LEAST_PICTURES} are needed, over the map and in turns"
+                f"{LEAST_IMAGES} are needed, over the map and in turns"
             )
 
     def solve(self, flown: Camera) -> tuple[MountFit, list[Sighting]]:
-        """Twice: what some pictures tell lets the others be found where they are.
+        """Twice: what some images tell lets the others be found where they are.
 
         Raises:
-            CalibrationError: too few pictures are found on the map.
+            CalibrationError: too few images are found on the map.
         """
         first, believed = self._first(flown)
         rough = fit_mount(believed, self.history, first, False)
         closer = replace(believed, R_body_camera=rough.R_body_camera)
-        sightings = self._spotted(closer, MOST_PICTURES, rough.offset_s)
-        if len(sightings) < LEAST_PICTURES:
+        sightings = self._spotted(closer, MOST_IMAGES, rough.offset_s)
+        if len(sightings) < LEAST_IMAGES:
             raise CalibrationError(
-                f"{len(sightings)} of {min(MOST_PICTURES, len(self.stamps))} pictures are found on "
-                f"the map; {LEAST_PICTURES} are needed"
+                f"{len(sightings)} of {min(MOST_IMAGES, len(self.stamps))} pictures are found on "
+                f"the map; {LEAST_IMAGES} are needed"
             )
         return fit_mount(closer, self.history, sightings, self._focal), sightings
 
     def _first(self, flown: Camera) -> tuple[list[Sighting], Camera]:
-        """Some pictures, with the camera turned by quarters until they are found."""
+        """Some images, with the camera turned by quarters until they are found."""
         for turn_deg in QUARTERS_DEG:
             turn = rotation_from_euler(0.0, 0.0, np.radians(turn_deg))
             believed = replace(flown, R_body_camera=turn @ flown.R_body_camera)
-            if len(self._spotted(believed, TURN_PICTURES)) < TURN_PICTURES / 2:
+            if len(self._spotted(believed, TURN_IMAGES)) < TURN_IMAGES / 2:
                 continue
-            first = self._spotted(believed, FIRST_PICTURES)
-            if len(first) >= FIRST_PICTURES / 3:
+            first = self._spotted(believed, FIRST_IMAGES)
+            if len(first) >= FIRST_IMAGES / 3:
                 return first, believed
         raise CalibrationError(
             "hardly any picture is found on the map, however the camera is turned: is it the "
@@ -121,10 +121,10 @@ class _MountSession:
         wanted = set(self.stamps[np.unique(np.round(which).astype(int))].tolist())
         spotter = Spotter(self._pack, self._extractor, camera, self._flight, self.history, offset_s)
         with progress_bar() as progress:
-            return spot_all(spotter, self._pictures(wanted), len(wanted), progress)
+            return spot_all(spotter, self._images(wanted), len(wanted), progress)
 
-    def _pictures(self, wanted_s: set[float]) -> Iterator[Frame]:
-        return (frame for frame in pictures_of(self._source) if frame.t_s in wanted_s)
+    def _images(self, wanted_s: set[float]) -> Iterator[Frame]:
+        return (frame for frame in images_of(self._source) if frame.t_s in wanted_s)
 
 
 def _report(verdict: MountVerdict, fit: MountFit, session: _MountSession, output: Path) -> None:
@@ -134,7 +134,7 @@ def _report(verdict: MountVerdict, fit: MountFit, session: _MountSession, output
         if each.refused:
             say(f"{each.name}: not told by this flight, left as it was: {each.refused}")
     rows += [
-        ("pictures on the map", f"{fit.pictures} of {len(session.stamps)} with an attitude"),
+        ("pictures on the map", f"{fit.images} of {len(session.stamps)} with an attitude"),
         ("a point's error", f"{fit.sigma_px:.2f} px"),
         ("written to", str(output)),
     ]

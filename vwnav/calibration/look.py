@@ -1,4 +1,4 @@
-"""What `vwnav camera` does: what the drone sees, in figures and as a picture."""
+"""What `vwnav camera` does: what the drone sees, in figures and as an image."""
 
 import time
 from dataclasses import dataclass
@@ -41,10 +41,10 @@ class Footage:
     """Some seconds of a source.
 
     Attributes:
-        newest: the last picture.
-        stamps_s: (n,) of the pictures.
+        newest: the last image.
+        stamps_s: (n,) of the images.
         latencies_s: (n,) from exposure to here; empty of what is not live.
-        dropped: pictures that came while the one before was worked on.
+        dropped: images that came while the one before was worked on.
     """
 
     newest: Frame
@@ -54,10 +54,10 @@ class Footage:
 
 
 def look(options: LookOptions) -> None:
-    """Watch for some seconds; print the figures, and draw the newest picture.
+    """Watch for some seconds; print the figures, and draw the newest image.
 
     Raises:
-        VwnavError: of the source, the calibration, or the picture cannot be written.
+        VwnavError: of the source, the calibration, or the image cannot be written.
     """
     calibration = load_camera(options.camera) if options.camera else None
     extractor = load_features(options.features)
@@ -87,7 +87,7 @@ def look(options: LookOptions) -> None:
 
 
 def _watch(source: FrameSource, seconds: float) -> Footage:
-    """Pictures for so long, or until a file ends."""
+    """Images for so long, or until a file ends."""
     live = isinstance(source, RealTimeSource)
     newest: Frame | None = None
     stamps, latencies = [], []
@@ -122,7 +122,7 @@ def _times(seen: Footage) -> list[tuple[str, str]]:
 
 
 def _sharpness(gray: Gray) -> float:
-    """Variance of the Laplacian: falls when the picture is out of focus or smeared."""
+    """Variance of the Laplacian: falls when the image is out of focus or smeared."""
     return float(cv2.Laplacian(gray, cv2.CV_32F).var())
 
 
@@ -138,7 +138,7 @@ def _light(gray: Gray) -> list[tuple[str, str]]:
 def _draw(
     path: Path, image: NDArray[np.uint8], uv: NDArray[np.float32], rows: list[tuple[str, str]]
 ) -> None:
-    """The picture with its keypoints, its histogram and the figures.
+    """The image with its keypoints, its histogram and the figures.
 
     Raises:
         SourceError: it cannot be written.
@@ -153,7 +153,7 @@ def _draw(
         cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
     try:
         good = cv2.imwrite(str(path), canvas)
-    except cv2.error:  # a suffix that is no picture's
+    except cv2.error:  # a suffix that is no image's
         good = False
     if not good:
         raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")

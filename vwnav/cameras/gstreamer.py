@@ -1,4 +1,4 @@
-"""Pictures of a GStreamer pipeline, through a pipe: OpenCV's wheels are built without GStreamer."""
+"""Images of a GStreamer pipeline, through a pipe: OpenCV's wheels are built without GStreamer."""
 
 import contextlib
 import shlex
@@ -17,12 +17,12 @@ _CLOSE_S = 2.0
 
 
 class GstreamerGrabber:
-    """Gray pictures of a pipeline that `gst-launch-1.0` runs; the end of it is ours.
+    """Gray images of a pipeline that `gst-launch-1.0` runs; the end of it is ours.
 
-    Pictures are stamped at arrival less one period, as those of a stream are.
+    Images are stamped at arrival less one period, as those of a stream are.
 
     Raises:
-        SourceError: GStreamer is not there, or the pipeline gives no picture.
+        SourceError: GStreamer is not there, or the pipeline gives no image.
     """
 
     def __init__(self, pipeline: str, width_px: int, height_px: int, fps: float) -> None:
@@ -47,7 +47,7 @@ class GstreamerGrabber:
             raise SourceError(f"the GStreamer pipeline gives no picture: {why}")
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next picture."""
+        """The next image."""
         image, self._first = self._first, None
         image = self._read() if image is None else image
         return None if image is None else (time.monotonic() - self._period_s, image)

@@ -1,4 +1,4 @@
-"""A folder of pictures, in the order of their names."""
+"""A folder of images, in the order of their names."""
 
 import itertools
 import re
@@ -20,15 +20,15 @@ _EXIF_DATE = re.compile(rb"(\d{4}:\d\d:\d\d \d\d:\d\d:\d\d)\0")
 class ImageFolder:
     """A `FrameSource` over a folder.
 
-    `t_s` counts from the first picture: by EXIF where every picture has a time and they rise,
+    `t_s` counts from the first image: by EXIF where every image has a time and they rise,
     else by number and rate.
 
     Args:
-        folder: pictures are taken in natural order of their names (`2.jpg` before `10.jpg`).
-        fps: pictures per second where EXIF does not say.
+        folder: images are taken in natural order of their names (`2.jpg` before `10.jpg`).
+        fps: images per second where EXIF does not say.
 
     Raises:
-        SourceError: there is no picture in it.
+        SourceError: there is no image in it.
     """
 
     def __init__(self, folder: Path, fps: float) -> None:
@@ -40,7 +40,7 @@ class ImageFolder:
         self._next = 0
 
     def next_frame(self) -> Frame | None:
-        """The next picture, None after the last.
+        """The next image, None after the last.
 
         Raises:
             SourceError: it cannot be decoded.
@@ -48,14 +48,14 @@ class ImageFolder:
         if self._next >= len(self._paths):
             return None
         index, self._next = self._next, self._next + 1
-        return Frame(self._times_s[index], read_picture(self._paths[index]), index)
+        return Frame(self._times_s[index], read_image(self._paths[index]), index)
 
     def close(self) -> None:
         """Nothing is held open."""
 
 
-def read_picture(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """(h, w, 3) BGR uint8 of a picture file, not turned by its EXIF orientation.
+def read_image(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """(h, w, 3) BGR uint8 of an image file, not turned by its EXIF orientation.
 
     Raises:
         SourceError: it cannot be read or decoded.

@@ -1,4 +1,4 @@
-"""Live cameras and streams: a thread takes every picture, the newest one is handed out."""
+"""Live cameras and streams: a thread takes every image, the newest one is handed out."""
 
 import importlib
 import logging
@@ -18,7 +18,7 @@ from vwnav.errors import SourceError
 from vwnav.types import Frame
 
 _log = logging.getLogger(__name__)
-_NO_PICTURE_TIMEOUT_S = 5.0
+_NO_IMAGE_TIMEOUT_S = 5.0
 _AGAIN_S = 1.0  # between attempts to open a camera that has failed
 _STOP_TIMEOUT_S = 2.0
 _OPEN_TIMEOUT_MS = 5000
@@ -32,7 +32,7 @@ class Grabber(Protocol):
     """A camera as the grabbing thread sees it."""
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """(exposure time on the monotonic clock, picture), waiting for it; None when it failed."""
+        """(exposure time on the monotonic clock, image), waiting for it; None when it failed."""
         ...
 
     def close(self) -> None:
@@ -41,21 +41,21 @@ class Grabber(Protocol):
 
 
 class RealTimeSource:
-    """A `FrameSource` that never queues: a picture not fetched in time is replaced by the next.
+    """A `FrameSource` that never queues: an image not fetched in time is replaced by the next.
 
     A camera that fails is opened again until it is there: who asks meanwhile is told that it fails,
     and asks again.
 
     Args:
         open_camera: opens it, now and whenever it has failed.
-        timeout_s: to wait for a picture.
+        timeout_s: to wait for an image.
 
     Attributes:
-        dropped: pictures that were replaced before anybody fetched them.
+        dropped: images that were replaced before anybody fetched them.
     """
 
     def __init__(
-        self, open_camera: Callable[[], Grabber], timeout_s: float = _NO_PICTURE_TIMEOUT_S
+        self, open_camera: Callable[[], Grabber], timeout_s: float = _NO_IMAGE_TIMEOUT_S
     ) -> None:
         self._open_camera = open_camera
         self._grabber: Grabber | None = open_camera()
@@ -70,7 +70,7 @@ class RealTimeSource:
         self._thread.start()
 
     def next_frame(self) -> Frame | None:
-        """The newest picture that was not handed out yet; waits for one. None once closed.
+        """The newest image that was not handed out yet; waits for one. None once closed.
 
         Raises:
             SourceError: the camera delivers nothing any more.
@@ -144,7 +144,7 @@ PixelFormat = Literal["MJPG", "YUYV", "GREY"]
 
 
 @dataclass(frozen=True, slots=True)
-class AskedPictures:
+class AskedImages:
     """What is asked of a camera; None is left to it, or to what most cameras do well."""
 
     size_wh: tuple[int, int] | None = None
@@ -155,14 +155,14 @@ class AskedPictures:
 class V4l2Grabber:
     """A USB or CSI camera by Video4Linux: MJPG 1920x1080 at 30 a second where nothing is asked.
 
-    Of YUYV the luminance is taken as it comes, and GREY as it is: gray pictures without a
+    Of YUYV the luminance is taken as it comes, and GREY as it is: gray images without a
     conversion.
 
     Raises:
         SourceError: it cannot be opened, or gives another size or format than what is asked.
     """
 
-    def __init__(self, device: str, asked: AskedPictures) -> None:
+    def __init__(self, device: str, asked: AskedImages) -> None:
         quieten_decoder()
         self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._video.isOpened():
@@ -183,7 +183,7 @@ class V4l2Grabber:
         self._compare(device, asked)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next picture."""
+        """The next image."""
         if not self._video.grab():
             return None
         arrival_s = time.monotonic()
@@ -195,7 +195,7 @@ class V4l2Grabber:
             image = np.ascontiguousarray(image[..., 0])
         return self._exposure_time(stamp_s, arrival_s), np.asarray(image, dtype=np.uint8)
 
-    def _compare(self, device: str, asked: AskedPictures) -> None:
+    def _compare(self, device: str, asked: AskedImages) -> None:
         """Refuse another size or format than what was asked; of another rate only tell."""
         number = int(self._video.get(cv2.CAP_PROP_FOURCC))
         pixels = number.to_bytes(4, "little").decode("ascii", errors="replace")
@@ -224,7 +224,7 @@ class V4l2Grabber:
         """Middle of the exposure.
 
         UVC cameras stamp the start of the transfer on the monotonic clock, which follows the end
-        of the exposure; without such a stamp a picture is one period old when it arrives.
+        of the exposure; without such a stamp an image is one period old when it arrives.
         """
         if 0.0 <= arrival_s - stamp_s < _DRIVER_STAMP_LIMIT_S:
             exposure_s = self._video.get(cv2.CAP_PROP_EXPOSURE) * _EXPOSURE_UNIT_S
@@ -233,7 +233,7 @@ class V4l2Grabber:
 
 
 class StreamGrabber:
-    """A network stream (RTSP, HTTP); pictures are stamped at arrival less one period.
+    """A network stream (RTSP, HTTP); images are stamped at arrival less one period.
 
     A stream has no clock of ours: its true latency (100 to 500 ms for RTSP) is for the camera's
     set-up to keep small.
@@ -256,7 +256,7 @@ class StreamGrabber:
         self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or 30.0)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next picture."""
+        """The next image."""
         good, image = self._video.read()
         if not good:
             return None
@@ -279,7 +279,7 @@ class PicameraGrabber:
         self._to_centre_s = 0.5 * _readout_s(self._camera)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next picture."""
+        """The next image."""
         request = self._camera.capture_request()
         try:
             image = request.make_array("main")

@@ -1,4 +1,4 @@
-"""The table of what is known about pictures, as CSV: `image` and any of the columns below."""
+"""The table of what is known about images, as CSV: `image` and any of the columns below."""
 
 import csv
 import math
@@ -11,7 +11,7 @@ MAX_BYTES = 100_000_000
 
 
 def read_metadata_table(path: Path) -> dict[str, dict[str, float]]:
-    """What a CSV says of each picture: by file name, the values of `COLUMNS` that are given.
+    """What a CSV says of each image: by file name, the values of `COLUMNS` that are given.
 
     Raises:
         SourceError: the file cannot be read, has no column `image` or an unknown one, or a value

@@ -1,4 +1,4 @@
-"""Pictures with the calibrated time offset: the centre row's time, on the autopilot's clock."""
+"""Images with the calibrated time offset: the centre row's time, on the autopilot's clock."""
 
 from dataclasses import replace
 
@@ -7,13 +7,13 @@ from vwnav.types import Frame
 
 
 class RetimedSource:
-    """A `FrameSource` whose pictures are stamped later by `offset_s`."""
+    """A `FrameSource` whose images are stamped later by `offset_s`."""
 
     def __init__(self, source: FrameSource, offset_s: float) -> None:
         self._source, self._offset_s = source, offset_s
 
     def next_frame(self) -> Frame | None:
-        """The next picture; None at the end."""
+        """The next image; None at the end."""
         frame = self._source.next_frame()
         return None if frame is None else replace(frame, t_s=frame.t_s + self._offset_s)
 

@@ -1,4 +1,4 @@
-"""Opens what delivers pictures: live cameras, streams, video files, folders of pictures."""
+"""Opens what delivers images: live cameras, streams, video files, folders of images."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from vwnav.cameras.gstreamer import GstreamerGrabber
 from vwnav.cameras.image_folder import ImageFolder
 from vwnav.cameras.live import (
-    AskedPictures,
+    AskedImages,
     PicameraGrabber,
     PixelFormat,
     RealTimeSource,
@@ -27,13 +27,13 @@ DEFAULT_FOLDER_FPS = 1.0
 
 
 def open_source(text: str, fps: float | None = None) -> FrameSource:
-    """Open the pictures that `text` names.
+    """Open the images that `text` names.
 
     Args:
-        text: a video file, a folder of pictures, a recording of vwnav (`.mcap`),
+        text: a video file, a folder of images, a recording of vwnav (`.mcap`),
             `/dev/video0[:WIDTHxHEIGHT[@FPS]][:MJPG|YUYV|GREY]`, `picamera2[:WIDTHxHEIGHT[@FPS]]`,
             `gst:WIDTHxHEIGHT[@FPS]:PIPELINE`, or the URL of a stream (`rtsp://...`).
-        fps: rate of a folder's pictures where they carry no time of their own; the rate wanted of
+        fps: rate of a folder's images where they carry no time of their own; the rate wanted of
             a live camera.
 
     Raises:
@@ -68,7 +68,7 @@ def _video4linux(found: re.Match[str], fps: float | None) -> FrameSource:
     name, width, height, rate, pixels = found.groups()
     size_wh = (int(width), int(height)) if width else None
     known: dict[str | None, PixelFormat] = {"MJPG": "MJPG", "YUYV": "YUYV", "GREY": "GREY"}
-    asked = AskedPictures(size_wh, fps or (float(rate) if rate else None), known.get(pixels))
+    asked = AskedImages(size_wh, fps or (float(rate) if rate else None), known.get(pixels))
     return RealTimeSource(lambda: V4l2Grabber(name, asked))
 
 

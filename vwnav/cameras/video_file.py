@@ -1,4 +1,4 @@
-"""A video file as a source of pictures, with the container's own time stamps."""
+"""A video file as a source of images, with the container's own time stamps."""
 
 import os
 from collections import deque
@@ -11,9 +11,9 @@ from vwnav.cameras.video_container import is_cut_off
 from vwnav.errors import SourceError
 from vwnav.types import Frame
 
-# A cut-off file may yield a half decoded last picture; with B-frames it is not the last in time.
+# A cut-off file may yield a half decoded last image; with B-frames it is not the last in time.
 _HELD_BACK = 3
-# Containers that count pictures by duration are off by a few.
+# Containers that count images by duration are off by a few.
 _COUNT_TOLERANCE = 3
 
 
@@ -48,10 +48,10 @@ class VideoFile:
         self._ahead: deque[Frame] = deque()
 
     def next_frame(self) -> Frame | None:
-        """The next picture, None after the last.
+        """The next image, None after the last.
 
         Raises:
-            SourceError: the file ends in the middle of a picture; every picture before it has
+            SourceError: the file ends in the middle of an image; every image before it has
                 been handed out.
         """
         wanted = 1 + (_HELD_BACK if self._cut_off else 0)

@@ -75,11 +75,11 @@ def _learned_model() -> Check:
         extractor = load_features("learned")
     except VwnavError as error:
         return Check("learned features", "WARN", f"{error}; flights fall back to SIFT")
-    picture = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+    image = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
     times_ms = []
     for _ in range(6):
         start_s = time.perf_counter()
-        extractor.extract(picture, 1000)
+        extractor.extract(image, 1000)
         times_ms.append((time.perf_counter() - start_s) * 1e3)
     spent_ms = sorted(times_ms)[len(times_ms) // 2]
     return Check(
@@ -106,7 +106,7 @@ def _map(path: Path, route: Path | None) -> Check:
 
 
 def _route(path: Path) -> Check:
-    from vwnav.guidance.missions import load_route
+    from vwnav.guidance.plan_files import load_route
 
     return Check("route", "PASS", f"{len(load_route(path).waypoints)} waypoints")
 

@@ -149,7 +149,7 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
 
     from vwnav.errors import ConfigError, RouteError
     from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
-    from vwnav.guidance.missions import LocalWaypoint, load_route
+    from vwnav.guidance.plan_files import LocalWaypoint, load_route
 
     if route_frame not in ("local", "global"):
         raise ConfigError(f"--route-frame {route_frame!r}: choose local or global")

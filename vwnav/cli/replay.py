@@ -58,6 +58,6 @@ def replay(
 
         replay_inputs(options)
     else:
-        from vwnav.offline.replay_pictures import replay_source
+        from vwnav.offline.replay_images import replay_source
 
         replay_source(options)

@@ -63,7 +63,7 @@ class EkfConfig:
     touching_speed_m_s: float = 1.5  # and no faster than this sideways
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
-    picture_date_s: float = 0.005  # error of a picture's date, its read-out's part included
+    picture_date_s: float = 0.005  # error of an image's date, its read-out's part included
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe
     odometry_turns_attitude: bool = False  # the heading stream is odometry's own: no new witness
     visual_weight: float = 0.0  # lambda of the thesis' eq. 3.30: extra pull to the fix, 0 to 1
@@ -90,10 +90,10 @@ class EkfConfig:
     heading_drift_rad_s: float = math.radians(2.0)  # by which agreeing headings may drift apart
 
     def without_telemetry(self) -> "EkfConfig":
-        """For a video alone: the position is that of the picture's centre, and nothing is felt.
+        """For a video alone: the position is that of the image's centre, and nothing is felt.
 
         The centre swings with the camera, so accelerations are larger and unexplained; the heading
-        stream is the one odometry turns from pictures.
+        stream is the one odometry turns from images.
         """
         return replace(
             self,

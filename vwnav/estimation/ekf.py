@@ -114,7 +114,7 @@ class Ekf:
     def on_event(self, say: Callable[[str], None]) -> None:
         """Tell `say` in a sentence when the state has left its envelope and begins anew.
 
-        Also when the ways that pictures tell are not believed any more, and when they are again.
+        Also when the ways that images tell are not believed any more, and when they are again.
         What happens again within seconds (an aircraft that truly flies faster than aircraft do) is
         not said again.
         """
@@ -216,7 +216,7 @@ class Ekf:
     def _handle_fix(self, fix: NedFix) -> Innovation:
         """Take a map fix; the heading and AGL in it are judged one by one (`parts`).
 
-        One that is older than the history meets the clone of its picture's pose, if it was told
+        One that is older than the history meets the clone of its image's pose, if it was told
         when that was taken (`Exposed`).
         """
         refusal = self._refusal(fix)
@@ -224,7 +224,7 @@ class Ekf:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if self._odometry_gate.lost:
             fix = of_doubtful_date(fix, self._timeline.newest)
-        # At the beginning of the history: a picture taken since may have been cloned in its place.
+        # At the beginning of the history: an image taken since may have been cloned in its place.
         oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if innovation.accepted:

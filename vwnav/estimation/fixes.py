@@ -34,7 +34,7 @@ from vwnav.types import Array
 
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
-_UNSEEN_RAD = 0.1  # by which a picture may lean otherwise than an attitude that is held
+_UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
@@ -82,7 +82,7 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
 
 
 def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
-    """Copy what a fix of this moment's picture will tell: place, attitude error, height."""
+    """Copy what a fix of this moment's image will tell: place, attitude error, height."""
     if attitudes.at(state.t_s) is None:
         return replace(state, exposure=None)  # nobody knows how it was turned
     G = np.eye(States.SIZE)
@@ -99,7 +99,7 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
 def apply_late_fix(
     state: FilterState, fix: NedFix, context: Context
 ) -> tuple[FilterState, Innovation]:
-    """Fuse the fix of the picture whose pose is cloned: with the clone all that came since moves.
+    """Fuse the fix of the image whose pose is cloned: with the clone all that came since moves.
 
     The map's own error there and here is not the same by now, so it is noise besides.
     """
@@ -148,7 +148,7 @@ def _position(
 
 
 def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measurement:
-    """No attitude that is believed tells how the picture was turned: by how much, nobody knows."""
+    """No attitude that is believed tells how the image was turned: by how much, nobody knows."""
     H = position.H.copy()
     H[:, States.TILT] = 0.0
     wide_m2 = (_UNSEEN_RAD * max(state.agl_m, 0.0)) ** 2 * np.eye(2)
@@ -267,7 +267,7 @@ def _apply_heading(
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
         found = _moved_along(state, measurement, jump)
-        # That of a picture of long ago leaves the heading of now as open as it has been since.
+        # That of an image of long ago leaves the heading of now as open as it has been since.
         found = replace(found, heading_known=tells_heading(found.P))
         return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
     fused, innovation = fuse(state, measurement, config.visual_weight)

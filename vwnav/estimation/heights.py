@@ -88,7 +88,7 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     """Near the ground an aircraft hardly moves sideways, whatever its attitude seems to say.
 
     Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
-    if the wind blew it away, at a height where no picture tells otherwise. One that was believed to
+    if the wind blew it away, at a height where no image tells otherwise. One that was believed to
     move before it came so low does fly there: the ground may fall away below it. It is the ground
     that stops it, which tells nothing of how it flew, nor of the place where that has led.
     """

@@ -1,4 +1,4 @@
-"""The way that pictures tell meets the state: a keyframe's clone, then displacements from it."""
+"""The way that images tell meets the state: a keyframe's clone, then displacements from it."""
 
 from dataclasses import replace
 
@@ -50,8 +50,8 @@ def apply_keyframe(
 ) -> FilterState:
     """Copy position, attitude error and ground to the anchor, and add the keyframe's own error.
 
-    The keyframe's picture errs in how far later ones have turned from it. The way is counted in the
-    attitude of that moment, which the picture does not turn: so that error is a state of its own.
+    The keyframe's image errs in how far later ones have turned from it. The way is counted in the
+    attitude of that moment, which the image does not turn: so that error is a state of its own.
     """
     G = np.eye(States.SIZE)
     G[States.ANCHOR_POSITION] = G[States.POSITION]
@@ -74,8 +74,8 @@ def apply_displacement(
 ) -> tuple[FilterState, Innovation]:
     """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
     attitudes, config = context.attitudes, context.config
-    anchor, before_s = state.anchor, state.pictured_s
-    state = replace(state, tracked_s=motion.t1_s, pictured_s=motion.t1_s)
+    anchor, before_s = state.anchor, state.exposed_s
+    state = replace(state, tracked_s=motion.t1_s, exposed_s=motion.t1_s)
     if anchor is None or anchor.t_s != motion.t0_s:
         return state, Innovation(Verdict.NO_ANCHOR)
     if not state.heading_known:
@@ -101,15 +101,15 @@ def apply_displacement(
 def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
     """Be as unsure as an aircraft may have turned, and changed its velocity, since it was tracked.
 
-    Of a video alone: its heading is counted from picture to picture, and what lies between two that
+    Of a video alone: its heading is counted from image to image, and what lies between two that
     do not join is not counted. Turns last: the sigma of the heading grows with the time since the
-    last picture that was tracked, t, by d(w t)^2. One that may be anything is not known.
+    last image that was tracked, t, by d(w t)^2. One that may be anything is not known.
     """
-    before_s, now_s = state.pictured_s - state.tracked_s, state.t_s - state.tracked_s
+    before_s, now_s = state.exposed_s - state.tracked_s, state.t_s - state.tracked_s
     P = state.P + _unseen_motion(now_s - before_s, config)
     P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
     known = state.heading_known and tells_heading(P)
-    return replace(state, P=P, heading_known=known, pictured_s=state.t_s)
+    return replace(state, P=P, heading_known=known, exposed_s=state.t_s)
 
 
 def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:
@@ -132,7 +132,7 @@ def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> Filter
 
 
 def _unseen_motion(span_s: float, config: EkfConfig) -> Array:
-    """(n, n) what an aircraft may do in a time in which no picture tells its way, beyond the usual.
+    """(n, n) what an aircraft may do in a time in which no image tells its way, beyond the usual.
 
     The usual acceleration is that of a steady flight: what hides the way may be what the aircraft
     does, and a turn within seconds changes a velocity by twice itself.
@@ -144,10 +144,10 @@ def _unseen_motion(span_s: float, config: EkfConfig) -> Array:
 
 
 def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
-    """Ways that are refused and agree: pictures or the push are wrong, and which is not known.
+    """Ways that are refused and agree: images or the push are wrong, and which is not known.
 
     What all of them are off by alike is an error of their keyframe (of its stamp, mostly), which
-    becomes as unsure as that. What they part by from picture to picture is an error of the
+    becomes as unsure as that. What they part by from image to image is an error of the
     velocity, and that becomes as unsure.
     """
     rejected = remember(state.rejected_ways, state.t_s, way, config.dispute_window_s)
@@ -171,8 +171,8 @@ def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterSt
     A correction d made of a way seen is d / AGL heights long: had the AGL another error e, it would
     be longer by d e / AGL. So the errors of what it changed grow by that, the reset Jacobian of an
     error state that scales: P' = G P G^T with G = I + per_m dAGL/dx, of rank one and written out.
-    Without it the way believed and its correlation with the AGL part, and the next pictures seem
-    to say how high the camera is, which no picture can.
+    Without it the way believed and its correlation with the AGL part, and the next images seem
+    to say how high the camera is, which no image can.
     """
     per_m = np.zeros(States.SIZE)
     change = after.x - before.x
@@ -188,7 +188,7 @@ def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterSt
 def _turn(
     state: FilterState, motion: OdometryMotion, turned_rad: float, config: EkfConfig
 ) -> Measurement:
-    """What the autopilot turned more than the picture did is the change of its heading bias."""
+    """What the autopilot turned more than the image did is the change of its heading bias."""
     H = np.zeros((1, States.SIZE))
     H[0, [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.ANCHOR_TURN]] = 1.0, -1.0, 1.0
     change_rad = turned_rad - motion.yaw_increment_rad
@@ -211,7 +211,7 @@ def _displacement(
     turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS]))
     way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
     # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
-    # residual and gain alike, and every picture would pull height and place to the same side.
+    # residual and gain alike, and every image would pull height and place to the same side.
     predicted_m: Array = x[States.POSITION] - x[States.ANCHOR_POSITION]
     H = np.zeros((3, States.SIZE))
     H[:, States.POSITION] = np.eye(3)

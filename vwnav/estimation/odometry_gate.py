@@ -1,11 +1,11 @@
-"""Whether the ways that pictures tell are those of the aircraft, as the IMU feels it fly.
+"""Whether the ways that images tell are those of the aircraft, as the IMU feels it fly.
 
 A camera that is mounted upside down, or shows what is not there, tells ways that the filter refuses
 one by one, and believes now and then. When most of them are refused none is believed, until they
 agree for a while and a map fix does. That has to be while the aircraft changes its speed: ways of
-pictures that are dated wrongly agree as long as it flies steadily.
+images that are dated wrongly agree as long as it flies steadily.
 
-The pictures themselves tell it earlier, and need no filter for it: those of a camera upside down
+The images themselves tell it earlier, and need no filter for it: those of a camera upside down
 tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`).
 """
 
@@ -30,11 +30,11 @@ _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.4, 0.9  # share that agrees: at most, and at least
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
-_DATE_OFF_S = 0.5  # ... in the time by which pictures may be dated wrongly
+_DATE_OFF_S = 0.5  # ... in the time by which images may be dated wrongly
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
-_IMU_OF_NOW_S = 0.2  # so old it may be to have felt a picture's way
+_IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _LEAN_DOUBT_RAD = 0.15
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
@@ -59,7 +59,7 @@ class OdometryGate:
 
     Attributes:
         lost: none is to be believed.
-        fixed: a map fix was where the aircraft is believed since: its pictures are of here, and
+        fixed: a map fix was where the aircraft is believed since: its images are of here, and
             upright. Who takes one says so.
         believed_s: time of the first way since they are believed.
     """
@@ -68,7 +68,7 @@ class OdometryGate:
         self._attitudes = attitudes
         self._config = config
         self._newest: OdometryMotion | None = None
-        self._along = 0.0  # log-likelihood ratio: the pictures tilt as the attitude does, or not
+        self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
         self._turned = False  # they surely do not
         self._trust_all()
 
@@ -82,7 +82,7 @@ class OdometryGate:
         self.lost = False
 
     def displacement(self, motion: OdometryMotion) -> Displacement:
-        """As unsure as an aircraft that tilts fast makes it: pictures are dated to milliseconds."""
+        """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds."""
         gyro = self._attitudes.gyro
         tilts_rad_s = math.hypot(gyro.rate_rad_s(motion.t0_s), gyro.rate_rad_s(motion.t1_s))
         off_m = self._config.picture_date_s * motion.agl_m * tilts_rad_s
@@ -120,7 +120,7 @@ class OdometryGate:
         return event
 
     def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
-        """Whether attitudes that are believed tell how its pictures were turned to the ground."""
+        """Whether attitudes that are believed tell how its images were turned to the ground."""
         refused_s = self._attitudes.refused_s
         if motion.t0_s in refused_s or motion.t1_s in refused_s:
             return False
@@ -201,7 +201,7 @@ def possible(motion: OdometryMotion, state: FilterState, config: EkfConfig) -> b
 
 
 def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
-    """Of a picture whose ways contradict the IMU: it may be from another moment than it says.
+    """Of an image whose ways contradict the IMU: it may be from another moment than it says.
 
     The aircraft was elsewhere then, and leaned otherwise.
     """

@@ -23,7 +23,7 @@ class States:
 
     All errors add to their state, the heading bias modulo 2 pi. The attitude itself is the
     autopilot's stream; its error is three of the states (heading bias and tilt). What an odometry
-    keyframe (anchor) or a picture at the map's matching (exposed) is compared with later is cloned
+    keyframe (anchor) or an image at the map's matching (exposed) is compared with later is cloned
     when it is taken (stochastic cloning, Roumeliotis and Burdick 2002).
     """
 
@@ -43,14 +43,14 @@ class States:
     MAP = slice(17, 19)  # m, north and east, by how much the map here is off, and matching on it
     ACCELEROMETER_BIAS = slice(19, 22)  # m/s^2, body; at rest where no IMU is streamed
     ACCELEROMETER_BIAS_LEVEL = slice(19, 21)  # forward and right
-    ANCHOR_TURN = 22  # rad, what the keyframe's own picture adds to every turn from it
+    ANCHOR_TURN = 22  # rad, what the keyframe's own image adds to every turn from it
     ANCHOR_TERRAIN = 23  # m, height of the keyframe's own ground, which scales its ways
     ANCHOR_TILT = slice(24, 26)  # rad, the tilt error at the keyframe
     GYRO_BIAS = slice(26, 29)  # rad/s, body; at rest where no IMU is streamed
     MAP_TURN = 29  # rad, by how much headings by this map, and matching on it, are off
     MAP_SCALE = 30  # the same of heights above ground, as a share of them
     EXPOSED = slice(31, 37)
-    EXPOSED_POSITION = slice(31, 33)  # m, north and east of the picture that is being matched
+    EXPOSED_POSITION = slice(31, 33)  # m, north and east of the image that is being matched
     EXPOSED_HEADING_BIAS = 33  # rad, the heading bias at its exposure
     EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
     EXPOSED_AGL = 36  # m, the height above ground then
@@ -69,7 +69,7 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposure:
-    """The picture that is being matched, whose pose is cloned: its time and autopilot heading."""
+    """The image that is being matched, whose pose is cloned: its time and autopilot heading."""
 
     t_s: float
     yaw_rad: float
@@ -119,7 +119,7 @@ class FilterState:
         measured: what the autopilot tells of `t_s`, as it was known then: the next step goes on
             from just there. None before the first one.
         position_known, heading_known: False until the first fix when they started unknown.
-        tracked_s, pictured_s: times of the last picture whose way was told, and of the last one of
+        tracked_s, exposed_s: times of the last image whose way was told, and of the last one of
             which it was told whether it is; the start until then.
         trusted: the last fix that agreed with one before it; the start until then.
         newest_height: time and height that the barometer told last, believed or not.
@@ -134,7 +134,7 @@ class FilterState:
     position_known: bool
     heading_known: bool
     tracked_s: float
-    pictured_s: float
+    exposed_s: float
     measured: Measured | None = None
     anchor: Anchor | None = None
     exposure: Exposure | None = None
@@ -271,7 +271,7 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
         position_known=known,
         heading_known=tells_heading(P),
         tracked_s=state.tracked_s,
-        pictured_s=state.pictured_s,
+        exposed_s=state.exposed_s,
         t_last_fix_s=state.t_last_fix_s,
         trusted=state.trusted,
         reset_counter=state.reset_counter + 1,

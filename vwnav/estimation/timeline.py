@@ -23,7 +23,7 @@ class NedFix:
     """A map fix in the filter's own frame.
 
     Attributes:
-        t_s: exposure of the picture.
+        t_s: exposure of the image.
         position_ne_m: (2,) north and east of the camera. covariance_ne_m2: (2, 2).
         yaw_rad: true heading; None when the fix has none. agl_m: likewise.
         sigma_tilt_rad: the attitude error that `covariance_ne_m2` contains. It moves the fix by
@@ -57,7 +57,7 @@ class NedFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """Odometry between its keyframe and a picture, at that picture's exposure."""
+    """Odometry between its keyframe and an image, at that image's exposure."""
 
     t_s: float
     motion: OdometryMotion
@@ -81,7 +81,7 @@ class Displacement:
 
 
 def between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
-    """The way from one picture to a later one that were both compared with the same keyframe.
+    """The way from one image to a later one that were both compared with the same keyframe.
 
     For a keyframe that the filter has forgotten: over a spot where nothing changes odometry keeps
     it for minutes, and a filter that begins anew meanwhile would have no ways at all.
@@ -111,7 +111,7 @@ class NewKeyframe:
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """A picture was taken that is now being matched to the map: its pose is cloned.
+    """An image was taken that is now being matched to the map: its pose is cloned.
 
     However long the search takes, its fix meets the clone.
     """
@@ -125,7 +125,7 @@ class Exposed:
 
 @dataclass(frozen=True, slots=True)
 class Untracked:
-    """A picture of a video alone could not be followed: how it came there nobody knows."""
+    """An image of a video alone could not be followed: how it came there nobody knows."""
 
     t_s: float
 
@@ -136,7 +136,7 @@ class Untracked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateFix:
-    """The fix of the picture whose pose is cloned, older than the history that begins at `t_s`."""
+    """The fix of the image whose pose is cloned, older than the history that begins at `t_s`."""
 
     t_s: float
     fix: NedFix
@@ -151,7 +151,7 @@ class Drag:
 
 @dataclass(frozen=True, slots=True)
 class Misled:
-    """The ways that pictures told since then were not the aircraft's, and no fix had said so."""
+    """The ways that images told since then were not the aircraft's, and no fix had said so."""
 
     t_s: float
     since_s: float

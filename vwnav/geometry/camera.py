@@ -1,8 +1,8 @@
 """The camera: what pixel a direction falls on, and the way back, and how it is mounted.
 
-Camera axes are right, down (in the picture), forward along the optical axis. Pixel centres are at
-integers. Pictures look down by default, their upper edge towards the nose. The nadir view is one
-warp that removes tilt, heading and height from a picture.
+Camera axes are right, down (in the image), forward along the optical axis. Pixel centres are at
+integers. Images look down by default, their upper edge towards the nose. The nadir view is one
+warp that removes tilt, heading and height from an image.
 """
 
 import math
@@ -25,7 +25,7 @@ MAX_READOUT_S = 0.2
 MAX_ARM_M = 1.5
 _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
-_MIN_SHARE = 0.4  # of the picture that must lie within that
+_MIN_SHARE = 0.4  # of the image that must lie within that
 _GRID = 33
 
 
@@ -34,14 +34,14 @@ class Camera:
     """A calibrated camera.
 
     Attributes:
-        width_px, height_px: size of the pictures the calibration is for.
+        width_px, height_px: size of the images the calibration is for.
         K: (3, 3) focal lengths and principal point in pixels, centres at integers, no skew.
         distortion: k1 k2 p1 p2 [k3] of "pinhole" (empty for none), k1 k2 k3 k4 of "fisheye"
             (equidistant), both as OpenCV defines them.
         R_body_camera: (3, 3) mount. t_body_camera_m: (3,) place of the camera in the body.
         readout_s: from the first row's exposure to the last row's (rolling shutter), 0 for a
             global one; None where it is not known.
-        time_offset_s: what to add to the time that the source says for a picture, so that it is
+        time_offset_s: what to add to the time that the source says for an image, so that it is
             that of the centre row's exposure on the autopilot's clock.
 
     Raises:
@@ -111,7 +111,7 @@ class Camera:
         return Camera(width_px=width_px, height_px=height_px, K=np.array(K))
 
     def scaled(self, width_px: int, height_px: int) -> "Camera":
-        """The same camera with its pictures resized: `(uv + 0.5) * scale - 0.5`."""
+        """The same camera with its images resized: `(uv + 0.5) * scale - 0.5`."""
         scale_u, scale_v = width_px / self.width_px, height_px / self.height_px
         K = self.K.copy()
         K[0] *= scale_u
@@ -121,7 +121,7 @@ class Camera:
         return replace(self, width_px=width_px, height_px=height_px, K=K)
 
     def undistorted(self) -> "Camera":
-        """The pinhole camera without distortion that `undistort_maps` makes pictures of."""
+        """The pinhole camera without distortion that `undistort_maps` makes images of."""
         return replace(self, distortion=(), model="pinhole")
 
     def without_arm(self) -> "Camera":
@@ -157,7 +157,7 @@ class Camera:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def undistort_maps(self, kind: int = cv2.CV_16SC2) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(map1, map2) for `cv2.remap`, fixed point, to the picture of `undistorted()`."""
+        """(map1, map2) for `cv2.remap`, fixed point, to the image of `undistorted()`."""
         size_wh = (self.width_px, self.height_px)
         make = (
             cv2.fisheye.initUndistortRectifyMap
@@ -172,7 +172,7 @@ class Camera:
 
 
 def check_fits(camera: Camera, width_px: int, height_px: int) -> None:
-    """Make sure that a calibration is for pictures of this size.
+    """Make sure that a calibration is for images of this size.
 
     Raises:
         CalibrationError: it is not.
@@ -189,7 +189,7 @@ class Rectification:
     """A north-up view straight down onto level ground.
 
     Attributes:
-        H_rect_frame: (3, 3) from undistorted picture pixels to view pixels (u east, v south).
+        H_rect_frame: (3, 3) from undistorted image pixels to view pixels (u east, v south).
         size_wh: (width, height) of the view in pixels.
         m_per_px: ground resolution of the view.
         nadir_uv: (2,) view pixel of the ground point below the camera, maybe outside the view.
@@ -211,14 +211,14 @@ def rectification(
     m_per_px: float,
     max_size_px: int = 1024,
 ) -> Rectification | None:
-    """The nadir view of an undistorted picture.
+    """The nadir view of an undistorted image.
 
     What lies more than 60 degrees off the nadir is cut off. A view larger than `max_size_px` is
-    cut about the ground that fills the middle of the picture.
+    cut about the ground that fills the middle of the image.
 
     Args:
         K: (3, 3) of the undistorted camera.
-        frame_size_wh: (width, height) of the picture.
+        frame_size_wh: (width, height) of the image.
         R_ned_camera: (3, 3) attitude of the camera.
         agl_m: height of the camera above the ground.
         m_per_px: wanted ground resolution.
@@ -246,7 +246,7 @@ def _positive(value: float) -> bool:
 
 
 def _ground_east_north(K: Array, size_wh: tuple[int, int], R_ned_camera: Array) -> Array:
-    """Ground points (k, 2) of a grid over the picture, in units of AGL, those near enough."""
+    """Ground points (k, 2) of a grid over the image, in units of AGL, those near enough."""
     u = np.linspace(-0.5, size_wh[0] - 0.5, _GRID)
     v = np.linspace(-0.5, size_wh[1] - 0.5, _GRID)
     uv1 = np.stack([*np.meshgrid(u, v), np.ones((_GRID, _GRID))], axis=-1).reshape(-1, 3)
@@ -260,7 +260,7 @@ def _window(ground_en_px: Array, max_size_px: int) -> tuple[tuple[int, int], Arr
     """Size (w, h) of the view and its north-west corner (east, north), in pixels from the nadir."""
     low, high = ground_en_px.min(axis=0), ground_en_px.max(axis=0)
     size = np.clip(np.ceil(high - low), 1, max_size_px)
-    # The median leans to where the picture has most pixels per metre of ground.
+    # The median leans to where the image has most pixels per metre of ground.
     middle = np.median(ground_en_px, axis=0)
     half = size / 2.0
     middle = np.clip(
@@ -271,7 +271,7 @@ def _window(ground_en_px: Array, max_size_px: int) -> tuple[tuple[int, int], Arr
 
 
 def to_gray(image: NDArray[np.uint8]) -> Gray:
-    """(h, w) of a gray or BGR picture."""
+    """(h, w) of a gray or BGR image."""
     if image.ndim == 2:
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""How the body moves while a picture is exposed."""
+"""How the body moves while an image is exposed."""
 
 from collections.abc import Callable
 from dataclasses import replace

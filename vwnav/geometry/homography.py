@@ -1,6 +1,6 @@
-"""Robust homographies and similarities between two pictures of the ground.
+"""Robust homographies and similarities between two images of the ground.
 
-`H_1_0` takes pixels of picture 0 to picture 1. Neither picture is ever mirrored, so a fit that
+`H_1_0` takes pixels of image 0 to image 1. Neither image is ever mirrored, so a fit that
 mirrors, folds or flattens the points is no fit. Bad input gives None, never an exception.
 """
 
@@ -40,7 +40,7 @@ class RobustFit:
 
 
 def transform_points(H_1_0: Array, uv0: Array) -> Array:
-    """Points (n, 2) of picture 0 in picture 1; not finite where they fall on the horizon."""
+    """Points (n, 2) of image 0 in image 1; not finite where they fall on the horizon."""
     points = np.asarray(uv0, dtype=np.float64).reshape(-1, 2) @ H_1_0[:, :2].T + H_1_0[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(points[:, :2] / points[:, 2:])
@@ -57,9 +57,9 @@ def estimate_homography(uv0: Array, uv1: Array, threshold_px: float, seed: int) 
     """Homography of pixel pairs (n, 2) by MAGSAC++, refined on its inliers.
 
     Args:
-        uv0: pixels of picture 0.
-        uv1: their partners in picture 1, same length.
-        threshold_px: largest error in picture 1 of an inlier.
+        uv0: pixels of image 0.
+        uv1: their partners in image 1, same length.
+        threshold_px: largest error in image 1 of an inlier.
         seed: of the sampling; equal input and seed give equal output.
     """
     problem = _centred(uv0, uv1)

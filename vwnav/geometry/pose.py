@@ -209,7 +209,7 @@ def homography_covariance(
     """Covariance (2, 2) in px^2 of where the fitted homography maps `at_uv` (2,).
 
     Linear propagation through the least-squares fit to the inlier pairs (n, 2), n > 4 (Hartley and
-    Zisserman, 2nd edition, section 5.2.3). `sigma_px` is the error of a pair in picture 1;
+    Zisserman, 2nd edition, section 5.2.3). `sigma_px` is the error of a pair in image 1;
     the pairs' own scatter is used where it is larger. None when they do not fix a homography.
     """
     designs = _designs(uv0, H_1_0, at_uv, homography=True)
@@ -276,7 +276,7 @@ def _designs(
 ) -> tuple[Array, Array] | None:
     """Derivatives of the mapped pairs and of the mapped place by the unknowns.
 
-    In pixels that are centred and scaled, of picture 1 as well: that only changes the unknowns.
+    In pixels that are centred and scaled, of image 1 as well: that only changes the unknowns.
     """
     to_unit = _to_unit(uv0)
     points, at = transform_points(to_unit, uv0), transform_points(to_unit, at_uv)

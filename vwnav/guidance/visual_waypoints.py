@@ -53,10 +53,10 @@ class VisualWaypoints:
         return self.next_index == len(self._waypoints_ne_m)
 
     def step(self, matched_ne_m: Array) -> tuple[int, ...]:
-        """Waypoints reached with one picture, in order; empty most of the time.
+        """Waypoints reached with one image, in order; empty most of the time.
 
         Args:
-            matched_ne_m: (m, 2) places on the map of the features that this picture matched and
+            matched_ne_m: (m, 2) places on the map of the features that this image matched and
                 that its homography confirmed.
         """
         first = self.next_index

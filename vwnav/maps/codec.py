@@ -1,4 +1,4 @@
-"""How tiles and features are written in a pack: PNG pictures, and features quantised in a blob."""
+"""How tiles and features are written in a pack: PNG images, and features quantised in a blob."""
 
 from typing import Literal, get_args
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.geodesy import TILE_PX
-from vwnav.maps.picture import Picture
+from vwnav.maps.image import MapImage
 from vwnav.types import FeatureName, Features
 
 DescriptorKind = Literal["int8", "uint8", "binary"]
@@ -16,36 +16,36 @@ UV_STEPS_PER_PX = 256  # a tile of 256 px in uint16: nothing is lost against a d
 PNG_COMPRESSION = 4
 
 
-def encode_tile(picture: Picture) -> bytes:
+def encode_tile(image: MapImage) -> bytes:
     """PNG of a tile: BGR where it is complete, with alpha where data are missing.
 
     Raises:
         ValueError: not a tile's size.
     """
-    if picture.mask.shape != (TILE_PX, TILE_PX):
-        raise ValueError(f"expected a tile of {TILE_PX} px, got {picture.mask.shape}")
-    image = picture.bgr
-    if not picture.mask.all():
-        alpha = np.where(picture.mask, 255, 0).astype(np.uint8)
-        image = np.dstack([np.where(picture.mask[..., None], image, 0).astype(np.uint8), alpha])
-    _, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
+    if image.mask.shape != (TILE_PX, TILE_PX):
+        raise ValueError(f"expected a tile of {TILE_PX} px, got {image.mask.shape}")
+    pixels = image.bgr
+    if not image.mask.all():
+        alpha = np.where(image.mask, 255, 0).astype(np.uint8)
+        pixels = np.dstack([np.where(image.mask[..., None], pixels, 0).astype(np.uint8), alpha])
+    _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
     return png.tobytes()
 
 
-def decode_tile(data: bytes) -> Picture:
-    """The picture of a tile.
+def decode_tile(data: bytes) -> MapImage:
+    """The image of a tile.
 
     Raises:
-        ValueError: the data are no picture of a tile's size.
+        ValueError: the data are no image of a tile's size.
     """
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None or image.dtype != np.uint8 or image.shape[:2] != (TILE_PX, TILE_PX):
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if pixels is None or pixels.dtype != np.uint8 or pixels.shape[:2] != (TILE_PX, TILE_PX):
         raise ValueError("the tile is no picture of 256 x 256 px")
-    if image.ndim == 2:
-        image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-    if image.shape[2] == 4:
-        return Picture(np.ascontiguousarray(image[..., :3]), image[..., 3] >= 128)
-    return Picture(np.asarray(image, np.uint8), np.ones(image.shape[:2], np.bool_))
+    if pixels.ndim == 2:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
+    if pixels.shape[2] == 4:
+        return MapImage(np.ascontiguousarray(pixels[..., :3]), pixels[..., 3] >= 128)
+    return MapImage(np.asarray(pixels, np.uint8), np.ones(pixels.shape[:2], np.bool_))
 
 
 def descriptor_kind(name: FeatureName) -> DescriptorKind:

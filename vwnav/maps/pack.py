@@ -14,7 +14,8 @@ import numpy as np
 from vwnav.errors import ModelError
 from vwnav.geometry.geodesy import TILE_PX, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
-from vwnav.maps.packfile import (
+from vwnav.maps.image import MapFeatures, MapImage, Mask, Tile, Window, assemble
+from vwnav.maps.mbtiles import (
     DAMAGE,
     FeatureSetInfo,
     damaged,
@@ -22,14 +23,13 @@ from vwnav.maps.packfile import (
     read_description,
     read_features,
     read_heights,
-    read_picture,
+    read_image,
     read_tile_window,
 )
-from vwnav.maps.picture import MapFeatures, Mask, Picture, Tile, Window, assemble
 from vwnav.types import FEATURE_NAMES, FeatureExtractor, FeatureName, Features, Gray
 
 _LOG = logging.getLogger(__name__)
-_CACHED_PICTURES = 64  # tiles; 0.25 MB each
+_CACHED_IMAGES = 64  # tiles; 0.25 MB each
 _CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
 MAX_WINDOW_PX = 64_000_000
 MAX_KEYPOINTS = 20_000
@@ -102,7 +102,7 @@ class MapPack:
         self.feature_sets = description.feature_sets
         self.georeference_sigma_m = description.georeference_sigma_m
         self.sources, self.created_utc = description.sources, description.created_utc
-        self._pictures: Lru[Tile, Picture | None] = Lru(_CACHED_PICTURES)
+        self._images: Lru[Tile, MapImage | None] = Lru(_CACHED_IMAGES)
         self._features: Lru[tuple[str, Tile], Features | None] = Lru(_CACHED_FEATURES)
         self._warned: set[object] = set()
 
@@ -143,20 +143,20 @@ class MapPack:
         if not (np.isfinite(x) and np.isfinite(y)):
             return False
         column, row = int(np.floor(x)), int(np.floor(y))
-        picture = self._tile_picture(Tile(zoom, column // TILE_PX, row // TILE_PX))
-        return picture is not None and bool(picture.mask[row % TILE_PX, column % TILE_PX])
+        image = self._tile_image(Tile(zoom, column // TILE_PX, row // TILE_PX))
+        return image is not None and bool(image.mask[row % TILE_PX, column % TILE_PX])
 
     def image(self, zoom: int, x0: int, y0: int, x1: int, y1: int) -> tuple[Gray, Mask]:
-        """The gray picture (h, w) of a window of global pixels, and where it has data.
+        """The gray image (h, w) of a window of global pixels, and where it has data.
 
         Raises:
             ValueError: not a level of the pack, or not 1 to `MAX_WINDOW_PX` pixels.
         """
-        picture = self.picture(zoom, Window(int(x0), int(y0), int(x1), int(y1)))
-        return picture.gray, picture.mask
+        image = self.colour_image(zoom, Window(int(x0), int(y0), int(x1), int(y1)))
+        return image.gray, image.mask
 
-    def picture(self, zoom: int, window: Window) -> Picture:
-        """The colour picture of a window of global pixels, with its mask.
+    def colour_image(self, zoom: int, window: Window) -> MapImage:
+        """The colour image of a window of global pixels, with its mask.
 
         Raises:
             ValueError: not a level of the pack, or not 1 to `MAX_WINDOW_PX` pixels.
@@ -165,7 +165,7 @@ class MapPack:
         if not 0 < h * w <= MAX_WINDOW_PX:
             raise ValueError(f"expected 1 to {MAX_WINDOW_PX} pixels, got {w} x {h}")
         self.window(zoom)
-        return assemble(zoom, window, self._tile_picture)
+        return assemble(zoom, window, self._tile_image)
 
     def features_in(
         self,
@@ -263,13 +263,13 @@ class MapPack:
         size = re.match(r"vwnav-learned-(\w+)-", extractor.feature_set_id)
         return command if size is None or size[1] == "default" else f"{command} --model {size[1]}"
 
-    def _tile_picture(self, tile: Tile) -> Picture | None:
+    def _tile_image(self, tile: Tile) -> MapImage | None:
         with self._lock:
-            return self._pictures.get(tile, partial(self._read_picture, tile))
+            return self._images.get(tile, partial(self._read_image, tile))
 
-    def _read_picture(self, tile: Tile) -> Picture | None:
+    def _read_image(self, tile: Tile) -> MapImage | None:
         try:
-            return read_picture(self._connection, tile)
+            return read_image(self._connection, tile)
         except DAMAGE as error:
             self._warn_once(tile, f"{self.path}: imagery of {tile} is damaged, unused ({error})")
             return None
@@ -291,7 +291,7 @@ class MapPack:
         return found
 
     def _extract(self, block: Tile, extractor: FeatureExtractor) -> None:
-        found = extract_block(partial(self.picture, block.zoom), block, extractor)
+        found = extract_block(partial(self.colour_image, block.zoom), block, extractor)
         for tile in block_tiles(block):
             self._features.put((extractor.feature_set_id, tile), found.get(tile))
 

@@ -33,7 +33,7 @@ _PATIENCE_UNKNOWN_S = 0.6  # before a round trip has been seen
 class LinkedAutopilot:
     """A `vehicle.Autopilot` on any port. All methods may be called from any thread; none waits.
 
-    Times are those of `clock`; use the same one for pictures. What is sent is sent once: a control
+    Times are those of `clock`; use the same one for images. What is sent is sent once: a control
     loop that stops calling `send_velocity` lets the autopilot's own failsafe see it.
 
     Args:

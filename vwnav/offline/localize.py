@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 
-from vwnav.cameras.image_folder import read_picture
+from vwnav.cameras.image_folder import read_image
+from vwnav.cameras.image_metadata import ImageMetadata, read_image_metadata
 from vwnav.cameras.metadata_table import read_metadata_table
-from vwnav.cameras.picture_metadata import PictureMetadata, read_picture_metadata
 from vwnav.errors import ConfigError, SourceError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
@@ -46,14 +46,14 @@ class LocalizeOptions:
 
 
 def localize_images(options: LocalizeOptions) -> None:
-    """Locate each picture and print a line for it.
+    """Locate each image and print a line for it.
 
     Raises:
-        VwnavError: of the map, the model, the camera, or for pictures that cannot be read; those
+        VwnavError: of the map, the model, the camera, or for images that cannot be read; those
             are named at the end, after the others are done.
     """
     cv2.setNumThreads(1)
-    paths = list(_pictures(options.images))
+    paths = list(_images(options.images))
     table = {} if options.metadata is None else read_metadata_table(options.metadata)
     camera = None if options.camera is None else load_camera(options.camera)
     extractor = load_features(options.features, options.model)
@@ -72,7 +72,7 @@ def localize_images(options: LocalizeOptions) -> None:
         raise SourceError(f"{len(unread)} of {len(paths)} pictures cannot be read: {unread[0]}")
 
 
-def _pictures(images: list[Path]) -> Iterator[Path]:
+def _images(images: list[Path]) -> Iterator[Path]:
     for path in images:
         if path.is_dir():
             found = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
@@ -86,7 +86,7 @@ def _pictures(images: list[Path]) -> Iterator[Path]:
 
 
 class _Session:
-    """What all pictures share."""
+    """What all images share."""
 
     def __init__(
         self,
@@ -101,9 +101,9 @@ class _Session:
         self._localizers: dict[tuple[int, int, float | None, bool], Localizer] = {}
 
     def localize(self, path: Path) -> MapFix | Rejected:
-        image = read_picture(path)
+        image = read_image(path)
         height_px, width_px = image.shape[:2]
-        metadata = read_picture_metadata(path, width_px, height_px)
+        metadata = read_image_metadata(path, width_px, height_px)
         prior = _prior(self._options, metadata, self._table, path, self._pack)
         # A gimbal's attitude is the camera's own: the mount is then that of a down-looking one.
         own_attitude = self._options.use_exif and metadata.roll_rad is not None
@@ -118,7 +118,7 @@ class _Session:
         return outcome
 
     def _localizer(
-        self, path: Path, metadata: PictureMetadata, size_wh: tuple[int, int], own_attitude: bool
+        self, path: Path, metadata: ImageMetadata, size_wh: tuple[int, int], own_attitude: bool
     ) -> Localizer:
         hfov_deg = self._options.hfov_deg or metadata.hfov_deg
         key = (*size_wh, None if self._camera else hfov_deg, own_attitude)
@@ -137,12 +137,12 @@ class _Session:
 
 def _prior(
     options: LocalizeOptions,
-    metadata: PictureMetadata,
+    metadata: ImageMetadata,
     table: dict[str, dict[str, float]],
     path: Path,
     pack: MapPack,
 ) -> Prior:
-    """What is known of a picture: the command line before the table before EXIF."""
+    """What is known of an image: the command line before the table before EXIF."""
     prior = _exif_prior(metadata, pack) if options.use_exif else Prior()
     row = table.get(path.name, table.get(str(path), {}))
     given = {
@@ -163,7 +163,7 @@ def _prior(
 def _turned(prior: Prior) -> Iterator[Prior]:
     """The prior by half a turn, and by a quarter either way.
 
-    Cameras and programs turn pictures upright and leave the attitude in them as it was.
+    Cameras and programs turn images upright and leave the attitude in them as it was.
     """
     if prior.yaw_rad is None:
         return
@@ -177,7 +177,7 @@ def _turned(prior: Prior) -> Iterator[Prior]:
             yield replace(prior, roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=yaw_rad)
 
 
-def _exif_prior(metadata: PictureMetadata, pack: MapPack) -> Prior:
+def _exif_prior(metadata: ImageMetadata, pack: MapPack) -> Prior:
     agl_m = metadata.height_above_home_m
     if agl_m is None and metadata.lat_deg is not None and metadata.lon_deg is not None:
         ground_m = pack.elevation_m(metadata.lat_deg, metadata.lon_deg)

@@ -16,14 +16,14 @@ from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Asked, Input
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord
-from vwnav.recording.input_log import About, PictureSeen, read_about, read_input_log
+from vwnav.recording.input_log import About, ImageSeen, read_about, read_input_log
 from vwnav.recording.reader import is_cut_off
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.screen import LiveLine, say
 from vwnav.seams import StepResult
 from vwnav.types import Estimate, Rejected, RejectReason
 
-_ESTIMATES_KEPT = 1000  # between a picture's estimate and its mark other threads ask for a few
+_ESTIMATES_KEPT = 1000  # between an image's estimate and its mark other threads ask for a few
 
 Row = tuple[StepResult, float | None]  # with the commanded yaw, radians
 
@@ -66,7 +66,7 @@ class Player:
     """Plays an input log into a filter and collects what `trajectory.csv` is made of.
 
     Attributes:
-        rows: one for each picture.
+        rows: one for each image.
         busy_s: time it took.
         broken: the first thing that the filter raised.
     """
@@ -84,10 +84,10 @@ class Player:
         try:
             with LiveLine() as line:
                 for seen in read_input_log(path):
-                    if not isinstance(seen, PictureSeen):
+                    if not isinstance(seen, ImageSeen):
                         self._take(seen)
                         continue
-                    self._picture(seen)
+                    self._image(seen)
                     line.show(seen.t_s, f"{seen.t_s - self.rows[0][0].t_s:6.1f} s replayed")
         except SourceError as error:
             return error
@@ -108,7 +108,7 @@ class Player:
         if len(self._estimates) > _ESTIMATES_KEPT:
             self._estimates.popitem(last=False)
 
-    def _picture(self, seen: PictureSeen) -> None:
+    def _image(self, seen: ImageSeen) -> None:
         motion = Rejected(seen.t_s, RejectReason.NOT_TRIED, "odometry is on the tape")
         estimate = self._estimates.get(seen.t_s)
         self.rows.append(

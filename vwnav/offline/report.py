@@ -9,7 +9,7 @@ from vwnav import __version__
 from vwnav.maps.pack import MapPack
 from vwnav.recording.input_log import About
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
-from vwnav.recording.track_picture import TrackPicture
+from vwnav.recording.track_plot import TrackPlot
 from vwnav.screen import print_table
 from vwnav.seams import StepResult
 from vwnav.types import MapFix, Rejected, RejectReason
@@ -31,7 +31,7 @@ class ReplayOptions:
 
     @property
     def from_input_log(self) -> bool:
-        """Whether the filter's recorded inputs are wanted: a recording, nothing about pictures."""
+        """Whether the filter's recorded inputs are wanted: a recording, nothing about images."""
         asked = (self.camera, self.hfov_deg, self.telemetry, self.model, self.config_path)
         return (
             Path(self.source).suffix == ".mcap"
@@ -52,7 +52,7 @@ class Tally:
     busy_s: float = 0.0
 
     def add(self, step: StepResult, t0_s: float) -> None:
-        """Count one picture."""
+        """Count one image."""
         self.frames += 1
         match step.outcome:
             case MapFix() as fix:
@@ -68,12 +68,12 @@ class Tally:
 
     @property
     def frames_per_s(self) -> float:
-        """Pictures through the pipeline per second of its own time (decoding not counted)."""
+        """Images through the pipeline per second of its own time (decoding not counted)."""
         return self.frames / self.busy_s if self.busy_s > 0.0 else 0.0
 
 
 class ReplayRecord:
-    """Writes the run folder of a replay, picture by picture.
+    """Writes the run folder of a replay, image by image.
 
     Attributes:
         tally: the counts so far.
@@ -85,18 +85,18 @@ class ReplayRecord:
         self._about = about
         self._t0_s = t0_s
         self._trajectory = TrajectoryWriter(folder / "trajectory.csv", about.local_frame, t0_s)
-        self._picture = TrackPicture(pack, about.local_frame)
+        self._image = TrackPlot(pack, about.local_frame)
 
     def add(self, step: StepResult, commanded_yaw_rad: float | None) -> None:
-        """Write and count one picture."""
+        """Write and count one image."""
         self.tally.add(step, self._t0_s)
         self._trajectory.write(step, commanded_yaw_rad)
-        self._picture.add(step)
+        self._image.add(step)
 
     def close(self) -> None:
         """Finish the trajectory and draw the track."""
         self._trajectory.close()
-        self._picture.save(self._folder / "track.png")
+        self._image.save(self._folder / "track.png")
 
     def summarise(self, options: ReplayOptions, found: Mapping[str, object]) -> None:
         """Write `run.json`, with what else was `found`, and print the table."""

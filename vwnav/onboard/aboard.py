@@ -81,7 +81,7 @@ def _crew(
 
     def checks(vehicle: VehicleState, navigation: Navigation, t_s: float) -> tuple[Check, ...]:
         equipment = Equipment(
-            autopilot.findings, autopilot.budget_refusal, camera.picture_s, camera.trouble
+            autopilot.findings, autopilot.budget_refusal, camera.image_s, camera.trouble
         )
         return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
 

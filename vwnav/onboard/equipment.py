@@ -12,8 +12,8 @@ from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.simulation import draw_site
 from vwnav.seams import FrameSource
 from vwnav.sim.camera_source import SimulatedCamera
+from vwnav.sim.named_sites import is_site, parse_site
 from vwnav.sim.renderer import CameraRenderer
-from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
 
 

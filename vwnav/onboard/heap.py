@@ -11,8 +11,8 @@ def give_back_free_memory() -> bool:
     """Give every free page of the C library's heap back (malloc_trim(3)); False without glibc.
 
     Left alone, glibc takes the first large block that is freed as a sign to cut those to come out
-    of its heap, up to 32 MB (mallopt(3), M_MMAP_THRESHOLD). Their sizes differ from picture to
-    picture, and the holes that they leave between what stays are never given back.
+    of its heap, up to 32 MB (mallopt(3), M_MMAP_THRESHOLD). Their sizes differ from image to
+    image, and the holes that they leave between what stays are never given back.
     """
     malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if malloc_trim is None:

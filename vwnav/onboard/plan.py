@@ -8,15 +8,15 @@ from vwnav.config import Config, load_config, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
-from vwnav.guidance.missions import LocalWaypoint, load_route
+from vwnav.guidance.plan_files import LocalWaypoint, load_route
 from vwnav.maps.coverage import check_route
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
 from vwnav.screen import say
+from vwnav.sim.named_sites import is_site, parse_site
 from vwnav.sim.renderer import default_camera
-from vwnav.sim.sites import is_site, parse_site
 
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 

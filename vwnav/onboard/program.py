@@ -37,8 +37,8 @@ from vwnav.recording.run_folder import make_run_folder, unused
 from vwnav.screen import say
 from vwnav.seams import FrameSource
 from vwnav.sim.config import Manners, VehicleConfig
+from vwnav.sim.named_sites import is_site, parse_site
 from vwnav.sim.site import Site
-from vwnav.sim.sites import is_site, parse_site
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
 from vwnav.vehicle import Autopilot, VehicleState

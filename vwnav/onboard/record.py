@@ -19,7 +19,7 @@ from vwnav.recording.flight_recorder import FlightRecorder, was_tried
 from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.run_folder import TrajectoryWriter, write_json
-from vwnav.recording.track_picture import TrackPicture
+from vwnav.recording.track_plot import TrackPlot
 from vwnav.screen import LiveLine, print_table, say
 from vwnav.seams import StepResult
 from vwnav.sim.score import Score, summarise
@@ -56,7 +56,7 @@ class FlightRecord:
         recorder = Recorder(folder / "flight.mcap", settings, budget=budget)
         self._recorder = FlightRecorder(recorder, about)
         self.input_log = self._recorder.input_log
-        self._picture = TrackPicture(pack, about.local_frame)
+        self._image = TrackPlot(pack, about.local_frame)
         self._score = Score(about.local_frame) if truth is not None else None
         self._line = LiveLine()
         self._line.__enter__()
@@ -78,13 +78,13 @@ class FlightRecord:
         say(f"{now_s - self._started_s:7.1f} s  {text}")
 
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
-        """A picture went through the pipeline."""
+        """An image went through the pipeline."""
         setpoint = self._flight.setpoint if self._flight else None
-        self._recorder.picture(step, setpoint)  # first: close behind its estimate
+        self._recorder.image(step, setpoint)  # first: close behind its estimate
         with self._lock:
             self._frames += 1
         self._recorder.frame(frame)
-        self._picture.add(step)
+        self._image.add(step)
         self._saw_outcome(step.outcome)
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
@@ -111,7 +111,7 @@ class FlightRecord:
         truth = self._truth.at(estimate.t_s) if self._truth else None
         if truth is not None and self._score is not None and vehicle.armed:
             self._score.add_estimate(estimate, truth)
-            self._picture.add_truth(self._score.truth_ned_m[-1])
+            self._image.add_truth(self._score.truth_ned_m[-1])
         self._line.show(t_s, self._status(t_s, estimate, vehicle))
 
     def _status(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> str:
@@ -138,7 +138,7 @@ class FlightRecord:
             ("trajectory.csv", self._close_trajectory),
             ("flight.mcap", self._recorder.close),
             ("run.json", lambda: self._write_summary(options, assembled)),
-            ("track.png", lambda: self._picture.save(self._folder / "track.png")),
+            ("track.png", lambda: self._image.save(self._folder / "track.png")),
         )
         for name, finish in endings:
             try:

@@ -11,9 +11,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.screen import progress_bar, say
 from vwnav.sim.lens import RenderConfig
-from vwnav.sim.renderer import CameraRenderer
-from vwnav.sim.site import generator_fingerprint
-from vwnav.sim.sites import (
+from vwnav.sim.named_sites import (
     MAP_EAST_M,
     MAP_M_PER_PX,
     MAP_NORTH_M,
@@ -21,6 +19,8 @@ from vwnav.sim.sites import (
     map_raster,
     parse_site,
 )
+from vwnav.sim.renderer import CameraRenderer
+from vwnav.sim.site import generator_fingerprint
 from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Array, FeatureExtractor
 

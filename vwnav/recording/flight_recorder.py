@@ -25,14 +25,14 @@ class FlightRecorder:
         """A change of phase, a decision, a warning."""
         self._recorder.event(t_s, text)
 
-    def picture(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
-        """What a picture brought; to be called close behind its step."""
-        self.input_log.picture(step, setpoint.yaw_rad if setpoint else None)
+    def image(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
+        """What an image brought; to be called close behind its step."""
+        self.input_log.image(step, setpoint.yaw_rad if setpoint else None)
         if was_tried(step.outcome):
             self._recorder.outcome(step.outcome)
 
     def frame(self, frame: Frame) -> None:
-        """The picture itself, if one is due."""
+        """The image itself, if one is due."""
         self._recorder.frame(frame)
 
     def tick(
@@ -59,5 +59,5 @@ class FlightRecorder:
 
 
 def was_tried(outcome: MapFix | Rejected) -> bool:
-    """Whether a picture was matched, with whatever result."""
+    """Whether an image was matched, with whatever result."""
     return isinstance(outcome, MapFix) or outcome.reason is not RejectReason.NOT_TRIED

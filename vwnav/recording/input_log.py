@@ -1,4 +1,4 @@
-"""The input log of a recording: all that the filter was told, in order, and what pictures brought.
+"""The input log of a recording: all that the filter was told, in order, and what images brought.
 
 With the settings and the ground of the flight it gives every estimate again, to the last bit.
 """
@@ -20,7 +20,7 @@ from vwnav.recording.recorder import Recorder, plain
 from vwnav.seams import StepResult
 from vwnav.types import MapFix, MatchStats, PointKind, Rejected, RejectReason
 
-INPUT_TOPIC, PICTURE_TOPIC = "/filter", "/picture"
+INPUT_TOPIC, IMAGE_TOPIC = "/filter", "/picture"
 _ABOUT = "run"
 _FIX_NUMBERS = ("t_s", "lat_deg", "lon_deg", "yaw_rad", "sigma_yaw_rad")
 
@@ -60,8 +60,8 @@ class About:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureSeen:
-    """A picture went through the pipeline: what the filter does not know of it."""
+class ImageSeen:
+    """An image went through the pipeline: what the filter does not know of it."""
 
     t_s: float
     outcome: MapFix | Rejected
@@ -80,10 +80,10 @@ class InputLog:
         """Keep an input of the filter; hand this to `Ekf.record`."""
         self._recorder.sequence(INPUT_TOPIC, time_of(seen), lambda: encode(seen))
 
-    def picture(self, step: StepResult, commanded_yaw_rad: float | None) -> None:
-        """Keep what a picture brought, right after the pipeline's step."""
+    def image(self, step: StepResult, commanded_yaw_rad: float | None) -> None:
+        """Keep what an image brought, right after the pipeline's step."""
         self._recorder.sequence(
-            PICTURE_TOPIC,
+            IMAGE_TOPIC,
             step.t_s,
             lambda: {
                 "t_s": step.t_s,
@@ -115,26 +115,26 @@ def read_about(path: Path) -> tuple[About, Any]:
         raise SourceError(f"{path} does not say what it is of: {error}") from error
 
 
-def read_input_log(path: Path) -> Generator[Input | PictureSeen]:
+def read_input_log(path: Path) -> Generator[Input | ImageSeen]:
     """The input log, in its order.
 
     Raises:
         SourceError: no MCAP file, or what it holds is none.
     """
-    for record in read_recording(path, frozenset({INPUT_TOPIC, PICTURE_TOPIC})):
+    for record in read_recording(path, frozenset({INPUT_TOPIC, IMAGE_TOPIC})):
         if record.topic == INPUT_TOPIC:
             yield decode(record.content)
         else:
-            yield _picture(record.content)
+            yield _image(record.content)
 
 
-def _picture(content: Any) -> PictureSeen:
+def _image(content: Any) -> ImageSeen:
     try:
         yaw_rad = content["commanded_yaw_rad"]
         t_s, outcome = float(content["t_s"]), _outcome(dict(content["outcome"]))
         if not math.isfinite(t_s) or not math.isfinite(outcome.t_s):
             raise ValueError("a time that is none")
-        return PictureSeen(t_s, outcome, None if yaw_rad is None else float(yaw_rad))
+        return ImageSeen(t_s, outcome, None if yaw_rad is None else float(yaw_rad))
     except (TypeError, ValueError, KeyError) as error:
         raise SourceError(f"not what a picture brought: {str(content)[:80]}") from error
 

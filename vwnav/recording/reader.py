@@ -153,13 +153,13 @@ def _whatever_it_holds(path: Path) -> Iterator[None]:
 
 
 class RecordedFrames:
-    """A `FrameSource` over the pictures of a recording."""
+    """A `FrameSource` over the images of a recording."""
 
     def __init__(self, path: Path) -> None:
         self._records = read_recording(path, frozenset({CAMERA_TOPIC}))
 
     def next_frame(self) -> Frame | None:
-        """The next picture, None after the last."""
+        """The next image, None after the last."""
         record = next(self._records, None)
         return None if record is None else record.content
 

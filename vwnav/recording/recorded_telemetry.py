@@ -13,19 +13,19 @@ _TOPICS = frozenset({CAMERA_TOPIC, VEHICLE_TOPIC})
 
 
 def read_recorded_telemetry(path: Path) -> TelemetryLog:
-    """Attitude, height, range and arming; time starts at the recording's first picture.
+    """Attitude, height, range and arming; time starts at the recording's first image.
 
     Raises:
         SourceError: it is no recording.
     """
     log = TelemetryLog()
-    first_picture_s: float | None = None
+    first_image_s: float | None = None
     for record in read_recording(path, _TOPICS):
         if record.topic == VEHICLE_TOPIC:
             _add(log, record.t_s, record.content)
-        elif first_picture_s is None:
-            first_picture_s = record.t_s
-    log.start_s = first_picture_s or 0.0
+        elif first_image_s is None:
+            first_image_s = record.t_s
+    log.start_s = first_image_s or 0.0
     return log
 
 

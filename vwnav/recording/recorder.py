@@ -36,7 +36,7 @@ from vwnav.vehicle import VehicleState, VelocitySetpoint
 _log = logging.getLogger(__name__)
 _QUEUE_ITEMS = 10_000  # half a minute of all that is kept, in which the disk may stall
 _QUEUED_SEQUENCE = 20_000  # a sequence's own limit, after all else is left out; some 20 MB
-_QUEUED_PICTURES = 4
+_QUEUED_IMAGES = 4
 _CHUNK_BYTES = 1 << 18
 _JPEG_QUALITY = 80
 _CLOSE_TIMEOUT_S = 5.0
@@ -53,7 +53,7 @@ class Recorder:
     Args:
         path: must not exist.
         config: the resolved configuration, kept as JSON in the metadata record "config".
-        picture_rate_hz: at most so many pictures a second are kept.
+        image_rate_hz: at most so many images a second are kept.
         budget: of the disk; recording stops where it cannot be kept.
 
     Attributes:
@@ -67,14 +67,14 @@ class Recorder:
         self,
         path: Path,
         config: Mapping[str, Any],
-        picture_rate_hz: float = 2.0,
+        image_rate_hz: float = 2.0,
         budget: DiskBudget | None = None,
     ) -> None:
         self.dropped = 0
         self._budget = budget
-        self._picture_period_s = 1.0 / picture_rate_hz
-        self._next_picture_s = 0.0
-        self._pictures_put = self._pictures_taken = 0  # by the flight, by the thread that writes
+        self._image_period_s = 1.0 / image_rate_hz
+        self._next_image_s = 0.0
+        self._images_put = self._images_taken = 0  # by the flight, by the thread that writes
         self._stopped = False
         self._torn = False
         self._context = foxglove.Context()
@@ -98,13 +98,13 @@ class Recorder:
         self._disk = DiskThread("recorder", self._sync, self._stop)
 
     def frame(self, frame: Frame) -> None:
-        """Keep a picture, if one is due; it must not be changed afterwards."""
-        queued = self._pictures_put - self._pictures_taken
-        if frame.t_s < self._next_picture_s or queued >= _QUEUED_PICTURES:
+        """Keep an image, if one is due; it must not be changed afterwards."""
+        queued = self._images_put - self._images_taken
+        if frame.t_s < self._next_image_s or queued >= _QUEUED_IMAGES:
             return
-        due_s = max(self._next_picture_s, frame.t_s - 0.5 * self._picture_period_s)
-        self._next_picture_s = due_s + self._picture_period_s
-        self._pictures_put += self._put(lambda: self._write_picture(frame))
+        due_s = max(self._next_image_s, frame.t_s - 0.5 * self._image_period_s)
+        self._next_image_s = due_s + self._image_period_s
+        self._images_put += self._put(lambda: self._write_image(frame))
 
     def vehicle(self, vehicle: VehicleState) -> None:
         """Keep a snapshot of the autopilot."""
@@ -184,17 +184,17 @@ class Recorder:
             self._writer.close()
         self._file.close()
 
-    def _write_picture(self, frame: Frame) -> None:
-        self._pictures_taken += 1
+    def _write_image(self, frame: Frame) -> None:
+        self._images_taken += 1
         good, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         if not good:
             return
         nanoseconds = _nanoseconds(frame.t_s)
         stamp = Timestamp(sec=nanoseconds // 10**9, nsec=nanoseconds % 10**9)
-        picture = CompressedImage(
+        image = CompressedImage(
             timestamp=stamp, frame_id=str(frame.index), data=jpeg.tobytes(), format="jpeg"
         )
-        self._camera.log(picture, log_time=nanoseconds)
+        self._camera.log(image, log_time=nanoseconds)
 
     def _write_json(self, topic: str, t_s: float, content: dict[str, Any]) -> None:
         channel = self._channels.get(topic)

@@ -71,7 +71,7 @@ def unused(folder: Path) -> Path:
 
 
 class TrajectoryWriter:
-    """Writes one row of `trajectory.csv` per picture, as it happens; never makes the flight wait.
+    """Writes one row of `trajectory.csv` per image, as it happens; never makes the flight wait.
 
     Until `close` the file is called `trajectory.csv.part`: a killed run keeps its rows, and nobody
     takes them for a whole run. After a power cut the rows older than a second are there.
@@ -79,7 +79,7 @@ class TrajectoryWriter:
     Args:
         path: of the CSV.
         local_frame: NED origin of the run.
-        t0_s: time of the first picture; `t_s` in the file counts from it.
+        t0_s: time of the first image; `t_s` in the file counts from it.
 
     Raises:
         OSError: the file cannot be made.
@@ -98,7 +98,7 @@ class TrajectoryWriter:
         self._disk.put(self._rows.writeheader)
 
     def write(self, step: StepResult, commanded_yaw_rad: float | None = None) -> None:
-        """Append the row of one picture.
+        """Append the row of one image.
 
         Raises:
             OSError: the disk failed at an earlier one, or has not answered for minutes.

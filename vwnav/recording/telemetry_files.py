@@ -17,12 +17,12 @@ def load_telemetry(path: Path, start_s: float = 0.0) -> TelemetryLog:
     """Read a recording by its suffix: `.csv`, `.ulg`, `.tlog`, `.tlog.gz`, or vwnav's `.mcap`.
 
     Times of ULog and tlog count from their first attitude, those of an MCAP from its first
-    picture; those of a CSV are taken as they are.
+    image; those of a CSV are taken as they are.
 
     Args:
         path: the file. A CSV has a column `t_s` and any of roll_deg, pitch_deg, yaw_deg,
             height_m, agl_m; an empty cell is unknown.
-        start_s: time of the recording at which the first picture was taken.
+        start_s: time of the recording at which the first image was taken.
 
     Raises:
         SourceError: it is missing, damaged, of another kind, or says nothing of use.

@@ -22,7 +22,7 @@ class TelemetryLog:
     A sample that is not newer than the newest of its kind is dropped.
 
     Attributes:
-        start_s: time of the recording at which the first picture was taken.
+        start_s: time of the recording at which the first image was taken.
     """
 
     def __init__(self) -> None:
@@ -62,8 +62,8 @@ class TelemetryLog:
         """Append whether the motors may turn; it holds until the next one."""
         self._armed.append((t_s, armed))
 
-    def measurements(self, first_picture_s: float) -> list[Telemetry]:
-        """All of it in order of time, on the clock on which the first picture has that time."""
+    def measurements(self, first_image_s: float) -> list[Telemetry]:
+        """All of it in order of time, on the clock on which the first image has that time."""
         ranges = (self._range(t_s, agl_m) for t_s, agl_m in self._agls)
         every = [
             *self._filled_attitudes(),
@@ -72,7 +72,7 @@ class TelemetryLog:
             *self._standing(),
         ]
         every.sort(key=lambda seen: (seen.t_s, _ORDER.index(type(seen))))
-        shift_s = first_picture_s - self.start_s
+        shift_s = first_image_s - self.start_s
         return [replace(seen, t_s=seen.t_s + shift_s) for seen in every]
 
     def _filled_attitudes(self) -> list[Attitude]:

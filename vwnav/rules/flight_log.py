@@ -164,7 +164,7 @@ class FlightLog:
         vehicle: its states, at 5 Hz or more.
         estimates: as sent; setpoints and commands likewise.
         fixes: places of map fixes that the filter took, by their exposure.
-        sights: exposures of pictures that told a motion or a place.
+        sights: exposures of images that told a motion or a place.
         beliefs: horizontal velocities of the filter, sent or not.
         homes: where home is held to be, from when on.
         sampled: estimates and setpoints are a few of all: gaps between them tell nothing.

@@ -159,7 +159,7 @@ def _first_fix_s(log: FlightLog) -> float:
 
 
 def _blind(log: FlightLog) -> Breach | None:
-    """Travelling, without a picture that tells anything for too long: it lands."""
+    """Travelling, without an image that tells anything for too long: it lands."""
     limit_s = log.bounds.safety.blind_land_s
     times = [each.t_s for each in log.sights]
     pauses = list(pairwise([*times, log.end_s]))

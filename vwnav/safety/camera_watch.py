@@ -1,4 +1,4 @@
-"""Whether pictures come, fit the calibration, and are not the same ones again and again."""
+"""Whether images come, fit the calibration, and are not the same ones again and again."""
 
 import hashlib
 from collections import deque
@@ -9,30 +9,30 @@ from numpy.typing import NDArray
 from vwnav.types import Frame
 
 _COMPARED_EVERY_PX = 16
-_REMEMBERED = 300  # pictures: a buffer that is stuck holds no more
+_REMEMBERED = 300  # images: a buffer that is stuck holds no more
 
 
 class CameraWatch:
-    """Looks at each picture before it is used.
+    """Looks at each image before it is used.
 
     Args:
-        width_px, height_px: of the pictures that the calibration is for.
+        width_px, height_px: of the images that the calibration is for.
 
     Attributes:
-        picture_s: exposure of the newest picture, None before the first.
+        image_s: exposure of the newest image, None before the first.
         trouble: why that one cannot be used; empty when it can.
     """
 
     def __init__(self, width_px: int, height_px: int) -> None:
         self._size = (width_px, height_px)
         self._shown: deque[bytes] = deque(maxlen=_REMEMBERED)
-        self.picture_s: float | None = None
+        self.image_s: float | None = None
         self.trouble = ""
 
     def look(self, frame: Frame) -> str:
-        """The trouble with a picture, empty when there is none."""
+        """The trouble with an image, empty when there is none."""
         self.trouble = self._trouble(frame.image)
-        self.picture_s = frame.t_s
+        self.image_s = frame.t_s
         return self.trouble
 
     def _trouble(self, image: NDArray[np.uint8]) -> str:
@@ -45,7 +45,7 @@ class CameraWatch:
         return "the camera repeats its pictures" if self._is_repeated(image) else ""
 
     def _is_repeated(self, image: NDArray[np.uint8]) -> bool:
-        """Noise makes no two pictures of a sensor the same, unless all of it is one shade."""
+        """Noise makes no two images of a sensor the same, unless all of it is one shade."""
         sample = image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX]
         digest = hashlib.blake2b(sample.tobytes(), digest_size=16).digest()
         repeated = digest in self._shown

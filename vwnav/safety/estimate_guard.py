@@ -28,7 +28,7 @@ class EstimateLimits:
         max_tilt_rad: of the attitude that comes with it.
         max_velocity_sigma_m_s, max_position_sigma_m: larger semi-axis, while it is sent; the
             position's only after a first fix: before, the aircraft is wherever it stands. It is
-            wide: what comes down without pictures needs a velocity, or the wind has it.
+            wide: what comes down without images needs a velocity, or the wind has it.
         new_velocity_sigma_m_s, new_position_sigma_m: of one that comes back, or that says by its
             reset counter that it jumped.
         max_jump_m: beyond what `max_speed_m_s` explains, without another reset counter. Autopilots

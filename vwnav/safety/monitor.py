@@ -6,11 +6,11 @@ Only a pilot takes control away for good, and only a pilot gives it back (`Safet
 import math
 
 from vwnav.safety.bounds import RouteBounds
+from vwnav.safety.conditions import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
 from vwnav.safety.energy import EnergyWatch
 from vwnav.safety.hierarchy import Action, Decision, Hierarchy
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
-from vwnav.safety.watches import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
 from vwnav.types import Array
 from vwnav.vehicle import Navigation, Order, VehicleState
 

@@ -7,7 +7,7 @@ from vwnav.safety.check import Check
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vehicle import Finding, Navigation, VehicleState
 
-_PICTURE_AGE_S = 1.0
+_IMAGE_AGE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,14 +17,14 @@ class Equipment:
     Attributes:
         findings: parameters that are not as vision wants them; None while they are being read.
         link_refusal: why the link cannot carry a flight; None when it can.
-        picture_s: exposure of the newest picture, None before the first.
-        picture_trouble: why pictures cannot be used; empty when they can.
+        image_s: exposure of the newest image, None before the first.
+        image_trouble: why images cannot be used; empty when they can.
     """
 
     findings: tuple[Finding, ...] | None
     link_refusal: str | None
-    picture_s: float | None
-    picture_trouble: str
+    image_s: float | None
+    image_trouble: str
 
 
 def check_flight(
@@ -90,12 +90,12 @@ def _link(vehicle: VehicleState, equipment: Equipment) -> Check:
 
 
 def _camera(equipment: Equipment, t_s: float) -> Check:
-    if equipment.picture_trouble:
-        return Check("camera", "FAIL", equipment.picture_trouble)
-    if equipment.picture_s is None:
+    if equipment.image_trouble:
+        return Check("camera", "FAIL", equipment.image_trouble)
+    if equipment.image_s is None:
         return Check("camera", "FAIL", "no picture has come: check its cable")
-    age_s = t_s - equipment.picture_s
-    if age_s > _PICTURE_AGE_S:
+    age_s = t_s - equipment.image_s
+    if age_s > _IMAGE_AGE_S:
         return Check("camera", "FAIL", f"no picture for {age_s:.1f} s: check its cable")
     return Check("camera", "PASS", "pictures come")
 

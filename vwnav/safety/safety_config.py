@@ -27,8 +27,8 @@ class SafetyConfig:
         climb_after_s: of holding for better times; then up, by at most `climb_most_m` and to
             `ceiling_m` above home: from higher up the map shows more.
         hold_time_s: of both; then home, or down where the way is not known.
-        blind_hold_s, blind_land_s: since the last picture that told a motion or a place; then the
-            aircraft is held, and landed while its estimate is still good: without pictures it
+        blind_hold_s, blind_land_s: since the last image that told a motion or a place; then the
+            aircraft is held, and landed while its estimate is still good: without images it
             drifts, and a hold on a drifting estimate is no hold.
         lost_land_s: without any estimate to fly on; PX4 gives its position up 4.6 s, ArduCopter 8 s
             after the last one.

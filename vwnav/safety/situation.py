@@ -25,8 +25,8 @@ class Situation:
         is_battery_for_home_only: what is left is just enough for the way home.
         connected, silence_s: of the autopilot; our own sleep left out.
         lost_s, lost: since when there is no estimate to fly on, and why; negative while there is.
-        blind_s: since the last picture that told motion or place.
-        contradicted: pictures tell motions that contradict the IMU.
+        blind_s: since the last image that told motion or place.
+        contradicted: images tell motions that contradict the IMU.
         radio_lost_s, ground_lost_s: of the pilot's radio and the ground station, once heard.
         had_fix: there has been a map fix.
         is_usable: the way home can be found with the position.

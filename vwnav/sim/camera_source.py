@@ -1,4 +1,4 @@
-"""A simulated camera: pictures drawn from the ground truth that any simulator sends."""
+"""A simulated camera: images drawn from the ground truth that any simulator sends."""
 
 import threading
 
@@ -16,11 +16,11 @@ FRAME_HZ = 15.0
 _TRUTH_POLL_S = 0.002
 FIRST_TRUTH_TIMEOUT_S = 20.0
 LONGEST_TRUTH_LAG_S = 0.1  # later than that the nearest state has to do
-TRUTH_LAG_S = 0.03  # a picture shows a moment this old, so that truth around it can be interpolated
+TRUTH_LAG_S = 0.03  # an image shows a moment this old, so that truth around it can be interpolated
 
 
 class SimulatedCamera:
-    """A `FrameSource` that behaves like a real camera: the newest picture wins.
+    """A `FrameSource` that behaves like a real camera: the newest image wins.
 
     Args:
         flown_m: how high the vehicle is above the site's ground as this begins.
@@ -49,7 +49,7 @@ class SimulatedCamera:
         self._thread.start()
 
     def next_frame(self) -> Frame | None:
-        """The newest picture that was not handed out yet; waits for one. None once closed."""
+        """The newest image that was not handed out yet; waits for one. None once closed."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._newest is not None or self._closed)
             frame, self._newest = self._newest, None

@@ -18,7 +18,7 @@ class RenderConfig:
     """How good the simulated camera is.
 
     Attributes:
-        color: BGR pictures; False gives grey ones, which render faster.
+        color: BGR images; False gives grey ones, which render faster.
         exposure_s: shutter time: sets motion blur.
         readout_s: time from the first row to the last (rolling shutter), 0 for a global one.
         vibration_rad: sigma of the attitude jitter per axis and frame.
@@ -50,7 +50,7 @@ class RenderConfig:
 
 
 class Sensor:
-    """Turns a clean picture into what a small camera delivers. Holds exposure and light."""
+    """Turns a clean image into what a small camera delivers. Holds exposure and light."""
 
     def __init__(self, camera: Camera, config: RenderConfig, rng: np.random.Generator) -> None:
         self._config, self._rng, self._camera = config, rng, camera
@@ -87,7 +87,7 @@ class Sensor:
         return rays - shift[:, None, :].astype(np.float32)
 
     def expose(self, plain: NDArray[np.uint8], flow_px_s: Array, t_s: float) -> NDArray[np.uint8]:
-        """The delivered picture of a clean one (h, w, 3) that moves by `flow_px_s` (2,)."""
+        """The delivered image of a clean one (h, w, 3) that moves by `flow_px_s` (2,)."""
         config = self._config
         if not config.color:
             plain = np.asarray(cv2.cvtColor(plain, cv2.COLOR_BGR2GRAY), np.uint8)
@@ -130,7 +130,7 @@ class Sensor:
 
 
 def streak(motion_px: Array) -> NDArray[np.float32]:
-    """Kernel (k, k) that averages along a motion (2,) of the picture, k odd, of unit sum."""
+    """Kernel (k, k) that averages along a motion (2,) of the image, k odd, of unit sum."""
     length = float(np.hypot(*motion_px))
     half = int(np.ceil(length / 2.0))
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)

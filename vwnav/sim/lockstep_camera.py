@@ -1,4 +1,4 @@
-"""A camera in simulated time: exposures at a steady rate, pictures that arrive a while later."""
+"""A camera in simulated time: exposures at a steady rate, images that arrive a while later."""
 
 from collections import deque
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class Pose:
 
 
 class Renderer(Protocol):
-    """What draws the pictures: `vwnav.sim.renderer.CameraRenderer`."""
+    """What draws the images: `vwnav.sim.renderer.CameraRenderer`."""
 
     def render(
         self,
@@ -36,23 +36,23 @@ class Renderer(Protocol):
         velocity_ned_m_s: Array,
         rate_body_rad_s: Array,
     ) -> NDArray[np.uint8]:
-        """The picture of a moment."""
+        """The image of a moment."""
         ...
 
 
-# What becomes of a picture: another one, or None when it is lost. It may raise, as a driver does.
+# What becomes of an image: another one, or None when it is lost. It may raise, as a driver does.
 Trouble = Callable[[Frame], Frame | None]
 
 
 class LockstepCamera:
-    """The newest picture wins, as with `SimulatedCamera`; those never looked at are not drawn.
+    """The newest image wins, as with `SimulatedCamera`; those never looked at are not drawn.
 
     Attributes:
         renderer, home_ned_m: what is seen, and (3,) where in it the vehicle's start place lies.
         period_s: between exposures.
-        latency_s: from the exposure to the picture.
+        latency_s: from the exposure to the image.
         trouble: None while it works.
-        drawn: how many pictures were.
+        drawn: how many images were.
     """
 
     def __init__(
@@ -85,11 +85,11 @@ class LockstepCamera:
         self._waiting.append((t_s + self.latency_s, pose))
 
     def arrived(self, t_s: float) -> bool:
-        """Whether a picture is there."""
+        """Whether an image is there."""
         return bool(self._waiting) and self._waiting[0][0] <= t_s
 
     def take(self, t_s: float) -> Frame | None:
-        """The newest picture that is there; None when it got lost or none is.
+        """The newest image that is there; None when it got lost or none is.
 
         Raises:
             Exception: whatever its trouble raises.

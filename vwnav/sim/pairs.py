@@ -1,4 +1,4 @@
-"""Writes pairs of pictures of one place on two days, to train features that outlast a season.
+"""Writes pairs of images of one place on two days, to train features that outlast a season.
 
 `python -m vwnav.sim.pairs -o DIR --count N --seed0 S` writes `NNNN_a.jpg` (the map's day) and
 `NNNN_b.jpg` (the day of the flight) of the same window: pixel for pixel the same ground.
@@ -55,9 +55,9 @@ def _write(
     corner = (centre[0] + half_m, centre[1] - half_m)
     looks: dict[str, LookName] = {"a": "map", "b": "flight"}
     for letter, look in looks.items():
-        picture = site.render(look, *corner, (size_px, size_px), m_per_px)
+        image = site.render(look, *corner, (size_px, size_px), m_per_px)
         name = stem.with_name(f"{stem.name}_{letter}.jpg")
-        cv2.imwrite(str(name), picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        cv2.imwrite(str(name), image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
 
 
 def main() -> None:

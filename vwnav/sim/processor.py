@@ -1,7 +1,7 @@
 """A computer in simulated time: what work costs, how much of it there is, and when work ends.
 
 Nothing here waits. Work is done at the moment at which it would have ended, so that a starved
-processor, a slow search or a late picture are changes of a table, and a run is the same each time.
+processor, a slow search or a late image are changes of a table, and a run is the same each time.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,14 +28,14 @@ class Costs:
     Attributes:
         link: one turn of the loop that talks with the autopilot.
         control: one tick of the mission.
-        picture: odometry of one picture.
-        match: a picture on the map where it is thought to be.
-        search: a picture on the whole map.
+        image: odometry of one image.
+        match: an image on the map where it is thought to be.
+        search: an image on the whole map.
     """
 
     link: float = 0.001
     control: float = 0.001
-    picture: float = 0.02
+    image: float = 0.02
     match: float = 0.09
     search: float = 1.5
 

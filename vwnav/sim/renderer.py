@@ -22,7 +22,7 @@ _MIN_DOWN = 0.12  # rays flatter than this (7 degrees below the horizon) see onl
 _MAX_TILES = 48
 _AHEAD_S = (1.5, 3.0)
 _HOME_DISCS = ((0, 22.0), (1, 42.0), (2, 80.0), (4, 150.0))  # level, radius in metres
-_ROW_STEP_S = 0.005  # either way, to see how the picture moves while it is read
+_ROW_STEP_S = 0.005  # either way, to see how the image moves while it is read
 _HAZE = (205.0, 200.0, 190.0)
 
 
@@ -57,10 +57,10 @@ class Region:
 
 
 class CameraRenderer:
-    """Renders pictures of a site's flight look, one per exposure.
+    """Renders images of a site's flight look, one per exposure.
 
     Level ground at down = 0 of the site's frame. The same seed and the same calls give the same
-    pictures as long as tiles do not come from the background thread (`config.background`).
+    images as long as tiles do not come from the background thread (`config.background`).
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class CameraRenderer:
         velocity_ned_m_s: Array,
         rate_body_rad_s: Array,
     ) -> NDArray[np.uint8]:
-        """The picture exposed at `t_s`, middle row: (h, w, 3) BGR, or (h, w) of a grey camera.
+        """The image exposed at `t_s`, middle row: (h, w, 3) BGR, or (h, w) of a grey camera.
 
         Args:
             position_ned_m: (3,) of the body in the site's frame, down = 0 on the ground.
@@ -175,7 +175,7 @@ class CameraRenderer:
     def _flow_px_s(
         self, R_ned_camera: Array, height_m: float, velocity_ned: Array, rate_body: Array
     ) -> Array:
-        """Speed (2,) at which the ground moves through the picture's centre."""
+        """Speed (2,) at which the ground moves through the image's centre."""
         depth_m = height_m / max(float(R_ned_camera[2, 2]), _MIN_DOWN)
         v = R_ned_camera.T @ velocity_ned
         w = self._camera.R_body_camera.T @ rate_body
@@ -198,7 +198,7 @@ class CameraRenderer:
         return np.asarray((maps[1] - maps[0]) / (2.0 * _ROW_STEP_S))
 
     def _region(self, R_ned_camera: Array, centre: Array, height_m: float) -> Region:
-        """The tiles under the picture, at the level whose pixels are like the picture's own."""
+        """The tiles under the image, at the level whose pixels are like the image's own."""
         rays_ned = self._rim @ R_ned_camera.T
         down = np.maximum(rays_ned[:, 2:], _MIN_DOWN)
         ground = centre[:2] + height_m * rays_ned[:, :2] / down
@@ -211,7 +211,7 @@ class CameraRenderer:
         return _around(last, ground)
 
     def _assemble(self, region: Region) -> Tile:
-        """The block as one picture; kept while it serves and all of it was really drawn."""
+        """The block as one image; kept while it serves and all of it was really drawn."""
         if self._mosaic is not None and self._mosaic[0] == region:
             return self._mosaic[1]
         self._mosaic, whole = None, True
@@ -253,7 +253,7 @@ class CameraRenderer:
         return np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), np.uint8)
 
     def _look_ahead(self, centre: Array, velocity_ned: Array) -> None:
-        """Ask for the tiles that will be under the picture in a few seconds; nearest come first."""
+        """Ask for the tiles that will be under the image in a few seconds; nearest come first."""
         for ahead_s in reversed(_AHEAD_S):
             there = centre + ahead_s * velocity_ned
             height_m = max(-float(there[2]), _MIN_HEIGHT_M)
@@ -287,7 +287,7 @@ def _warp(
     a_second: Array,
     rows_s: Array | None,
 ) -> NDArray[np.uint8]:
-    """The picture that the rays see; with `rows_s` each row at its own time (rolling shutter)."""
+    """The image that the rays see; with `rows_s` each row at its own time (rolling shutter)."""
     seen = np.asarray(cv2.transform(rays, H_block_ray), np.float32)
     if rows_s is not None:
         late = np.asarray(cv2.transform(rays, a_second), np.float32)

@@ -91,7 +91,7 @@ def _render(land: Landscape, look: Look, window: NedWindow) -> NDArray[np.uint8]
         window.height + top + bottom,
         r,
     )
-    picture = np.empty((wide.height, wide.width, 3), np.uint8)
+    image = np.empty((wide.height, wide.width, 3), np.uint8)
     for v in range(0, wide.height, _TILE_PX):
         for u in range(0, wide.width, _TILE_PX):
             part = NedWindow(
@@ -101,9 +101,9 @@ def _render(land: Landscape, look: Look, window: NedWindow) -> NDArray[np.uint8]
                 min(_TILE_PX, wide.height - v),
                 r,
             )
-            picture[v : v + part.height, u : u + part.width] = _draw(land, look, part)
-    picture = _deliver(picture, look, window.m_per_px)
-    return np.ascontiguousarray(picture[top : top + window.height, left : left + window.width])
+            image[v : v + part.height, u : u + part.width] = _draw(land, look, part)
+    image = _deliver(image, look, window.m_per_px)
+    return np.ascontiguousarray(image[top : top + window.height, left : left + window.width])
 
 
 def _margins(look: Look, window: NedWindow) -> tuple[int, int, int, int]:
@@ -134,12 +134,12 @@ def _draw(land: Landscape, look: Look, window: NedWindow) -> NDArray[np.uint8]:
     return np.clip(np.round(tone), 0.0, 255.0).astype(np.uint8)
 
 
-def _deliver(picture: NDArray[np.uint8], look: Look, m_per_px: float) -> NDArray[np.uint8]:
-    """What the satellite's sensor and the map's supplier leave of a picture."""
+def _deliver(image: NDArray[np.uint8], look: Look, m_per_px: float) -> NDArray[np.uint8]:
+    """What the satellite's sensor and the map's supplier leave of an image."""
     sigma_px = look.blur_m / m_per_px
     if sigma_px > 0.2:
-        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), min(sigma_px, 4.0)), np.uint8)
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), min(sigma_px, 4.0)), np.uint8)
     if look.jpeg_quality is not None:
-        code = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, look.jpeg_quality])[1]
-        picture = np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8)
-    return picture
+        code = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, look.jpeg_quality])[1]
+        image = np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8)
+    return image

@@ -12,7 +12,7 @@ import numpy as np
 from vwnav.geometry.camera import Rectification
 from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.picture import MapReader
+from vwnav.maps.image import MapReader
 from vwnav.types import MapFix
 from vwnav.vision.candidates import MAX_RIVALRY, Acceptance, Candidate
 from vwnav.vision.correlation import RING_PX, Peak, best_shift, decades_of_shift

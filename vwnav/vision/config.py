@@ -8,7 +8,7 @@ from vwnav.types import FeatureName
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeaturesConfig:
-    """What looks at pictures, where the command line says nothing else.
+    """What looks at images, where the command line says nothing else.
 
     Attributes:
         name: of the feature set.
@@ -56,9 +56,9 @@ class LocalizerConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryConfig:
-    """Sizes in pixels are of the reduced picture."""
+    """Sizes in pixels are of the reduced image."""
 
-    widest_px: int = 480  # pictures are reduced to at most this width
+    widest_px: int = 480  # images are reduced to at most this width
     cell_px: int = 20  # one corner from each cell
     threshold_px: float = 2.5  # a track further off the ground plane is an outlier
     sigma_px: float = 0.55  # of a track: what it shares with its neighbours (rolling shutter, lens)
@@ -72,7 +72,7 @@ class OdometryConfig:
     keep_turn_rad: float = math.radians(8.0)  # Lucas-Kanade does not turn its windows
     keep_zoom: float = 0.12  # nor does it scale them: relative change of height
     # What attitudes leave open
-    tilt_increment_rad: float = math.radians(0.2)  # between keyframe and picture
+    tilt_increment_rad: float = math.radians(0.2)  # between keyframe and image
     # Of the attitude, fixed to the body: in a turn it changes by as much of itself. The less of
     # that is allowed for, the larger a share of it is taken for motion.
     tilt_rad: float = math.radians(2.0)

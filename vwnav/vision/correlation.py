@@ -1,4 +1,4 @@
-"""A second opinion on a placement that owes nothing to keypoints: do the pictures correlate there?
+"""A second opinion on a placement that owes nothing to keypoints: do the images correlate there?
 
 Edges of the view and of the map are compared by their direction, modulo half a turn, so that a
 field that was dark and is light now agrees with itself. Roads that happen to run alike agree at
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from vwnav.types import Array, Gray
 
 BLUR_PX = 1.5
-# Of 490 unrelated pairs of overhead pictures 90, 99 and 99.9 % were below 2.8, 3.9 and 4.5;
+# Of 490 unrelated pairs of overhead images 90, 99 and 99.9 % were below 2.8, 3.9 and 4.5;
 # ORB's and SIFT's places reach 5.0 and 4.6.
 CHANCE_SIGMAS = 2.0
 SIGMAS_PER_DECADE = 1.0
 CENTER_PX = 2.5  # shifts that count as no shift
 RING_PX = (7.0, 28.0)  # shifts that tell what chance makes
-# Of the best of 61 x 61 shifts. On real overhead pictures 90, 99 and 99.8 % of 662 unrelated pairs
-# were below 3.8, 4.5 and 4.9, and of 573 pairs of different parts of one picture, where fields and
+# Of the best of 61 x 61 shifts. On real overhead images 90, 99 and 99.8 % of 662 unrelated pairs
+# were below 3.8, 4.5 and 4.9, and of 573 pairs of different parts of one image, where fields and
 # streets repeat, below 3.9, 4.7 and 6.0.
 SHIFT_CHANCE_SIGMAS = 3.2
 SHIFT_SIGMAS_PER_DECADE = 0.75
@@ -56,7 +56,7 @@ def best_shift(
 
     Args:
         view: (h, w) uint8.
-        seen: (h, w) where the view shows the picture.
+        seen: (h, w) where the view shows the image.
         map_: (h + 2 reach, w + 2 reach) uint8, the map about where the view is expected.
         known: the same shape, where the map has data.
         reach_px: largest shift along each axis; more than the ring about a peak.
@@ -99,7 +99,7 @@ def _vertex(values: Array, peak: int) -> float:
 
 
 def _inner(shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Away from the edge of what is shown, which is an edge on one of the pictures alone."""
+    """Away from the edge of what is shown, which is an edge on one of the images alone."""
     return cv2.erode(shown.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
 
 
@@ -108,14 +108,14 @@ def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[
 
     Args:
         view: (h, w) uint8.
-        seen: (h, w) where the view shows the picture.
+        seen: (h, w) where the view shows the image.
         map_: (h, w) uint8, the map warped onto the view.
         known: (h, w) where the map has data.
     """
     weight = _inner(seen & known)
     if np.count_nonzero(weight) < _MIN_PIXELS:
         return 0.0
-    edges0, edges1 = (_directions(picture) * weight for picture in (view, map_))
+    edges0, edges1 = (_directions(image) * weight for image in (view, map_))
     h, w = view.shape
     reach = int(RING_PX[1]) + 1
     size = (cv2.getOptimalDFTSize(h + reach), cv2.getOptimalDFTSize(w + reach))
@@ -129,9 +129,9 @@ def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[
     return (peak - float(ring.mean())) / max(float(ring.std()), 1e-9)
 
 
-def _directions(picture: Gray) -> NDArray[np.complex64]:
+def _directions(image: Gray) -> NDArray[np.complex64]:
     """Gradients as complex numbers of twice their angle, their length compressed."""
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), BLUR_PX)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX)
     du = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3)
     dv = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
     gradient = du + 1j * dv
@@ -144,7 +144,7 @@ def _directions(picture: Gray) -> NDArray[np.complex64]:
 
 
 def decades_of_correlation(sigmas: float) -> float:
-    """How rarely unrelated pictures correlate so well, as a power of ten."""
+    """How rarely unrelated images correlate so well, as a power of ten."""
     return max(0.0, (sigmas - CHANCE_SIGMAS) / SIGMAS_PER_DECADE)
 
 

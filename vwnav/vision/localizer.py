@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.geometry.camera import Camera, Rectification
-from vwnav.maps.picture import MapReader, Window
+from vwnav.maps.image import MapReader, Window
 from vwnav.types import (
     FeatureExtractor,
     Frame,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification, to_gray
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.picture import MapFeatures, Window
+from vwnav.maps.image import MapFeatures, Window
 from vwnav.types import (
     Array,
     FeatureExtractor,

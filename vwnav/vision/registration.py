@@ -19,7 +19,7 @@ from vwnav.geometry.geodesy import (
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.picture import MapFeatures, MapReader, Window
+from vwnav.maps.image import MapFeatures, MapReader, Window
 from vwnav.types import (
     Array,
     FeatureExtractor,

@@ -53,7 +53,7 @@ def as_at_once(rays: Array, uv: Pixels, camera: Camera, flow: Array) -> Array:
 
 
 def row_times_s(uv: Pixels, camera: Camera) -> Array:
-    """(n,) when the rows of pixels (n, 2) are exposed, after the middle of the picture."""
+    """(n,) when the rows of pixels (n, 2) are exposed, after the middle of the image."""
     assert camera.readout_s is not None
     return np.asarray(((uv[:, 1] + 0.5) / camera.height_px - 0.5) * camera.readout_s)
 
@@ -61,13 +61,13 @@ def row_times_s(uv: Pixels, camera: Camera) -> Array:
 def maps_at_once(
     camera: Camera, maps: tuple[NDArray[np.float32], NDArray[np.float32]], flow: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Maps for `cv2.remap` to the undistorted picture that a global shutter would have taken.
+    """Maps for `cv2.remap` to the undistorted image that a global shutter would have taken.
 
     By how much they differ from those of the camera at rest is smooth: it is computed on a grid.
 
     Args:
-        camera: as it takes pictures.
-        maps: (h, w) each, to its undistorted picture.
+        camera: as it takes images.
+        maps: (h, w) each, to its undistorted image.
         flow: A, from `ray_flow`.
     """
     wh = (camera.width_px, camera.height_px)
@@ -83,7 +83,7 @@ def maps_at_once(
 
 
 def _grid(camera: Camera, grid_wh: tuple[int, int]) -> Array:
-    """Centres (n, 2) of the cells of a grid over the picture, row by row."""
+    """Centres (n, 2) of the cells of a grid over the image, row by row."""
     u = (np.arange(grid_wh[0]) + 0.5) * camera.width_px / grid_wh[0] - 0.5
     v = (np.arange(grid_wh[1]) + 0.5) * camera.height_px / grid_wh[1] - 0.5
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

@@ -37,7 +37,7 @@ def log10_nfa(
     agree: NDArray[np.bool_],
     threshold_px: float,
 ) -> float:
-    """log10 of how often unrelated pictures would show as good an agreement.
+    """log10 of how often unrelated images would show as good an agreement.
 
     That a wrong match agrees with a fit by chance is measured on the matches themselves: how often
     the map point of one match lies where the fit puts another. The more the matches crowd there,

@@ -52,8 +52,8 @@ class Run:
     busy_s: float
 
 
-def pictures(run: Run) -> int:
-    """How many pictures odometry has seen."""
+def images(run: Run) -> int:
+    """How many images odometry has seen."""
     return sum(isinstance(event.seen, OdometryMotion) for event, _ in run.answers)
 
 
@@ -86,7 +86,7 @@ class Metric:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigatedFlight:
-    """A flight that was navigated. `outcomes`: of each attempt to match a picture to the map."""
+    """A flight that was navigated. `outcomes`: of each attempt to match an image to the map."""
 
     run: Run
     outcomes: list[MapFix | Rejected]

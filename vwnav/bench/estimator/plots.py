@@ -1,4 +1,4 @@
-"""Pictures and tables of the filter's benchmark; matplotlib is loaded when one is drawn."""
+"""Images and tables of the filter's benchmark; matplotlib is loaded when one is drawn."""
 
 import csv
 from pathlib import Path
@@ -97,7 +97,7 @@ def _yaw_columns(run: Run, with_lambda: Run) -> Array:
     columns = [
         near(truth.commanded_yaw_rad[at]),
         true,
-        near(_turned_by_pictures(run)),
+        near(_turned_by_images(run)),
         near(run.stream.measured_yaw_rad[at]),
         near(np.array([heading(e) for e in run.estimates])),
         near(np.array([heading(e) for e in with_lambda.estimates])),
@@ -105,8 +105,8 @@ def _yaw_columns(run: Run, with_lambda: Run) -> Array:
     return np.column_stack([rows.t_s, *(np.degrees(c) for c in columns)])
 
 
-def _turned_by_pictures(run: Run) -> Array:
-    """(n,) heading as the homographies alone count it, from the true one at the first picture."""
+def _turned_by_images(run: Run) -> Array:
+    """(n,) heading as the homographies alone count it, from the true one at the first image."""
     truth = run.stream.truth
     times: list[float] = []
     yaws: list[float] = []

@@ -1,7 +1,7 @@
 """How wrong fixes and odometry were in a flight, in units of the fast benchmark's `FilterWorld`.
 
 The error of the attitude is taken out first, as `streams` puts it in: a tilt error moves
-a fix by AGL times angle and turns every way seen. What is left is what pictures and map add.
+a fix by AGL times angle and turns every way seen. What is left is what images and map add.
 """
 
 import math
@@ -193,24 +193,24 @@ class OdometryErrors:
     """In the units of `FilterWorld`.
 
     Attributes:
-        picture, picture_down: what each picture adds, level and vertical, by `odometry_sigma`.
-        kept, kept_down: the same of picture and keyframe at the keyframe's end, which adds up.
-        yaw_picture_rad, yaw_kept_rad: of the turn.
+        image, image_down: what each image adds, level and vertical, by `odometry_sigma`.
+        kept, kept_down: the same of image and keyframe at the keyframe's end, which adds up.
+        yaw_image_rad, yaw_kept_rad: of the turn.
         tilt: share of a change of tilt error. scale: of the way, at the keyframes' ends.
     """
 
-    picture: float
-    picture_down: float
+    image: float
+    image_down: float
     kept: float
     kept_down: float
-    yaw_picture_rad: float
+    yaw_image_rad: float
     yaw_kept_rad: float
     tilt: float
     scale: float
 
 
 def odometry_errors(flights: list[WayErrors]) -> OdometryErrors:
-    """Of all motions; a keyframe's error and a picture's are alike in size, as in `FilterWorld`."""
+    """Of all motions; a keyframe's error and an image's are alike in size, as in `FilterWorld`."""
     share = tilt_share(flights)
     news, ends, along, way = [], [], 0.0, 0.0
     for flight in flights:
@@ -225,11 +225,11 @@ def odometry_errors(flights: list[WayErrors]) -> OdometryErrors:
         way += float(np.sum(true * true))
     new, kept = np.concatenate(news), np.concatenate(ends)
     return OdometryErrors(
-        picture=rms(new[:, :2].ravel()) / LEVEL_SHARE,
-        picture_down=rms(new[:, 2]) / DOWN_SHARE,
+        image=rms(new[:, :2].ravel()) / LEVEL_SHARE,
+        image_down=rms(new[:, 2]) / DOWN_SHARE,
         kept=rms(kept[:, :2].ravel()) / LEVEL_SHARE,
         kept_down=rms(kept[:, 2]) / DOWN_SHARE,
-        yaw_picture_rad=rms(new[:, 3]),
+        yaw_image_rad=rms(new[:, 3]),
         yaw_kept_rad=rms(kept[:, 3]),
         tilt=share,
         scale=along / max(way, 1e-12),

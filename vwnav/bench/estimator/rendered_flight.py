@@ -37,7 +37,7 @@ class RenderedFlight:
     """One flight before it is navigated.
 
     Attributes:
-        truth: to draw the pictures and to score; nothing else may see it.
+        truth: to draw the images and to score; nothing else may see it.
         telemetry: attitudes, barometric heights and IMU samples in order of arrival.
         measured_yaw_rad: (n,) heading as the autopilot has it, at the truth's times.
         latencies: draws of how late fixes are.
@@ -98,13 +98,13 @@ def _way(heading_deg: float, length_m: float) -> Array:
 
 
 def exposures(truth: TrueTrajectory) -> NDArray[np.int64]:
-    """Indices of the truth's samples at which the camera takes a picture."""
+    """Indices of the truth's samples at which the camera takes an image."""
     times_s = np.arange(0.0, float(truth.t_s[-1]), 1.0 / FRAME_HZ)
     return np.round(times_s / DT_S).astype(np.int64)
 
 
-def pictures(flight: RenderedFlight, camera: Camera) -> Iterator[Frame]:
-    """What the camera sees, drawn from the truth picture by picture."""
+def images(flight: RenderedFlight, camera: Camera) -> Iterator[Frame]:
+    """What the camera sees, drawn from the truth image by image."""
     config = RenderConfig(color=False, background=False)
     renderer = CameraRenderer(flight.site, camera, config, flight.noise, default_cache_dir())
     truth = flight.truth

@@ -14,7 +14,7 @@ from vwnav.assemble import assemble, choose_features
 from vwnav.bench.estimator.flown import Metric, NavigatedFlight, RenderedScenario, Run
 from vwnav.bench.estimator.plots import save_error_plot
 from vwnav.bench.estimator.rendered_errors import with_errors
-from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, pictures, plan_flight
+from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, images, plan_flight
 from vwnav.bench.estimator.run import START_SIGMA_M, against
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.config import Config, with_features
@@ -28,7 +28,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.simulation import map_pack_of
 from vwnav.pipeline import Pipeline
-from vwnav.recording.track_picture import TrackPicture
+from vwnav.recording.track_plot import TrackPlot
 from vwnav.screen import say
 from vwnav.seams import StepResult
 from vwnav.sim.processor import LateExecutor, Processor, SimulatedClock
@@ -44,7 +44,7 @@ from vwnav.types import (
     RejectReason,
 )
 
-PICTURE_LATE_S = 0.04  # from exposure to the pipeline
+IMAGE_LATE_S = 0.04  # from exposure to the pipeline
 _ESTIMATES_HZ = 5.0
 
 Progress = Callable[[float], None]
@@ -52,7 +52,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Navigated:
-    """What came out of the pipeline: estimates at a steady rate, and each picture's result."""
+    """What came out of the pipeline: estimates at a steady rate, and each image's result."""
 
     estimates: list[Estimate]
     steps: list[StepResult]
@@ -106,10 +106,10 @@ def bench_rendered(
             text = f"{scenario.name}: flight {number + 1} of {runs}, {t_s:.0f} of {length_s:.0f} s"
             show(number * length_s + t_s, text)
 
-        picture = None if folder is None else folder / f"{name}-track.png"
+        image = None if folder is None else folder / f"{name}-track.png"
         flight = plan_flight(number, seed, length_s, scenario.imu_hz)
-        frames = pictures(flight, default_camera())
-        flown.append(fly_rendered(flight, frames, scenario.most_fixes, features, progress, picture))
+        frames = images(flight, default_camera())
+        flown.append(fly_rendered(flight, frames, scenario.most_fixes, features, progress, image))
         if folder is not None:
             save_error_plot(flown[-1].run, folder / f"{name}.png")
     return scenario.judge(flown)
@@ -121,7 +121,7 @@ def fly_rendered(
     most_fixes: int,
     features: FeatureName,
     progress: Progress,
-    picture: Path | None = None,
+    image: Path | None = None,
 ) -> NavigatedFlight:
     """Navigate one flight, then hold it against its truth.
 
@@ -130,8 +130,8 @@ def fly_rendered(
         frames: what the camera sees.
         most_fixes: the map is asked until it has given so many; 0 is no limit.
         features: of the map matching.
-        progress: told the time of each picture.
-        picture: where to draw the track over the map.
+        progress: told the time of each image.
+        image: where to draw the track over the map.
     """
     cv2.setNumThreads(1)  # the same flight gives the same trajectory
     clock = SimulatedClock()
@@ -148,8 +148,8 @@ def fly_rendered(
         assert isinstance(ekf, HeardEkf)
         ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=START_SIGMA_M))
         done = _navigate(assembled.pipeline, clock, frames, flight.telemetry, progress)
-        if picture is not None:
-            _draw(done, flight, TrackPicture(pack, local_frame), picture)
+        if image is not None:
+            _draw(done, flight, TrackPlot(pack, local_frame), image)
     return _flown(flight, ekf, done)
 
 
@@ -162,7 +162,7 @@ def _config(most_fixes: int, features: FeatureName) -> Config:
 def _executor(flight: RenderedFlight, clock: SimulatedClock) -> LateExecutor:
     """Fixes are as late as in the fast benchmark, counted from the exposure."""
     low_s, high_s = flight.world.fix_latency_s
-    lateness_s = low_s - PICTURE_LATE_S, high_s - PICTURE_LATE_S
+    lateness_s = low_s - IMAGE_LATE_S, high_s - IMAGE_LATE_S
     late = flight.latencies
     return LateExecutor(clock, Processor(), lambda *_: float(late.uniform(*lateness_s)))
 
@@ -195,9 +195,9 @@ def _navigate(
 def _in_order(
     frames: Iterable[Frame], telemetry: list[MeasurementEvent]
 ) -> Iterator[tuple[float, object]]:
-    """(arrival, what arrives); pictures are drawn when their turn comes."""
+    """(arrival, what arrives); images are drawn when their turn comes."""
     told = ((event.arrival_s, event.seen) for event in telemetry)
-    seen = ((frame.t_s + PICTURE_LATE_S, frame) for frame in frames)
+    seen = ((frame.t_s + IMAGE_LATE_S, frame) for frame in frames)
     return merge(told, seen, key=lambda pair: pair[0])
 
 
@@ -225,7 +225,7 @@ def _flown(flight: RenderedFlight, ekf: HeardEkf, done: Navigated) -> NavigatedF
     return NavigatedFlight(run, outcomes)
 
 
-def _draw(done: Navigated, flight: RenderedFlight, track: TrackPicture, path: Path) -> None:
+def _draw(done: Navigated, flight: RenderedFlight, track: TrackPlot, path: Path) -> None:
     for step in done.steps:
         track.add(step)
         track.add_truth(flight.truth.position_ned_m[flight.truth.index(step.t_s)])

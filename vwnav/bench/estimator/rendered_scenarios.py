@@ -1,4 +1,4 @@
-"""What is asked of whole flights with rendered pictures, and verdicts."""
+"""What is asked of whole flights with rendered images, and verdicts."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _LEAST_WAY_M = 1.0
 
 
 def judge_rendered(flown: list[NavigatedFlight]) -> list[Metric]:
-    """Accuracy and honesty, and whether the fast benchmark's errors are those of pictures."""
+    """Accuracy and honesty, and whether the fast benchmark's errors are those of images."""
     attempts = sum(len(flight.outcomes) for flight in flown)
     taken = sum(flight.fixes for flight in flown)
     runs = [flight.run for flight in flown]
@@ -83,11 +83,11 @@ def _odometry_model(runs: list[Run]) -> list[Metric]:
     found = odometry_errors(flights)
     nees = np.concatenate([flight.nees for flight in flights])
     return [
-        Metric(_assumed("odometry_sigma"), found.picture),
+        Metric(_assumed("odometry_sigma"), found.image),
         Metric("odometry_sigma, keyframe's end", found.kept),
-        Metric("odometry_sigma, vertical", found.picture_down),
+        Metric("odometry_sigma, vertical", found.image_down),
         Metric("odometry_sigma, vertical, its end", found.kept_down),
-        Metric(_assumed("odometry_yaw_rad"), found.yaw_picture_rad, "rad"),
+        Metric(_assumed("odometry_yaw_rad"), found.yaw_image_rad, "rad"),
         Metric("odometry_yaw_rad, keyframe's end", found.yaw_kept_rad, "rad"),
         Metric(_assumed("tilt_in_odometry"), found.tilt),
         Metric("scale error of the way (0 assumed)", 100.0 * found.scale, "%"),

@@ -97,7 +97,7 @@ def rectified(seen: Measurement, ekf: Ekf, stream: MeasurementStream) -> Measure
     """`seen` in a stream that knows its autopilot's attitudes; anything else as it is.
 
     Where an attitude is late or lost the filter, not the autopilot, tells it: it carries the last
-    one on, and a picture is rectified with that. What it tells leans by the error of that attitude.
+    one on, and an image is rectified with that. What it tells leans by the error of that attitude.
     """
     if stream.measured_quats is None:
         return seen

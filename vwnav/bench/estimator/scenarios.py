@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vwnav.bench.estimator.flown import Metric, Run, accepted_wrong, pictures
+from vwnav.bench.estimator.flown import Metric, Run, accepted_wrong, images
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import (
     NIS_DOF,
@@ -93,7 +93,7 @@ def judge_nominal(runs: list[Run]) -> list[Metric]:
     speeds = np.concatenate([run.rows.error_v_m_s[run.rows.t_s > SETTLED_S] for run in runs])
     yaws = _settled(runs, lambda run: np.degrees(run.rows.error_yaw_rad))
     agls = _settled(runs, lambda run: 100.0 * run.rows.error_agl_m / run.rows.agl_m)
-    busy_ms = 1e3 * sum(run.busy_s for run in runs) / sum(pictures(run) for run in runs)
+    busy_ms = 1e3 * sum(run.busy_s for run in runs) / sum(images(run) for run in runs)
     return [
         *metrics,
         Metric("within the 1-sigma ellipse", 100.0 * float(np.mean(nees < 1.0)), "%", 35.0, 43.0),
@@ -191,14 +191,14 @@ def judge_height(runs: list[Run]) -> list[Metric]:
 
 
 def judge_cost(runs: list[Run]) -> list[Metric]:
-    """Processor time, with the IMU streamed, 30 pictures a second and fixes half a second late."""
+    """Processor time, with the IMU streamed, 30 images a second and fixes half a second late."""
     late_ms = np.concatenate(
         [
             1e3 * run.cost_s[[isinstance(event.seen, NedFix) for event, _ in run.answers]]
             for run in runs
         ]
     )
-    busy_ms = 1e3 * sum(run.busy_s for run in runs) / sum(pictures(run) for run in runs)
+    busy_ms = 1e3 * sum(run.busy_s for run in runs) / sum(images(run) for run in runs)
     return [
         Metric("time per picture, all measurements", busy_ms, "ms", None, 1.0),
         Metric("a fix 0.5 s late, median", float(np.median(late_ms)), "ms", None, 5.0),

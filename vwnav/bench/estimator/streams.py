@@ -195,7 +195,7 @@ def _heights(
 def _odometry(
     world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, rng: np.random.Generator
 ) -> list[MeasurementEvent]:
-    """Ways from keyframes that are replaced as the view changes; the first picture is one."""
+    """Ways from keyframes that are replaced as the view changes; the first image is one."""
     events: list[MeasurementEvent] = []
     sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])
     covariance = np.diag(2.0 * sigma**2) * _HANDED_AGL_M**2
@@ -233,7 +233,7 @@ def _tilts_along(world: FilterWorld, true_quats: Array, told_quats: Array) -> fl
     """As `ground_motion.tilt_seen` has it, of two attitudes (2, 4) each, as they were and are told.
 
     What of a tilt that nobody told is not taken for motion is seen. What is told is without the
-    heading's error, which the picture shows.
+    heading's error, which the image shows.
     """
     true, told = _tilted_rad(*true_quats), _tilted_rad(*told_quats)
     k = 1.0 - world.tilt_in_odometry

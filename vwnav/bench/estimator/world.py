@@ -1,4 +1,4 @@
-"""A multirotor in gusty wind, without pictures: where it truly was, for the filter's benchmark."""
+"""A multirotor in gusty wind, without images: where it truly was, for the filter's benchmark."""
 
 import math
 from dataclasses import dataclass
@@ -74,9 +74,9 @@ class FilterWorld:
     wrong_runs_s: tuple[float, ...] = ()  # here begin ten wrong fixes that agree
     # Odometry
     odometry_hz: float = 15.0
-    odometry_sigma: float = 0.0016  # of the AGL, a picture's own and its keyframe's alike
+    odometry_sigma: float = 0.0016  # of the AGL, an image's own and its keyframe's alike
     odometry_yaw_rad: float = 0.002
-    tilt_in_odometry: float = 0.2  # 0: the picture itself tells tilting from moving
+    tilt_in_odometry: float = 0.2  # 0: the image itself tells tilting from moving
     # Terrain table of the map
     table: bool = False
     table_offset_m: float = 2.0

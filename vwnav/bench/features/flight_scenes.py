@@ -11,23 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.bench.features.scenes import (
-    MapPicture,
     Mask,
+    ReferenceMap,
     Scene,
     generator,
+    image_side,
     look_at,
     map_side,
-    picture_side,
 )
-from vwnav.cameras.image_folder import read_picture
-from vwnav.cameras.picture_metadata import read_picture_metadata
+from vwnav.cameras.image_folder import read_image
+from vwnav.cameras.image_metadata import read_image_metadata
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, rectification
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.raster import RasterSource
-from vwnav.maps.picture import Window
+from vwnav.maps.image import Window
 from vwnav.types import Array
 
 KEYPOINTS = 1000  # of a frame; the map gets as many per area
@@ -54,7 +54,7 @@ class Shot:
         lat_deg, lon_deg: of the ground below the camera, the truth.
         R_ned_body: (3, 3) attitude of a body that carries the camera looking down.
         agl_m: height above ground.
-        focal_ratio: focal length over picture width.
+        focal_ratio: focal length over image width.
     """
 
     name: str
@@ -76,11 +76,11 @@ def islamabad_shots(folder: Path, count: int) -> list[Shot]:
 
 
 def brighton_shots(folder: Path) -> list[Shot]:
-    """The nine pictures, placed and turned as their metadata say."""
+    """The nine images, placed and turned as their metadata say."""
     shots = []
     for path in sorted((folder / "images").glob("*.JPG")):
-        image = read_picture(path)
-        said = read_picture_metadata(path, image.shape[1], image.shape[0])
+        image = read_image(path)
+        said = read_image_metadata(path, image.shape[1], image.shape[0])
         known = (said.lat_deg, said.lon_deg, said.yaw_rad, said.height_above_home_m)
         lat_deg, lon_deg, yaw_rad, agl_m = (0.0 if value is None else value for value in known)
         if None in known or said.focal_ratio is None:
@@ -120,7 +120,7 @@ def flight_scenes(
     views = [_rectified(group, index, shot, m_per_px) for index, shot in enumerate(shots)]
     view_px = float(np.median([view[1].sum() for view in views]))
     budget = round(KEYPOINTS * ground.mask.sum() / view_px)
-    map_ = MapPicture(ground.gray, ground.mask, budget, m_per_px, "m")
+    map_ = ReferenceMap(ground.gray, ground.mask, budget, m_per_px, "m")
     for index, (shot, (gray, mask, nadir_uv)) in enumerate(zip(shots, views, strict=True)):
         place_uv = ground.uv(shot.lat_deg, shot.lon_deg)
         rng = generator(group + " prior", index)
@@ -129,7 +129,7 @@ def flight_scenes(
         yield Scene(
             group=group,
             name=shot.name,
-            picture=gray,
+            image=gray,
             mask=mask,
             keypoints=KEYPOINTS,
             map_=map_,
@@ -185,7 +185,7 @@ def _rectified(
     if plan is None:
         raise SourceError(f"{group}/{shot.name}: the camera does not look down")
     H_frame_view = np.asarray(np.linalg.inv(plan.H_rect_frame), np.float64)
-    size_wh = picture_side(plan.size_wh[0]), picture_side(plan.size_wh[1])
+    size_wh = image_side(plan.size_wh[0]), image_side(plan.size_wh[1])
     gray, mask = look_at(shot.image, shot.mask, H_frame_view, size_wh)
     return gray, mask, plan.nadir_uv
 
@@ -218,8 +218,8 @@ class _GroundMap:
         H_raster_own = np.asarray(
             cv2.getPerspectiveTransform(own.astype(np.float32), there), np.float64
         )
-        picture = raster.window(Window(0, 0, w, h))
-        gray, mask = look_at(picture.gray, picture.mask, H_raster_own, size_wh)
+        image = raster.window(Window(0, 0, w, h))
+        gray, mask = look_at(image.gray, image.mask, H_raster_own, size_wh)
         return cls(_filled(gray, mask), mask, frame, m_per_px)
 
     def uv(self, lat_deg: float, lon_deg: float) -> Array:

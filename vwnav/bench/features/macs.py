@@ -10,14 +10,14 @@ from vwnav.errors import ConfigError
 if TYPE_CHECKING:
     import onnx
 
-SIZE_WH = (640, 480)  # the picture that operations are counted for, unless another is named
+SIZE_WH = (640, 480)  # the image that operations are counted for, unless another is named
 _COUNTED = ("Conv", "Gemm", "MatMul")
 _FLOAT = 1  # onnx.TensorProto.FLOAT
 
 
 @dataclass(frozen=True, slots=True)
 class GraphCost:
-    """Attributes: numbers of learned values, and of multiply-accumulates on a picture."""
+    """Attributes: numbers of learned values, and of multiply-accumulates on an image."""
 
     parameters: int
     macs: int
@@ -86,7 +86,7 @@ def _measured(
 
 
 def _feed(session: Any, size_wh: tuple[int, int]) -> dict[str, Any]:
-    """A picture of noise for the 4-D input, and a budget for the other."""
+    """An image of noise for the 4-D input, and a budget for the other."""
     w, h = size_wh
     noise = np.random.default_rng(0).integers(0, 255, (1, 1, h, w))
     return {

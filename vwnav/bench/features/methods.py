@@ -43,7 +43,7 @@ class FeatureSet:
 
     Attributes:
         name: also that of its first method.
-        extract: the strongest keypoints first; pictures have sides divisible by 32.
+        extract: the strongest keypoints first; images have sides divisible by 32.
         methods: ways to match.
         cost: of the network, None where there is none.
     """

@@ -1,4 +1,4 @@
-"""Scenes with an exact truth: two dates of one place, and single pictures under homographies."""
+"""Scenes with an exact truth: two dates of one place, and single images under homographies."""
 
 import json
 from collections.abc import Iterator
@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.features.scenes import MapPicture, Mask, Scene, generator, look_at
-from vwnav.cameras.image_folder import read_picture
+from vwnav.bench.features.scenes import Mask, ReferenceMap, Scene, generator, look_at
+from vwnav.cameras.image_folder import read_image
 from vwnav.errors import SourceError
 from vwnav.geometry.homography import transform_points
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
@@ -25,13 +25,13 @@ _GENERATED_PX, _GENERATED_M_PER_PX = 900, 0.3
 _ROTATION_SIGMA_RAD = np.radians(6.0)
 _LOG_SCALE_SIGMA, _SCALE_MIN, _SCALE_MAX = 0.17, 0.85, 1.18
 _TILT_SIGMA, _ASPECT_SIGMA, _SHIFT_SIGMA = 0.02, 0.01, 0.08
-_DIRTY_BLACK = 4  # JPEG makes the black corners of a rotated picture this bright
+_DIRTY_BLACK = 4  # JPEG makes the black corners of a rotated image this bright
 _ATTEMPTS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registered:
-    """Two registered pictures of one place, or twice the same one.
+    """Two registered images of one place, or twice the same one.
 
     Attributes:
         name: for people.
@@ -51,7 +51,7 @@ def evaluation_pairs(folder: Path) -> dict[str, list[Registered]]:
     listed = folder / "pairs.json"
     for entry in json.loads(listed.read_text()) if listed.is_file() else []:
         if entry["split"] == "eval":
-            a, b = (read_picture(folder / entry[side]) for side in "ab")
+            a, b = (read_image(folder / entry[side]) for side in "ab")
             name = Path(entry["a"]).stem.removesuffix("_a")
             groups.setdefault(entry["src"], []).append(
                 Registered(name, a, b, np.array(entry["H"], np.float64))
@@ -59,13 +59,13 @@ def evaluation_pairs(folder: Path) -> dict[str, list[Registered]]:
     return groups
 
 
-def single_pictures(folder: Path) -> list[Registered]:
-    """Every picture below a folder that is large enough, as a pair with itself."""
+def single_images(folder: Path) -> list[Registered]:
+    """Every image below a folder that is large enough, as a pair with itself."""
     found = []
     for path in sorted(folder.glob("**/*.jpg")):
-        picture = read_picture(path)
-        if min(picture.shape[:2]) >= VIEW_PX:
-            found.append(Registered(f"{path.parent.name}/{path.stem}", picture, picture, np.eye(3)))
+        image = read_image(path)
+        if min(image.shape[:2]) >= VIEW_PX:
+            found.append(Registered(f"{path.parent.name}/{path.stem}", image, image, np.eye(3)))
     return found
 
 
@@ -132,10 +132,10 @@ def _draw(
     return Scene(
         group=group,
         name=pair.name,
-        picture=gray0,
+        image=gray0,
         mask=seen0,
         keypoints=KEYPOINTS,
-        map_=MapPicture(
+        map_=ReferenceMap(
             _another_hour(gray1, rng) if same_day else gray1, seen1, KEYPOINTS, 1.0, "px"
         ),
         window=(0.0, 0.0, float(VIEW_PX), float(VIEW_PX)),
@@ -173,8 +173,8 @@ def _another_hour(gray: Gray, rng: np.random.Generator) -> Gray:
     return np.asarray(np.clip(np.round(changed + noise), 0, 255), np.uint8)
 
 
-def ground_mask(picture: NDArray[np.uint8]) -> Mask:
-    """True where a picture shows ground, not the black corners that its registration left."""
-    black = (picture.max(axis=2) < _DIRTY_BLACK).astype(np.uint8)
+def ground_mask(image: NDArray[np.uint8]) -> Mask:
+    """True where an image shows ground, not the black corners that its registration left."""
+    black = (image.max(axis=2) < _DIRTY_BLACK).astype(np.uint8)
     black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
     return np.asarray(cv2.dilate(black, np.ones((7, 7), np.uint8)) == 0)

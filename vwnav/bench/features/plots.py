@@ -58,7 +58,7 @@ def _bars(
 
 
 def _cost(axis: Any, report: Report) -> None:
-    """Inliers over all scenes against the time of the larger picture."""
+    """Inliers over all scenes against the time of the larger image."""
     size = list(report.timing)[-1]
     for index, each in enumerate(report.sets):
         x, y = report.timing[size][each.name].extract_cpu_ms, report.groups[ALL][each.name].inliers

@@ -1,10 +1,10 @@
-"""Do keypoints of two pictures lie at the same places, and more often than by chance?"""
+"""Do keypoints of two images lie at the same places, and more often than by chance?"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.bench.features.scenes import EDGE_PX, MapPicture
+from vwnav.bench.features.scenes import EDGE_PX, ReferenceMap
 from vwnav.geometry.homography import transform_points
 from vwnav.types import Array, Features
 
@@ -33,12 +33,12 @@ class Repeatability:
 
 
 def repeatability(
-    found: Features, reference: Features, H_1_0: Array, map_: MapPicture
+    found: Features, reference: Features, H_1_0: Array, map_: ReferenceMap
 ) -> Repeatability | None:
-    """Compare the keypoints of a picture with those of its map.
+    """Compare the keypoints of an image with those of its map.
 
     Returns:
-        None where no keypoint of the picture lies in the map, or the map has none.
+        None where no keypoint of the image lies in the map, or the map has none.
     """
     if len(found) == 0 or len(reference) == 0:
         return None
@@ -46,7 +46,7 @@ def repeatability(
     uv1 = reference.uv.astype(np.float64)
     reach = max(SHIFTS_PX) + REPEATED_PX
     near = (uv1 >= carried.min(axis=0) - reach) & (uv1 <= carried.max(axis=0) + reach)
-    uv1 = uv1[near.all(axis=1)]  # a map may be far larger than what the picture shows
+    uv1 = uv1[near.all(axis=1)]  # a map may be far larger than what the image shows
     if len(uv1) == 0:
         return None
     repeated = _share_met(carried, uv1, map_)
@@ -58,7 +58,7 @@ def repeatability(
     return Repeatability(repeated, float(np.mean(known)))
 
 
-def _share_met(places: Array, uv1: Array, map_: MapPicture) -> float | None:
+def _share_met(places: Array, uv1: Array, map_: ReferenceMap) -> float | None:
     """Share of the places that the map shows which have a keypoint of it near them."""
     h, w = map_.gray.shape
     column, row = np.round(places).astype(np.int64).T

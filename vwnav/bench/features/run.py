@@ -22,14 +22,14 @@ from vwnav.bench.features.methods import FeatureSet, feature_sets
 from vwnav.bench.features.pair_scenes import (
     evaluation_pairs,
     generated_pairs,
-    single_pictures,
+    single_images,
     view_pairs,
 )
 from vwnav.bench.features.scenes import Scene
 from vwnav.bench.features.scoring import FeatureScore, Judge, SceneResult, score
 from vwnav.bench.features.thesis import ThesisRow, thesis_rows
 from vwnav.bench.features.timing import SIZES_WH, Times, measure
-from vwnav.cameras.image_folder import read_picture
+from vwnav.cameras.image_folder import read_image
 from vwnav.errors import ConfigError, SourceError
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
 from vwnav.types import Gray
@@ -47,7 +47,7 @@ class Report:
         sets: the feature sets, for what their networks cost.
         groups: scores by group and method; the group "all" holds every scene.
         units: of each group's places, "m" or "px".
-        timing: by size of the picture, such as "640x480", and feature set.
+        timing: by size of the image, such as "640x480", and feature set.
         thesis: by feature set.
         samples: all methods on one scene of each group, to be drawn.
         skipped: one line for each thing that was left out.
@@ -91,7 +91,7 @@ def bench_features(
         progress: told what is done.
 
     Raises:
-        VwnavError: of a model or a picture.
+        VwnavError: of a model or an image.
     """
     cv2.setNumThreads(1)
     sets, skipped = feature_sets(models)
@@ -117,7 +117,7 @@ def bench_features(
         sets=sets,
         groups=_scores(outcomes),
         units={name: scenes[0].map_.unit for name, scenes in groups.items()},
-        timing=_timing(sets, _timing_pictures(folder), repeats, progress),
+        timing=_timing(sets, _timing_images(folder), repeats, progress),
         thesis=thesis_rows(sets, flown or next(iter(groups.values()))),
         samples=samples,
         skipped=skipped,
@@ -137,9 +137,9 @@ def _groups(
     if not pairs:
         skipped.append("no evaluation pairs in pairs.json")
     for name, place in (("keioSFC", "drone"), ("single", "single")):
-        pictures = single_pictures(folder / "eval" / place)
-        if pictures:
-            yield name, list(view_pairs(name, pictures, views, same_day=True))
+        images = single_images(folder / "eval" / place)
+        if images:
+            yield name, list(view_pairs(name, images, views, same_day=True))
         else:
             skipped.append(f"no pictures in eval/{place}")
     yield from _flights(folder / "flights", views, skipped)
@@ -185,21 +185,21 @@ def _scores(
 
 
 def _timing(
-    sets: list[FeatureSet], pictures: tuple[Gray, Gray], repeats: int, progress: Progress
+    sets: list[FeatureSet], images: tuple[Gray, Gray], repeats: int, progress: Progress
 ) -> dict[str, dict[str, Times]]:
     times = {}
     for number, (w, h) in enumerate(SIZES_WH, 1):
-        picture, other = (np.ascontiguousarray(each[:h, :w]) for each in pictures)
-        times[f"{w}x{h}"] = measure(sets, picture, other, repeats)
+        image, other = (np.ascontiguousarray(each[:h, :w]) for each in images)
+        times[f"{w}x{h}"] = measure(sets, image, other, repeats)
         progress("times", number, len(SIZES_WH))
     return times
 
 
-def _timing_pictures(folder: Path | None) -> tuple[Gray, Gray]:
-    """Two overlapping pictures of at least 640 x 480: real ones, else of a generated place."""
+def _timing_images(folder: Path | None) -> tuple[Gray, Gray]:
+    """Two overlapping images of at least 640 x 480: real ones, else of a generated place."""
     found = sorted((folder / "eval" / "drone").glob("**/*.jpg")) if folder else []
     if found:
-        first = read_picture(found[0])
+        first = read_image(found[0])
         second = np.roll(first, (40, 40), (0, 1))
     else:
         site, size = Site(FIRST_TRAINING_SEED - 1), (640, 480)

@@ -1,4 +1,4 @@
-"""What is judged: a picture, the map it lies on, and the place where it truly lies."""
+"""What is judged: an image, the map it lies on, and the place where it truly lies."""
 
 import zlib
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from vwnav.types import Array, Gray
 BLOCK_PX = 640  # large maps are extracted in blocks of this side, as map packs are
 MARGIN_PX = 64  # of a block that only lends its surroundings
 EDGE_PX = 6  # keypoints nearer to the end of the ground see what is not there
-MULTIPLE_PX = 32  # sides of all pictures: no feature set has to resize or pad
+MULTIPLE_PX = 32  # sides of all images: no feature set has to resize or pad
 _SHRINK_AT_ONCE = 1.3  # a warp alone would alias below that
 
 Mask = NDArray[np.bool_]
@@ -22,8 +22,8 @@ Unit = Literal["m", "px"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MapPicture:
-    """The reference that pictures are matched to; its features are extracted once.
+class ReferenceMap:
+    """The reference that images are matched to; its features are extracted once.
 
     Attributes:
         gray: (h, w), sides as `map_side` gives them.
@@ -42,26 +42,26 @@ class MapPicture:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scene:
-    """One picture to be placed.
+    """One image to be placed.
 
     Attributes:
         group: scenes of one group are averaged.
         name: for people.
-        picture: (h, w) the view, sides divisible by 32.
+        image: (h, w) the view, sides divisible by 32.
         mask: (h, w), true where the view shows ground.
-        keypoints: budget of the picture.
+        keypoints: budget of the image.
         map_: the reference.
         window: (u0, v0, u1, v1) of the map that the prior allows.
-        point0_uv, point1_uv: (2,) one place in the picture and in the map: the truth.
-        H_1_0: (3, 3) from the picture to the map, where the truth is that exact.
+        point0_uv, point1_uv: (2,) one place in the image and in the map: the truth.
+        H_1_0: (3, 3) from the image to the map, where the truth is that exact.
     """
 
     group: str
     name: str
-    picture: Gray
+    image: Gray
     mask: Mask
     keypoints: int
-    map_: MapPicture
+    map_: ReferenceMap
     window: tuple[float, float, float, float]
     point0_uv: Array
     point1_uv: Array
@@ -73,15 +73,15 @@ def generator(group: str, index: int, attempt: int = 0) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(group.encode()), index, attempt])
 
 
-def picture_side(size_px: float) -> int:
-    """The least side of a picture that holds `size_px`."""
+def image_side(size_px: float) -> int:
+    """The least side of an image that holds `size_px`."""
     return int(np.ceil(size_px / MULTIPLE_PX)) * MULTIPLE_PX
 
 
 def map_side(size_px: float) -> int:
-    """The least side of a map that holds `size_px`: of one picture, or of whole blocks."""
+    """The least side of a map that holds `size_px`: of one image, or of whole blocks."""
     if size_px <= BLOCK_PX:
-        return picture_side(size_px)
+        return image_side(size_px)
     inner = BLOCK_PX - 2 * MARGIN_PX
     return int(np.ceil((size_px - 2 * MARGIN_PX) / inner)) * inner + 2 * MARGIN_PX
 
@@ -89,7 +89,7 @@ def map_side(size_px: float) -> int:
 def look_at(
     source: NDArray[np.uint8], seen: Mask, H_source_view: Array, size_wh: tuple[int, int]
 ) -> tuple[Gray, Mask]:
-    """Look at a picture through a homography, without aliasing.
+    """Look at an image through a homography, without aliasing.
 
     Args:
         source: (h, w) gray or (h, w, 3) BGR.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vwnav.bench.features.methods import FeatureSet
 from vwnav.bench.features.repeatability import KEYPOINTS, Repeatability, repeatability
-from vwnav.bench.features.scenes import BLOCK_PX, EDGE_PX, MARGIN_PX, MapPicture, Mask, Scene
+from vwnav.bench.features.scenes import BLOCK_PX, EDGE_PX, MARGIN_PX, Mask, ReferenceMap, Scene
 from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
 from vwnav.types import Array, Features, Gray
 
@@ -26,12 +26,12 @@ class SceneResult:
     """How one method did on one scene.
 
     Attributes:
-        uv0, uv1: (m, 2) matches in picture and map.
+        uv0, uv1: (m, 2) matches in image and map.
         right: (m,) the inliers: near the true homography, or near the fit where there is none.
         errors_px: (inliers,) their distances from it.
         place_error: of the similarity, in the scene's unit; infinite where there is no fit.
-        corner_error_px: mean over the picture's corners of the homography; None without a truth.
-        repeated: share of keypoints that the other picture has too; None without a truth.
+        corner_error_px: mean over the image's corners of the homography; None without a truth.
+        repeated: share of keypoints that the other image has too; None without a truth.
         repeatable: the same of 1000 keypoints, beside chance; None where nobody finds the place.
     """
 
@@ -71,7 +71,7 @@ class Judge:
     """Scores scenes one after another; remembers the features of the map it saw last."""
 
     feature_sets: list[FeatureSet]
-    _map: MapPicture | None = None
+    _map: ReferenceMap | None = None
     _map_features: dict[str, Features] = field(default_factory=dict)
 
     def judge(self, scene: Scene) -> Iterator[SceneResult]:
@@ -92,18 +92,18 @@ class Judge:
             yield from (replace(outcome, repeatable=repeatable) for outcome in of_set)
 
     def _repeatable(self, each: FeatureSet, scene: Scene, H_1_0: Array) -> Repeatability | None:
-        """1000 keypoints of the picture beside as many per area of its map."""
+        """1000 keypoints of the image beside as many per area of its map."""
         reference = self._map_features[each.name]
         if scene.keypoints != KEYPOINTS:
             budget = round(scene.map_.keypoints * KEYPOINTS / scene.keypoints)
             reference = map_features(each, replace(scene.map_, keypoints=budget))
-        found = masked_features(each, scene.picture, scene.mask, KEYPOINTS)
+        found = masked_features(each, scene.image, scene.mask, KEYPOINTS)
         return repeatability(found, reference, H_1_0, scene.map_)
 
 
 def _outcomes(each: FeatureSet, scene: Scene, reference: Features) -> Iterator[SceneResult]:
     """One feature set on one scene, matched in all its ways."""
-    found = masked_features(each, scene.picture, scene.mask, scene.keypoints)
+    found = masked_features(each, scene.image, scene.mask, scene.keypoints)
     repeated = _repeated(found, reference, scene)
     for method in each.methods:
         index = method.match(found, reference)
@@ -137,7 +137,7 @@ def masked_features(each: FeatureSet, gray: Gray, mask: Mask, budget: int) -> Fe
     return found.take(np.flatnonzero(usable)[:budget])
 
 
-def map_features(each: FeatureSet, map_: MapPicture) -> Features:
+def map_features(each: FeatureSet, map_: ReferenceMap) -> Features:
     """The map's features: as many per area everywhere, whatever the size of the map."""
     h, w = map_.gray.shape
     if max(h, w) <= BLOCK_PX:
@@ -213,11 +213,11 @@ def _outcome(
 
 
 def corner_error(scene: Scene, uv0: Array, uv1: Array) -> float:
-    """Mean distance of the picture's corners under the homography found from where they belong."""
+    """Mean distance of the image's corners under the homography found from where they belong."""
     fit = estimate_homography(uv0, uv1, RIGHT_PX, _SEED)
     if fit is None or scene.H_1_0 is None:
         return np.inf
-    h, w = scene.picture.shape
+    h, w = scene.image.shape
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * (w - 1.0, h - 1.0)
     error = _distances(fit.H, corners, transform_points(scene.H_1_0, corners)).mean()
     return float(error) if np.isfinite(error) else np.inf
@@ -272,7 +272,7 @@ def _distances(H_1_0: Array, uv0: Array, uv1: Array) -> Array:
 
 
 def _repeated(found: Features, reference: Features, scene: Scene) -> float | None:
-    """Share of the keypoints that both pictures show which the map has within `RIGHT_PX`."""
+    """Share of the keypoints that both images show which the map has within `RIGHT_PX`."""
     if scene.H_1_0 is None or len(found) == 0 or len(reference) == 0:
         return None
     carried = transform_points(scene.H_1_0, found.uv.astype(np.float64))

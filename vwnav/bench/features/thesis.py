@@ -7,24 +7,24 @@ from statistics import fmean, median
 import numpy as np
 
 from vwnav.bench.features.methods import FeatureSet
-from vwnav.bench.features.scenes import MapPicture, Scene, picture_side
+from vwnav.bench.features.scenes import ReferenceMap, Scene, image_side
 from vwnav.bench.features.scoring import FIT_PX, masked_features
 from vwnav.geometry.homography import estimate_similarity
 
 KEYPOINTS = 3000
-MAX_PICTURES = 50
+MAX_IMAGES = 50
 _SEED = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThesisRow:
-    """One feature set over all pictures.
+    """One feature set over all images.
 
     Attributes:
         points_per_image: table 6.1, mean.
-        extract_ms: table 6.1, median time of the extraction of a picture.
+        extract_ms: table 6.1, median time of the extraction of an image.
         matched_per_image: table 6.2, mean number of matches left after outlier rejection.
-        match_ms: table 6.2, median time of extraction of picture and map, matching and rejection.
+        match_ms: table 6.2, median time of extraction of image and map, matching and rejection.
         match_ratio: matched keypoints of those extracted.
     """
 
@@ -36,14 +36,14 @@ class ThesisRow:
 
 
 def thesis_rows(sets: list[FeatureSet], scenes: list[Scene]) -> dict[str, ThesisRow]:
-    """Extract, match and reject outliers as the thesis did, on pictures against their map.
+    """Extract, match and reject outliers as the thesis did, on images against their map.
 
     Args:
         sets: matched by their first method.
-        scenes: at most 50 of them are used; the map is cut to the size of the picture.
+        scenes: at most 50 of them are used; the map is cut to the size of the image.
     """
     samples: dict[str, list[tuple[float, ...]]] = {each.name: [] for each in sets}
-    for scene in (_with_near_map(scene) for scene in scenes[:MAX_PICTURES]):
+    for scene in (_with_near_map(scene) for scene in scenes[:MAX_IMAGES]):
         for each in sets:
             samples[each.name].append(_row(each, scene))
     rows = {}
@@ -61,7 +61,7 @@ def thesis_rows(sets: list[FeatureSet], scenes: list[Scene]) -> dict[str, Thesis
 
 def _row(each: FeatureSet, scene: Scene) -> tuple[float, ...]:
     start_s = time.perf_counter()
-    found = masked_features(each, scene.picture, scene.mask, KEYPOINTS)
+    found = masked_features(each, scene.image, scene.mask, KEYPOINTS)
     extracted_s = time.perf_counter()
     reference = masked_features(each, scene.map_.gray, scene.map_.mask, KEYPOINTS)
     index = each.methods[0].match(found, reference)
@@ -73,12 +73,12 @@ def _row(each: FeatureSet, scene: Scene) -> tuple[float, ...]:
 
 
 def _with_near_map(scene: Scene) -> Scene:
-    """The scene on a cut of its map about the true place, as large as the picture."""
+    """The scene on a cut of its map about the true place, as large as the image."""
     h, w = scene.map_.gray.shape
-    size = np.minimum([picture_side(side) for side in scene.picture.shape[::-1]], (w, h))
+    size = np.minimum([image_side(side) for side in scene.image.shape[::-1]], (w, h))
     u0, v0 = np.clip(scene.point1_uv.round() - size // 2, 0, np.array([w, h]) - size).astype(int)
     part = (slice(v0, v0 + size[1]), slice(u0, u0 + size[0]))
-    cut = MapPicture(
+    cut = ReferenceMap(
         np.ascontiguousarray(scene.map_.gray[part]),
         np.ascontiguousarray(scene.map_.mask[part]),
         KEYPOINTS,

@@ -1,4 +1,4 @@
-"""How long extraction and matching take: one thread, one picture, all feature sets in turn."""
+"""How long extraction and matching take: one thread, one image, all feature sets in turn."""
 
 import time
 from collections.abc import Callable
@@ -19,7 +19,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Times:
-    """Medians of one feature set on one picture, and its extraction against two others'."""
+    """Medians of one feature set on one image, and its extraction against two others'."""
 
     extract_ms: float
     extract_cpu_ms: float
@@ -30,21 +30,21 @@ class Times:
 
 
 def measure(
-    sets: list[FeatureSet], picture: Gray, other: Gray, repeats: int = REPEATS
+    sets: list[FeatureSet], image: Gray, other: Gray, repeats: int = REPEATS
 ) -> dict[str, Times]:
     """Time every set `repeats` times, round by round, so that all meet the same machine.
 
     Args:
         sets: matched by their first method.
-        picture: (h, w) what is extracted.
-        other: a picture that overlaps it, extracted before, to be matched with it.
+        image: (h, w) what is extracted.
+        other: an image that overlaps it, extracted before, to be matched with it.
         repeats: rounds; the first few more are not counted.
     """
     reference = {each.name: each.extract(other, KEYPOINTS) for each in sets}
     samples: dict[str, list[tuple[float, float, float, float]]] = {each.name: [] for each in sets}
     for turn in range(_WARM_UP + repeats):
         for each in sets:
-            found, extract_ms = _timed(lambda: each.extract(picture, KEYPOINTS))  # noqa: B023
+            found, extract_ms = _timed(lambda: each.extract(image, KEYPOINTS))  # noqa: B023
             match, map_ = each.methods[0].match, reference[each.name]
             _, match_ms = _timed(lambda: match(found, map_))  # noqa: B023
             if turn >= _WARM_UP:

@@ -32,8 +32,8 @@ class XFeat:
         """Detect and describe; at most `max_keypoints`, best first."""
         import torch
 
-        picture = torch.from_numpy(gray).float()[None, None]
-        found = self.model.detectAndCompute(picture, top_k=max_keypoints)[0]
+        image = torch.from_numpy(gray).float()[None, None]
+        found = self.model.detectAndCompute(image, top_k=max_keypoints)[0]
         return Features(*(found[key].numpy() for key in ("keypoints", "descriptors", "scores")))
 
 
@@ -70,7 +70,7 @@ def published_model() -> Any:
 
 
 def _exported(network: Any) -> bytes:
-    """The network as an ONNX graph for pictures of any multiple of 32 pixels."""
+    """The network as an ONNX graph for images of any multiple of 32 pixels."""
     import torch
 
     height, width = (

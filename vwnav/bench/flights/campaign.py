@@ -10,8 +10,8 @@ from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.errors import RouteError
 from vwnav.sim.config import Manners
+from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M, SITE_PREFIX
 from vwnav.sim.site import FIRST_TRAINING_SEED
-from vwnav.sim.sites import MAP_EAST_M, MAP_NORTH_M, SITE_PREFIX
 from vwnav.types import Array
 
 _MARGIN_M = 90.0  # of map around the route: what the camera sees, and the prior
@@ -121,7 +121,7 @@ class FlightScore:
         touchdown_m: from home; None where it is not down.
         available: share of the time in the air after the first fix with an estimate of the last
             0.2 s that may be flown on (sigma at most what stops a route).
-        fixes, attempts, wrong_fixes: pictures matched; those further than 20 m off.
+        fixes, attempts, wrong_fixes: images matched; those further than 20 m off.
         cpu_s: processor time that it took.
     """
 

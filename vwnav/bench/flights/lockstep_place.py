@@ -9,8 +9,8 @@ import cv2
 
 from vwnav.bench.flights.stage import Place
 from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
+from vwnav.sim.named_sites import parse_site
 from vwnav.sim.renderer import default_camera
-from vwnav.sim.sites import parse_site
 from vwnav.types import FeatureExtractor
 from vwnav.vision.features.load import load_features
 

@@ -80,7 +80,7 @@ def bounds_of(config: Config) -> FlightLimits:
 
 
 def _tells_something(step: StepResult) -> bool:
-    """A motion or a place, as the runtime counts pictures."""
+    """A motion or a place, as the runtime counts images."""
     return isinstance(step.motion, OdometryMotion) or isinstance(step.outcome, MapFix)
 
 

@@ -44,7 +44,7 @@ class Equipped:
     """What the navigator is built from besides its links.
 
     Attributes:
-        primary: the extractor of pictures and map, broken or not.
+        primary: the extractor of images and map, broken or not.
     """
 
     place: Place
@@ -126,7 +126,7 @@ class Navigator:
         self.keep(Recorder(path, self._config.model_dump(mode="json")))
 
     def keep(self, writer: Recorder) -> None:
-        """Record this flight as `vwnav fly` does, pictures left out."""
+        """Record this flight as `vwnav fly` does, images left out."""
         recorder = FlightRecorder(writer, self._about)
         self.ekf.record(recorder.input_log.input)
         self.record.setpoint = lambda: self.flight.setpoint
@@ -195,7 +195,7 @@ class Navigator:
 
     @property
     def knows_where(self) -> bool:
-        """Pictures have told a motion and places."""
+        """Images have told a motion and places."""
         return (
             self.pipeline.accepted >= _FIXES_BEFORE and self.runtime.navigation.seen_s is not None
         )
@@ -254,7 +254,7 @@ class Navigator:
         self.ended = True
 
     def _see(self, t_s: float) -> None:
-        """The vision loop: a picture, its telemetry, the work on it."""
+        """The vision loop: an image, its telemetry, the work on it."""
         if self._frame_done_s is not None:
             if t_s >= self._frame_done_s:
                 assert self._frame is not None
@@ -266,7 +266,7 @@ class Navigator:
         if self._frame is not None:
             late = t_s >= self._frame.t_s + ATTITUDE_WAIT_S
             if late or self.runtime.covers(self._frame):
-                self._frame_done_s = self._processor.end_of(t_s, self._costs.picture)
+                self._frame_done_s = self._processor.end_of(t_s, self._costs.image)
 
     def _take(self, t_s: float) -> Frame | None:
         if t_s < self._camera_again_s or not self._camera.arrived(t_s):
@@ -285,7 +285,7 @@ class Navigator:
         self, vehicle: VehicleState, navigation: Navigation, t_s: float
     ) -> tuple[Check, ...]:
         equipment = Equipment(
-            self.autopilot.findings, self.autopilot.budget_refusal, self._watch.picture_s,
+            self.autopilot.findings, self.autopilot.budget_refusal, self._watch.image_s,
             self._watch.trouble,
         )  # fmt: skip
         return check_flight(vehicle, navigation, equipment, self._config.safety, t_s)

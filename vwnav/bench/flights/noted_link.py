@@ -76,8 +76,8 @@ class Recording(Protocol):
         """A line."""
         ...
 
-    def picture(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
-        """What a picture brought."""
+    def image(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
+        """What an image brought."""
         ...
 
     def tick(
@@ -122,11 +122,11 @@ class LockstepWatcher:
             self.recorder.event(self._clock(), text)
 
     def saw_frame(self, frame: Frame, step: StepResult) -> None:
-        """A picture went through the pipeline."""
+        """An image went through the pipeline."""
         self.steps.append(step)
         self._write()
         if self.recorder is not None:
-            self.recorder.picture(step, self.setpoint())
+            self.recorder.image(step, self.setpoint())
 
     def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
         """The mission ticked."""

@@ -21,7 +21,7 @@ class RowResult:
         worst_sigmas: of an estimate that was sent; None in real time, where nobody counts.
         flown_s, cost_s: simulated seconds; seconds of a processor.
         timeline: what happened when, a line each.
-        picture: of its track, None where none was drawn.
+        image: of its track, None where none was drawn.
     """
 
     name: str
@@ -98,8 +98,8 @@ def draw_failure(
     name: str, track: FlightTrace, begun_s: float, broke_s: float | None, wrong: Sequence[str],
     folder: Path,
 ) -> str:  # fmt: skip
-    """Name of the picture of its track in the folder."""
-    from vwnav.bench.flights.picture import save_track
+    """Name of the image of its track in the folder."""
+    from vwnav.bench.flights.track_plot import save_track
 
     file = "".join(c if c.isalnum() else "_" for c in name) + ".png"
     save_track(track, begun_s, broke_s, f"{name}: {'; '.join(wrong)}", folder / file)

@@ -14,7 +14,7 @@ from vwnav.rules.temporal import Span
 from vwnav.seams import PipelineConfig, StepResult
 
 HOME = (0.0, 0.0)
-# Every other picture that could be matched: what is left out costs the most and tells the least.
+# Every other image that could be matched: what is left out costs the most and tells the least.
 CONFIG = Config(pipeline=PipelineConfig(fix_interval_s=0.4))
 ROUTE = AirStart(phase=Phase.ROUTE, place_ned_m=(15.0, -15.0, -50.0))
 CLIMB = AirStart(phase=Phase.CLIMB, place_ned_m=(0.5, 0.5, -15.0))
@@ -127,7 +127,7 @@ class Flown:
         begun_s: when the mission began, on the track's clock; `flown_s` how long it was flown.
         local_frame: the run's.
         phase: where the mission stood last.
-        steps: what each picture brought; `second_steps` to the navigator that stood in, if one did.
+        steps: what each image brought; `second_steps` to the navigator that stood in, if one did.
         broke_s: when the first fault began, since the mission began; None: it never did.
         broken: from when to when each fault lasted that may disturb what is sent, likewise.
         end: what the mission said; None while it went on.

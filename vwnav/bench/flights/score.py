@@ -13,7 +13,7 @@ from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import FlightLog, Sent
 from vwnav.rules.moments import flying, in_phases
 from vwnav.rules.temporal import inside
-from vwnav.sim.sites import SITE_PREFIX
+from vwnav.sim.named_sites import SITE_PREFIX
 from vwnav.types import Array, MapFix, RejectReason
 
 WRONG_FIX_M = 20.0

@@ -70,7 +70,7 @@ class Setup:
     rc_on: bool = False
     vehicle_rate: float = 1.0
     battery_drain_s: float = 1500.0
-    picture_hz: float = 10.0
+    image_hz: float = 10.0
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()

@@ -1,7 +1,7 @@
 """Table 6.3 of the thesis: how far off places are, 25 and 50 m up, on a map of another season.
 
 The thesis held three waypoints against their truth, without its filter. Here each map fix of short
-lockstep flights is one, and beside it what the filter believed at that picture's exposure.
+lockstep flights is one, and beside it what the filter believed at that image's exposure.
 """
 
 import math
@@ -30,7 +30,7 @@ class Seen:
 
     Attributes:
         raw_m: errors of its fixes. filtered_m: of the filter's estimates at the same exposures.
-        attempts: pictures that were matched. looks, usable: pictures, and those at whose exposure
+        attempts: images that were matched. looks, usable: images, and those at whose exposure
             there was an estimate good enough to fly on.
         correlated: fixes that were placed by correlation, not by keypoints.
     """
@@ -48,7 +48,7 @@ class Errors:
     """Horizontal errors in metres; the intervals are 95 %, None below two flights.
 
     Attributes:
-        available: share of the attempts that gave a place, or of the pictures with an estimate.
+        available: share of the attempts that gave a place, or of the images with an estimate.
     """
 
     count: int

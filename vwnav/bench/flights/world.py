@@ -37,7 +37,7 @@ from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
 _SETTLED_S = 0.5  # of telemetry before its filter begins
-_LOOKS_S = 3.0  # for the first pictures to be matched, where they can be
+_LOOKS_S = 3.0  # for the first images to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
 _SPARE_S = 0.3  # until a waiting watchdog has the link: measured on a busy machine
 _CAMERA_LATENCY_S = 0.04
@@ -114,7 +114,7 @@ class World:
 
     def _camera(self, place: Place) -> LockstepCamera:
         renderer = draw(place.site, self.setup, place)
-        period_s = 1.0 / self.setup.picture_hz
+        period_s = 1.0 / self.setup.image_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
     def _navigator(self, place: Place, first_counter: int) -> Navigator:
@@ -183,7 +183,7 @@ class World:
         self.track.heard = Heard()
 
     def _fly_there(self, start: AirStart, phase: Phase) -> None:
-        """Estimates flow and pictures are matched, as after a flight to that place."""
+        """Estimates flow and images are matched, as after a flight to that place."""
         place, velocity = np.array(start.place_ned_m), np.array(start.velocity_ned_m_s)
         began = place - velocity * _SETTLED_S
         for step in self._steps_of(_SETTLED_S):

@@ -1,4 +1,4 @@
-"""Maps of registered pictures, and frames cut from their other dates to be found on them."""
+"""Maps of registered images, and frames cut from their other dates to be found on them."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,6 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.bench.features.scenes import Mask, generator
+from vwnav.bench.localizer.images import (
+    LEAST_SIDE_PX,
+    Pair,
+    Photo,
+    Split,
+    apart,
+    other_photos,
+    read_gray,
+    registered_pairs,
+)
 from vwnav.bench.localizer.labels import corrected
 from vwnav.bench.localizer.looks import (
     CAMERA,
@@ -23,32 +33,22 @@ from vwnav.bench.localizer.looks import (
     rough_prior,
     without_place,
 )
-from vwnav.bench.localizer.pictures import (
-    LEAST_SIDE_PX,
-    Pair,
-    Photo,
-    Split,
-    apart,
-    other_photos,
-    read_gray,
-    registered_pairs,
-)
-from vwnav.cameras.image_folder import read_picture
+from vwnav.cameras.image_folder import read_image
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.types import Array, Gray, Prior
 
 ELSEWHERE = "elsewhere"
-LOOKS_A_PICTURE = 4  # with a prior
-SEARCHES_A_PICTURE = 1  # without: each takes as long as ten others
+LOOKS_A_IMAGE = 4  # with a prior
+SEARCHES_A_IMAGE = 1  # without: each takes as long as ten others
 LEVELS = (ZOOM, ZOOM - 1, ZOOM - 2)
-_CELL_PX = 1152  # pictures of a map lie so far apart: the largest and a gap without data
+_CELL_PX = 1152  # images of a map lie so far apart: the largest and a gap without data
 _COLUMNS = 3
 _ATTEMPTS = 100
 
 
 def boards(folder: Path, split: Split, looks: int, only: str | None) -> Iterator[Board]:
-    """Maps of one picture of each source, until each source has so many looks with a prior.
+    """Maps of one image of each source, until each source has so many looks with a prior.
 
     Args:
         folder: of the data.
@@ -59,7 +59,7 @@ def boards(folder: Path, split: Split, looks: int, only: str | None) -> Iterator
     """
     ordered = shuffled_pairs(folder, split)
     strangers = strange_photos(folder, split, ordered)
-    for number in range(-(-looks // LOOKS_A_PICTURE)):
+    for number in range(-(-looks // LOOKS_A_IMAGE)):
         shown = [pairs[number % len(pairs)] for pairs in ordered.values()]
         yield _board(split, number, shown, strangers, only)
 
@@ -77,7 +77,7 @@ def shuffled_pairs(folder: Path, split: Split) -> dict[str, list[Pair]]:
 
 
 def strange_photos(folder: Path, split: Split, ordered: dict[str, list[Pair]]) -> list[Photo]:
-    """Pictures that may be looked for where they are not."""
+    """Images that may be looked for where they are not."""
     paired = [pair.frame for pairs in ordered.values() for pair in pairs]
     return list(dict.fromkeys(paired)) + other_photos(folder, split)
 
@@ -105,13 +105,13 @@ def _board(
 
 
 def map_source(pair: Pair, corner_px: tuple[int, int], mask: Mask) -> DrawnSource:
-    """The map's picture of a pair, its first pixel at a global one of `ZOOM`."""
-    picture, georeference = read_picture(pair.map_.path), level_georeference(ZOOM, *corner_px)
-    return array_source(picture, georeference, name=pair.map_.path.stem, mask=mask)
+    """The map's image of a pair, its first pixel at a global one of `ZOOM`."""
+    image, georeference = read_image(pair.map_.path), level_georeference(ZOOM, *corner_px)
+    return array_source(image, georeference, name=pair.map_.path.stem, mask=mask)
 
 
 def seen_ground(pair: Pair, map_gray: Gray, map_mask: Mask) -> tuple[SeenGround, float]:
-    """The other picture of a pair, its label corrected, and one sigma of that, pixels."""
+    """The other image of a pair, its label corrected, and one sigma of that, pixels."""
     frame, mask = read_gray(pair.frame)
     H_map_frame, label_px = corrected(frame, mask, map_gray, map_mask, pair.H_map_frame)
     return SeenGround(frame, mask, np.asarray(np.linalg.inv(H_map_frame)), map_mask), label_px
@@ -123,10 +123,10 @@ def pair_looks(
     ground: SeenGround,
     corner_px: tuple[int, int],
     label_px: float,
-    searches: int = SEARCHES_A_PICTURE,
+    searches: int = SEARCHES_A_IMAGE,
 ) -> Iterator[LookCase]:
     """Frames of a place that the map shows, with a rough prior, and some without place."""
-    for number in range(LOOKS_A_PICTURE):
+    for number in range(LOOKS_A_IMAGE):
         rng = generator(f"{group} {name}", number)
         cut = cut_frame(ground, rng)
         if cut is None:
@@ -152,7 +152,7 @@ def pair_looks(
 
 
 def pose_of(cut: Cut, corner_px: tuple[int, int]) -> TruePose:
-    """Where a frame was cut, of a map's picture at a global pixel of `ZOOM`."""
+    """Where a frame was cut, of a map's image at a global pixel of `ZOOM`."""
     lat_deg, lon_deg = place_of_pixel(corner_px, cut.nadir_uv)
     agl_m = cut.agl_px * ground_resolution_m_per_px(lat_deg, ZOOM)
     return TruePose(lat_deg, lon_deg, cut.rpy_rad[2], agl_m)
@@ -162,7 +162,7 @@ def _wrong_looks(
     name: str, photos: list[Photo], masks: list[tuple[tuple[int, int], np.ndarray]]
 ) -> Iterator[LookCase]:
     """Frames of other places, said to be at a random place of the map."""
-    for number in range(LOOKS_A_PICTURE * len(masks)):
+    for number in range(LOOKS_A_IMAGE * len(masks)):
         rng = generator(f"{ELSEWHERE} {name}", number)
         found = stranger(photos, rng)
         if found is None:
@@ -182,7 +182,7 @@ def wrong_looks(
     """A frame that the map does not show, with a rough prior and without place."""
     prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
     asked: list[tuple[LookKind, Prior]] = [("wrong", prior)]
-    asked += [("wrong_search", without_place(prior))] if seed % LOOKS_A_PICTURE == 0 else []
+    asked += [("wrong_search", without_place(prior))] if seed % LOOKS_A_IMAGE == 0 else []
     for kind, known in asked:
         yield LookCase(
             group=ELSEWHERE,
@@ -199,7 +199,7 @@ def wrong_looks(
 
 
 def stranger(photos: list[Photo], rng: np.random.Generator) -> tuple[Photo, Cut] | None:
-    """A frame of one of the pictures, of each place as likely as of another; None if none will."""
+    """A frame of one of the images, of each place as likely as of another; None if none will."""
     places = sorted({photo.place for photo in photos})
     for _ in range(_ATTEMPTS if places else 0):
         place = places[int(rng.integers(len(places)))]
@@ -212,10 +212,10 @@ def stranger(photos: list[Photo], rng: np.random.Generator) -> tuple[Photo, Cut]
 
 
 def cut_of(photo: Photo, rng: np.random.Generator) -> Cut | None:
-    """A frame of a picture alone; None where it is too small or holds too little ground."""
+    """A frame of an image alone; None where it is too small or holds too little ground."""
     gray, mask = read_gray(photo)
     if min(gray.shape) < LEAST_SIDE_PX:
         return None
-    # The camera hangs over the picture as if it were the map.
+    # The camera hangs over the image as if it were the map.
     identity: Array = np.eye(3)
     return cut_frame(SeenGround(gray, mask, identity, mask), rng)

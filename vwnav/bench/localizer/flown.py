@@ -9,9 +9,9 @@ import numpy as np
 
 from vwnav.bench.features.flight_scenes import ISLAMABAD_LOGO_WH, Shot, islamabad_shots
 from vwnav.bench.features.scenes import generator
-from vwnav.bench.localizer.boards import ELSEWHERE, LOOKS_A_PICTURE, stranger, wrong_looks
+from vwnav.bench.localizer.boards import ELSEWHERE, LOOKS_A_IMAGE, stranger, wrong_looks
+from vwnav.bench.localizer.images import Photo, other_photos
 from vwnav.bench.localizer.looks import Board, LookCase, TruePose, rough_prior, without_place
-from vwnav.bench.localizer.pictures import Photo, other_photos
 from vwnav.geometry.camera import Camera
 from vwnav.types import Gray
 
@@ -40,7 +40,7 @@ def flown_boards(folder: Path, looks: int, only: str | None) -> Iterator[Board]:
 
 
 def _flight_looks(shot: Shot, number: int) -> Iterator[LookCase]:
-    """The point that is asked for is the picture's centre: nothing is known of the tilt."""
+    """The point that is asked for is the image's centre: nothing is known of the tilt."""
     pose, rng = _pose(shot), generator(ISLAMABAD, number)
     gray = _without_logo(shot)
     h, w = gray.shape
@@ -48,7 +48,7 @@ def _flight_looks(shot: Shot, number: int) -> Iterator[LookCase]:
     K = np.array([[f_px, 0.0, (w - 1) / 2.0], [0.0, f_px, (h - 1) / 2.0], [0.0, 0.0, 1.0]])
     camera = Camera(width_px=w, height_px=h, K=K)
     prior = rough_prior(pose, None, PRIOR_M, rng)
-    for search in (False, True) if number % LOOKS_A_PICTURE == 0 else (False,):
+    for search in (False, True) if number % LOOKS_A_IMAGE == 0 else (False,):
         yield LookCase(
             group=ISLAMABAD,
             name=f"{shot.name}.{number}",

@@ -1,4 +1,4 @@
-"""The truth of a registered pair, checked without features: blocks of both pictures correlate.
+"""The truth of a registered pair, checked without features: blocks of both images correlate.
 
 Labels made from a few marked points are off by pixels, and what stands on the ground leans. Blocks
 of edges say by how much, here and there: an affinity through them corrects the label, and their
@@ -22,7 +22,7 @@ _LEAST_BLOCKS, _LEAST_SHARE = 8, 0.5
 
 
 def corrected(a: Gray, mask_a: Mask, b: Gray, mask_b: Mask, H_b_a: Array) -> tuple[Array, float]:
-    """The homography b from a as the pictures correlate, and one sigma per axis, pixels of b."""
+    """The homography b from a as the images correlate, and one sigma per axis, pixels of b."""
     h, w = b.shape
     warped, seen = look_at(a, mask_a, np.asarray(np.linalg.inv(H_b_a)), (w, h))
     labelled, found = _blocks(_edges(warped), _edges(b), seen & mask_b)

@@ -29,7 +29,7 @@ LookKind = Literal["prior", "search", "wrong", "wrong_search"]
 LOOK_KINDS: tuple[LookKind, ...] = ("prior", "search", "wrong", "wrong_search")
 
 CAMERA = Camera.from_hfov(640, 480, 70.0)
-# Pictures without a place of their own are put here, pixel on pixel of this level: 0.2 m each.
+# Images without a place of their own are put here, pixel on pixel of this level: 0.2 m each.
 ZOOM = 19
 ORIGIN_LAT_DEG, ORIGIN_LON_DEG = 47.0, 8.0
 
@@ -38,7 +38,7 @@ PRIOR_PX = 60.0
 PRIOR_YAW_RAD = math.radians(5.0)
 PRIOR_AGL_RATIO = 0.07
 TILT_RAD = math.radians(3.0)  # one sigma of roll and of pitch; they are told as they are
-_FOOTPRINT = (0.5, 0.75)  # width of the ground that a frame shows, over the picture's shorter side
+_FOOTPRINT = (0.5, 0.75)  # width of the ground that a frame shows, over the image's shorter side
 _FOOTPRINT_PX = (150.0, 640.0)
 _SEEN, _SHARED = 0.99, 0.8  # of a frame that must show ground, and ground of the map
 _ATTEMPTS = 60
@@ -82,7 +82,7 @@ class LookCase:
     label_m: float
 
     def frame(self) -> Frame:
-        """The picture as the camera hands it on."""
+        """The image as the camera hands it on."""
         return Frame(0.0, self.image, 0)
 
 
@@ -103,7 +103,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """A frame cut from a picture.
+    """A frame cut from an image.
 
     Attributes:
         image: (h, w) gray, of `CAMERA`.
@@ -120,13 +120,13 @@ class Cut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenGround:
-    """A picture that frames are cut from, and where its pixels lie on that of the map.
+    """An image that frames are cut from, and where its pixels lie on that of the map.
 
     Attributes:
         gray: (h, w) what the camera sees.
         mask: (h, w) where it has data.
-        H_gray_map: (3, 3) from pixels of the map's picture.
-        map_mask: (h, w) of the map's picture, where it has data.
+        H_gray_map: (3, 3) from pixels of the map's image.
+        map_mask: (h, w) of the map's image, where it has data.
     """
 
     gray: Gray
@@ -136,7 +136,7 @@ class SeenGround:
 
 
 def cut_frame(ground: SeenGround, rng: np.random.Generator) -> Cut | None:
-    """Hang a camera somewhere over a ground; None where its pictures share too little."""
+    """Hang a camera somewhere over a ground; None where its images share too little."""
     h, w = ground.map_mask.shape
     for _ in range(_ATTEMPTS):
         width_px = float(np.clip(rng.uniform(*_FOOTPRINT) * min(w, h), *_FOOTPRINT_PX))
@@ -184,13 +184,13 @@ def _map_from_frame(nadir_uv: Array, rpy_rad: tuple[float, float, float], agl_px
 
 
 def map_pixel(offset_px: tuple[int, int]) -> tuple[int, int]:
-    """Global pixel of `ZOOM` that a picture at an offset from the origin begins at."""
+    """Global pixel of `ZOOM` that an image at an offset from the origin begins at."""
     x, y = mercator_px(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ZOOM)
     return int(x) + offset_px[0], int(y) + offset_px[1]
 
 
 def place_of_pixel(corner_px: tuple[int, int], uv: Array) -> tuple[float, float]:
-    """Latitude and longitude of a pixel, centre convention, of a picture placed at `ZOOM`."""
+    """Latitude and longitude of a pixel, centre convention, of an image placed at `ZOOM`."""
     x, y = np.array(corner_px) + uv + 0.5
     return lat_lon_from_mercator_px(float(x), float(y), ZOOM)
 

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.bench.features.scenes import generator
-from vwnav.bench.localizer.boards import LEVELS, LOOKS_A_PICTURE, pair_looks
+from vwnav.bench.localizer.boards import LEVELS, LOOKS_A_IMAGE, pair_looks
 from vwnav.bench.localizer.looks import ZOOM, Board, SeenGround, map_pixel
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.types import Gray
 
 SIDE_PX = 1000
 DRAWN_PX = 0.1  # error of the truth: none but that of drawing
-_CANVAS_PX = 1480  # turned by any angle it fills the picture
+_CANVAS_PX = 1480  # turned by any angle it fills the image
 TEXTURE = (3.0, 6.0)  # gray values: what both days have, and what one day has
 
 Canvas = NDArray[np.float32]
@@ -27,11 +27,11 @@ def repeating_boards(looks: int, only: str | None) -> Iterator[Board]:
     for kind, draw in KINDS.items():
         if only not in (None, kind):
             continue
-        for number in range(-(-looks // LOOKS_A_PICTURE)):
+        for number in range(-(-looks // LOOKS_A_IMAGE)):
             corner_px = map_pixel((0, 0))
             source, ground = drawn(kind, draw, number, corner_px, TEXTURE)
             found = pair_looks(
-                kind, f"{kind} {number}", ground, corner_px, DRAWN_PX, searches=LOOKS_A_PICTURE
+                kind, f"{kind} {number}", ground, corner_px, DRAWN_PX, searches=LOOKS_A_IMAGE
             )
             yield Board([source], LEVELS, list(found))
 
@@ -41,9 +41,9 @@ def drawn(
 ) -> tuple[DrawnSource, SeenGround]:
     """A map of a drawing, its first pixel at a global one of `ZOOM`, and how another day looks."""
     map_, today = (_day(kind, draw, number, day, texture) for day in (0, 1))
-    picture = np.asarray(cv2.cvtColor(map_, cv2.COLOR_GRAY2BGR), np.uint8)
+    image = np.asarray(cv2.cvtColor(map_, cv2.COLOR_GRAY2BGR), np.uint8)
     name, everywhere = f"{kind} {number}", np.ones(map_.shape, np.bool_)
-    source = array_source(picture, level_georeference(ZOOM, *corner_px), name=name)
+    source = array_source(image, level_georeference(ZOOM, *corner_px), name=name)
     return source, SeenGround(today, everywhere, np.eye(3), everywhere)
 
 

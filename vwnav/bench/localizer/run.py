@@ -73,7 +73,7 @@ def bench_localizer(
         progress: told how far it is.
 
     Raises:
-        VwnavError: of a model or a picture, or there is nothing to look at.
+        VwnavError: of a model or an image, or there is nothing to look at.
     """
     cv2.setNumThreads(1)
     extractors = {name: extractor_of(name) for name in features}

@@ -200,7 +200,7 @@ class ShortFlightOutcome:
 
     Attributes:
         kind: of its looks.
-        alone, joined: number of the first picture with a right fix, from 1; None without one.
+        alone, joined: number of the first image with a right fix, from 1; None without one.
         alone_false, joined_false: fixes that mislead, see `Outcome.false`.
     """
 
@@ -219,7 +219,7 @@ class SequenceTally:
 
     Attributes:
         alone, joined: how many of them had a right fix.
-        alone_first, joined_first: number of the picture that gave the first one, mean of those.
+        alone_first, joined_first: number of the image that gave the first one, mean of those.
         alone_false, joined_false: fixes that mislead.
     """
 

@@ -1,4 +1,4 @@
-"""What came of short flights, each picture by itself and joined through odometry."""
+"""What came of short flights, each image by itself and joined through odometry."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
@@ -47,7 +47,7 @@ def bench_sequences(
 def looked_at(
     board: Board, flown: list[ShortFlight], extractor: FeatureExtractor
 ) -> Iterator[tuple[ShortFlight, list[MapFix | Rejected]]]:
-    """What the localizer says of each picture alone."""
+    """What the localizer says of each image alone."""
     with tempfile.TemporaryDirectory() as folder, open_board(board, extractor, folder) as pack:
         localizer = Localizer(pack, extractor, CAMERA, LocalizerConfig(sigma_tilt_rad=0.0))
         for flight in flown:
@@ -56,7 +56,7 @@ def looked_at(
 
 
 def outcome_of(flight: ShortFlight, said: list[MapFix | Rejected]) -> ShortFlightOutcome:
-    """Join what was said of the pictures, and hold both against the truth."""
+    """Join what was said of the images, and hold both against the truth."""
     together = joined(flight, said)
     judged = [
         [judge(look, each, 0.0) for look, each in zip(flight.looks, outcomes, strict=True)]

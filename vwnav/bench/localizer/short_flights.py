@@ -1,4 +1,4 @@
-"""Short flights low over sparse ground: found by one picture alone, or by several joined.
+"""Short flights low over sparse ground: found by one image alone, or by several joined.
 
 Frames are cut along a straight line from one date of a registered pair, or from one day of a
 drawing; the map shows the other. So low each shows little, and many are too weak alone. As many
@@ -22,6 +22,7 @@ from vwnav.bench.localizer.boards import (
     shuffled_pairs,
     strange_photos,
 )
+from vwnav.bench.localizer.images import LEAST_SIDE_PX, Pair, Photo, apart, read_gray
 from vwnav.bench.localizer.looks import (
     CAMERA,
     TILT_RAD,
@@ -36,7 +37,6 @@ from vwnav.bench.localizer.looks import (
     rough_prior,
     without_place,
 )
-from vwnav.bench.localizer.pictures import LEAST_SIDE_PX, Pair, Photo, apart, read_gray
 from vwnav.bench.localizer.repeating import DRAWN_PX, KINDS, TEXTURE, drawn, sand
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.types import (
@@ -46,7 +46,7 @@ from vwnav.types import (
 )
 
 SEQUENCES = "sequences"
-PICTURES = 10
+IMAGES = 10
 SEARCHED_EVERY = 4  # flights: a search takes as long as ten looks with a prior
 OUTAGE_M = 40.0  # one sigma of the place
 SHOWN = 3  # pairs on a map
@@ -62,10 +62,10 @@ _ATTEMPTS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShortFlight:
-    """Pictures of one flight.
+    """Images of one flight.
 
     Attributes:
-        looks: one picture each; their truth is None where the map does not show the place.
+        looks: one image each; their truth is None where the map does not show the place.
         motions: (n,) between them, the first of nothing.
         yaws_rad: (n,) headings as odometry counts them.
     """
@@ -79,10 +79,10 @@ FlownBoard = tuple[Board, list[ShortFlight]]
 
 
 def flight_boards(folder: Path, flights: int) -> Iterator[FlownBoard]:
-    """Maps of a few pairs of the training pictures, and flights over them and over other places.
+    """Maps of a few pairs of the training images, and flights over them and over other places.
 
     Raises:
-        VwnavError: of a picture.
+        VwnavError: of an image.
     """
     ordered = shuffled_pairs(folder, "train")
     strangers, sources = strange_photos(folder, "train", ordered), list(ordered)
@@ -180,18 +180,18 @@ def _cuts(ground: SeenGround, rng: np.random.Generator) -> list[Cut] | None:
         yaw_rad = float(rng.uniform(-math.pi, math.pi))
         step_uv = STEP * width_px * np.array([math.sin(yaw_rad), -math.cos(yaw_rad)])
         first_uv = rng.uniform((0.0, 0.0), (w, h))
-        ends_uv = first_uv + (PICTURES - 1) * step_uv
+        ends_uv = first_uv + (IMAGES - 1) * step_uv
         if not (0.0 <= ends_uv[0] < w and 0.0 <= ends_uv[1] < h):
             continue
-        tilts = rng.normal(0.0, TILT_RAD, (PICTURES, 2))
-        places = [first_uv + i * step_uv for i in range(PICTURES)]
+        tilts = rng.normal(0.0, TILT_RAD, (IMAGES, 2))
+        places = [first_uv + i * step_uv for i in range(IMAGES)]
         cuts = []
         for place, (roll_rad, pitch_rad) in zip(places, tilts.tolist(), strict=True):
             cut = cut_at(ground, place, (roll_rad, pitch_rad, yaw_rad), agl_px)
             if cut is None:
                 break
             cuts.append(cut)
-        if len(cuts) == PICTURES:
+        if len(cuts) == IMAGES:
             return cuts
     return None
 
@@ -199,7 +199,7 @@ def _cuts(ground: SeenGround, rng: np.random.Generator) -> list[Cut] | None:
 def _look(
     cut: Cut, name: tuple[str, str, int], corner_px: tuple[int, int], label_px: float
 ) -> LookCase:
-    """A picture of a flight; `name` is its group, the flight's name and its number.
+    """An image of a flight; `name` is its group, the flight's name and its number.
 
     The prior is wrong by the same in all of them.
     """
@@ -221,7 +221,7 @@ def _look(
 
 
 def _motion(number: int, cuts: list[Cut], off_rad: float, stretched: float) -> OdometryMotion:
-    """The way to a picture as odometry tells it: turned, and a little too long or short."""
+    """The way to an image as odometry tells it: turned, and a little too long or short."""
     (du, dv), agl_px = cuts[number].nadir_uv - cuts[number - 1].nadir_uv, cuts[number].agl_px
     c, s = math.cos(off_rad), math.sin(off_rad)
     way_px = stretched * np.array([c * -dv - s * du, s * -dv + c * du, 0.0])

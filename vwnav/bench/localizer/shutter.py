@@ -1,6 +1,6 @@
 """What a rolling shutter costs, and what is left of it: the same moments seen by three cameras.
 
-A global shutter, a rolling one that nobody told of, and the same pictures with the rows put back.
+A global shutter, a rolling one that nobody told of, and the same images with the rows put back.
 The aircraft flies with 12 m/s and turns with 60 degrees a second about some axis; gyro, velocity
 and height are told with the errors of a flight, the attitude of the middle row is exact.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler, rotation_from_vector
-from vwnav.maps.picture import MapReader
+from vwnav.maps.image import MapReader
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.site import Site
@@ -37,7 +37,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterMoment:
-    """How the aircraft flies while two pictures are taken.
+    """How the aircraft flies while two images are taken.
 
     Attributes:
         position_ned_m, velocity_ned_m_s: (3,). R_ned_body: (3, 3). rates_rad_s: (3,).
@@ -130,7 +130,7 @@ def _moments(frame: LocalFrame, count: int, seed: int) -> Iterator[ShutterMoment
 def _drawn(
     site: Site, camera: Camera, moments: list[ShutterMoment], readout_s: float, seed: int
 ) -> Iterator[tuple[Frame, Frame]]:
-    """Two pictures of each moment, 0.1 s apart, with what is told of the motion."""
+    """Two images of each moment, 0.1 s apart, with what is told of the motion."""
     config = RenderConfig(color=False, background=False, readout_s=readout_s, vibration_rad=0.0)
     rng = np.random.default_rng([seed, 62])
     renderer = CameraRenderer(site, camera, config, rng, default_cache_dir())

@@ -1,7 +1,7 @@
-"""What unrelated pictures agree on: how little chance the best wrong agreement of a model shows.
+"""What unrelated images agree on: how little chance the best wrong agreement of a model shows.
 
 `vwnav/vision/significance.py` takes matches for independent, which they are not; by how much it
-overrates them differs from model to model, so it is measured on pictures of different places.
+overrates them differs from model to model, so it is measured on images of different places.
 """
 
 import math
@@ -16,6 +16,14 @@ import numpy as np
 
 from vwnav.bench.features.scenes import generator
 from vwnav.bench.localizer.boards import cut_of
+from vwnav.bench.localizer.images import (
+    LEAST_SIDE_PX,
+    Photo,
+    apart,
+    other_photos,
+    read_gray,
+    registered_pairs,
+)
 from vwnav.bench.localizer.looks import (
     CAMERA,
     ORIGIN_LAT_DEG,
@@ -27,15 +35,7 @@ from vwnav.bench.localizer.looks import (
     open_board,
     rough_prior,
 )
-from vwnav.bench.localizer.pictures import (
-    LEAST_SIDE_PX,
-    Photo,
-    apart,
-    other_photos,
-    read_gray,
-    registered_pairs,
-)
-from vwnav.cameras.image_folder import read_picture
+from vwnav.cameras.image_folder import read_image
 from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import array_source, level_georeference
@@ -49,7 +49,7 @@ from vwnav.vision.query import QueryMaker, View
 from vwnav.vision.registration import MIN_KEYPOINTS, MIN_MATCHES
 from vwnav.vision.significance import log10_nfa
 
-PICTURES = 90  # views, and as many pieces of map: each view is held against many of them
+IMAGES = 90  # views, and as many pieces of map: each view is held against many of them
 UNSURE = 0.6
 _GUESSED_AGL_M = (20.0, 600.0)
 
@@ -77,7 +77,7 @@ class Calibration:
 def calibrate(
     folder: Path, extractor: FeatureExtractor, looks: int, progress: Progress
 ) -> Calibration:
-    """Hold views of training pictures against pieces of map that show other places.
+    """Hold views of training images against pieces of map that show other places.
 
     Raises:
         ConfigError: the training data show one place only.
@@ -129,7 +129,7 @@ def per_decade(log10_1: float, log10_01: float) -> float:
 
 
 def _photos(folder: Path, name: str) -> list[Photo]:
-    """Pictures to take, one place after the other."""
+    """Images to take, one place after the other."""
     pairs = registered_pairs(folder, "train")
     photos = [photo for pair in pairs for photo in (pair.frame, pair.map_)]
     photos = [*dict.fromkeys(photos), *other_photos(folder, "train")]
@@ -158,21 +158,21 @@ def _views(folder: Path, extractor: FeatureExtractor) -> list[tuple[str, View]]:
         made = maker.rectify(query, yaw_rad, cut.agl_px * m_per_px, m_per_px)
         if made is not None:
             found.append((photo.place, maker.view(query, yaw_rad, made, keypoints)))
-        if len(found) == PICTURES:
+        if len(found) == IMAGES:
             break
     return found
 
 
 def _pieces(folder: Path, extractor: FeatureExtractor) -> list[tuple[str, Features]]:
-    """Features of whole pictures, as a map pack holds them."""
+    """Features of whole images, as a map pack holds them."""
     found: list[tuple[str, Features]] = []
     for photo in _photos(folder, "pieces"):
-        picture, (gray, mask) = read_picture(photo.path), read_gray(photo)
+        image, (gray, mask) = read_image(photo.path), read_gray(photo)
         if min(gray.shape) < LEAST_SIDE_PX:
             continue
         x0, y0 = map_pixel((0, 0))
         source = array_source(
-            picture, level_georeference(ZOOM, x0, y0), name=photo.path.stem, mask=mask
+            image, level_georeference(ZOOM, x0, y0), name=photo.path.stem, mask=mask
         )
         h, w = gray.shape
         board = Board([source], (ZOOM,), [])
@@ -182,7 +182,7 @@ def _pieces(folder: Path, extractor: FeatureExtractor) -> list[tuple[str, Featur
         ):
             piece = pack.features_in(ZOOM, x0, y0, x0 + w, y0 + h, extractor)
         found.append((photo.place, piece.features))
-        if len(found) == PICTURES:
+        if len(found) == IMAGES:
             break
     return found
 

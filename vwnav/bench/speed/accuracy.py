@@ -17,7 +17,7 @@ class Accuracy:
     """Of one feature set at one resolution with so many keypoints.
 
     Attributes:
-        within_3_m: share of the pictures that are placed so.
+        within_3_m: share of the images that are placed so.
         inliers: mean number of pairs that agree about the place.
     """
 
@@ -26,7 +26,7 @@ class Accuracy:
 
     @property
     def merit(self) -> tuple[int, float]:
-        """More is better: places first; a picture or two of 60 are no difference, inliers are."""
+        """More is better: places first; an image or two of 60 are no difference, inliers are."""
         return round(self.within_3_m / _SAME), self.inliers
 
 

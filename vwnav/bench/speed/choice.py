@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 
 from vwnav.bench.speed.accuracy import Accuracy
 from vwnav.bench.speed.results import Latency, RealTimeRun, TimedSetting
-from vwnav.bench.speed.settings import CAMERA_HZ, Setting, pictures_apart
+from vwnav.bench.speed.settings import CAMERA_HZ, Setting, images_apart
 from vwnav.vision.features.load import load_features
 
-_HELD = 0.95  # of the rate: the last picture's fix comes after the end
+_HELD = 0.95  # of the rate: the last image's fix comes after the end
 _CLEARLY_FASTER = 0.75  # what is not, will not hold it where another did not
 _UNKNOWN = Accuracy(0.0, 0.0)
 
@@ -20,7 +20,7 @@ def try_in_real_time(
 
     Args:
         rows: all that were timed.
-        target_hz: pictures to be matched to the map a second.
+        target_hz: images to be matched to the map a second.
         try_it: what a setting does in real time.
     """
     tried: list[RealTimeRun] = []
@@ -45,7 +45,7 @@ def chosen_of(tried: list[RealTimeRun], target_hz: float) -> RealTimeRun | None:
 
 def ranking(rows: list[TimedSetting], target_hz: float) -> list[TimedSetting]:
     """Those that are fast enough, the most accurate first; of equals what takes least."""
-    within_ms = 1e3 * pictures_apart(target_hz) / CAMERA_HZ
+    within_ms = 1e3 * images_apart(target_hz) / CAMERA_HZ
     fast = [row for row in rows if row.time.p99_ms <= within_ms]
     return sorted(fast, key=_merit, reverse=True)
 

@@ -75,7 +75,7 @@ def _place(
     each: FeatureSet, scene: Scene, reference: Features, keypoints: int
 ) -> tuple[float, int]:
     """How far off the place is, metres, and how many pairs say so."""
-    found = masked_features(each, scene.picture, scene.mask, keypoints)
+    found = masked_features(each, scene.image, scene.mask, keypoints)
     there = inside_window(reference, scene.window)
     index = each.methods[0].match(found, there)
     uv0, uv1 = found.uv[index[:, 0]], there.uv[index[:, 1]]

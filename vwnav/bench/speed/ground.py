@@ -1,4 +1,4 @@
-"""What is looked at: a generated place on two days, its maps, and pictures taken over it."""
+"""What is looked at: a generated place on two days, its maps, and images taken over it."""
 
 import math
 from contextlib import ExitStack
@@ -13,8 +13,8 @@ from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.pack import MapPack
 from vwnav.sim.lens import RenderConfig
+from vwnav.sim.named_sites import MAP_M_PER_PX, parse_site
 from vwnav.sim.renderer import CameraRenderer, default_camera
-from vwnav.sim.sites import MAP_M_PER_PX, parse_site
 from vwnav.types import FeatureExtractor, Frame, Gray, Prior
 
 SITE = "sim:default"
@@ -27,14 +27,14 @@ _SEED = 0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """A picture that is to be located, and what is known of it."""
+    """An image that is to be located, and what is known of it."""
 
     frame: Frame
     prior: Prior
 
 
 class TrialGround:
-    """The place. Pictures are drawn, and packs made, when they are first asked for."""
+    """The place. Images are drawn, and packs made, when they are first asked for."""
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         """Draw the map.
@@ -68,19 +68,19 @@ class TrialGround:
         return self._packs[name]
 
     def agl_m(self, m_per_px: float, size_wh: tuple[int, int]) -> float:
-        """From so high a picture shows so much of a map."""
-        picture_px = self.camera.width_px * self.camera.height_px
-        ratio = math.sqrt(size_wh[0] * size_wh[1] / picture_px)
+        """From so high an image shows so much of a map."""
+        image_px = self.camera.width_px * self.camera.height_px
+        ratio = math.sqrt(size_wh[0] * size_wh[1] / image_px)
         return float(self.camera.K[0, 0]) * m_per_px * ratio
 
     def sights(self, agl_m: float) -> list[Sight]:
-        """Pictures with headings all around, level, with priors that are a little off."""
+        """Images with headings all around, level, with priors that are a little off."""
         sights = []
         for index in range(HEADINGS):
             yaw_rad = 2.0 * math.pi * index / HEADINGS
             off_m = OFF_M * np.array([math.cos(3.0 * yaw_rad), math.sin(3.0 * yaw_rad), 0.0])
             at_ned_m = np.array([2.0 * index - HEADINGS, 0.0, -agl_m])
-            frame = Frame(float(index), self._picture(at_ned_m, yaw_rad), index)
+            frame = Frame(float(index), self._image(at_ned_m, yaw_rad), index)
             lat_deg, lon_deg, _ = self.local_frame.to_geodetic(at_ned_m + off_m)
             prior = Prior(
                 lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=PRIOR_SIGMA_M,
@@ -91,12 +91,12 @@ class TrialGround:
         return sights
 
     def circle(self, agl_m: float, camera_hz: float) -> list[Gray]:
-        """Pictures of one round of a small circle about home, heading north."""
+        """Images of one round of a small circle about home, heading north."""
         count = round(CIRCLE_S * camera_hz)
         angles = 2.0 * np.pi * np.arange(count) / count
         way_m = CIRCLE_M * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return [self._picture(np.array([*ne_m, -agl_m]), 0.0) for ne_m in way_m]
+        return [self._image(np.array([*ne_m, -agl_m]), 0.0) for ne_m in way_m]
 
-    def _picture(self, at_ned_m: np.ndarray, yaw_rad: float) -> Gray:
+    def _image(self, at_ned_m: np.ndarray, yaw_rad: float) -> Gray:
         R_ned_body, still = rotation_from_euler(0.0, 0.0, yaw_rad), np.zeros(3)
         return self._renderer.render(at_ned_m, R_ned_body, 0.0, still, still)

@@ -54,11 +54,11 @@ class _LinkLoop:
 def measure_latency(
     setting: Setting, ground: TrialGround, target_hz: float, seconds: float
 ) -> Latency:
-    """Fly a small circle in real time; the pictures were drawn before."""
+    """Fly a small circle in real time; the images were drawn before."""
     extractor = setting.load()
     pack = ground.pack(extractor)
     agl_m = ground.agl_m(pack.levels[0].m_per_px, setting.size_wh)
-    pictures = ground.circle(agl_m, CAMERA_HZ)
+    images = ground.circle(agl_m, CAMERA_HZ)
     config = Config(**setting.as_config(target_hz))  # type: ignore[arg-type]
     clock, over = WallClock(), threading.Event()
     with ThreadPoolExecutor(1, "map matching") as pool:
@@ -71,7 +71,7 @@ def measure_latency(
         start_s, cpu_s = time.monotonic(), time.process_time()
         thread.start()
         try:
-            _look(assembled.pipeline, pictures, clock, seconds)
+            _look(assembled.pipeline, images, clock, seconds)
         finally:
             over.set()
             thread.join()
@@ -101,15 +101,15 @@ def _in_the_air(t_s: float, agl_m: float) -> Start:
     )
 
 
-def _look(pipeline: Pipeline, pictures: list[Gray], clock: Clock, seconds: float) -> None:
-    """The camera's loop: each picture at its time; what comes while one is in work is missed."""
+def _look(pipeline: Pipeline, images: list[Gray], clock: Clock, seconds: float) -> None:
+    """The camera's loop: each image at its time; what comes while one is in work is missed."""
     start_s, number = clock(), 0
     while number / CAMERA_HZ < seconds:
         t_s = start_s + number / CAMERA_HZ
         clock.wait_until(t_s)
         while not pipeline.covers(t_s) and clock() < t_s + 0.1:
             clock.wait_until(clock() + _POLL_S)
-        pipeline.step(Frame(t_s, pictures[number % len(pictures)], number))
+        pipeline.step(Frame(t_s, images[number % len(images)], number))
         number = max(number + 1, math.ceil((clock() - start_s) * CAMERA_HZ))
 
 

@@ -48,7 +48,7 @@ def projections(choices: list[FeaturesConfig]) -> Iterator[Projection]:
 
 
 def _padded(size_wh: tuple[int, int]) -> tuple[int, int]:
-    """As `LearnedFeatures` continues a picture, for the graph halves it five times."""
+    """As `LearnedFeatures` continues an image, for the graph halves it five times."""
     w, h = (side + -side % SIZE_MULTIPLE_PX for side in size_wh)
     return w, h
 

@@ -19,7 +19,7 @@ from vwnav.bench.speed.results import SpeedReport, TimedSetting
 from vwnav.errors import ConfigError
 from vwnav.recording.disk.thread import replace_for_good
 
-# Chapter 7 of the thesis: its whole navigation on a Raspberry Pi 4, pictures a second.
+# Chapter 7 of the thesis: its whole navigation on a Raspberry Pi 4, images a second.
 THESIS_HZ = {"sift": "17", "orb": "17", "XFeat": "below 1"}
 
 

@@ -14,8 +14,8 @@ class Wanted:
     Attributes:
         features: names or model files; all where empty.
         threads: of an extraction, at most; all but one core where None.
-        target_hz: pictures to be matched to the map a second.
-        repeats: pictures of each setting.
+        target_hz: images to be matched to the map a second.
+        repeats: images of each setting.
         seconds: in real time, of what is chosen.
     """
 
@@ -28,13 +28,13 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepTime:
-    """Milliseconds of one picture: by the clock, but for `cpu_ms`.
+    """Milliseconds of one image: by the clock, but for `cpu_ms`.
 
     Attributes:
-        p50_ms, p99_ms: of all of it; of few pictures the latter is the slowest one.
+        p50_ms, p99_ms: of all of it; of few images the latter is the slowest one.
         cpu_ms: processor time of all threads, mean.
         rectify_ms, extract_ms, match_ms, verify_ms: medians; the map is read in `match_ms`.
-        placed: share of the pictures that gave a fix.
+        placed: share of the images that gave a fix.
     """
 
     p50_ms: float
@@ -68,9 +68,9 @@ class Latency:
 
     Attributes:
         seconds: how long it was looked at.
-        rate_hz: pictures matched to the map a second.
+        rate_hz: images matched to the map a second.
         fixes: how many of them gave one.
-        p50_ms, p99_ms: from the exposure of a picture to the first estimate with its fix in it,
+        p50_ms, p99_ms: from the exposure of an image to the first estimate with its fix in it,
             as the link sends it; the camera's own delay comes on top. None without a fix.
         link_gap_ms: longest time between two estimates, of which 50 a second are wanted.
         cores: that all of it kept busy.
@@ -98,7 +98,7 @@ class Projection:
     """The network alone, without the step around it.
 
     Attributes:
-        gmac: thousand millions of multiply-accumulates on a picture.
+        gmac: thousand millions of multiply-accumulates on an image.
         ms: by name of the board.
     """
 

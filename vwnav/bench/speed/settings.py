@@ -13,7 +13,7 @@ from vwnav.vision.config import FeaturesConfig, LocalizerConfig
 from vwnav.vision.features.learned import released_model
 from vwnav.vision.features.load import load_features
 
-# Of the ground that a picture shows, on the map: `max_view_area_px` chooses the level.
+# Of the ground that an image shows, on the map: `max_view_area_px` chooses the level.
 SIZES_WH = ((640, 480), (416, 320), (320, 240))
 KEYPOINTS = (1000, 500)
 MOST_THREADS = 3
@@ -23,11 +23,11 @@ _LEAVES_ROOM = 1.02  # a height that is a little more than thought still gives t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """One way to look at pictures.
+    """One way to look at images.
 
     Attributes:
         features: feature set, model, threads.
-        size_wh: width and height on the map of the ground that a picture shows, pixels.
+        size_wh: width and height on the map of the ground that an image shows, pixels.
         keypoints: of a view, at most.
     """
 
@@ -70,7 +70,7 @@ class Setting:
     def as_config(self, target_hz: float) -> dict[str, dict[str, Any]]:
         """The tables of a settings file that flies so.
 
-        A picture is matched when the interval is over: with half a picture less of it the camera's
+        An image is matched when the interval is over: with half an image less of it the camera's
         jitter does not make it wait for the next one.
         """
         features, localizer = self.features, self.localizer
@@ -81,12 +81,12 @@ class Setting:
                 "max_keypoints": localizer.max_keypoints,
                 "max_view_area_px": localizer.max_view_area_px,
             },
-            "pipeline": {"fix_interval_s": round((pictures_apart(target_hz) - 0.5) / CAMERA_HZ, 4)},
+            "pipeline": {"fix_interval_s": round((images_apart(target_hz) - 0.5) / CAMERA_HZ, 4)},
         }
 
 
-def pictures_apart(target_hz: float) -> int:
-    """Of the camera's pictures each how manyth is matched to the map, not to fall behind."""
+def images_apart(target_hz: float) -> int:
+    """Of the camera's images each how manyth is matched to the map, not to fall behind."""
     return max(1, math.floor(CAMERA_HZ / target_hz))
 
 

@@ -1,4 +1,4 @@
-"""The whole localisation of one picture, timed, setting by setting."""
+"""The whole localisation of one image, timed, setting by setting."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ Say = Callable[[str], None]
 def time_settings(
     wanted: list[Setting], ground: TrialGround, repeats: int, say: Say
 ) -> Iterator[TimedSetting]:
-    """Time each setting over `repeats` pictures. `say` is told which are next."""
+    """Time each setting over `repeats` images. `say` is told which are next."""
     for _, group in groupby(wanted, lambda each: each.features):
         of_features = list(group)
         first = of_features[0]
@@ -37,7 +37,7 @@ def time_settings(
 def time_step(
     setting: Setting, extractor: FeatureExtractor, ground: TrialGround, repeats: int
 ) -> StepTime:
-    """Locate pictures one after the other; the first time of each, which allocates, not counted."""
+    """Locate images one after the other; the first time of each, which allocates, not counted."""
     pack = ground.pack(extractor)
     sights = ground.sights(ground.agl_m(pack.levels[0].m_per_px, setting.size_wh))
     localizer = Localizer(pack, extractor, ground.camera, setting.localizer)

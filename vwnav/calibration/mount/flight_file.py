@@ -1,4 +1,4 @@
-"""What a recorded flight told: pictures, attitudes, ranges, and where it was now and then."""
+"""What a recorded flight told: images, attitudes, ranges, and where it was now and then."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ class ToldPlace:
 
 @dataclass(slots=True)
 class FlightFile:
-    """One flight, pictures left aside; times are those of the pictures' stamps."""
+    """One flight, images left aside; times are those of the images' stamps."""
 
     attitudes: list[Attitude] = field(default_factory=list)
     ranges: list[Range] = field(default_factory=list)
@@ -56,22 +56,22 @@ def read_flight(source: str, telemetry: Path | None) -> FlightFile:
     return flight
 
 
-def pictures_of(source: str) -> Iterator[Frame]:
-    """All pictures, one after the other.
+def images_of(source: str) -> Iterator[Frame]:
+    """All images, one after the other.
 
     Raises:
         SourceError: they cannot be read.
     """
-    pictures = open_source(source)
+    images = open_source(source)
     try:
-        while (frame := pictures.next_frame()) is not None:
+        while (frame := images.next_frame()) is not None:
             yield frame
     finally:
-        pictures.close()
+        images.close()
 
 
 def _of_telemetry(source: str, telemetry: Path) -> FlightFile:
-    first = next(pictures_of(source), None)
+    first = next(images_of(source), None)
     if first is None:
         raise SourceError(f"{source} holds no picture")
     flight = FlightFile()

@@ -1,11 +1,11 @@
 """The least squares of the mount: what is unknown, what was seen, and how the two are related.
 
-A point of the map at P is seen in row v of a picture that is stamped t at
+A point of the map at P is seen in row v of an image that is stamped t at
 
     X = R_body_camera^T R_ned_body(t + d + r rho)^T Exp(e)^T (P - p - r rho w),  rho = v / h - 1/2
 
 with the time offset d, the read-out r, the camera's place p and velocity w, and the error e of the
-autopilot's attitude, which wanders from picture to picture. Another focal length scales what is
+autopilot's attitude, which wanders from image to image. Another focal length scales what is
 seen after the distortion is removed: a lens whose focus moved bends the same pixels alike, and what
 its distortion was calibrated to must not pass for knowledge of its focal length.
 """
@@ -26,7 +26,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Array
 
-# The unknowns that all pictures share. The mount's rotation vector is about the camera's axes.
+# The unknowns that all images share. The mount's rotation vector is about the camera's axes.
 MOUNT, OFFSET, READOUT, FOCAL, HEIGHT = slice(0, 3), 3, 4, 5, 6
 SHARED: Final = 7
 # Weak knowledge, so that what a flight does not tell has a large sigma instead of none.
@@ -34,7 +34,7 @@ PRIOR_SIGMAS = np.array([1.0, 1.0, 1.0, 1.0, 0.1, 0.3, 0.1])  # rad, s, s, log, 
 SIGMA_TILT_RAD, TILT_S = np.radians(0.6), 20.0  # of the autopilot's level, wandering
 SIGMA_HEADING_RAD = np.radians(10.0)  # of its compass, for good
 HEADING_WALK_RAD = np.radians(0.08)  # of its compass, per root second
-SIGMA_JITTER_RAD = np.radians(0.07)  # of a picture's own: vibration
+SIGMA_JITTER_RAD = np.radians(0.07)  # of an image's own: vibration
 CAUCHY_SIGMAS, TUKEY_SIGMAS = 2.5, 4.685  # 95 % efficiency for normal errors
 SIGMA_HEIGHT_M, SIGMA_HEIGHT_RATIO = 0.1, 0.01
 
@@ -46,11 +46,11 @@ Known = tuple[tuple[NDArray[np.int64], Array], float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """Points of the map that one picture shows.
+    """Points of the map that one image shows.
 
     Attributes:
-        t_s: the picture's stamp.
-        uv: (n, 2) their pixels in the picture as it was taken.
+        t_s: the image's stamp.
+        uv: (n, 2) their pixels in the image as it was taken.
         ground_ned_m: (n, 3) where they are.
         independent: of them; neighbours err alike.
         place_ned_m: (3,) of the camera, roughly.
@@ -235,7 +235,7 @@ class MountProblem:
         return found
 
     def _wandering(self, at: Unknowns, axis: int) -> list[Known]:
-        """From picture to picture: tilt forgets itself, a heading walks; both jitter.
+        """From image to image: tilt forgets itself, a heading walks; both jitter.
 
         An error of the level may belong to the world or to the sensors, which turn with the
         aircraft: over a turn it may be carried along or not.
@@ -261,8 +261,8 @@ def cauchy(sigmas: Array) -> Array:
 def tukey(sigmas: Array) -> Array:
     """Weights near the answer: what is far off is a wrong match, and pulls no more.
 
-    Wrong matches lie within the picture, so more of them are too far in than too far out: with
-    Cauchy's weights they made pictures, and the focal length, 0.1 % too small.
+    Wrong matches lie within the image, so more of them are too far in than too far out: with
+    Cauchy's weights they made images, and the focal length, 0.1 % too small.
     """
     return np.asarray(np.clip(1.0 - (sigmas / TUKEY_SIGMAS) ** 2, 0.0, None) ** 2)
 
@@ -276,7 +276,7 @@ def _projection_derivative(X: Array) -> Array:
 
 
 def _velocities(t_s: Array, places_ned_m: Array) -> Array:
-    """(n, 3) between the neighbours of each picture."""
+    """(n, 3) between the neighbours of each image."""
     if len(t_s) < 3:
         return np.zeros_like(places_ned_m)
     return np.asarray(np.gradient(places_ned_m, t_s, axis=0))

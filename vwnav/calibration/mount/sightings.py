@@ -1,4 +1,4 @@
-"""Map points in the pictures of a flight: localized, then registered once more at that place."""
+"""Map points in the images of a flight: localized, then registered once more at that place."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -23,7 +23,7 @@ from vwnav.vision.registration import REFINED, Registration, register
 
 TILT_OPEN_RAD = np.radians(8.0)  # of a mount that nobody measured
 SIGMA_YAW_RAD = np.radians(12.0)
-SPEED_M_S = 15.0  # at most, between two pictures that were found
+SPEED_M_S = 15.0  # at most, between two images that were found
 NEAR_SIGMA_M = 8.0
 KEEP_LOG10_NFA = -4.0
 KEYPOINTS = 1000
@@ -33,7 +33,7 @@ WIDE_PX = 7.0
 
 
 class Spotter:
-    """Finds map points in one camera's pictures."""
+    """Finds map points in one camera's images."""
 
     def __init__(
         self,
@@ -50,9 +50,9 @@ class Spotter:
             pack: the map.
             extractor: of its features.
             camera: with the mount as far as it is known.
-            flight: what was told beside the pictures.
+            flight: what was told beside the images.
             history: its attitudes.
-            offset_s: what to add to the pictures' stamps.
+            offset_s: what to add to the images' stamps.
         """
         config = LocalizerConfig(sigma_tilt_rad=float(TILT_OPEN_RAD))
         self._config = config
@@ -66,25 +66,25 @@ class Spotter:
         self.frame = LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
         self._last: MapFix | None = None
 
-    def spot(self, picture: Frame) -> Sighting | None:
-        """The map points that a picture shows; None where it is not found."""
-        at_s = np.array([picture.t_s + self._offset_s])
+    def spot(self, image: Frame) -> Sighting | None:
+        """The map points that an image shows; None where it is not found."""
+        at_s = np.array([image.t_s + self._offset_s])
         turned = self._history.at(at_s)
         if not turned.known[0]:
             return None
         height_m = float(
             camera_heights_at(self._flight.ranges, self._history, at_s, self._arm_m)[0]
         )
-        prior = self._prior(picture.t_s, turned.R_ned_body[0], height_m)
-        fix = self._localizer.localize(picture, prior, picture.index)
+        prior = self._prior(image.t_s, turned.R_ned_body[0], height_m)
+        fix = self._localizer.localize(image, prior, image.index)
         if not isinstance(fix, MapFix) or fix.yaw_rad is None or fix.agl_m is None:
             return None
         self._last = fix
-        found = self._registered(picture, prior, fix)
-        return None if found is None else self._sighting(picture, found, fix, height_m)
+        found = self._registered(image, prior, fix)
+        return None if found is None else self._sighting(image, found, fix, height_m)
 
     def _prior(self, t_s: float, R_ned_body: Array, height_m: float) -> Prior:
-        """The attitude as the autopilot has it; the place as the flight, or the last picture."""
+        """The attitude as the autopilot has it; the place as the flight, or the last image."""
         roll_rad, pitch_rad, yaw_rad = euler_from_rotation(R_ned_body)
         prior = Prior(
             roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=yaw_rad, sigma_yaw_rad=SIGMA_YAW_RAD
@@ -104,11 +104,11 @@ class Spotter:
             prior = replace(prior, agl_m=height_m)
         return prior
 
-    def _registered(self, picture: Frame, prior: Prior, fix: MapFix) -> Registration | None:
-        """The picture on the map's sharpest level at the place that was found."""
+    def _registered(self, image: Frame, prior: Prior, fix: MapFix) -> Registration | None:
+        """The image on the map's sharpest level at the place that was found."""
         assert fix.yaw_rad is not None
         assert fix.agl_m is not None
-        query = self._maker.query(picture, prior, picture.index)
+        query = self._maker.query(image, prior, image.index)
         level = fine_level(self._pack, query, fix.agl_m, self._config.max_view_area_px)
         candidate = Candidate(
             hypothesis=Hypothesis(float(wrap_pi(fix.yaw_rad)), fix.agl_m, REFINED),
@@ -135,9 +135,9 @@ class Spotter:
         return found if isinstance(found, Registration) else None
 
     def _sighting(
-        self, picture: Frame, found: Registration, fix: MapFix, height_m: float
+        self, image: Frame, found: Registration, fix: MapFix, height_m: float
     ) -> Sighting:
-        """Pixels of the picture as it was taken, and the places of the map's points."""
+        """Pixels of the image as it was taken, and the places of the map's points."""
         H_rect_frame = found.view.rectification.H_rect_frame
         H_frame_view = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
         straight = transform_points(H_frame_view, found.consensus.uv_view)
@@ -149,7 +149,7 @@ class Spotter:
         place = self.frame.to_ned(fix.lat_deg, fix.lon_deg, 0.0)
         place[2] = -(fix.agl_m or 0.0)
         return Sighting(
-            picture.t_s,
+            image.t_s,
             self._camera.project(rays),
             ground,
             found.consensus.cells,
@@ -160,14 +160,14 @@ class Spotter:
 
 def spot_all(
     spotter: Spotter,
-    pictures: Iterable[Frame],
+    images: Iterable[Frame],
     total: int,
     progress: Callable[[str, int, int], None],
 ) -> list[Sighting]:
-    """The sightings of all pictures that are found."""
+    """The sightings of all images that are found."""
     found = []
-    for number, picture in enumerate(pictures, 1):
-        sighting = spotter.spot(picture)
+    for number, image in enumerate(images, 1):
+        sighting = spotter.spot(image)
         if sighting is not None:
             found.append(sighting)
         progress("pictures", number, total)

@@ -26,7 +26,7 @@ START_OFFSETS_S = (0.0, -0.15, 0.15, -0.3, 0.3)
 FIRST_SIGMA_PX, LEAST_SIGMA_PX = 2.0, 0.2
 BLOCKS = 8  # each left out once, for sigmas that no model makes
 STEPS, FEW_STEPS = 15, 4
-START_PICTURES = 40
+START_IMAGES = 40
 STILL = 1e-6
 
 
@@ -38,7 +38,7 @@ class MountFit:
         R_body_camera: (3, 3) against what the autopilot called level, on average over the flight.
         sigmas_rad: (3,) of it, about the body's axes: roll, pitch, yaw.
         sigma_px: of a matched point.
-        pictures: that told it.
+        images: that told it.
     """
 
     R_body_camera: Array
@@ -50,7 +50,7 @@ class MountFit:
     focal_ratio: float
     sigma_focal_ratio: float
     sigma_px: float
-    pictures: int
+    images: int
 
 
 def fit_mount(
@@ -66,7 +66,7 @@ def fit_mount(
         free[[FOCAL, HEIGHT]] = 0.0
     held = free.copy()
     held[[READOUT, FOCAL, HEIGHT]] = 0.0
-    few = sightings[:: max(1, len(sightings) // START_PICTURES)]
+    few = sightings[:: max(1, len(sightings) // START_IMAGES)]
     begun = [(_left_over(camera, history, few, each, held), each) for each in START_OFFSETS_S]
     start = _start(camera, sightings, min(begun)[1])
     problem = MountProblem(camera, history, sightings, start)
@@ -91,7 +91,7 @@ def fit_mount(
         focal_ratio=float(np.exp(found[5])),
         sigma_focal_ratio=float(sigmas[5]),
         sigma_px=sigma_px,
-        pictures=len(sightings),
+        images=len(sightings),
     )
 
 

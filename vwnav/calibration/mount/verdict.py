@@ -44,7 +44,7 @@ def judge(
         fit: what the flight tells.
         focal: whether the focal length was asked.
         heights: whether a rangefinder or a height above ground was told.
-        most_bank_rad: the largest tilt of the aircraft in a picture.
+        most_bank_rad: the largest tilt of the aircraft in an image.
 
     Raises:
         CalibrationError: not even the mount is told.
@@ -134,7 +134,7 @@ def _rescaled(camera: Camera, ratio: float) -> Camera:
 
 def _findings(fit: MountFit, refused: set[str]) -> dict[str, object]:
     found: dict[str, object] = {
-        "mount_pictures": fit.pictures,
+        "mount_pictures": fit.images,
         "sigma_mount_rpy_deg": [round(math.degrees(s), 4) for s in fit.sigmas_rad],
     }
     if "time offset, this flight's" not in refused:

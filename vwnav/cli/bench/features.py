@@ -64,10 +64,10 @@ def features(
         for table in tables(report):
             console.print(table)
     if folder is not None:
-        from vwnav.bench.features.pictures import write_pictures
+        from vwnav.bench.features.figures import write_figures
         from vwnav.bench.features.plots import write_plot
 
-        write_pictures(folder / "matches", report.samples)
+        write_figures(folder / "matches", report.samples)
         (folder / "report.json").write_text(json.dumps(values, indent=1))
         write_plot(folder / "features.png", report)
         say(f"bench: wrote report.json, features.png and matches/ to {folder}")

@@ -105,8 +105,8 @@ def _place(site: str) -> "Place":
     from vwnav.bench.flights.stage import Place
     from vwnav.onboard.simulation import map_pack_of
     from vwnav.screen import say
+    from vwnav.sim.named_sites import parse_site
     from vwnav.sim.renderer import default_camera
-    from vwnav.sim.sites import parse_site
     from vwnav.vision.config import FeaturesConfig
 
     primary, fallback = choose_features(FeaturesConfig(), say)
@@ -119,7 +119,7 @@ def _place(site: str) -> "Place":
 def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":
     from vwnav.bench.flights.campaign import campaign_of
     from vwnav.geometry.geodesy import LocalFrame
-    from vwnav.guidance.missions import load_route
+    from vwnav.guidance.plan_files import load_route
     from vwnav.onboard.simulation import DEFAULT_ROUTE, ROUTES
     from vwnav.sim.site import Site
 

@@ -35,7 +35,7 @@ def shutter(
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
     from vwnav.screen import progress_bar
-    from vwnav.sim.sites import parse_site
+    from vwnav.sim.named_sites import parse_site
     from vwnav.vision.features.load import load_features
 
     cv2.setNumThreads(1)

@@ -50,7 +50,7 @@ def waypoints(
     from vwnav.bench.flights.waypoints import HEIGHTS_M, THESIS_M, measure, plan
     from vwnav.recording.run_folder import make_run_folder, write_json
     from vwnav.screen import progress_bar
-    from vwnav.sim.sites import parse_site
+    from vwnav.sim.named_sites import parse_site
 
     parse_site(site)
     names, heights_m = _known(features or []), height_m or HEIGHTS_M
@@ -93,8 +93,8 @@ def _place(site: str, features: "FeatureName") -> "Place":
     from vwnav.errors import ModelError
     from vwnav.onboard.simulation import map_pack_of
     from vwnav.screen import say
+    from vwnav.sim.named_sites import parse_site
     from vwnav.sim.renderer import default_camera
-    from vwnav.sim.sites import parse_site
     from vwnav.vision.config import FeaturesConfig
 
     cv2.setNumThreads(1)

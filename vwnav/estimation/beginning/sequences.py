@@ -1,17 +1,17 @@
-"""Places that single pictures show too weakly, joined through odometry.
+"""Places that single images show too weakly, joined through odometry.
 
 A right place is found again where the way leads from it, a wrong one is not. So a handful of
 hypotheses are kept: each is a pose on the map, carried along the way, that weak places of later
-pictures agree with. Evidence is a power of ten (see `vwnav.vision.significance`), and powers of
-pictures add up where the pictures are independent: that is on ground that none of the others has
+images agree with. Evidence is a power of ten (see `vwnav.vision.significance`), and powers of
+images add up where the images are independent: that is on ground that none of the others has
 shown. Another look at the same ground matches the same features of the map, whatever it is.
 
 That a wrong place agrees with where the way leads is rare besides: one of hundreds does on open
 ground. Above a road that looks alike all along it may be one of ten, so that counts half a decade,
-and no picture tells more than a third of what is needed: it takes several.
+and no image tells more than a third of what is needed: it takes several.
 
-What is believed must have as much evidence as one picture alone must have, and lead every other
-hypothesis: ground that repeats is found at several places. A picture that shows other places only
+What is believed must have as much evidence as one image alone must have, and lead every other
+hypothesis: ground that repeats is found at several places. An image that shows other places only
 speaks against it as much as it would have spoken for it.
 """
 
@@ -28,11 +28,11 @@ from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wr
 from vwnav.types import Array, Attitude, MapFix, OdometryMotion, Rejected, WeakFix
 
 MOST = 5  # hypotheses
-MOST_POSES = 1000  # pictures that come while one is searched for
-MOST_OF_NEEDED = 1.0 / 3.0  # that one picture tells, however much it seems to say
-AGREEING_DECADES = 0.5  # what it says besides that a picture agrees
+MOST_POSES = 1000  # images that come while one is searched for
+MOST_OF_NEEDED = 1.0 / 3.0  # that one image tells, however much it seems to say
+AGREEING_DECADES = 0.5  # what it says besides that an image agrees
 LEAD_DECADES = 2.0  # of the best before the next
-NEW_GROUND = 0.5  # of a picture, that no other one has shown: less is another look at the same
+NEW_GROUND = 0.5  # of an image, that no other one has shown: less is another look at the same
 CHI_SQUARE_4 = 18.467  # 99.9 %
 MOST_SIGMA_M = 20.0  # carried so far, it says nothing any more
 # A few inliers err by more than they spread: shares of what is seen, radians, logarithm of height.
@@ -43,7 +43,7 @@ WAY_RATIO, SLOPE = 0.02, 0.03
 
 @dataclass(frozen=True, slots=True)
 class ShownGround:
-    """A square of ground that a picture showed: metres; and what it said of the place."""
+    """A square of ground that an image showed: metres; and what it said of the place."""
 
     north_m: float
     east_m: float
@@ -66,9 +66,9 @@ class Carried:
         pose: (4,) north, east in metres, heading, logarithm of the height above ground in metres.
         covariance: (4, 4) of that.
         at: the exposure on the way.
-        ground: that its pictures have shown.
+        ground: that its images have shown.
         needed: decades that are believed.
-        against: ground whose pictures have shown other places only.
+        against: ground whose images have shown other places only.
     """
 
     pose: Array
@@ -110,7 +110,7 @@ class Carried:
         return replace(self, pose=self.pose + step, covariance=covariance, at=at)
 
     def joined(self, other: "Carried") -> "Carried":
-        """With another picture's place at the same exposure.
+        """With another image's place at the same exposure.
 
         Both may err alike, by the map and by what they match, and by how much is not known:
         covariance intersection (Julier and Uhlmann 1997), weighted as Niehsen 2002 does, which is
@@ -130,7 +130,7 @@ class Carried:
         )
 
     def contradicted(self, found: Sequence["Carried"]) -> "Carried":
-        """After a picture that shows other places."""
+        """After an image that shows other places."""
         seen = max((each.ground[0] for each in found), key=lambda ground: ground.decades)
         north_m, east_m = self.pose[:2].tolist()
         here = replace(seen, north_m=north_m, east_m=east_m)
@@ -138,7 +138,7 @@ class Carried:
 
 
 def begun(weak: WeakFix, at: WayPose, frame: LocalFrame) -> Carried | None:
-    """The hypothesis of one picture's weak place; None where it has no heading or height."""
+    """The hypothesis of one image's weak place; None where it has no heading or height."""
     fix = weak.fix
     if fix.yaw_rad is None or fix.sigma_yaw_rad is None:
         return None
@@ -156,11 +156,11 @@ def begun(weak: WeakFix, at: WayPose, frame: LocalFrame) -> Carried | None:
 
 
 def advanced(kept: Iterable[Carried], found: Sequence[Carried], at: WayPose) -> list[Carried]:
-    """The hypotheses after another picture, most evidence first.
+    """The hypotheses after another image, most evidence first.
 
     Args:
         kept: before it.
-        found: what the picture alone shows, at its exposure.
+        found: what the image alone shows, at its exposure.
         at: that exposure.
     """
     carried = (each.to(at) for each in kept)
@@ -202,7 +202,7 @@ def _apart(hypotheses: Iterable[Carried]) -> list[Carried]:
 
 
 def _with_ground(known: tuple[ShownGround, ...], seen: ShownGround) -> tuple[ShownGround, ...]:
-    """Count what a picture shows for the first time; what was seen before is told by the best."""
+    """Count what an image shows for the first time; what was seen before is told by the best."""
     overlaps = [each.overlap(seen) for each in known]
     if (new := 1.0 - sum(overlaps)) >= NEW_GROUND:
         return (*known, replace(seen, decades=new * (seen.decades + AGREEING_DECADES)))
@@ -230,22 +230,22 @@ class Sequences:
         self._kept: list[Carried] = []
 
     def follow(self, motion: OdometryMotion | Rejected, attitude: Attitude) -> None:
-        """Take the next picture: how it was reached, and the attitude that odometry had of it."""
+        """Take the next image: how it was reached, and the attitude that odometry had of it."""
         yaw_rad = euler_from_rotation(rotation_from_quat(attitude.quat_wxyz))[2]
         self._poses.append(self._way.follow(motion, yaw_rad))
 
-    def join(self, picture: Rejected) -> MapFix | Rejected:
-        """Take the weak places of a picture; where it was not followed they come to nothing.
+    def join(self, image: Rejected) -> MapFix | Rejected:
+        """Take the weak places of an image; where it was not followed they come to nothing.
 
         Returns:
-            The fix that it is with those before, else the picture without them.
+            The fix that it is with those before, else the image without them.
         """
-        at = next((each for each in self._poses if each.t_s == picture.t_s), None)
-        fix = None if at is None else self._joined(picture, at)
-        return replace(picture, weak=()) if fix is None else fix
+        at = next((each for each in self._poses if each.t_s == image.t_s), None)
+        fix = None if at is None else self._joined(image, at)
+        return replace(image, weak=()) if fix is None else fix
 
-    def _joined(self, picture: Rejected, at: WayPose) -> MapFix | None:
-        begun_at = ((begun(each, at, self._frame), each.fix) for each in picture.weak)
+    def _joined(self, image: Rejected, at: WayPose) -> MapFix | None:
+        begun_at = ((begun(each, at, self._frame), each.fix) for each in image.weak)
         found = [(hypothesis, fix) for hypothesis, fix in begun_at if hypothesis is not None]
         self._kept = advanced(self._kept, [hypothesis for hypothesis, _ in found], at)
         best = leader(self._kept)
@@ -255,7 +255,7 @@ class Sequences:
         return self._fix(best, fix) if best.distance2(own) <= CHI_SQUARE_4 else None
 
     def _fix(self, best: Carried, last: MapFix) -> MapFix:
-        """The place of a hypothesis at the picture that was joined last."""
+        """The place of a hypothesis at the image that was joined last."""
         lat_deg, lon_deg, _ = self._frame.to_geodetic((*best.pose[:2], 0.0))
         agl_m = math.exp(best.pose[3])
         sigmas = np.sqrt(np.diag(best.covariance))

@@ -46,14 +46,14 @@ class WayPose:
 
 
 class WayCounted:
-    """Adds up what odometry tells, picture by picture."""
+    """Adds up what odometry tells, image by image."""
 
     def __init__(self) -> None:
         self._keyframe: WayPose | None = None
         self._pose: WayPose | None = None
 
     def follow(self, motion: OdometryMotion | Rejected, yaw_rad: float) -> WayPose:
-        """The pose of the next picture.
+        """The pose of the next image.
 
         One that was not reached may be where another way begins.
 
@@ -75,7 +75,7 @@ class WayCounted:
         return pose if pose.agl > 0.0 else self._beginning(motion.t1_s, yaw_rad)
 
     def _known(self, t_s: float) -> WayPose | None:
-        """The pose of a keyframe: the one of the motion before, or that motion's picture."""
+        """The pose of a keyframe: the one of the motion before, or that motion's image."""
         poses = (self._keyframe, self._pose)
         return next((each for each in poses if each is not None and each.t_s == t_s), None)
 

@@ -3,8 +3,8 @@
 Thrust acts along the body's down axis, so all that an accelerometer feels across that axis is drag
 (Martin and Salaun 2010, "The true role of accelerometer feedback in quadrotor control"), and rotors
 make it grow with the speed alone: f = -k (v - w) = -k v + c. On PX4's simulated quadrotor k is 1.0
-per second, on ArduCopter's 0.38, both to 0.03 m/s^2 (from recordings). While pictures tell the
-velocity, k and what the wind adds, c = k w, are learned; without pictures they tell the velocity
+per second, on ArduCopter's 0.38, both to 0.03 m/s^2 (from recordings). While images tell the
+velocity, k and what the wind adds, c = k w, are learned; without images they tell the velocity
 (Abeywardena et al. 2013, "Improved state estimation in quadrotor MAVs", eq. 6).
 """
 

@@ -1,10 +1,10 @@
-"""Whether the IMU feels gravity where the attitude has it, and what the pictures show it should.
+"""Whether the IMU feels gravity where the attitude has it, and what the images show it should.
 
 One that is mounted otherwise than the autopilot was told, or broken, tells of accelerations and
 turns that nobody flies. None of it is to be believed until it comes right.
 
-An accelerometer that is off by less, a few m/s^2, is known by its witnesses. The ways that pictures
-tell contradict it, which may be the pictures' fault; but the map still has the aircraft where they
+An accelerometer that is off by less, a few m/s^2, is known by its witnesses. The ways that images
+tell contradict it, which may be the images' fault; but the map still has the aircraft where they
 do, and it feels what neither the air at this speed does to it nor a climb that anybody saw.
 """
 
@@ -62,7 +62,7 @@ class ImuGate:
         self._ned_long = _Average(_LONG_S)
         self._newest_s = math.inf
         self.fixes_s: deque[float] = deque(maxlen=_LEAST_FIXES)
-        self._refused = 0  # ways of pictures, in a row
+        self._refused = 0  # ways of images, in a row
         self._unexplained_m_s2 = 0.0  # by the air, of the newest drag
         self._off_m_s2 = 0.0  # where its witnesses contradict it
         self._off_s = -math.inf
@@ -98,7 +98,7 @@ class ImuGate:
         return Verdict.FUSED if self._imu.add(sample) else Verdict.TOO_LATE
 
     def saw_way(self, way: Innovation, t_s: float) -> bool:
-        """Whether what became of a picture's way has made it lost."""
+        """Whether what became of an image's way has made it lost."""
         climb_m_s2 = abs(float(self._ned.value[2]) + GRAVITY_M_S2)
         off_m_s2 = max(self._unexplained_m_s2, climb_m_s2)
         self._refused = self._refused + 1 if way.verdict is Verdict.GATED else 0

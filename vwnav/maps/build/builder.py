@@ -22,7 +22,7 @@ from vwnav.maps.build.raster import Bounds, RasterSource
 from vwnav.maps.build.warp import PlacedRaster, bounds_window, render
 from vwnav.maps.build.writer import PackWriter
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.picture import Picture, Tile, Window, window_slices
+from vwnav.maps.image import MapImage, Tile, Window, window_slices
 from vwnav.maps.schema import SCHEMA_VERSION
 from vwnav.types import FeatureExtractor
 
@@ -161,10 +161,10 @@ def _write_level(
     blocks = _blocks([raster.window(zoom) for raster in rasters])
     counter = _Counter(report, f"level {zoom}", len(blocks))
     for block in blocks:
-        picture = _finer(writer, zoom, block) if from_finer else _composite(rasters, zoom, block)
-        for tile in block.tiles(zoom) if picture is not None else ():
+        image = _finer(writer, zoom, block) if from_finer else _composite(rasters, zoom, block)
+        for tile in block.tiles(zoom) if image is not None else ():
             part = window_slices(tile.window, block.x0, block.y0)
-            writer.put_tile(tile, Picture(picture.bgr[part], picture.mask[part]))
+            writer.put_tile(tile, MapImage(image.bgr[part], image.mask[part]))
         counter.step()
 
 
@@ -179,14 +179,14 @@ def _blocks(windows: Sequence[Window]) -> list[Window]:
     ]
 
 
-def _finer(writer: PackWriter, zoom: int, block: Window) -> Picture:
+def _finer(writer: PackWriter, zoom: int, block: Window) -> MapImage:
     twice = Window(*(2 * edge for edge in block))
-    return writer.picture(zoom + 1, twice).halved()
+    return writer.colour_image(zoom + 1, twice).halved()
 
 
-def _composite(rasters: Sequence[PlacedRaster], zoom: int, block: Window) -> Picture:
+def _composite(rasters: Sequence[PlacedRaster], zoom: int, block: Window) -> MapImage:
     """The block from all rasters; the first one that has data wins."""
-    out = Picture.empty(block.shape)
+    out = MapImage.empty(block.shape)
     for raster in rasters:
         # A raster much finer than the level is read in smaller parts, or it would fill the memory.
         size_px = max(_BLOCK_PX // raster.reduction(zoom), _SMALLEST_PART_PX)
@@ -198,13 +198,13 @@ def _composite(rasters: Sequence[PlacedRaster], zoom: int, block: Window) -> Pic
     return out
 
 
-def _fill(out: Picture, block: Window, raster: PlacedRaster, zoom: int, part: Window) -> None:
+def _fill(out: MapImage, block: Window, raster: PlacedRaster, zoom: int, part: Window) -> None:
     into = window_slices(part, block.x0, block.y0)
     missing = ~out.mask[into]
-    picture = render(raster, zoom, part) if missing.any() else None
-    if picture is not None:
-        fresh = picture.mask & missing
-        out.bgr[into][fresh] = picture.bgr[fresh]
+    image = render(raster, zoom, part) if missing.any() else None
+    if image is not None:
+        fresh = image.mask & missing
+        out.bgr[into][fresh] = image.bgr[fresh]
         out.mask[into] |= fresh
 
 
@@ -219,7 +219,7 @@ def _write_features(
     present = {tile for level in tiles.values() for tile in level}
     counter = _Counter(report, f"{extractor.name} features", len(blocks))
     for block in blocks:
-        found = extract_block(partial(writer.picture, block.zoom), block, extractor)
+        found = extract_block(partial(writer.colour_image, block.zoom), block, extractor)
         for tile, features in found.items():
             if tile in present:
                 writer.put_features(extractor.name, tile, features)

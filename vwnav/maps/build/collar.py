@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.maps.picture import Mask, Picture, Window
+from vwnav.maps.image import MapImage, Mask, Window
 
 _CELL_PX = 4
 _STRIP_PX = 512  # a multiple of the cell
@@ -35,13 +35,13 @@ class Collar:
         return np.asarray((black & self.black[cells]) | (white & self.white[cells]))
 
 
-def find_collar(read: Callable[[Window], Picture], size_wh: tuple[int, int]) -> Collar | None:
+def find_collar(read: Callable[[Window], MapImage], size_wh: tuple[int, int]) -> Collar | None:
     """Find what is black or white and hangs together with the raster's edge.
 
-    Dark water and shadows inside of the picture stay: they do not reach the edge.
+    Dark water and shadows inside of the image stay: they do not reach the edge.
 
     Args:
-        read: gives the picture of a window of the raster.
+        read: gives the image of a window of the raster.
         size_wh: of the raster in pixels.
 
     Returns:

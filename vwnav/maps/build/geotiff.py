@@ -18,7 +18,7 @@ from vwnav.errors import MapError
 from vwnav.maps.build.collar import Collar, find_collar
 from vwnav.maps.build.raster import Bounds, Georeference
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.picture import Mask, Picture, Window
+from vwnav.maps.image import MapImage, Mask, Window
 from vwnav.types import Array
 
 _WGS84 = CRS.from_epsg(4326)
@@ -30,7 +30,7 @@ _HEIGHT_MAX_SIDE = 1024
 
 
 class RasterFile:
-    """A GeoTIFF, or a picture with a world file: any CRS, palette, 1, 3 or 4 bands, any depth."""
+    """A GeoTIFF, or an image with a world file: any CRS, palette, 1, 3 or 4 bands, any depth."""
 
     def __init__(self, path: Path, crs: str | None = None) -> None:
         """Open a raster.
@@ -74,16 +74,16 @@ class RasterFile:
         """Where its pixels lie."""
         return Georeference(self._pixel_from_lat_lon, self._lat_lon_from_pixel)
 
-    def window(self, window: Window) -> Picture:
+    def window(self, window: Window) -> MapImage:
         """Read a part of the raster as BGR with its mask.
 
         Raises:
             MapError: the file is damaged there.
         """
-        picture = self._read(window)
+        image = self._read(window)
         if self._collar is None:
-            return picture
-        return Picture(picture.bgr, picture.mask & ~self._collar.at(picture.bgr, window))
+            return image
+        return MapImage(image.bgr, image.mask & ~self._collar.at(image.bgr, window))
 
     def _pixel_from_lat_lon(self, lat_deg: Array, lon_deg: Array) -> tuple[Array, Array]:
         x, y = transform_crs(_WGS84, self._crs, lon_deg.ravel(), lat_deg.ravel())
@@ -95,7 +95,7 @@ class RasterFile:
         lon, lat = transform_crs(self._crs, _WGS84, x, y)
         return np.array(lat).reshape(u.shape), np.array(lon).reshape(u.shape)
 
-    def _read(self, window: Window) -> Picture:
+    def _read(self, window: Window) -> MapImage:
         h, w = window.shape
         place = RasterioWindow(window.x0, window.y0, w, h)
         try:
@@ -106,10 +106,10 @@ class RasterFile:
             raise MapError(f"{self._path}: damaged or cut off ({_line(error)})") from error
         return self._coloured(values, mask)
 
-    def _coloured(self, values: NDArray[Any], mask: Mask) -> Picture:
+    def _coloured(self, values: NDArray[Any], mask: Mask) -> MapImage:
         if self._palette is not None:
             rgba = self._palette[np.clip(values[0], 0, len(self._palette) - 1)]
-            return Picture(np.ascontiguousarray(rgba[..., 2::-1]), mask & (rgba[..., 3] > 0))
+            return MapImage(np.ascontiguousarray(rgba[..., 2::-1]), mask & (rgba[..., 3] > 0))
         if self._stretch is not None:
             low, high = (limit[:, None, None] for limit in self._stretch)
             mask = mask & np.isfinite(values).all(axis=0)
@@ -118,7 +118,7 @@ class RasterFile:
         rgb = np.moveaxis(values.astype(np.uint8), 0, -1)
         if rgb.shape[2] == 1:
             rgb = np.repeat(rgb, 3, axis=2)
-        return Picture(np.ascontiguousarray(rgb[..., ::-1]), mask)
+        return MapImage(np.ascontiguousarray(rgb[..., ::-1]), mask)
 
     def _check_georeference(self) -> None:
         if self._dataset.transform.is_identity or self._dataset.transform.is_degenerate:
@@ -221,7 +221,7 @@ def _palette(dataset: Any) -> NDArray[np.uint8] | None:
 
 
 def _crs_beside(path: Path) -> CRS | None:
-    """The coordinate system of a .prj file beside a picture, as ESRI's software writes it."""
+    """The coordinate system of a .prj file beside an image, as ESRI's software writes it."""
     for beside in (path.with_suffix(".prj"), path.with_suffix(".PRJ")):
         if beside.is_file():
             text = beside.read_text(encoding="utf-8", errors="replace")

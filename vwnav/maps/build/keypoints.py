@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.geodesy import TILE_PX
-from vwnav.maps.picture import Mask, Picture, Tile, Window
+from vwnav.maps.image import MapImage, Mask, Tile, Window
 from vwnav.types import FeatureExtractor, Features, Gray
 
 KEYPOINTS_PER_TILE = 400  # some 700 under a view of 450 x 250 px, against its own 1000
@@ -17,7 +17,7 @@ NODATA_RADIUS_PX = 16  # a descriptor's radius
 _CELLS = 4  # keypoints are spread over 4 x 4 cells of a tile
 _OVERSAMPLING = 3  # candidates per keypoint kept
 
-PictureReader = Callable[[Window], Picture]
+ImageReader = Callable[[Window], MapImage]
 
 
 def block_of(tile: Tile) -> Tile:
@@ -33,26 +33,26 @@ def block_tiles(block: Tile) -> Iterator[Tile]:
 
 
 def extract_block(
-    read: PictureReader, block: Tile, extractor: FeatureExtractor
+    read: ImageReader, block: Tile, extractor: FeatureExtractor
 ) -> dict[Tile, Features]:
     """Extract the features of a block's tiles.
 
     Args:
-        read: gives the picture of a window of global pixels of the block's level.
+        read: gives the image of a window of global pixels of the block's level.
         block: its first tile.
-        extractor: is given one gray picture, the block with its margin.
+        extractor: is given one gray image, the block with its margin.
 
     Returns:
         For each tile features relative to it, strongest first, at most `KEYPOINTS_PER_TILE`, spread
         over the tile.
     """
     window = Window(*block.window[:2], *Tile(*_last(block)).window[2:]).grown(MARGIN_PX)
-    picture = read(window)
-    usable = usable_mask(picture.mask)
+    image = read(window)
+    usable = usable_mask(image.mask)
     if not usable[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX].any():
         return {}
     count = KEYPOINTS_PER_TILE * BLOCK_TILES**2 * _OVERSAMPLING
-    found = extractor.extract(filled_gray(picture), count)
+    found = extractor.extract(filled_gray(image), count)
     found = _chosen(found, _at(usable, found.uv))
     return {
         tile: _in_tile(found, tile.window.x0 - window.x0, tile.window.y0 - window.y0)
@@ -63,7 +63,7 @@ def extract_block(
 def usable_mask(mask: Mask) -> Mask:
     """Where keypoints may lie: a descriptor's radius away from missing data.
 
-    The picture's own edge counts as data: its margin is cut away afterwards.
+    The image's own edge counts as data: its margin is cut away afterwards.
     """
     side = 2 * NODATA_RADIUS_PX + 1
     kernel = np.ones((side, side), np.uint8)
@@ -71,11 +71,11 @@ def usable_mask(mask: Mask) -> Mask:
     return np.asarray(eroded > 0)
 
 
-def filled_gray(picture: Picture) -> Gray:
-    """The gray picture with missing data at its mean: the weakest edge that a filling can have."""
-    gray = picture.gray
-    if picture.mask.any() and not picture.mask.all():
-        gray[~picture.mask] = round(float(gray[picture.mask].mean()))
+def filled_gray(image: MapImage) -> Gray:
+    """The gray image with missing data at its mean: the weakest edge that a filling can have."""
+    gray = image.gray
+    if image.mask.any() and not image.mask.all():
+        gray[~image.mask] = round(float(gray[image.mask].mean()))
     return gray
 
 

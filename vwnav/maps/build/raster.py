@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.geodesy import LocalFrame, lat_lon_from_mercator_px, mercator_px
-from vwnav.maps.picture import Mask, Picture, Window
+from vwnav.maps.image import MapImage, Mask, Window
 from vwnav.types import Array
 
 Bounds = tuple[float, float, float, float]  # south, west, north, east in degrees
@@ -47,7 +47,7 @@ class RasterSource(Protocol):
         """Where its pixels lie."""
         ...
 
-    def window(self, window: Window) -> Picture:
+    def window(self, window: Window) -> MapImage:
         """A part of the raster; the window lies inside of it."""
         ...
 
@@ -60,15 +60,15 @@ class DrawnSource:
         name: for provenance and messages.
         size_wh: (width, height) in pixels.
         georeference: where its pixels lie.
-        draw: gives the picture of a window that lies inside of the raster.
+        draw: gives the image of a window that lies inside of the raster.
     """
 
     name: str
     size_wh: tuple[int, int]
     georeference: Georeference
-    draw: Callable[[Window], Picture]
+    draw: Callable[[Window], MapImage]
 
-    def window(self, window: Window) -> Picture:
+    def window(self, window: Window) -> MapImage:
         """A part of the raster."""
         return self.draw(window)
 
@@ -84,8 +84,8 @@ def array_source(
         name: for provenance and messages.
         mask: (h, w), true where there are data; everywhere if not given.
     """
-    picture = Picture(bgr, np.ones(bgr.shape[:2], np.bool_) if mask is None else mask)
-    return DrawnSource(name, (bgr.shape[1], bgr.shape[0]), georeference, picture.crop)
+    image = MapImage(bgr, np.ones(bgr.shape[:2], np.bool_) if mask is None else mask)
+    return DrawnSource(name, (bgr.shape[1], bgr.shape[0]), georeference, image.crop)
 
 
 def local_georeference(
@@ -118,9 +118,9 @@ def local_georeference(
 
 
 def corner_georeference(bounds: Bounds, size_wh: tuple[int, int]) -> Georeference:
-    """Of a picture known by its corners (south, west, north, east).
+    """Of an image known by its corners (south, west, north, east).
 
-    Such pictures are cut from web maps, so their rows are even in web-mercator. Over a kilometre
+    Such images are cut from web maps, so their rows are even in web-mercator. Over a kilometre
     that differs from even degrees by centimetres.
     """
     south, west, north, east = bounds

@@ -9,17 +9,17 @@ from urllib.parse import quote
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import mercator_px
 from vwnav.maps.build.builder import BuildOptions
-from vwnav.maps.build.pictures import corner_pictures, is_corner_table
+from vwnav.maps.build.image_files import corner_images, is_corner_table
 from vwnav.maps.build.raster import Georeference, RasterSource, level_georeference
+from vwnav.maps.image import MapImage, Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Picture, Window
 from vwnav.maps.schema import SQLITE_MAGIC
 
 if TYPE_CHECKING:
     from vwnav.maps.build.geotiff import RasterFile
 
 _RASTERS = (".tif", ".tiff", ".vrt")
-_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
+_IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 class PackSource:
@@ -55,15 +55,15 @@ class PackSource:
         """Where its pixels lie."""
         return level_georeference(self._zoom, self._window.x0, self._window.y0)
 
-    def window(self, window: Window) -> Picture:
+    def window(self, window: Window) -> MapImage:
         """A part of the imagery."""
         x0, y0 = self._window.x0, self._window.y0
         moved = Window(window.x0 + x0, window.y0 + y0, window.x1 + x0, window.y1 + y0)
-        return self.pack.picture(self._zoom, moved)
+        return self.pack.colour_image(self._zoom, moved)
 
 
 def open_sources(paths: Sequence[Path], crs: str | None = None) -> list[RasterSource]:
-    """Open GeoTIFFs, pictures with a world file, tables of corners, packs, and folders of these.
+    """Open GeoTIFFs, images with a world file, tables of corners, packs, and folders of these.
 
     Args:
         paths: as the user named them.
@@ -78,10 +78,10 @@ def open_sources(paths: Sequence[Path], crs: str | None = None) -> list[RasterSo
             raise MapError(f"{path}: no such file or folder")
         files += _in_folder(path) if path.is_dir() else [path]
     tables = [path for path in files if path.suffix.lower() == ".csv"]
-    loose = [path for path in files if path.suffix.lower() in _PICTURES and not _world_file(path)]
+    loose = [path for path in files if path.suffix.lower() in _IMAGES and not _world_file(path)]
     sources: list[RasterSource] = []
     for table in tables:
-        sources += corner_pictures(table, loose)
+        sources += corner_images(table, loose)
     listed = {source.name for source in sources}
     for path in files:
         if path in tables or (path in loose and path.name in listed):
@@ -125,9 +125,9 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _world_file(path: Path) -> Path | None:
-    """The world file beside a picture: .wld, .jgw, .jpgw and the like."""
+    """The world file beside an image: .wld, .jgw, .jpgw and the like."""
     suffix = path.suffix.lower()
-    if suffix not in (*_PICTURES, *_RASTERS):
+    if suffix not in (*_IMAGES, *_RASTERS):
         return None
     short = f".{suffix[1]}{suffix[-1]}w"
     for candidate in (short, f"{suffix}w", ".wld"):

@@ -16,11 +16,11 @@ from vwnav.geometry.geodesy import (
     mercator_px,
 )
 from vwnav.maps.build.raster import Bounds, RasterSource
-from vwnav.maps.picture import Picture, Window
+from vwnav.maps.image import MapImage, Window
 from vwnav.types import Array
 
 _NODE_PX = 32  # exact georeference at such a grid, linear between: 1e-4 px at worst
-_EDGE_PX = 0.49  # pictures with rounded corners leave gaps of up to a pixel between them
+_EDGE_PX = 0.49  # images with rounded corners leave gaps of up to a pixel between them
 _PAD_PX = 4  # what the cubic kernel and the mask's erosion reach
 _ALIGNED_PX = 1e-3
 _FAR_PX = 1e9
@@ -62,7 +62,7 @@ class PlacedRaster:
         return max(1, round(wanted / self.m_per_px))
 
 
-def render(raster: PlacedRaster, zoom: int, window: Window) -> Picture | None:
+def render(raster: PlacedRaster, zoom: int, window: Window) -> MapImage | None:
     """Warp a raster onto global pixels of a level; None where it has nothing.
 
     Cubic interpolation; where the level is coarser than the raster, its area is averaged first,
@@ -75,33 +75,33 @@ def render(raster: PlacedRaster, zoom: int, window: Window) -> Picture | None:
         return None
     k = raster.reduction(zoom)
     needed = _needed(u[inside], v[inside], k, (w, h))
-    picture = _reduced(raster.source.window(needed), k)
-    if not picture.mask.any():
+    image = _reduced(raster.source.window(needed), k)
+    if not image.mask.any():
         return None
     u_local, v_local = (u - needed.x0) / k - 0.5, (v - needed.y0) / k - 0.5
     sample = _copied if _aligned(u_local) and _aligned(v_local) else _interpolated
-    sampled = sample(picture, u_local.astype(np.float32), v_local.astype(np.float32))
+    sampled = sample(image, u_local.astype(np.float32), v_local.astype(np.float32))
     mask = sampled.mask & inside
-    return Picture(np.where(mask[..., None], sampled.bgr, 0).astype(np.uint8), mask)
+    return MapImage(np.where(mask[..., None], sampled.bgr, 0).astype(np.uint8), mask)
 
 
 def _aligned(at: Array) -> bool:
     return bool(np.abs(at - np.round(at)).max() < _ALIGNED_PX)
 
 
-def _copied(picture: Picture, u: NDArray[np.float32], v: NDArray[np.float32]) -> Picture:
-    h, w = picture.mask.shape
+def _copied(image: MapImage, u: NDArray[np.float32], v: NDArray[np.float32]) -> MapImage:
+    h, w = image.mask.shape
     rows = np.round(v).astype(np.int64).clip(0, h - 1)
     columns = np.round(u).astype(np.int64).clip(0, w - 1)
-    return Picture(picture.bgr[rows, columns], picture.mask[rows, columns])
+    return MapImage(image.bgr[rows, columns], image.mask[rows, columns])
 
 
-def _interpolated(picture: Picture, u: NDArray[np.float32], v: NDArray[np.float32]) -> Picture:
-    bgr = cv2.remap(picture.bgr, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+def _interpolated(image: MapImage, u: NDArray[np.float32], v: NDArray[np.float32]) -> MapImage:
+    bgr = cv2.remap(image.bgr, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     # Two pixels next to missing data are dropped: the cubic kernel mixes it into them.
-    solid = cv2.erode(picture.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) * np.uint8(255)
+    solid = cv2.erode(image.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) * np.uint8(255)
     data = cv2.remap(solid, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return Picture(np.asarray(bgr, np.uint8), np.asarray(data) >= 128)
+    return MapImage(np.asarray(bgr, np.uint8), np.asarray(data) >= 128)
 
 
 def bounds_window(bounds: Bounds, zoom: int) -> Window:
@@ -145,17 +145,17 @@ def _needed(u: Array, v: Array, k: int, size_wh: tuple[int, int]) -> Window:
     return Window(max(x0, 0), max(y0, 0), min(x1, w), min(y1, h))
 
 
-def _reduced(picture: Picture, k: int) -> Picture:
+def _reduced(image: MapImage, k: int) -> MapImage:
     """The mean of each k x k pixels that have data; part of a cell at the far edges is lost."""
     if k == 1:
-        return picture
-    h, w = (max(side // k, 1) * k for side in picture.mask.shape)
+        return image
+    h, w = (max(side // k, 1) * k for side in image.mask.shape)
     size = (w // k, h // k)
-    weight = cv2.resize(picture.mask[:h, :w].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    masked = np.where(picture.mask[:h, :w, None], picture.bgr[:h, :w], 0).astype(np.float32)
+    weight = cv2.resize(image.mask[:h, :w].astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    masked = np.where(image.mask[:h, :w, None], image.bgr[:h, :w], 0).astype(np.float32)
     total = cv2.resize(masked, size, interpolation=cv2.INTER_AREA)
     mean = total / np.maximum(weight, 1e-6)[..., None]
-    return Picture(np.round(mean).clip(0, 255).astype(np.uint8), weight >= 0.5)
+    return MapImage(np.round(mean).clip(0, 255).astype(np.uint8), weight >= 0.5)
 
 
 def _bounds(source: RasterSource) -> Bounds:

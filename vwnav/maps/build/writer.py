@@ -19,7 +19,7 @@ from vwnav.maps.codec import (
     encode_tile,
 )
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.picture import Picture, Tile, Window, assemble
+from vwnav.maps.image import MapImage, Tile, Window, assemble
 from vwnav.maps.schema import APPLICATION_ID, SQLITE_MAGIC, TABLES, metadata_checksum
 from vwnav.types import FeatureExtractor, FeatureName, Features
 
@@ -65,18 +65,18 @@ class PackWriter:
         self._connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         self._connection.executescript(TABLES)
 
-    def put_tile(self, tile: Tile, picture: Picture) -> None:
+    def put_tile(self, tile: Tile, image: MapImage) -> None:
         """Write a tile; one without any data is left out."""
-        if not picture.mask.any():
+        if not image.mask.any():
             return
-        data = encode_tile(picture)
+        data = encode_tile(image)
         place = (tile.zoom, tile.x, tile.row)
         self._connection.execute("INSERT INTO tiles VALUES (?, ?, ?, ?)", (*place, data))
         self._connection.execute(
             "INSERT INTO vwnav_tiles VALUES (?, ?, ?, ?)", (*place, zlib.crc32(data))
         )
 
-    def picture(self, zoom: int, window: Window) -> Picture:
+    def colour_image(self, zoom: int, window: Window) -> MapImage:
         """Read back what is written of a level."""
         return assemble(zoom, window, self._tile)
 
@@ -90,7 +90,7 @@ class PackWriter:
     def add_feature_set(self, extractor: FeatureExtractor) -> None:
         """Announce a feature set before its features."""
         name, kind = extractor.name, descriptor_kind(extractor.name)
-        # A picture without contrast tells the length of a descriptor as well as any other.
+        # An image without contrast tells the length of a descriptor as well as any other.
         dimension = extractor.extract(np.zeros((64, 64), np.uint8), 1).descriptors.shape[1]
         self._kinds[name] = kind
         self._connection.execute(
@@ -139,7 +139,7 @@ class PackWriter:
         except OSError as error:
             raise MapError(f"cannot write {self._output}: {error.strerror}") from error
 
-    def _tile(self, tile: Tile) -> Picture | None:
+    def _tile(self, tile: Tile) -> MapImage | None:
         row = self._connection.execute(
             "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
             (tile.zoom, tile.x, tile.row),

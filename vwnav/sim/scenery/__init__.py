@@ -1,1 +1,1 @@
-"""The generator: from a seed to vectors, and from vectors to pictures at any resolution."""
+"""The generator: from a seed to vectors, and from vectors to images at any resolution."""

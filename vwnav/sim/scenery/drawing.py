@@ -32,7 +32,7 @@ class Patch:
 
 @dataclass(slots=True, eq=False)
 class Canvas:
-    """A picture being drawn: bgr (h, w, 3) float32, 0 to 255, in a window of the plane."""
+    """An image being drawn: bgr (h, w, 3) float32, 0 to 255, in a window of the plane."""
 
     window: NedWindow
     seed: int
@@ -92,7 +92,7 @@ class Canvas:
         return (u0, v0, u1, v1) if u1 > u0 and v1 > v0 else None
 
     def blend(self, patch: Patch | None, colour: Colour, opacity: float = 1.0) -> None:
-        """Lay a colour (3,) or picture (h, w, 3) over the patch."""
+        """Lay a colour (3,) or image (h, w, 3) over the patch."""
         if patch is not None:
             below = self.bgr[patch.rows, patch.cols]
             paint = np.asarray(colour, np.float32)

@@ -45,7 +45,7 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """A tree or bush; `looks` says in which pictures it stands."""
+    """A tree or bush; `looks` says in which images it stands."""
 
     north_m: float
     east_m: float

@@ -55,14 +55,14 @@ _LEAF_COVER: dict[Season, float] = {
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One day: season, sun and the tone of its pictures.
+    """One day: season, sun and the tone of its images.
 
     Attributes:
         seed: of everything that differs between the days (crops, wear, fine texture).
         gain: per channel blue, green, red; `gamma`, `saturation` and `haze` (0 to 255)
             follow it.
         blur_m: sigma of the sensor's blur on the ground, 0 for none.
-        jpeg_quality: of the delivered picture, None where it was never compressed.
+        jpeg_quality: of the delivered image, None where it was never compressed.
     """
 
     name: LookName

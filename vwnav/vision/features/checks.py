@@ -9,7 +9,7 @@ from vwnav.types import Features, Gray
 
 
 def check_gray(gray: Gray) -> None:
-    """Refuse what is not a gray picture.
+    """Refuse what is not a gray image.
 
     Raises:
         ValueError: not (h, w) uint8, or empty.
@@ -19,7 +19,7 @@ def check_gray(gray: Gray) -> None:
 
 
 def no_features(descriptor_size: int, dtype: type[np.float32] | type[np.uint8]) -> Features:
-    """Features of a picture in which nothing was found."""
+    """Features of an image in which nothing was found."""
     descriptors = np.zeros((0, descriptor_size), dtype)
     return Features(
         np.zeros((0, 2), np.float32),

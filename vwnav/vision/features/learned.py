@@ -1,4 +1,4 @@
-"""The learned features: one ONNX graph from the picture to keypoints, scores and descriptors."""
+"""The learned features: one ONNX graph from the image to keypoints, scores and descriptors."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ from vwnav.errors import ModelError
 from vwnav.types import Features, Gray
 from vwnav.vision.features.checks import check_gray
 
-SIZE_MULTIPLE_PX = 32  # the graph halves the picture five times
+SIZE_MULTIPLE_PX = 32  # the graph halves the image five times
 BORDER_PX = 4  # the graph finds nothing nearer to an edge; here the same at edges it cannot see
 LOG10_PER_DECADE = "log10_per_decade"  # in the metadata: see `vwnav.vision.significance`
 # Of a model whose own value has not been measured: more than any that was (docs/benchmarks.md).
@@ -98,7 +98,7 @@ class LearnedFeatures:
             Features with uv (n, 2), pixels, centre convention, and descriptors of unit length.
 
         Raises:
-            ValueError: not a gray picture.
+            ValueError: not a gray image.
             ModelError: the graph fails.
         """
         check_gray(gray)

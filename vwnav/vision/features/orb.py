@@ -12,7 +12,7 @@ DESCRIPTOR_SIZE = 32
 PATCH_PX = 31
 MIN_SIDE_PX = 2 * PATCH_PX + 2
 SCALE_FACTOR = 1.2
-LEVELS = 4  # a rectified picture has the map's scale to some 15 %; 1.2**3 = 1.73 is ample
+LEVELS = 4  # a rectified image has the map's scale to some 15 %; 1.2**3 = 1.73 is ample
 FAST_THRESHOLD = 8  # grass and fields have few corners of OpenCV's 20 gray levels
 
 
@@ -35,7 +35,7 @@ class OrbFeatures:
             Features with uv (n, 2), pixels, centre convention, and 32 bytes each.
 
         Raises:
-            ValueError: not a gray picture.
+            ValueError: not a gray image.
         """
         check_gray(gray)
         if min(gray.shape) < MIN_SIDE_PX or max_keypoints < 1:

@@ -18,9 +18,9 @@ CONTRAST_THRESHOLD = 0.02  # half of OpenCV's: ground seen through haze has litt
 class SiftFeatures:
     """OpenCV's SIFT behind the `FeatureExtractor` protocol.
 
-    Rectified pictures are north-up, so by default the descriptor is upright: its orientation is
+    Rectified images are north-up, so by default the descriptor is upright: its orientation is
     fixed instead of taken from the gradient, which makes it more distinctive. `upright=False` is
-    for pictures whose rotation is unknown; the two kinds cannot be compared.
+    for images whose rotation is unknown; the two kinds cannot be compared.
     """
 
     name: Literal["sift"] = "sift"
@@ -42,7 +42,7 @@ class SiftFeatures:
             Features with uv (n, 2), pixels, centre convention, and 128 values of unit length.
 
         Raises:
-            ValueError: not a gray picture.
+            ValueError: not a gray image.
         """
         check_gray(gray)
         if min(gray.shape) < MIN_SIDE_PX or max_keypoints < 1:

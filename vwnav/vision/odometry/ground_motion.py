@@ -6,7 +6,7 @@ ground, so that n . G = 1 with n = (a, b, 1)) is seen by camera 1 in direction
 with t the way of the camera, phi the error of the rotation between the two attitudes, and (a, b)
 the slope of the ground (and the error of attitude 0). These eight numbers are the homography; the
 attitude comes in as prior on phi and (a, b). That chooses among the decompositions of the
-homography the physically right one, and tells tilting from moving as well as picture and autopilot
+homography the physically right one, and tells tilting from moving as well as image and autopilot
 together can.
 """
 
@@ -28,7 +28,7 @@ _RANSAC_STEPS = 300
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """The same ground points in two pictures.
+    """The same ground points in two images.
 
     Attributes:
         rays0: (n, 3) directions from camera 0 in NED, as its attitude has it.
@@ -173,7 +173,7 @@ def _cross_matrices(v: Array) -> Array:
 
 
 def _prior_information(prior: MotionPrior) -> Array:
-    """(8,) diagonal; the way and the turn about down are left to the picture."""
+    """(8,) diagonal; the way and the turn about down are left to the image."""
     tilt, slope = prior.tilt_increment_rad**-2, prior.slope**-2
     return np.array([0.0, 0.0, 0.0, tilt, tilt, 0.0, slope, slope])
 
@@ -217,9 +217,9 @@ class TiltSeen:
 def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) -> TiltSeen:
     """How a fit's own word on tilting stands to what the attitudes tell.
 
-    That is w, the turn of the optical axis about north and east, in the heading that the picture
+    That is w, the turn of the optical axis about north and east, in the heading that the image
     shows: an autopilot may have reset its own. With the prior N(0, s^2) of the turn beyond the
-    attitudes' own taken out of its posterior N(m, c), the picture says m / k, uncertain by c / k,
+    attitudes' own taken out of its posterior N(m, c), the image says m / k, uncertain by c / k,
     with k = 1 - c / s^2. So it shows w + m / k, and the logarithm of
     N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is (m.w + k w.w / 2) / s^2.
 
@@ -227,7 +227,7 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
         motion: what was fitted.
         prior: with which.
         axis0: (3,) optical axis in NED of the keyframe.
-        axis1: (3,) the same of the picture, both as their attitudes have it.
+        axis1: (3,) the same of the image, both as their attitudes have it.
     """
     c, s = math.cos(motion.turn_rad[2]), math.sin(motion.turn_rad[2])
     east, north = s * axis1[0] + c * axis1[1], c * axis1[0] - s * axis1[1]
@@ -249,7 +249,7 @@ def off_plane(motion: Motion, share: float) -> Motion:
 
 
 def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
-    """Way (3,) of the ground point in the picture's centre, with its covariance (3, 3).
+    """Way (3,) of the ground point in the image's centre, with its covariance (3, 3).
 
     Tilting moves it as flying does. It stays on the ground, which is turned to be level; the third
     component is how much shorter the way from the camera to that point became.
@@ -257,7 +257,7 @@ def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array
     Args:
         motion: since the keyframe.
         axis0: (3,) optical axis in NED of the keyframe.
-        axis1: (3,) the same of the picture, both as their attitudes have it.
+        axis1: (3,) the same of the image, both as their attitudes have it.
     """
     parameters = np.concatenate([motion.way, motion.turn_rad, motion.slope])
     way = _centre(parameters, axis0, axis1)

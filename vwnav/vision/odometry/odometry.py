@@ -1,7 +1,7 @@
 """Visual odometry over the ground: how far the body under the camera went since a keyframe.
 
-The keyframe stays until the view has changed too much, and every picture is compared with it
-directly: a hovering aircraft does not drift, and errors add up per keyframe, not per picture.
+The keyframe stays until the view has changed too much, and every image is compared with it
+directly: a hovering aircraft does not drift, and errors add up per keyframe, not per image.
 """
 
 import math
@@ -49,7 +49,7 @@ _MOST_ZOOM = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ReducedView:
-    """A reduced picture and how it was taken: height of the body, and of the camera.
+    """A reduced image and how it was taken: height of the body, and of the camera.
 
     `flow` (3, 3) is how what is seen moves while rows are read, see `vwnav.vision.shutter`.
     """
@@ -73,10 +73,10 @@ class _Keyframe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Course:
-    """Where the camera is since the keyframe, to know where to look in the next picture.
+    """Where the camera is since the keyframe, to know where to look in the next image.
 
     Attributes:
-        t_s: of the last picture that could be followed.
+        t_s: of the last image that could be followed.
         way: (3,) NED from the keyframe in units of its AGL. turn_rad: (3,) as `Motion` has it.
         way_per_s: (3,) velocity in the same units.
     """
@@ -88,18 +88,18 @@ class _Course:
 
 
 class Odometry:
-    """Motion of the body between a keyframe and each picture.
+    """Motion of the body between a keyframe and each image.
 
-    What a picture shows is how the camera moved; where it sits on a lever arm, a turn of the body
+    What an image shows is how the camera moved; where it sits on a lever arm, a turn of the body
     swings it, and that is taken off.
 
     Attitudes are the autopilot's own, not corrected by an estimator that uses this odometry: the
     displacement is in NED as they have it: its covariance leaves out the tilt and heading errors
-    that keyframe and picture share, which turn it whole.
+    that keyframe and image share, which turn it whole.
 
     Of a video `alone`, without any telemetry, the camera is taken as level, its heading is counted
-    from the first picture (`counted_attitude` tells it), and the displacement is that of the ground
-    point in the picture's centre.
+    from the first image (`counted_attitude` tells it), and the displacement is that of the ground
+    point in the image's centre.
     """
 
     def __init__(self, camera: Camera, config: OdometryConfig, alone: bool = False) -> None:
@@ -124,14 +124,14 @@ class Odometry:
         self._heading_rad = 0.0
 
     def counted_attitude(self, t_s: float) -> Attitude:
-        """Of a video alone: level, with the heading counted up to the last picture."""
+        """Of a video alone: level, with the heading counted up to the last image."""
         R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
         return Attitude(t_s, quat_from_rotation(R_ned_body))
 
     def step(
         self, frame: Frame, R_ned_body: Array | None, agl_m: float
     ) -> OdometryMotion | Rejected:
-        """Take the next picture.
+        """Take the next image.
 
         Args:
             frame: later than the one before, of the camera's size.
@@ -151,7 +151,7 @@ class Odometry:
             return self._begin(view)
         result = self._follow(self._keyframe, view)
         if isinstance(result, Rejected) and last is not None and last is not self._keyframe.view:
-            # The picture before sees more of what this one sees than the keyframe does.
+            # The image before sees more of what this one sees than the keyframe does.
             keyframe = self._start(last)
             result = self._follow(keyframe, view) if keyframe is not None else result
         if isinstance(result, Rejected):
@@ -188,7 +188,7 @@ class Odometry:
         return _ReducedView(frame.t_s, gray, R_ned_camera, agl_m, height_m, flow)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
-        """A picture that shows nothing: what comes after it starts anew."""
+        """An image that shows nothing: what comes after it starts anew."""
         self._keyframe = None
         return Rejected(t_s, reason, detail)
 
@@ -296,7 +296,7 @@ class Odometry:
         )
 
     def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:
-        """A level view with the heading that its picture has shown."""
+        """A level view with the heading that its image has shown."""
         self._heading_rad = heading_rad
         R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
         return replace(view, R_ned_camera=R_ned_body @ self._camera.R_body_camera)

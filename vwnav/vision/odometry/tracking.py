@@ -1,6 +1,6 @@
 """Corners, and where they went: pyramidal Lucas-Kanade with a check backwards.
 
-Dense flow and matching of ORB, SIFT or learned features between the same pictures are slower and no
+Dense flow and matching of ORB, SIFT or learned features between the same images are slower and no
 more exact (docs/estimation.md has the table).
 """
 
@@ -23,12 +23,12 @@ _LEAST_RESPONSE = 2e-5  # smaller eigenvalue of the gradients, gray from 0 to 1:
 
 
 def reduction(width_px: int, widest_px: int) -> int:
-    """The whole number by which pictures are shrunk so that they are at most `widest_px` wide."""
+    """The whole number by which images are shrunk so that they are at most `widest_px` wide."""
     return max(1, math.ceil(width_px / widest_px))
 
 
 def reduced_gray(image: NDArray[np.uint8], factor: int) -> Gray:
-    """Gray picture shrunk by a whole number; what does not fill a pixel at the end is cut off.
+    """Gray image shrunk by a whole number; what does not fill a pixel at the end is cut off.
 
     Args:
         image: (h, w) gray or (h, w, 3) BGR.
@@ -43,7 +43,7 @@ def reduced_gray(image: NDArray[np.uint8], factor: int) -> Gray:
 
 
 def find_corners(gray: Gray, cell_px: int) -> Points:
-    """The strongest corner (n, 2) of each cell of the picture, if it is one (Shi and Tomasi 1994).
+    """The strongest corner (n, 2) of each cell of the image, if it is one (Shi and Tomasi 1994).
 
     One per cell spreads them evenly, which is what tells tilting from moving.
     """
@@ -63,13 +63,13 @@ def find_corners(gray: Gray, cell_px: int) -> Points:
 
 
 def track(gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points) -> tuple[Points, BoolArray]:
-    """Follow points from picture 0 to picture 1.
+    """Follow points from image 0 to image 1.
 
     Args:
-        gray0: picture 0.
-        gray1: picture 1, of the same size.
-        uv0: (n, 2) where they are in picture 0.
-        guess_uv1: (n, 2) where they are thought to be in picture 1.
+        gray0: image 0.
+        gray1: image 1, of the same size.
+        uv0: (n, 2) where they are in image 0.
+        guess_uv1: (n, 2) where they are thought to be in image 1.
 
     Returns:
         (n, 2) where they are, and (n,) whether they came back to where they started.

@@ -1,4 +1,4 @@
-"""Faults of the camera: what becomes of its pictures, and when they come."""
+"""Faults of the camera: what becomes of its images, and when they come."""
 
 from collections import deque
 from collections.abc import Callable
@@ -17,14 +17,14 @@ Trouble = Callable[[Frame], Frame | None]
 _DARK, _DARK_NOISE = 3.0, 1.5
 _SUN_PX, _VEIL = 0.35, 90.0  # radius of the glare as a share of the height; grey levels about it
 _BLUR_PX = 4.0
-_BURST, _AFTER = 8, 12  # pictures lost, pictures that come
-_LOOP = 10  # pictures of a buffer that is shown again and again
+_BURST, _AFTER = 8, 12  # images lost, images that come
+_LOOP = 10  # images of a buffer that is shown again and again
 _PATCH_PX = 40
 
 
 @dataclass(frozen=True)
 class CameraTrouble:
-    """Pictures are not what they should be: see the functions below."""
+    """Images are not what they should be: see the functions below."""
 
     make: Callable[[], Trouble]
 
@@ -41,8 +41,8 @@ class CameraTrouble:
 
 
 @dataclass(frozen=True)
-class PicturesLate:
-    """Pictures arrive later; `stamped` says whether they still tell when they were exposed."""
+class ImagesLate:
+    """Images arrive later; `stamped` says whether they still tell when they were exposed."""
 
     seconds: float
     stamped: bool = True
@@ -59,7 +59,7 @@ class PicturesLate:
         world.camera.trouble = None
 
 
-def no_pictures() -> Trouble:
+def no_images() -> Trouble:
     """Nothing comes."""
     return lambda frame: None
 
@@ -90,7 +90,7 @@ def overexposed() -> Trouble:
 
 
 def frozen() -> Trouble:
-    """The same picture again and again, with new times."""
+    """The same image again and again, with new times."""
     kept: list[Frame] = []
 
     def freeze(frame: Frame) -> Frame | None:
@@ -101,7 +101,7 @@ def frozen() -> Trouble:
 
 
 def looping() -> Trouble:
-    """The pictures of a second again and again, with new times: a buffer that is stuck."""
+    """The images of a second again and again, with new times: a buffer that is stuck."""
     kept: deque[Image] = deque()
 
     def loop(frame: Frame) -> Frame | None:
@@ -166,7 +166,7 @@ def another_size() -> Trouble:
 
 
 def bursts_dropped() -> Trouble:
-    """Eight pictures in a row are lost, twelve come."""
+    """Eight images in a row are lost, twelve come."""
 
     def drop(frame: Frame) -> Frame | None:
         return None if frame.index % (_BURST + _AFTER) < _BURST else frame
@@ -175,5 +175,5 @@ def bursts_dropped() -> Trouble:
 
 
 def _each(change: Callable[[Image], Image]) -> Trouble:
-    """A trouble that makes another picture of every one."""
+    """A trouble that makes another image of every one."""
     return lambda frame: replace(frame, image=change(frame.image))

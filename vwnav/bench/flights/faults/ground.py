@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vwnav.bench.flights.stage import FlightStage, Lasting
+from vwnav.sim.named_sites import UNRELATED_HOME_NE_M, parse_site
 from vwnav.sim.scenery.looks import Season
 from vwnav.sim.site import Site
-from vwnav.sim.sites import UNRELATED_HOME_NE_M, parse_site
 
 _LOW_SUN_RAD = 0.3
 

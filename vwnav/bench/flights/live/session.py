@@ -22,8 +22,8 @@ from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
+from vwnav.sim.named_sites import DEFAULT_SEED
 from vwnav.sim.site import Site
-from vwnav.sim.sites import DEFAULT_SEED
 from vwnav.sim.truth import TruthReader
 from vwnav.types import Array
 from vwnav.vehicle import FlightMode

@@ -10,13 +10,13 @@ from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table.aircraft import AUTOPILOT, BATTERY, PILOT
 from vwnav.bench.flights.table.computer import DISK_AND_CLOCK, NAVIGATOR, PROCESSOR
 from vwnav.bench.flights.table.ground import MAP, MODEL
+from vwnav.bench.flights.table.images import IMAGES
 from vwnav.bench.flights.table.link import LINK
-from vwnav.bench.flights.table.pictures import PICTURES
 from vwnav.bench.flights.table.telemetry import TELEMETRY
 from vwnav.bench.flights.table.whole import WHOLE, WIND
 
 FAMILIES: dict[str, list[Scenario]] = {
-    "pictures": PICTURES,
+    "pictures": IMAGES,
     "telemetry": TELEMETRY,
     "map": MAP,
     "model": MODEL,

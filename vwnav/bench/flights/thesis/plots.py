@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.figures import pyplot
-from vwnav.bench.flights.picture import shade_modes
 from vwnav.bench.flights.thesis.samples import Sample, columns
 from vwnav.bench.flights.thesis.tests import FlightTest
+from vwnav.bench.flights.track_plot import shade_modes
 
 _TRUE, _ESTIMATED, _FUSED = "k", "tab:blue", "tab:orange"
 

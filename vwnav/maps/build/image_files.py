@@ -1,4 +1,4 @@
-"""Pictures whose corners are listed in a table (`map.csv`)."""
+"""Images whose corners are listed in a table (`map.csv`)."""
 
 import csv
 import logging
@@ -14,10 +14,10 @@ import numpy as np
 
 from vwnav.errors import MapError
 from vwnav.maps.build.raster import Bounds, DrawnSource, corner_georeference
-from vwnav.maps.picture import Picture
+from vwnav.maps.image import MapImage
 
 _LOG = logging.getLogger(__name__)
-_PICTURES_IN_MEMORY = 3
+_IMAGES_IN_MEMORY = 3
 
 _LATITUDE, _LONGITUDE = r"lat(itude)?", r"(lon(g|gitude)?|lng)"
 _TOP_LEFT, _BOTTOM_RIGHT = r"(topleft|upperleft|tl|ul|nw)", r"(bottomright|lowerright|br|lr|se)"
@@ -34,48 +34,48 @@ _COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class CornerRow:
-    """A line of the table: a picture's file name and its (south, west, north, east) in degrees."""
+    """A line of the table: an image's file name and its (south, west, north, east) in degrees."""
 
     file: str
     bounds: Bounds
 
 
-class PictureCache:
-    """Decoded pictures, the few that were used last."""
+class ImageCache:
+    """Decoded images, the few that were used last."""
 
     def __init__(self) -> None:
-        self._pictures: OrderedDict[Path, Picture] = OrderedDict()
+        self._images: OrderedDict[Path, MapImage] = OrderedDict()
 
-    def read(self, path: Path) -> Picture:
-        """A picture as BGR with its mask.
+    def read(self, path: Path) -> MapImage:
+        """An image as BGR with its mask.
 
         Raises:
             MapError: it cannot be decoded.
         """
-        if path in self._pictures:
-            self._pictures.move_to_end(path)
-            return self._pictures[path]
-        self._pictures[path] = _decoded(path)
-        while len(self._pictures) > _PICTURES_IN_MEMORY:
-            self._pictures.popitem(last=False)
-        return self._pictures[path]
+        if path in self._images:
+            self._images.move_to_end(path)
+            return self._images[path]
+        self._images[path] = _decoded(path)
+        while len(self._images) > _IMAGES_IN_MEMORY:
+            self._images.popitem(last=False)
+        return self._images[path]
 
 
-def corner_pictures(table: Path, listed: Sequence[Path] = ()) -> list[DrawnSource]:
-    """The pictures of a table, found beside it or among those listed.
+def corner_images(table: Path, listed: Sequence[Path] = ()) -> list[DrawnSource]:
+    """The images of a table, found beside it or among those listed.
 
     Missing ones are passed over with a warning.
 
     Raises:
-        MapError: the table makes no sense, or none of its pictures is there.
+        MapError: the table makes no sense, or none of its images is there.
     """
     by_name = {path.name: path for path in listed}
-    cache = PictureCache()
+    cache = ImageCache()
     found, missing = [], []
     for row in read_corners(table):
         path = by_name.get(Path(row.file).name, table.parent / row.file)
         if path.is_file():
-            found.append(_corner_picture(path, row.bounds, cache))
+            found.append(_corner_image(path, row.bounds, cache))
         else:
             missing.append(row.file)
     if not found:
@@ -85,7 +85,7 @@ def corner_pictures(table: Path, listed: Sequence[Path] = ()) -> list[DrawnSourc
     return found
 
 
-def _corner_picture(path: Path, bounds: Bounds, cache: PictureCache) -> DrawnSource:
+def _corner_image(path: Path, bounds: Bounds, cache: ImageCache) -> DrawnSource:
     h, w = cache.read(path).mask.shape
     georeference = corner_georeference(bounds, (w, h))
     return DrawnSource(
@@ -153,7 +153,7 @@ def _corner_row(where: str, row: Sequence[str], columns: dict[str, int]) -> Corn
     return CornerRow(cells[columns["file"]], (south, west, north, east))
 
 
-def _decoded(path: Path) -> Picture:
+def _decoded(path: Path) -> MapImage:
     try:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
@@ -164,5 +164,5 @@ def _decoded(path: Path) -> Picture:
     if image.ndim == 2:
         image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     if image.shape[2] == 4:
-        return Picture(np.ascontiguousarray(image[..., :3]), image[..., 3] > 0)
-    return Picture(np.asarray(image, np.uint8), np.ones(image.shape[:2], np.bool_))
+        return MapImage(np.ascontiguousarray(image[..., :3]), image[..., 3] > 0)
+    return MapImage(np.asarray(image, np.uint8), np.ones(image.shape[:2], np.bool_))

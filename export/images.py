@@ -1,4 +1,4 @@
-"""Real pictures for calibration and checks: of the training set only."""
+"""Real images for calibration and checks: of the training set only."""
 
 from pathlib import Path
 
@@ -8,35 +8,35 @@ from numpy.typing import NDArray
 
 from export.export_onnx import ExportError
 from models.network import SIZE_MULTIPLE_PX
-from training.data import PICTURE_SUFFIXES, data_folder
+from training.data import IMAGE_SUFFIXES, data_folder
 
 Image = NDArray[np.uint8]
 
 
-def training_pictures(data: str, count: int) -> list[Path]:
-    """At most `count` pictures of `train/`, from all of its sources in turn; none without data."""
+def training_images(data: str, count: int) -> list[Path]:
+    """At most `count` images of `train/`, from all of its sources in turn; none without data."""
     folder = data_folder(data)
     if folder is None:
         return []
     sources = sorted(p for p in (folder / "train").glob("*/*") if p.is_dir())
     lists = [_of_source(source) for source in sources]
-    lists = [pictures for pictures in lists if pictures]
+    lists = [images for images in lists if images]
     share = -(-count // max(len(lists), 1))
     # Evenly over each source: neighbours in a folder resemble each other.
     chosen = [
-        pictures[i * len(pictures) // min(share, len(pictures))]
-        for pictures in lists
-        for i in range(min(share, len(pictures)))
+        images[i * len(images) // min(share, len(images))]
+        for images in lists
+        for i in range(min(share, len(images)))
     ]
     step = max(1.0, len(chosen) / count)
     return [chosen[int(k * step)] for k in range(min(count, len(chosen)))]
 
 
 def read_grey(path: Path, largest_px: int = 4096) -> Image:
-    """Read a picture as grey and cut its middle to a size that the network takes.
+    """Read an image as grey and cut its middle to a size that the network takes.
 
     Args:
-        path: any picture.
+        path: any image.
         largest_px: of each side.
 
     Raises:
@@ -51,4 +51,4 @@ def read_grey(path: Path, largest_px: int = 4096) -> Image:
 
 
 def _of_source(source: Path) -> list[Path]:
-    return sorted(p for p in source.glob("*") if p.suffix.lower() in PICTURE_SUFFIXES)
+    return sorted(p for p in source.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)

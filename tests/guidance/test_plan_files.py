@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vwnav.errors import RouteError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.guidance.missions import GlobalWaypoint, LocalWaypoint, load_route
+from vwnav.guidance.plan_files import GlobalWaypoint, LocalWaypoint, load_route
 
 HOME = [47.397742, 8.545594, 488.0]
 IN_ORDER = [[47.398, 8.546, 50.0], [47.399, 8.546, 50.0], [47.399, 8.547, 55.0]]

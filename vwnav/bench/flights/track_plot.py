@@ -1,4 +1,4 @@
-"""The picture of a flight's track: truth, estimate, where it broke, where it landed, modes."""
+"""The image of a flight's track: truth, estimate, where it broke, where it landed, modes."""
 
 import textwrap
 from pathlib import Path
@@ -27,7 +27,7 @@ def save_track(
         track: of the flight; its places are about where the aircraft stood.
         begun_s: when the mission began, on the track's clock.
         broke_s: when something broke, since then; None: nothing did.
-        title: above the picture.
+        title: above the image.
         path: of the PNG.
 
     Raises:

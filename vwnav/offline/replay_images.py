@@ -26,14 +26,14 @@ from vwnav.seams import ATTITUDE_WAIT_S, FrameSource
 from vwnav.types import Attitude, Frame, Telemetry
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
-LEAD_S = 1.0  # of the telemetry before the first picture
+LEAD_S = 1.0  # of the telemetry before the first image
 
 
 def replay_source(options: ReplayOptions) -> None:
     """Run the pipeline over a recording and write the run folder.
 
     Raises:
-        VwnavError: anything a person can mend; also when no picture was located.
+        VwnavError: anything a person can mend; also when no image was located.
     """
     cv2.setNumThreads(1)  # the same recording gives the same trajectory
     config = with_features(load_config(options.config_path), options.features, options.model)
@@ -77,7 +77,7 @@ def choose_camera(
     """The calibrated camera, or a pinhole of the given field of view.
 
     Raises:
-        VwnavError: the calibration is unreadable or for pictures of another size.
+        VwnavError: the calibration is unreadable or for images of another size.
     """
     if calibration is not None:
         camera = load_camera(calibration)
@@ -117,7 +117,7 @@ def _run(
             _feed(assembled.pipeline, coming, frame.t_s)
             step = assembled.pipeline.step(frame)
             tally.busy_s += time.perf_counter() - start_s
-            input_log.picture(step, None)
+            input_log.image(step, None)
             record.add(step, None)
             line.show(frame.t_s, _status(tally, frame.t_s - first.t_s))
             try:
@@ -136,7 +136,7 @@ def _run(
 
 
 def _feed(pipeline: Pipeline, coming: deque[Telemetry], t_s: float) -> None:
-    """Hand in what was measured until a picture, and on until its attitude is known."""
+    """Hand in what was measured until an image, and on until its attitude is known."""
     while coming and coming[0].t_s <= t_s + ATTITUDE_WAIT_S:
         if coming[0].t_s > t_s and pipeline.covers(t_s):
             return

@@ -11,7 +11,7 @@ from vwnav.errors import MapError
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.codec import DESCRIPTOR_KINDS, DescriptorKind, decode_features, decode_tile
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.picture import Level, Picture, Tile, Window
+from vwnav.maps.image import Level, MapImage, Tile, Window
 from vwnav.maps.schema import SCHEMA_VERSION, SQLITE_MAGIC, metadata_checksum
 from vwnav.types import FEATURE_NAMES, FeatureName, Features
 
@@ -127,8 +127,8 @@ def read_tile_window(connection: sqlite3.Connection, zoom: int) -> Window:
     return Window(first.x0, first.y0, last.x1, last.y1)
 
 
-def read_picture(connection: sqlite3.Connection, tile: Tile) -> Picture | None:
-    """The picture of a tile, None where the map has nothing; damage raises what `DAMAGE` lists."""
+def read_image(connection: sqlite3.Connection, tile: Tile) -> MapImage | None:
+    """The image of a tile, None where the map has nothing; damage raises what `DAMAGE` lists."""
     row = connection.execute(
         "SELECT tile_data, crc32 FROM vwnav_tiles LEFT JOIN tiles "
         "USING (zoom_level, tile_column, tile_row) "

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
-from vwnav.maps.picture import Picture, Tile, Window, assemble
+from vwnav.maps.image import MapImage, Tile, Window, assemble
 
 zooms = st.integers(0, 22)
 edges = st.tuples(*[st.integers(-600, 1400)] * 4)
@@ -62,18 +62,18 @@ def test_halving_averages_only_pixels_with_data():
     bgr = np.zeros((2, 4, 3), np.uint8)
     bgr[0], bgr[1, :2] = 100, 50
     mask = np.array([[True, True, True, False], [True, True, False, False]])
-    half = Picture(bgr, mask).halved()
+    half = MapImage(bgr, mask).halved()
     assert half.bgr[0, 0].tolist() == [75, 75, 75]
     assert half.mask.tolist() == [[True, False]]
 
 
 def test_assembling_leaves_missing_tiles_without_data():
-    full = Picture(np.full((256, 256, 3), 9, np.uint8), np.ones((256, 256), bool))
-    picture = assemble(3, Window(200, 0, 300, 10), lambda tile: full if tile.x == 0 else None)
-    assert picture.mask[:, :56].all()
-    assert not picture.mask[:, 56:].any()
+    full = MapImage(np.full((256, 256, 3), 9, np.uint8), np.ones((256, 256), bool))
+    image = assemble(3, Window(200, 0, 300, 10), lambda tile: full if tile.x == 0 else None)
+    assert image.mask[:, :56].all()
+    assert not image.mask[:, 56:].any()
 
 
-def test_a_picture_whose_mask_has_another_size_is_refused():
+def test_an_image_whose_mask_has_another_size_is_refused():
     with pytest.raises(ValueError, match="expected bgr"):
-        Picture(np.zeros((4, 5, 3), np.uint8), np.zeros((5, 4), bool))
+        MapImage(np.zeros((4, 5, 3), np.uint8), np.zeros((5, 4), bool))

@@ -1,4 +1,4 @@
-"""The picture of a track over the map, whatever the track."""
+"""The image of a track over the map, whatever the track."""
 
 import sys
 import tracemalloc
@@ -18,7 +18,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.pack import MapPack
-from vwnav.recording.track_picture import MAX_SIDE_PX, Thinned, TrackPicture
+from vwnav.recording.track_plot import MAX_SIDE_PX, Thinned, TrackPlot
 from vwnav.types import Estimate
 
 HOME = LocalFrame(60.4, 22.5, 0.0)
@@ -34,11 +34,11 @@ def pack(tmp_path_factory):
         yield opened
 
 
-def flown(pack: MapPack, places_ned_m, sigma_m: float = 1.0) -> TrackPicture:
-    picture = TrackPicture(pack, HOME)
+def flown(pack: MapPack, places_ned_m, sigma_m: float = 1.0) -> TrackPlot:
+    image = TrackPlot(pack, HOME)
     for i, place in enumerate(places_ned_m):
-        picture.add(step(float(i), place, sigma_m))
-    return picture
+        image.add(step(float(i), place, sigma_m))
+    return image
 
 
 def step(t_s: float, place, sigma_m: float = 1.0) -> SimpleNamespace:
@@ -74,14 +74,14 @@ def test_no_track_is_too_absurd_to_be_drawn(pack, places, sigma_m):
 
 
 def test_a_flight_of_hours_is_kept_in_as_little_as_one_of_minutes(pack):
-    picture = TrackPicture(pack, HOME)
+    image = TrackPlot(pack, HOME)
     tracemalloc.start()
     for i in range(60_000):
-        picture.add(step(0.1 * i, [0.002 * i, 20.0 * np.sin(0.001 * i), -50.0]))
+        image.add(step(0.1 * i, [0.002 * i, 20.0 * np.sin(0.001 * i), -50.0]))
     kept_bytes = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert kept_bytes < 6e6
-    drawn = (picture.draw() == (0, 200, 255)).all(axis=-1)
+    drawn = (image.draw() == (0, 200, 255)).all(axis=-1)
     assert np.ptp(np.flatnonzero(drawn.any(axis=1))) > 200, "the way north is drawn whole"
 
 

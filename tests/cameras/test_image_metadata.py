@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from vwnav.cameras.picture_metadata import PictureMetadata, read_picture_metadata
+from vwnav.cameras.image_metadata import ImageMetadata, read_image_metadata
 from vwnav.errors import SourceError
 
 XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description drone-dji:RelativeAltitude="+40.10"
@@ -15,7 +15,7 @@ XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description drone-dji:Relative
  drone-dji:GimbalRollDegree="{roll}"/></x:xmpmeta>"""
 
 
-def picture(path: Path, *, main=None, exif=None, gps=None, xmp: str = "", size=(160, 120)) -> Path:
+def image(path: Path, *, main=None, exif=None, gps=None, xmp: str = "", size=(160, 120)) -> Path:
     """A JPEG with these tags."""
     tags = Image.Exif()
     for tag, value in (main or {}).items():
@@ -27,8 +27,8 @@ def picture(path: Path, *, main=None, exif=None, gps=None, xmp: str = "", size=(
     return path
 
 
-def read(path: Path, size=(160, 120)) -> PictureMetadata:
-    return read_picture_metadata(path, *size)
+def read(path: Path, size=(160, 120)) -> ImageMetadata:
+    return read_image_metadata(path, *size)
 
 
 def gps_tags(lat: float, lon: float, alt_m: float) -> dict[int, object]:
@@ -47,19 +47,19 @@ def gps_tags(lat: float, lon: float, alt_m: float) -> dict[int, object]:
 )
 def test_the_position_is_read_back(tmp_path_factory, lat, lon, alt_m):
     path = tmp_path_factory.mktemp("gps") / "a.jpg"
-    found = read(picture(path, gps=gps_tags(lat, lon, alt_m)))
+    found = read(image(path, gps=gps_tags(lat, lon, alt_m)))
     assert found.lat_deg == pytest.approx(lat, abs=1e-7)
     assert found.lon_deg == pytest.approx(lon, abs=1e-7)
     assert found.alt_amsl_m == pytest.approx(alt_m, abs=0.01)
 
 
-def test_a_picture_without_metadata_says_nothing(tmp_path: Path):
+def test_an_image_without_metadata_says_nothing(tmp_path: Path):
     Image.fromarray(np.zeros((9, 9), np.uint8)).save(tmp_path / "a.png")
-    assert read(tmp_path / "a.png") == PictureMetadata()
+    assert read(tmp_path / "a.png") == ImageMetadata()
 
 
 def test_a_position_of_zeros_is_none(tmp_path: Path):
-    assert read(picture(tmp_path / "a.jpg", gps=gps_tags(0.0, 0.0, 0.0))).lat_deg is None
+    assert read(image(tmp_path / "a.jpg", gps=gps_tags(0.0, 0.0, 0.0))).lat_deg is None
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_a_position_of_zeros_is_none(tmp_path: Path):
     ],
 )
 def test_a_gimbal_that_looks_down_is_level(tmp_path, yaw, pitch, roll, expected_rpy_deg):
-    found = read(picture(tmp_path / "a.jpg", xmp=XMP.format(yaw=yaw, pitch=pitch, roll=roll)))
+    found = read(image(tmp_path / "a.jpg", xmp=XMP.format(yaw=yaw, pitch=pitch, roll=roll)))
     found_rpy_deg = np.degrees([found.roll_rad, found.pitch_rad, found.yaw_rad])
     assert found_rpy_deg == pytest.approx(expected_rpy_deg, abs=1e-6)
     assert found.height_above_home_m == 40.1
@@ -80,12 +80,12 @@ def test_a_gimbal_that_looks_down_is_level(tmp_path, yaw, pitch, roll, expected_
 
 def test_xmp_may_be_written_as_elements(tmp_path: Path):
     xmp = "<drone-dji:RelativeAltitude>+12.5</drone-dji:RelativeAltitude>"
-    assert read(picture(tmp_path / "a.jpg", xmp=xmp)).height_above_home_m == 12.5
+    assert read(image(tmp_path / "a.jpg", xmp=xmp)).height_above_home_m == 12.5
 
 
-def test_the_pictures_direction_stands_in_for_the_gimbal(tmp_path: Path):
+def test_the_images_direction_stands_in_for_the_gimbal(tmp_path: Path):
     gps = gps_tags(1.0, 1.0, 1.0) | {16: "T", 17: 90.0}
-    found = read(picture(tmp_path / "a.jpg", gps=gps))
+    found = read(image(tmp_path / "a.jpg", gps=gps))
     assert found.yaw_rad == pytest.approx(math.pi / 2)
     assert found.roll_rad is None
 
@@ -104,24 +104,24 @@ def test_the_pictures_direction_stands_in_for_the_gimbal(tmp_path: Path):
     ],
 )
 def test_the_field_of_view_follows_from_the_lens(tmp_path: Path, exif, size, hfov_deg):
-    found = read(picture(tmp_path / "a.jpg", exif=exif, size=size), size)
+    found = read(image(tmp_path / "a.jpg", exif=exif, size=size), size)
     assert found.hfov_deg == pytest.approx(hfov_deg, abs=0.6)
 
 
 def test_a_calibrated_focal_length_goes_first(tmp_path: Path):
     xmp = '<a drone-dji:CalibratedFocalLength="2000.0"/>'
-    found = read(picture(tmp_path / "a.jpg", exif={0xA002: 4000, 0xA405: 99}, xmp=xmp))
+    found = read(image(tmp_path / "a.jpg", exif={0xA002: 4000, 0xA405: 99}, xmp=xmp))
     assert found.hfov_deg == pytest.approx(90.0)
 
 
 def test_a_lens_that_cannot_be_is_none(tmp_path: Path):
-    assert read(picture(tmp_path / "a.jpg", exif={0xA405: 60_000})).focal_ratio is None
+    assert read(image(tmp_path / "a.jpg", exif={0xA405: 60_000})).focal_ratio is None
 
 
 @given(data=st.data())
 def test_damaged_metadata_never_raise(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("damaged")
-    buffer = picture(
+    buffer = image(
         folder / "a.jpg",
         exif={0x920A: 3.61, 0xA405: 20, 0xA002: 4000},
         gps=gps_tags(46.8, -92.0, 198.0),
@@ -148,7 +148,7 @@ def test_a_missing_file_is_one_line(tmp_path: Path):
         read(tmp_path / "none.jpg")
 
 
-def test_a_real_drones_pictures_are_read(data_folder: Path):
+def test_a_real_drones_images_are_read(data_folder: Path):
     folder = data_folder / "flights" / "brighton_beach" / "images"
     found = read(folder / "DJI_0019.JPG", (1600, 900))
     assert found.lat_deg == pytest.approx(46.8426907, abs=1e-7)

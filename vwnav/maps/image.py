@@ -1,4 +1,4 @@
-"""Pieces of a map: tiles of the web-mercator grid, windows over it, pictures with a mask."""
+"""Pieces of a map: tiles of the web-mercator grid, windows over it, images with a mask."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -74,7 +74,7 @@ class Window(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class MapImage:
     """A piece of map.
 
     Attributes:
@@ -92,8 +92,8 @@ class Picture:
             )
 
     @classmethod
-    def empty(cls, shape: tuple[int, int]) -> "Picture":
-        """A picture (height, width) without data."""
+    def empty(cls, shape: tuple[int, int]) -> "MapImage":
+        """An image (height, width) without data."""
         return cls(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_))
 
     @property
@@ -101,12 +101,12 @@ class Picture:
         """(h, w) uint8."""
         return np.asarray(cv2.cvtColor(self.bgr, cv2.COLOR_BGR2GRAY), np.uint8)
 
-    def crop(self, window: Window) -> "Picture":
-        """The part in a window of the picture's own pixels."""
+    def crop(self, window: Window) -> "MapImage":
+        """The part in a window of the image's own pixels."""
         part = window_slices(window, 0, 0)
-        return Picture(self.bgr[part], self.mask[part])
+        return MapImage(self.bgr[part], self.mask[part])
 
-    def halved(self) -> "Picture":
+    def halved(self) -> "MapImage":
         """Half the size: the mean of each 2 x 2 pixels that have data, where two or more do."""
         h, w = self.mask.shape
         weight = self.mask.reshape(h // 2, 2, w // 2, 2).sum(axis=(1, 3))
@@ -114,21 +114,21 @@ class Picture:
         total = masked.reshape(h // 2, 2, w // 2, 2, 3).sum(axis=(1, 3), dtype=np.uint16)
         mask = weight >= 2
         mean = (total + weight[..., None] // 2) // np.maximum(weight, 1)[..., None]
-        return Picture(np.where(mask[..., None], mean, 0).astype(np.uint8), mask)
+        return MapImage(np.where(mask[..., None], mean, 0).astype(np.uint8), mask)
 
 
-def assemble(zoom: int, window: Window, fetch: Callable[[Tile], Picture | None]) -> Picture:
+def assemble(zoom: int, window: Window, fetch: Callable[[Tile], MapImage | None]) -> MapImage:
     """Put the tiles under a window together; a tile that is None has no data."""
-    out = Picture.empty(window.shape)
+    out = MapImage.empty(window.shape)
     for tile in window.tiles(zoom):
-        picture = fetch(tile)
-        if picture is None:
+        image = fetch(tile)
+        if image is None:
             continue
         part = tile.window.clipped(window)
         into = window_slices(part, window.x0, window.y0)
         out_of = window_slices(part, tile.window.x0, tile.window.y0)
-        out.bgr[into] = picture.bgr[out_of]
-        out.mask[into] = picture.mask[out_of]
+        out.bgr[into] = image.bgr[out_of]
+        out.mask[into] = image.mask[out_of]
     return out
 
 
@@ -173,7 +173,7 @@ class MapReader(Protocol):
         ...
 
     def image(self, zoom: int, x0: int, y0: int, x1: int, y1: int) -> tuple[Gray, Mask]:
-        """The gray picture (h, w) of a window of global pixels, and where it has data."""
+        """The gray image (h, w) of a window of global pixels, and where it has data."""
         ...
 
     def features_in(

@@ -1,4 +1,4 @@
-"""A picture of the flight over the map: estimate, fixes, one-sigma ellipses, and truth if known."""
+"""An image of the flight over the map: estimate, fixes, one-sigma ellipses, and truth if known."""
 
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame, mercator_px, mercator_px_per_m
+from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
-from vwnav.maps.picture import Window
 from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix
 
 MARGIN_M = 60.0
 MAX_SIDE_PX = 1600
 ELLIPSE_EVERY_S = 2.0
-MOST_POINTS = 10_000  # of a line: after an hour of pictures at 10 Hz one every 0.4 s
+MOST_POINTS = 10_000  # of a line: after an hour of images at 10 Hz one every 0.4 s
 _ESTIMATE_BGR = (0, 200, 255)
 _FIX_BGR = (90, 220, 60)
 _TRUTH_BGR = (255, 255, 255)
@@ -59,7 +59,7 @@ class _Spot(NamedTuple):
     covariance_ne_m2: Array
 
 
-class TrackPicture:
+class TrackPlot:
     """Collects a track and draws it at the end; a long one with fewer points, not with more."""
 
     def __init__(self, pack: MapPack, local_frame: LocalFrame) -> None:
@@ -70,7 +70,7 @@ class TrackPicture:
         self._truth_ned_m: Thinned[Array] = Thinned(MOST_POINTS)
 
     def add(self, step: StepResult) -> None:
-        """One picture of the flight."""
+        """One image of the flight."""
         estimate = step.estimate
         if estimate is not None and estimate.t_last_fix_s is not None:
             covariance_ne_m2 = estimate.covariance[:2, :2].copy()  # a view would keep all of it
@@ -92,10 +92,10 @@ class TrackPicture:
             raise VwnavError(f"cannot write {path}")
 
     def draw(self) -> NDArray[np.uint8]:
-        """The picture, BGR, no larger than `MAX_SIDE_PX`; without any position of the whole map.
+        """The image, BGR, no larger than `MAX_SIDE_PX`; without any position of the whole map.
 
         A track that leaves the map is drawn as far as the map goes: an estimate that ran away must
-        not ask for a picture of the way to the moon.
+        not ask for an image of the way to the moon.
         """
         track = self._lat_lon([spot.position_ned_m for spot in self._track.items])
         fixes = np.array(self._fixes.items).reshape(-1, 2)
@@ -106,8 +106,8 @@ class TrackPicture:
         x1, y1 = (int(v) + 1 for v in mercator_px(south, east, zoom))
         x1, y1 = min(x1, x0 + MAX_SIDE_PX), min(y1, y0 + MAX_SIDE_PX)
         # A little darker, so that the lines stand out.
-        picture = self._pack.picture(zoom, Window(x0, y0, x1, y1))
-        canvas = (picture.bgr * 0.8).astype(np.uint8)
+        image = self._pack.colour_image(zoom, Window(x0, y0, x1, y1))
+        canvas = (image.bgr * 0.8).astype(np.uint8)
 
         def pixels(lat_lon: Array) -> Array:
             x, y = mercator_px(lat_lon[:, 0], lat_lon[:, 1], zoom)
@@ -146,7 +146,7 @@ class TrackPicture:
         )
 
     def _zoom(self, south: float, west: float, north: float, east: float) -> int:
-        """The finest level at which the picture is not too large."""
+        """The finest level at which the image is not too large."""
         zooms = sorted(level.zoom for level in self._pack.levels)
         fitting = [z for z in zooms if _side_px(south, west, north, east, z) <= MAX_SIDE_PX]
         return fitting[-1] if fitting else zooms[0]
@@ -160,7 +160,7 @@ class TrackPicture:
             variances, axes = np.linalg.eigh(spot.covariance_ne_m2)
             px_per_m = mercator_px_per_m(self._local_frame.lat_deg, zoom)[0]
             semi_px = np.sqrt(np.maximum(variances, 0.0)) * px_per_m
-            # Columns are (north, east): on the picture east is right and north is up.
+            # Columns are (north, east): on the image east is right and north is up.
             angle_deg = float(np.degrees(np.arctan2(-axes[0, 1], axes[1, 1])))
             scale = 1 << _SUBPIXEL_BITS
             centre = tuple(round(v * scale) for v in at)

@@ -1,4 +1,4 @@
-"""What a drone's camera writes into its pictures: EXIF (place, lens) and XMP (attitude, height).
+"""What a drone's camera writes into its images: EXIF (place, lens) and XMP (attitude, height).
 
 Sources: Exif 2.32 (CIPA DC-008) for the tags, DJI's `drone-dji` XMP name space. Files are hostile
 until read: what is damaged or of another type counts as absent.
@@ -20,7 +20,7 @@ from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 
 MAX_BYTES = 1 << 20  # XMP stands at the start of the file
 FULL_FRAME_DIAGONAL_MM = 43.27  # 36 x 24 mm, what "35 mm equivalent" refers to
-WIDE_ASPECT = 1.6  # wider pictures are cut out of the height of a 4:3 or 3:2 sensor
+WIDE_ASPECT = 1.6  # wider images are cut out of the height of a 4:3 or 3:2 sensor
 
 # Tags of IFD0, the Exif IFD and the GPS IFD that matter here.
 _IMAGE_WIDTH, _PIXEL_X = 0x0100, 0xA002
@@ -34,16 +34,16 @@ Tags = Mapping[int, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureMetadata:
-    """What one picture says about itself; None where it is silent.
+class ImageMetadata:
+    """What one image says about itself; None where it is silent.
 
     Attributes:
         lat_deg, lon_deg, alt_amsl_m: of the camera, by its GPS.
         height_above_home_m: above the place of take-off (this is not the height above ground).
         yaw_rad, roll_rad, pitch_rad: attitude of a body that carries the camera looking down, the
-            picture's upper edge forward: a gimbal pitch of -90 degrees is level here. `yaw_rad`
-            alone may be known, from the picture's direction.
-        focal_ratio: focal length over picture width; the field of view without distortion.
+            image's upper edge forward: a gimbal pitch of -90 degrees is level here. `yaw_rad`
+            alone may be known, from the image's direction.
+        focal_ratio: focal length over image width; the field of view without distortion.
     """
 
     lat_deg: float | None = None
@@ -63,12 +63,12 @@ class PictureMetadata:
         return math.degrees(2.0 * math.atan(0.5 / self.focal_ratio))
 
 
-def read_picture_metadata(path: Path, width_px: int, height_px: int) -> PictureMetadata:
-    """Read what the camera wrote into a picture.
+def read_image_metadata(path: Path, width_px: int, height_px: int) -> ImageMetadata:
+    """Read what the camera wrote into an image.
 
     Args:
         path: JPEG or TIFF; other kinds have no metadata here.
-        width_px: of the picture as it is now (it may have been reduced since).
+        width_px: of the image as it is now (it may have been reduced since).
         height_px: of it.
 
     Raises:
@@ -83,7 +83,7 @@ def read_picture_metadata(path: Path, width_px: int, height_px: int) -> PictureM
     xmp = _read_xmp(head)
     lat_deg, lon_deg = _position(gps, xmp)
     yaw_rad, roll_rad, pitch_rad = _attitude(gps, xmp)
-    return PictureMetadata(
+    return ImageMetadata(
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_amsl_m=_altitude(gps),
@@ -172,7 +172,7 @@ def _attitude(
 
 
 def _focal_ratio(tags: Tags, xmp: Mapping[str, float], aspect: float) -> float | None:
-    """Focal length over picture width, from the best source there is."""
+    """Focal length over image width, from the best source there is."""
     width_px = _number(tags, _PIXEL_X) or _number(tags, _IMAGE_WIDTH)
     calibrated_px = xmp.get("CalibratedFocalLength")
     if calibrated_px and width_px:
@@ -200,7 +200,7 @@ def _plausible(focal_ratio: float | None) -> float | None:
 def _native_aspect(diagonal_mm: float, aspect: float) -> float:
     """Aspect of the whole sensor, whose diagonal the equivalent focal length refers to.
 
-    Wide pictures are cut from it at full width. One-inch sensors (15.9 mm), APS-C and full frame
+    Wide images are cut from it at full width. One-inch sensors (15.9 mm), APS-C and full frame
     are 3:2; the small ones of most drones, and four thirds (21.6 mm), are 4:3.
     """
     if aspect < WIDE_ASPECT:

@@ -1,4 +1,4 @@
-"""The pictures of the data folder: registered pairs, and others that show some other place."""
+"""The images of the data folder: registered pairs, and others that show some other place."""
 
 import json
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 
 from vwnav.bench.features.pair_scenes import ground_mask
 from vwnav.bench.features.scenes import Mask
-from vwnav.cameras.image_folder import read_picture
+from vwnav.cameras.image_folder import read_image
 from vwnav.errors import ConfigError
 from vwnav.types import Array, Gray
 
@@ -26,15 +26,15 @@ SOURCES = (
     "tum_Frauenkirche",
     "tum_Wiesn",
 )
-LEAST_SIDE_PX = 380  # of a picture that frames are cut from
+LEAST_SIDE_PX = 380  # of an image that frames are cut from
 _SURE_RESPONSE = 0.3  # of a phase correlation
 _MOST_RESIDUAL_PX = 10.0
-_KEPT_SRIF = 14  # pictures 1 to 14 of srif_whu overlap none of the others, which overlap at random
+_KEPT_SRIF = 14  # images 1 to 14 of srif_whu overlap none of the others, which overlap at random
 
 
 @dataclass(frozen=True, slots=True)
 class Photo:
-    """A picture on disk; what is of one place may show the same ground."""
+    """An image on disk; what is of one place may show the same ground."""
 
     path: Path
     place: str
@@ -42,7 +42,7 @@ class Photo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Two registered pictures of one place.
+    """Two registered images of one place.
 
     Attributes:
         source: where they are from.
@@ -72,24 +72,24 @@ def registered_pairs(folder: Path, split: Split) -> list[Pair]:
 
 
 def other_photos(folder: Path, split: Split) -> list[Photo]:
-    """Pictures without a pair; all of one source count as one place."""
+    """Images without a pair; all of one source count as one place."""
     found = []
     for kind in ("single", "drone"):
         for path in sorted((folder / split / kind).glob("*/*.jpg")):
-            # Pictures of one source may show each other's ground; so may neon's of its pairs.
+            # Images of one source may show each other's ground; so may neon's of its pairs.
             place = path.parent.name.removesuffix("_single")
             found.append(Photo(path, "neon_sjer" if place == "neon" else place))
     return found
 
 
 def read_gray(photo: Photo) -> tuple[Gray, Mask]:
-    """A picture, and where it shows ground.
+    """An image, and where it shows ground.
 
     Raises:
         SourceError: it cannot be read.
     """
-    picture = read_picture(photo.path)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8), ground_mask(picture)
+    image = read_image(photo.path)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8), ground_mask(image)
 
 
 def apart(a: str, b: str) -> bool:

@@ -5,8 +5,8 @@ import pytest
 
 from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.maps.picture import Window
-from vwnav.sim.sites import MAP_M_PER_PX, MAP_NORTH_M, is_site, map_raster, parse_site
+from vwnav.maps.image import Window
+from vwnav.sim.named_sites import MAP_M_PER_PX, MAP_NORTH_M, is_site, map_raster, parse_site
 
 
 def test_the_unrelated_site_has_its_airfield_elsewhere():

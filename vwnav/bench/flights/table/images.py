@@ -1,4 +1,4 @@
-"""Pictures that tell nothing, tell it badly, late or seldom."""
+"""Images that tell nothing, tell it badly, late or seldom."""
 
 from vwnav.bench.flights.faults import camera as broken
 from vwnav.bench.flights.scenario import (
@@ -25,7 +25,7 @@ USELESS = [
         lands_within_m=50.0,
     )
     for name, make in (
-        ("gone", broken.no_pictures),
+        ("gone", broken.no_images),
         ("black", broken.black),
         ("frozen", broken.frozen),
         ("failing", broken.raising),
@@ -45,16 +45,16 @@ POOR = [
     )
 ]
 LATE = [
-    flies_on("pictures 0.5 s late", broken.PicturesLate(0.5), 15.0),
-    flies_on("pictures 0.5 s late, stamped on arrival", broken.PicturesLate(0.5, False), 15.0),
+    flies_on("pictures 0.5 s late", broken.ImagesLate(0.5), 15.0),
+    flies_on("pictures 0.5 s late, stamped on arrival", broken.ImagesLate(0.5, False), 15.0),
     Scenario(
         name="5 pictures a second",
-        setup=setup(picture_hz=5.0),
+        setup=setup(image_hz=5.0),
         breaks=(),
         limit_s=40.0,
         ending=Ending.FLIES_ON,
     ),
-    flies_on("pictures gone for 3 s", broken.CameraTrouble(broken.no_pictures), 3.0, 13.0),
+    flies_on("pictures gone for 3 s", broken.CameraTrouble(broken.no_images), 3.0, 13.0),
 ]
 MOUNTED = [
     Scenario(
@@ -74,4 +74,4 @@ MOUNTED = [
         lands_at_ne_m=HOME,
     ),
 ]
-PICTURES = [*USELESS, *POOR, *LATE, *MOUNTED]
+IMAGES = [*USELESS, *POOR, *LATE, *MOUNTED]

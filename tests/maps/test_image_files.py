@@ -8,7 +8,7 @@ from map_samples import textured
 
 from vwnav.errors import MapError
 from vwnav.maps.build.builder import build_pack
-from vwnav.maps.build.pictures import corner_pictures, is_corner_table, read_corners
+from vwnav.maps.build.image_files import corner_images, is_corner_table, read_corners
 from vwnav.maps.build.warp import PlacedRaster
 from vwnav.maps.pack import MapPack
 
@@ -18,8 +18,8 @@ WILD = """Filename, Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_long
 """
 
 
-def write_table(folder: Path, text: str = WILD, pictures: str = "ab") -> Path:
-    for name in pictures:
+def write_table(folder: Path, text: str = WILD, images: str = "ab") -> Path:
+    for name in images:
         cv2.imwrite(str(folder / f"{name}.png"), textured(160, 184, ord(name)))
     (folder / "map.csv").write_text(text)
     return folder / "map.csv"
@@ -48,35 +48,35 @@ def test_columns_may_come_in_any_order(tmp_path: Path):
     assert row.bounds == (60.1, 22.1, 60.2, 22.3)
 
 
-def test_missing_pictures_are_passed_over_with_a_warning(tmp_path: Path, caplog):
-    table = write_table(tmp_path, pictures="b")
+def test_missing_images_are_passed_over_with_a_warning(tmp_path: Path, caplog):
+    table = write_table(tmp_path, images="b")
     with caplog.at_level(logging.WARNING):
-        found = corner_pictures(table)
+        found = corner_images(table)
     assert [source.name for source in found] == ["b.png"]
     assert "a.png" in caplog.text
 
 
-def test_pictures_listed_elsewhere_are_found_by_their_name(tmp_path: Path):
-    table = write_table(tmp_path, pictures="")
+def test_images_listed_elsewhere_are_found_by_their_name(tmp_path: Path):
+    table = write_table(tmp_path, images="")
     elsewhere = tmp_path / "pictures"
     elsewhere.mkdir()
     cv2.imwrite(str(elsewhere / "a.png"), textured(20, 20))
-    assert [source.name for source in corner_pictures(table, [elsewhere / "a.png"])] == ["a.png"]
+    assert [source.name for source in corner_images(table, [elsewhere / "a.png"])] == ["a.png"]
 
 
-def test_pictures_meet_in_the_pack_without_a_gap(tmp_path: Path):
-    sources = corner_pictures(write_table(tmp_path))
+def test_images_meet_in_the_pack_without_a_gap(tmp_path: Path):
+    sources = corner_images(write_table(tmp_path))
     build_pack(sources, tmp_path / "a.mbtiles", [])
     with MapPack.open(tmp_path / "a.mbtiles") as pack:
         zoom = pack.levels[0].zoom
-        rows, columns = np.nonzero(pack.picture(zoom, pack.window(zoom)).mask)
+        rows, columns = np.nonzero(pack.colour_image(zoom, pack.window(zoom)).mask)
         area = (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
         assert len(rows) > 0.99 * area
         assert pack.covers(60.4032, 22.4640565)
 
 
-def test_a_picture_lies_between_its_corners(tmp_path: Path):
-    source = corner_pictures(write_table(tmp_path))[0]
+def test_an_image_lies_between_its_corners(tmp_path: Path):
+    source = corner_images(write_table(tmp_path))[0]
     placed = PlacedRaster.of(source)
     assert placed.bounds == pytest.approx((60.402409, 22.460441, 60.403962, 22.464059), abs=1e-9)
     assert placed.m_per_px == pytest.approx(1.08, abs=0.02)
@@ -98,14 +98,14 @@ def test_a_picture_lies_between_its_corners(tmp_path: Path):
 )
 def test_a_table_that_makes_no_sense_is_one_clear_error(tmp_path: Path, text: str, message: str):
     with pytest.raises(MapError, match=message):
-        corner_pictures(write_table(tmp_path, text))
+        corner_images(write_table(tmp_path, text))
 
 
-def test_a_damaged_picture_is_one_clear_error(tmp_path: Path):
+def test_a_damaged_image_is_one_clear_error(tmp_path: Path):
     table = write_table(tmp_path)
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(MapError, match=r"a\.png"):
-        corner_pictures(table)
+        corner_images(table)
 
 
 def test_other_tables_are_not_taken_for_corner_tables(tmp_path: Path):

@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.build.raster import DrawnSource, local_georeference
-from vwnav.maps.picture import Picture, Window
+from vwnav.maps.image import MapImage, Window
 from vwnav.sim.site import Site
 
 SITE_PREFIX = "sim:"
@@ -68,7 +68,7 @@ def map_raster(site: Site) -> DrawnSource:
     north0_m, east0_m = MAP_NORTH_M / 2.0, -MAP_EAST_M / 2.0
     size_wh = (math.ceil(MAP_EAST_M / MAP_M_PER_PX), math.ceil(MAP_NORTH_M / MAP_M_PER_PX))
 
-    def draw(window: Window) -> Picture:
+    def draw(window: Window) -> MapImage:
         height, width = window.shape
         bgr = site.render(
             "map",
@@ -77,7 +77,7 @@ def map_raster(site: Site) -> DrawnSource:
             (width, height),
             MAP_M_PER_PX,
         )
-        return Picture(bgr, np.ones((height, width), np.bool_))
+        return MapImage(bgr, np.ones((height, width), np.bool_))
 
     georeference = local_georeference(frame, (north0_m, east0_m), MAP_M_PER_PX)
     return DrawnSource(f"sim:{site.seed}", size_wh, georeference, draw)

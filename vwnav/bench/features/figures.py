@@ -1,4 +1,4 @@
-"""Pictures of matches to look at: picture and map side by side, joined by lines."""
+"""Images of matches to look at: image and map side by side, joined by lines."""
 
 from pathlib import Path
 
@@ -16,14 +16,14 @@ _FAINT = 0.3  # of the wrong matches
 _SHIFT = 3  # OpenCV draws to an eighth of a pixel
 
 
-def write_pictures(folder: Path, samples: dict[str, list[SceneResult]]) -> None:
+def write_figures(folder: Path, samples: dict[str, list[SceneResult]]) -> None:
     """Write `GROUP_METHOD.jpg` for each method on one scene of each group."""
     folder.mkdir(parents=True, exist_ok=True)
     for group, outcomes in samples.items():
         for outcome in outcomes:
-            picture = draw(outcome)
+            image = draw(outcome)
             name = folder / f"{group}_{outcome.method}.jpg"
-            cv2.imwrite(str(name), picture, [cv2.IMWRITE_JPEG_QUALITY, 90])
+            cv2.imwrite(str(name), image, [cv2.IMWRITE_JPEG_QUALITY, 90])
 
 
 def draw(outcome: SceneResult) -> NDArray[np.uint8]:
@@ -38,7 +38,7 @@ def draw(outcome: SceneResult) -> NDArray[np.uint8]:
     high1 = np.minimum(np.ceil(scene.point1_uv + half), map_wh)
     zoom = _SIDE_PX / max(*(high0 - low0), *(high1 - low1))
     left, right = (
-        _cut(np.where(scene.mask, scene.picture, 0).astype(np.uint8), low0, high0, zoom),
+        _cut(np.where(scene.mask, scene.image, 0).astype(np.uint8), low0, high0, zoom),
         _cut(scene.map_.gray, low1, high1, zoom),
     )
     height = max(left.shape[0], right.shape[0]) + _TITLE_PX
