@@ -46,9 +46,9 @@ def data(tmp_path):
 def bench(monkeypatch):
     """Runs a command under `vwnav bench`; gives its exit code."""
     monkeypatch.delenv("VWNAV_DATA", raising=False)
-    monkeypatch.setattr(boards, "LOOKS_A_PICTURE", 1)
-    monkeypatch.setattr(repeating, "LOOKS_A_PICTURE", 1)
-    monkeypatch.setattr(unrelated, "PICTURES", 3)
+    monkeypatch.setattr(boards, "LOOKS_AN_IMAGE", 1)
+    monkeypatch.setattr(repeating, "LOOKS_AN_IMAGE", 1)
+    monkeypatch.setattr(unrelated, "IMAGES", 3)
 
     def run(*arguments: object) -> int:
         monkeypatch.setattr(sys, "argv", ["vwnav", "bench", *map(str, arguments)])
@@ -81,7 +81,7 @@ def test_drawn_ground_needs_no_data_and_a_person_gets_tables(bench, capsys):
 
 def test_short_flights_over_sand_are_scored_alone_and_joined(bench, capsys, monkeypatch):
     monkeypatch.setattr(short_flights, "KINDS", {})
-    monkeypatch.setattr(short_flights, "PICTURES", 3)
+    monkeypatch.setattr(short_flights, "IMAGES", 3)
     arguments = ("--set", "repeats", "--only", "sequences", "--features", "sift", "--looks", 1)
     assert bench("localizer", *arguments, "--json") == 0
     report = json.loads(capsys.readouterr().out)
@@ -256,6 +256,8 @@ def test_the_upper_bound_is_that_of_clopper_and_pearson(seen, of):
 
 
 def test_a_runway_turned_by_180_degrees_looks_nearly_the_same():
-    day = repeating._day("runway", repeating.KINDS["runway"], 0, 0).astype(float)
+    day = repeating._day("runway", repeating.KINDS["runway"], 0, 0, repeating.TEXTURE).astype(float)
     assert np.corrcoef(day.ravel(), day[::-1, ::-1].ravel())[0, 1] > 0.5
-    assert np.array_equal(day, repeating._day("runway", repeating.KINDS["runway"], 0, 0))
+    assert np.array_equal(
+        day, repeating._day("runway", repeating.KINDS["runway"], 0, 0, repeating.TEXTURE)
+    )

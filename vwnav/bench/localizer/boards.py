@@ -39,8 +39,8 @@ from vwnav.maps.build.raster import DrawnSource, array_source, level_georeferenc
 from vwnav.types import Array, Gray, Prior
 
 ELSEWHERE = "elsewhere"
-LOOKS_A_IMAGE = 4  # with a prior
-SEARCHES_A_IMAGE = 1  # without: each takes as long as ten others
+LOOKS_AN_IMAGE = 4  # with a prior
+SEARCHES_AN_IMAGE = 1  # without: each takes as long as ten others
 LEVELS = (ZOOM, ZOOM - 1, ZOOM - 2)
 _CELL_PX = 1152  # images of a map lie so far apart: the largest and a gap without data
 _COLUMNS = 3
@@ -59,7 +59,7 @@ def boards(folder: Path, split: Split, looks: int, only: str | None) -> Iterator
     """
     ordered = shuffled_pairs(folder, split)
     strangers = strange_photos(folder, split, ordered)
-    for number in range(-(-looks // LOOKS_A_IMAGE)):
+    for number in range(-(-looks // LOOKS_AN_IMAGE)):
         shown = [pairs[number % len(pairs)] for pairs in ordered.values()]
         yield _board(split, number, shown, strangers, only)
 
@@ -123,10 +123,10 @@ def pair_looks(
     ground: SeenGround,
     corner_px: tuple[int, int],
     label_px: float,
-    searches: int = SEARCHES_A_IMAGE,
+    searches: int = SEARCHES_AN_IMAGE,
 ) -> Iterator[LookCase]:
     """Frames of a place that the map shows, with a rough prior, and some without place."""
-    for number in range(LOOKS_A_IMAGE):
+    for number in range(LOOKS_AN_IMAGE):
         rng = generator(f"{group} {name}", number)
         cut = cut_frame(ground, rng)
         if cut is None:
@@ -162,7 +162,7 @@ def _wrong_looks(
     name: str, photos: list[Photo], masks: list[tuple[tuple[int, int], np.ndarray]]
 ) -> Iterator[LookCase]:
     """Frames of other places, said to be at a random place of the map."""
-    for number in range(LOOKS_A_IMAGE * len(masks)):
+    for number in range(LOOKS_AN_IMAGE * len(masks)):
         rng = generator(f"{ELSEWHERE} {name}", number)
         found = stranger(photos, rng)
         if found is None:
@@ -182,7 +182,7 @@ def wrong_looks(
     """A frame that the map does not show, with a rough prior and without place."""
     prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
     asked: list[tuple[LookKind, Prior]] = [("wrong", prior)]
-    asked += [("wrong_search", without_place(prior))] if seed % LOOKS_A_IMAGE == 0 else []
+    asked += [("wrong_search", without_place(prior))] if seed % LOOKS_AN_IMAGE == 0 else []
     for kind, known in asked:
         yield LookCase(
             group=ELSEWHERE,

@@ -9,7 +9,7 @@ import numpy as np
 
 from vwnav.bench.features.flight_scenes import ISLAMABAD_LOGO_WH, Shot, islamabad_shots
 from vwnav.bench.features.scenes import generator
-from vwnav.bench.localizer.boards import ELSEWHERE, LOOKS_A_IMAGE, stranger, wrong_looks
+from vwnav.bench.localizer.boards import ELSEWHERE, LOOKS_AN_IMAGE, stranger, wrong_looks
 from vwnav.bench.localizer.images import Photo, other_photos
 from vwnav.bench.localizer.looks import Board, LookCase, TruePose, rough_prior, without_place
 from vwnav.geometry.camera import Camera
@@ -48,7 +48,7 @@ def _flight_looks(shot: Shot, number: int) -> Iterator[LookCase]:
     K = np.array([[f_px, 0.0, (w - 1) / 2.0], [0.0, f_px, (h - 1) / 2.0], [0.0, 0.0, 1.0]])
     camera = Camera(width_px=w, height_px=h, K=K)
     prior = rough_prior(pose, None, PRIOR_M, rng)
-    for search in (False, True) if number % LOOKS_A_IMAGE == 0 else (False,):
+    for search in (False, True) if number % LOOKS_AN_IMAGE == 0 else (False,):
         yield LookCase(
             group=ISLAMABAD,
             name=f"{shot.name}.{number}",

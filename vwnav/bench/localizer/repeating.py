@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.bench.features.scenes import generator
-from vwnav.bench.localizer.boards import LEVELS, LOOKS_A_IMAGE, pair_looks
+from vwnav.bench.localizer.boards import LEVELS, LOOKS_AN_IMAGE, pair_looks
 from vwnav.bench.localizer.looks import ZOOM, Board, SeenGround, map_pixel
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.types import Gray
@@ -27,11 +27,11 @@ def repeating_boards(looks: int, only: str | None) -> Iterator[Board]:
     for kind, draw in KINDS.items():
         if only not in (None, kind):
             continue
-        for number in range(-(-looks // LOOKS_A_IMAGE)):
+        for number in range(-(-looks // LOOKS_AN_IMAGE)):
             corner_px = map_pixel((0, 0))
             source, ground = drawn(kind, draw, number, corner_px, TEXTURE)
             found = pair_looks(
-                kind, f"{kind} {number}", ground, corner_px, DRAWN_PX, searches=LOOKS_A_IMAGE
+                kind, f"{kind} {number}", ground, corner_px, DRAWN_PX, searches=LOOKS_AN_IMAGE
             )
             yield Board([source], LEVELS, list(found))
 
