@@ -1,7 +1,7 @@
 """Make the int8 form of an exported graph: the same features, of the same name, in less time.
 
 python export/quantize.py models/vwnav_default.onnx -o models/vwnav_default_int8.onnx
-python export/quantize.py models/vwnav_default.onnx -o ... --data FOLDER --images 48
+python export/quantize.py models/vwnav_default.onnx -o ... --data FOLDER --pictures 48
 
 Static quantisation (QDQ): weights per channel, activations by what training images show. Only
 convolutions are quantised, and of those not the last one of each head: keypoints are ranked by what
@@ -140,7 +140,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--pictures", type=int, default=IMAGES, help="to calibrate with")
     given = parser.parse_args(arguments)
     try:
-        paths = training_images(given.data, given.images)
+        paths = training_images(given.data, given.pictures)
         images = [read_grey(path, IMAGE_PX) for path in paths]
         quantised = quantise(load_model(given.model), images)
     except ExportError as error:
