@@ -39,7 +39,7 @@ ALLOWED = {
     "rules": BASE | {"safety", "mission"},
     "recording": BASE
     | {"geometry", "maps", "estimation", "seams", "mavlink", "safety", "mission", "rules"},
-    "cameras": BASE | {"geometry", "recording"},
+    "cameras": BASE | {"geometry", "recording", "seams"},
     "sim": BASE | {"geometry", "maps"},
     "config": BASE
     | {"vision", "estimation", "guidance", "safety", "seams", "mission"}
@@ -56,7 +56,8 @@ ALLOWED = {
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
     | {"config", "assemble", "screen", "seams"},
     "calibration": BASE
-    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "cameras", "screen"},
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "cameras", "screen"}
+    | {"seams"},
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
     | {"pipeline", "mission", "flight", "runtime", "rules", "recording", "cameras"}

@@ -90,9 +90,12 @@ class Stand:
     def _obey(self) -> None:
         news, self._heard = self.autopilot.written[self._heard :], len(self.autopilot.written)
         for message in parsed(news):
-            if message.get_type() == "COMMAND_LONG" and message.command == 176:
-                px4 = int(message.param2) << 16 | int(message.param3) << 24
-                self.mode = px4 if self.kind == PX4 else int(message.param2)
+            if message.get_type() != "COMMAND_LONG" or message.command != 176:
+                continue
+            main, sub = message.param2, message.param3
+            if 0.0 <= main <= 255.0 and 0.0 <= sub <= 255.0:  # no NaN either
+                px4 = int(main) << 16 | int(sub) << 24
+                self.mode = px4 if self.kind == PX4 else int(main)
 
 
 def parsed(packets) -> list:
