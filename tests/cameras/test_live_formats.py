@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rtsp_server import RtspServer, bright
 
+from vwnav.cameras import gstreamer
 from vwnav.cameras.live import AskedImages, V4l2Grabber
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
@@ -152,6 +153,25 @@ def test_a_pipeline_that_fails_says_why_in_one_line(tmp_path, monkeypatch):
         open_source("gst:640x480:nix")
     with pytest.raises(SourceError, match="does not say its size"):
         open_source("gst:videotestsrc")
+
+
+def test_a_pipeline_that_runs_and_gives_nothing_is_not_waited_for(tmp_path, monkeypatch):
+    launch = tmp_path / "gst-launch-1.0"
+    launch.write_text("#!/bin/sh\nexec sleep 60\n")
+    launch.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    monkeypatch.setattr(gstreamer, "_SILENT_S", 0.3)
+    with pytest.raises(SourceError, match="it runs, and gave none"):
+        open_source("gst:640x480:libcamerasrc")
+
+
+def test_a_pipeline_whose_quotes_do_not_close_is_one_clear_line(tmp_path, monkeypatch):
+    launch = tmp_path / "gst-launch-1.0"
+    launch.write_text("#!/bin/sh\n")
+    launch.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(SourceError, match="No closing quotation"):
+        open_source("gst:640x480:libcamerasrc camera-name='imx")
 
 
 @pytest.mark.skipif(shutil.which("gst-launch-1.0") is None, reason="GStreamer is not installed")

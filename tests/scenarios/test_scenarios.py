@@ -9,11 +9,6 @@ from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table import QUICK, TABLE
 from vwnav.bench.flights.table.manners import FLOWN_IN_COPTER_MANNERS, in_manners
 
-# What is asked of these rows and not reached, as the verdict says it; all else of them holds.
-MISSED = {
-    "link cut for 10 s while climbing": "it landed",
-}
-
 
 @pytest.mark.parametrize(
     "scenario",
@@ -24,11 +19,7 @@ MISSED = {
 )
 def test_whatever_breaks_the_aircraft_is_not_lost(scenario: Scenario) -> None:
     verdict = judge(fly(scenario, lockstep_place()))
-    missed = MISSED.get(scenario.name)
-    wrong = [each for each in verdict.wrong if missed is None or not each.startswith(missed)]
-    assert not wrong, "; ".join(wrong)
-    if verdict.wrong:
-        pytest.xfail("; ".join(verdict.wrong))
+    assert not verdict.wrong, "; ".join(verdict.wrong)
 
 
 @pytest.mark.long

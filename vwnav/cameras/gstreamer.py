@@ -1,6 +1,8 @@
 """Images of a GStreamer pipeline, through a pipe: OpenCV's wheels are built without GStreamer."""
 
 import contextlib
+import os
+import select
 import shlex
 import shutil
 import subprocess
@@ -14,6 +16,7 @@ from vwnav.errors import SourceError
 
 _LAUNCH = "gst-launch-1.0"
 _CLOSE_S = 2.0
+_SILENT_S = 10.0  # a pipeline that runs, and gives nothing for so long, has failed
 
 
 class GstreamerGrabber:
@@ -35,10 +38,17 @@ class GstreamerGrabber:
         self._stride = -(-width_px // 4) * 4  # GStreamer's rows begin at multiples of four
         gray = f"video/x-raw,format=GRAY8,width={width_px},height={height_px}"
         ours = f"videoconvert ! videoscale ! {gray} ! fdsink fd=1 sync=false"
-        command = [_LAUNCH, "-q", *shlex.split(f"{pipeline} ! {ours}")]
+        try:
+            command = [_LAUNCH, "-q", *shlex.split(f"{pipeline} ! {ours}")]
+        except ValueError as error:
+            raise SourceError(f"the GStreamer pipeline cannot be read: {error}") from error
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  # as long as the process
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._said
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=self._said,
+            bufsize=0,
         )
         self._first = self._read()
         if self._first is None:
@@ -66,15 +76,22 @@ class GstreamerGrabber:
     def _read(self) -> NDArray[np.uint8] | None:
         assert self._process.stdout is not None
         width_px, height_px = self._size_wh
-        data = self._process.stdout.read(self._stride * height_px)
-        if len(data) < self._stride * height_px:
-            return None
+        pipe, data = self._process.stdout.fileno(), bytearray()
+        while (lacking := self._stride * height_px - len(data)) > 0:
+            comes, _, _ = select.select([pipe], [], [], _SILENT_S)
+            part = os.read(pipe, lacking) if comes else b""
+            if not part:
+                return None
+            data += part
         rows = np.frombuffer(data, np.uint8).reshape(height_px, self._stride)
         return np.ascontiguousarray(rows[:, :width_px])
 
     def _complaint(self) -> str:
         """What GStreamer says of it, one line."""
-        self._process.wait(_CLOSE_S)
+        try:
+            self._process.wait(_CLOSE_S)
+        except subprocess.TimeoutExpired:
+            return f"it runs, and gave none for {_SILENT_S:.0f} s"
         self._said.seek(0)
         lines = self._said.read().decode(errors="replace").splitlines()
         return next((line for line in lines if "ERROR" in line or "WARNING" in line), "it ended")

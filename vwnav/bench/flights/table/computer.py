@@ -7,6 +7,7 @@ from vwnav.bench.flights.scenario import (
     HOME,
     Break,
     Ending,
+    Follows,
     Scenario,
     down,
     flies_on,
@@ -15,20 +16,27 @@ from vwnav.bench.flights.scenario import (
     said,
     setup,
 )
+from vwnav.bench.flights.stage import Fault
 
 TAKEN_OVER = (mode(2.5, "HOLD"), mode(5.0, "LAND", "DESCEND"), down(60.0))
 
-ENDS = [
-    Scenario(
+
+def _for_good(name: str, fault: Fault, follows: tuple[Follows, ...], within_m: float) -> Scenario:
+    """A fault that begins on the route and never ends."""
+    return Scenario(
         name=name,
         setup=setup(),
         breaks=(Break(fault=fault, at_s=BREAKS_AT_S),),
-        limit_s=80.0,
-        follows=TAKEN_OVER,
+        limit_s=75.0,
+        follows=follows,
         lands_within_m=within_m,
     )
+
+
+ENDS = [
+    _for_good(name, fault, TAKEN_OVER, within_m)
     for name, fault, within_m in (
-        # Ended when it lands: until the other one has found the place nobody tells where it is.
+        # Ended while it is held: until the other one has found the place nobody tells where it is.
         ("navigator stopped for 20 s", computer.NavigatorStopped(20.0), 40.0),
         ("navigator killed", computer.NavigatorKilled(), 70.0),
         ("navigator ends in the air", computer.NavigatorLeaves(), 70.0),
@@ -36,29 +44,18 @@ ENDS = [
 ]
 RAISES = [
     # No telemetry is taken in and no estimate goes out: the process ends, another one tells where.
-    Scenario(
-        name="every step of the link raises for good",
-        setup=setup(),
-        breaks=(Break(fault=computer.StepRaises("link"), at_s=BREAKS_AT_S),),
-        limit_s=80.0,
-        follows=(mode(8.0, "LAND", "DESCEND"), down(60.0)),
-        lands_within_m=70.0,
+    _for_good(
+        "every step of the link raises for good",
+        computer.StepRaises("link"),
+        (mode(8.0, "LAND", "DESCEND"), down(60.0)),
+        70.0,
     ),
-    Scenario(
-        name="a step of the mission raises",
-        setup=setup(),
-        breaks=(Break(fault=computer.StepRaises("mission"), at_s=BREAKS_AT_S),),
-        limit_s=80.0,
-        follows=TAKEN_OVER,
-        lands_within_m=20.0,
-    ),
-    Scenario(
-        name="every picture raises for good",
-        setup=setup(),
-        breaks=(Break(fault=computer.StepRaises("picture"), at_s=BREAKS_AT_S),),
-        limit_s=75.0,
-        follows=(phase(8.0, "landing"), down(60.0)),
-        lands_within_m=50.0,
+    _for_good("a step of the mission raises", computer.StepRaises("mission"), TAKEN_OVER, 20.0),
+    _for_good(
+        "every picture raises for good",
+        computer.StepRaises("picture"),
+        (phase(8.0, "landing"), down(60.0)),
+        50.0,
     ),
     # It knows its motion, not its place: stays, looks from higher up, returns by its motion alone.
     Scenario(
@@ -75,29 +72,18 @@ RAISES = [
 ]
 HANGS = [
     # It does not raise, and everything else goes on: the mission sees it, and falls silent.
-    Scenario(
-        name="the link's loop hangs",
-        setup=setup(),
-        breaks=(Break(fault=computer.LoopHangs("link"), at_s=BREAKS_AT_S),),
-        limit_s=80.0,
-        follows=(mode(8.0, "LAND", "DESCEND"), down(60.0)),
-        lands_within_m=70.0,
+    _for_good(
+        "the link's loop hangs",
+        computer.LoopHangs("link"),
+        (mode(8.0, "LAND", "DESCEND"), down(60.0)),
+        70.0,
     ),
-    Scenario(
-        name="the mission's loop hangs",
-        setup=setup(),
-        breaks=(Break(fault=computer.LoopHangs("mission"), at_s=BREAKS_AT_S),),
-        limit_s=80.0,
-        follows=TAKEN_OVER,
-        lands_within_m=25.0,
-    ),
-    Scenario(
-        name="the loop of the pictures hangs",
-        setup=setup(),
-        breaks=(Break(fault=computer.LoopHangs("picture"), at_s=BREAKS_AT_S),),
-        limit_s=75.0,
-        follows=(phase(8.0, "landing"), down(60.0)),
-        lands_within_m=50.0,
+    _for_good("the mission's loop hangs", computer.LoopHangs("mission"), TAKEN_OVER, 25.0),
+    _for_good(
+        "the loop of the pictures hangs",
+        computer.LoopHangs("picture"),
+        (phase(8.0, "landing"), down(60.0)),
+        50.0,
     ),
 ]
 WATCHDOG = [
