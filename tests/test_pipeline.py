@@ -8,8 +8,8 @@ import pytest
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import Untracked
 from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import Untracked
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame

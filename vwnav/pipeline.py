@@ -17,10 +17,10 @@ import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.sequences import Sequences
+from vwnav.estimation.events import Exposed, NedFix, Untracked
 from vwnav.estimation.inputs import Measurement
 from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.states import FilterState, Start
-from vwnav.estimation.timeline import Exposed, NedFix, Untracked
 from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
@@ -341,7 +341,8 @@ class Pipeline:
                 )
             )
         if innovation.accepted:
-            self._first_fix.fused()
+            if self._first_fix.young:
+                self._first_fix.fused()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)

@@ -2,15 +2,25 @@
 
 Read `states.py` and `config.py` first (what is estimated, with all noises), then `process.py` (how
 it moves), `kalman.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
-measurement says), `update.py` (which of them it is), `timeline.py` (late ones).
+measurement says), `timeline.py` (which of them it is, and late ones).
 """
 
 import math
 from collections.abc import Callable
-from functools import partial
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
+from vwnav.estimation.events import (
+    Displacement,
+    Drag,
+    Event,
+    Exposed,
+    LateFix,
+    Misled,
+    NedFix,
+    Told,
+    Untracked,
+)
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
 from vwnav.estimation.inertial.drag import explained_m_s2
@@ -28,19 +38,7 @@ from vwnav.estimation.states import (
     first_state,
     outside,
 )
-from vwnav.estimation.timeline import (
-    Displacement,
-    Drag,
-    Event,
-    Exposed,
-    LateFix,
-    Misled,
-    NedFix,
-    Timeline,
-    Told,
-    Untracked,
-)
-from vwnav.estimation.update import apply
+from vwnav.estimation.timeline import Timeline, sensible
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
 _ATTITUDE_MARGIN_S = 1.0
@@ -84,6 +82,7 @@ class Ekf:
         self._say: Callable[[str], None] = lambda _: None
         self._restarted_s = -math.inf
         self._drag_s = -math.inf
+        self._refused_ways = 0  # in a row
 
     def covers(self, t_s: float) -> bool:
         """Whether waiting for telemetry tells no more of the attitude at an exposure.
@@ -148,8 +147,7 @@ class Ekf:
         self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
 
     def _begin(self, state: FilterState) -> None:
-        step = partial(apply, context=self._context)
-        self._timeline = Timeline(state, step, self._config.history_s, self._config.jump_m)
+        self._timeline = Timeline(state, self._context)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
@@ -241,7 +239,10 @@ class Ekf:
         if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
             assert self._timeline is not None
             agrees = innovation.verdict is Verdict.FUSED
-            if not gate.lost and self._imu_gate.saw_way(innovation, motion.t1_s):
+            if not gate.lost:
+                self._refused_ways = 0 if agrees else self._refused_ways + 1
+            doubtful = not (agrees or gate.lost)
+            if doubtful and self._imu_gate.refused_ways(self._refused_ways, motion.t1_s):
                 self._imu_changed()
                 gate.forgive()
             elif gate.learn(agrees, self._timeline.newest):
@@ -316,7 +317,7 @@ class Ekf:
         return innovation
 
     def _refusal(self, event: Told) -> Verdict | None:
-        if not event.sensible():
+        if not sensible(event):
             return Verdict.NOT_FINITE
         if self._timeline is None:
             return Verdict.NOT_STARTED

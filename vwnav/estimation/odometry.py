@@ -6,6 +6,7 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
+from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
     AttitudeHistory,
@@ -21,7 +22,6 @@ from vwnav.estimation.states import (
     tells_heading,
     white_acceleration,
 )
-from vwnav.estimation.timeline import Misled, NewKeyframe
 from vwnav.geometry.rotations import skew, wrap_pi
 from vwnav.types import Array, OdometryMotion
 

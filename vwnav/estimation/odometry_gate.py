@@ -18,10 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.events import Displacement, NedFix, NewKeyframe
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.kalman import Verdict
 from vwnav.estimation.states import FilterState, States
-from vwnav.estimation.timeline import Displacement, NedFix, NewKeyframe, Timeline, between
+from vwnav.estimation.timeline import Timeline
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _WINDOW_S = 1.2
@@ -104,7 +106,7 @@ class OdometryGate:
         if not known and motion.t0_s < timeline.oldest.t_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Verdict.NO_ANCHOR
-            event = self.displacement(between(before, motion))
+            event = self.displacement(_between(before, motion))
             known = timeline.keyframe_known(event.motion.t0_s)
         if not self._seen_upright(event.motion, known):
             return Verdict.NO_ATTITUDE
@@ -191,6 +193,22 @@ class OdometryGate:
     def _begin_anew(self) -> None:
         self._seen.clear()
         self._begun_s = math.inf
+
+
+def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
+    """The way from one image to a later one that were both compared with the same keyframe.
+
+    For a keyframe that the filter has forgotten: over a spot where nothing changes odometry keeps
+    it for minutes, and a filter that begins anew meanwhile would have no ways at all.
+    """
+    return replace(
+        after,
+        t0_s=before.t1_s,
+        displacement_ned_m=after.displacement_ned_m - before.displacement_ned_m,
+        covariance_ned_m2=after.covariance_ned_m2 + before.covariance_ned_m2,
+        yaw_increment_rad=wrap_pi(after.yaw_increment_rad - before.yaw_increment_rad),
+        sigma_yaw_rad=math.hypot(after.sigma_yaw_rad, before.sigma_yaw_rad),
+    )
 
 
 def possible(motion: OdometryMotion, state: FilterState, config: EkfConfig) -> bool:

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.kalman import Innovation
 from vwnav.estimation.states import FilterState
-from vwnav.estimation.timeline import NedFix
 from vwnav.types import Array, Estimate, MapFix, OdometryMotion, Rejected
 
 
