@@ -11,7 +11,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler, wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import Features, Frame, MapFix, Prior, Rejected, RejectReason
-from vwnav.vision.features.checks import no_features
+from vwnav.vision.features.opencv import no_features
 from vwnav.vision.localizer import Localizer
 
 AGL_M = 60.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import vwnav
 from vwnav.errors import ModelError
 from vwnav.types import Features, Gray
-from vwnav.vision.features.checks import check_gray
+from vwnav.vision.features.opencv import check_gray
 
 SIZE_MULTIPLE_PX = 32  # the graph halves the image five times
 BORDER_PX = 4  # the graph finds nothing nearer to an edge; here the same at edges it cannot see
