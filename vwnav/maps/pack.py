@@ -12,9 +12,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from vwnav.errors import ModelError
-from vwnav.geometry.geodesy import TILE_PX, mercator_px
+from vwnav.geometry.geodesy import TILE_PX, Tile, Window, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
-from vwnav.maps.image import MapFeatures, MapImage, Mask, Tile, Window, assemble
+from vwnav.maps.image import MapFeatures, MapImage, Mask, assemble
 from vwnav.maps.mbtiles import (
     DAMAGE,
     FeatureSetInfo,

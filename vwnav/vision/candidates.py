@@ -13,9 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.geometry.camera import Rectification
-from vwnav.geometry.geodesy import ground_resolution_m_per_px, lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.geodesy import (
+    Window,
+    ground_resolution_m_per_px,
+    lat_lon_from_mercator_px,
+    mercator_px,
+)
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.image import Level, MapReader, Window
+from vwnav.maps.image import Level, MapReader
 from vwnav.types import Prior
 from vwnav.vision.consensus import SimilarityBounds
 from vwnav.vision.query import Query

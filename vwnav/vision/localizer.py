@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.geometry.camera import Camera, Rectification
-from vwnav.maps.image import MapReader, Window
+from vwnav.geometry.geodesy import Window
+from vwnav.maps.image import MapReader
 from vwnav.types import (
     FeatureExtractor,
     Frame,

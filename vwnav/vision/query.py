@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification, to_gray
+from vwnav.geometry.geodesy import Window
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.image import MapFeatures, Window
+from vwnav.maps.image import MapFeatures
 from vwnav.types import (
     Array,
     FeatureExtractor,

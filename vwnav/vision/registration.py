@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.geodesy import (
+    Window,
     horizontal_distance_m,
     lat_lon_from_mercator_px,
     mercator_px_per_m,
@@ -19,7 +20,7 @@ from vwnav.geometry.geodesy import (
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.image import MapFeatures, MapReader, Window
+from vwnav.maps.image import MapFeatures, MapReader
 from vwnav.types import (
     Array,
     FeatureExtractor,
