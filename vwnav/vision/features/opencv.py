@@ -64,7 +64,7 @@ class SiftFeatures:
             return no_features(SIFT_SIZE, np.float32)
         described, descriptors = sift.compute(gray, keypoints)
         scores = np.fromiter(map(_RESPONSE, described), np.float32)
-        uv = cv2.KeyPoint.convert(described)
+        uv = np.asarray(cv2.KeyPoint.convert(described), np.float32)
         return Features(uv, _root(np.asarray(descriptors, np.float32)), scores)
 
 
@@ -134,7 +134,7 @@ class OrbFeatures:
         if not described:
             return no_features(ORB_SIZE, np.uint8)
         scores = np.fromiter(map(_RESPONSE, described), np.float32)
-        uv = cv2.KeyPoint.convert(described)
+        uv = np.asarray(cv2.KeyPoint.convert(described), np.float32)
         # OpenCV multiplies by the level's scale without the half pixel of the centre convention.
         scales = SCALE_FACTOR ** np.array([point.octave for point in described], np.float32)
         uv = uv + 0.5 * (scales[:, None] - 1.0)
