@@ -338,7 +338,7 @@ class Pipeline:
             if begins and not self._first_fix.confirmed(fix):
                 once = RejectReason.UNCONFIRMED
                 return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
-            if self._ekf.state is None or self._first_fix.doubted:
+            if begins and (self._ekf.state is None or self._first_fix.doubted):
                 self._ekf.initialise(start_at(fix, ned_m))
                 self._first_fix.began()
             innovation = self._ekf.handle(told)

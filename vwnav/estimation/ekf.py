@@ -14,12 +14,10 @@ from vwnav.estimation.events import (
     Displacement,
     Drag,
     Event,
-    Exposed,
     LateFix,
     Misled,
     NedFix,
     Told,
-    Untracked,
 )
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
@@ -161,8 +159,12 @@ class Ekf:
                 return self._handle_odometry(seen)
             case NedFix():
                 return self._handle_fix(seen)
-            case _:
-                return self._handle_event(seen)
+        refusal = self._refusal(seen)
+        if refusal is not None or self._timeline is None:
+            return Innovation(refusal or Verdict.NOT_STARTED)
+        if isinstance(seen, Height | Range | Stationary):
+            self._attitude_gate.heard(seen.t_s)
+        return self._insert(seen)
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
@@ -288,20 +290,11 @@ class Ekf:
         state = self._timeline.newest
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
-        turned_rad = self._attitudes.turned_unseen_rad(state.t_s)
-        return estimate_of(state, self._attitudes.quat_at(state.t_s), turned_rad)
+        return estimate_of(state, *self._attitudes.held_at(state.t_s))
 
     def _note(self, seen: Input) -> None:
         if self._input_log is not None:
             self._input_log(seen)
-
-    def _handle_event(self, event: Height | Range | Stationary | Exposed | Untracked) -> Innovation:
-        refusal = self._refusal(event)
-        if refusal is not None or self._timeline is None:
-            return Innovation(refusal or Verdict.NOT_STARTED)
-        if isinstance(event, Height | Range | Stationary):
-            self._attitude_gate.heard(event.t_s)
-        return self._insert(event)
 
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""

@@ -60,10 +60,9 @@ _THEN = _PoseSlices(
 def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
     """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
     attitudes, config = context.attitudes, context.config
-    yaw_rad = attitudes.yaw_at(fix.t_s)
-    position = _position(state, fix, yaw_rad, _NOW)
     # Against an attitude that is only held, a heading would take a turn for the compass' error.
-    told = attitudes.at(fix.t_s) is not None
+    yaw_rad, told = attitudes.yaw_at(fix.t_s)
+    position = _position(state, fix, yaw_rad, _NOW)
     if not told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
@@ -82,7 +81,8 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
 
 def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
     """Copy what a fix of this moment's image will tell: place, attitude error, height."""
-    if attitudes.at(state.t_s) is None:
+    yaw_rad, told = attitudes.yaw_at(state.t_s)
+    if not told:
         return replace(state, exposure=None)  # nobody knows how it was turned
     G = np.eye(States.SIZE)
     G[States.EXPOSED_POSITION] = G[States.POSITION_NE]
@@ -91,8 +91,7 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
     P = G @ state.P @ G.T
     P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
-    exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
-    return replace(state, x=G @ state.x, P=P, exposure=exposure)
+    return replace(state, x=G @ state.x, P=P, exposure=Exposure(state.t_s, yaw_rad))
 
 
 def apply_late_fix(
@@ -164,7 +163,13 @@ def _apply_position(
         return after, innovation
     if innovation.verdict is Verdict.RELOCATED:
         after = _on_other_ground(state, after, context)
-    return replace(_trusting(after, fix), t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
+    before_s = after.t_last_fix_s
+    if before_s is not None and 0.0 < fix.t_s - before_s < _AGREEING_S:
+        # It agrees with one shortly before it: to begin anew from, should that be.
+        position_ne_m = after.x[States.POSITION_NE].copy()
+        sigma_m = math.sqrt(max(np.diag(after.P)[States.POSITION_NE]))
+        after = replace(after, trusted=TrustedPosition(after.t_s, position_ne_m, sigma_m))
+    return replace(after, t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
 
 
 def _fused_or_relocated(
@@ -199,16 +204,6 @@ def _leaning(state: FilterState, measurement: Measurement, config: EkfConfig) ->
     """
     doubted = measurement.R + config.lone_fix_sigma_m**2 * np.eye(2)
     return correct(state, replace(measurement, R=doubted))
-
-
-def _trusting(state: FilterState, fix: NedFix) -> FilterState:
-    """Where a fix that agrees with one shortly before it shows the aircraft, to begin anew from."""
-    before_s = state.t_last_fix_s
-    if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
-        return state
-    position_ne_m = state.x[States.POSITION_NE].copy()
-    sigma_m = math.sqrt(max(np.diag(state.P)[States.POSITION_NE]))
-    return replace(state, trusted=TrustedPosition(state.t_s, position_ne_m, sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:

@@ -65,7 +65,7 @@ def apply_keyframe(
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
-    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
+    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s)[0])
     return replace(state, x=G @ state.x, P=P, anchor=anchor)
 
 
@@ -83,7 +83,7 @@ def apply_displacement(
         return replace(state, P=P), Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
     if not config.odometry_turns_attitude:
-        turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
+        turned_rad = attitudes.yaw_at(motion.t1_s)[0] - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
     before = state

@@ -289,28 +289,25 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
     x, P = state.x, state.P
     down, terrain = States.DOWN, States.TERRAIN
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
+    # A tilt error turns the heading of a nose that points up or down: by tan(pitch).
+    qw, qx, qy, qz = quat_measured_wxyz.tolist()
+    sin_pitch = min(max(2.0 * (qw * qy - qx * qz), -0.9), 0.9)
+    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
+    yaw, forward = States.HEADING_BIAS, States.TILT.start
+    turn = P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward]
     return Estimate(
         t_s=state.t_s,
         position_ned_m=x[States.POSITION].copy(),
         velocity_ned_m_s=x[States.VELOCITY].copy(),
         covariance=P[States.MOTION, States.MOTION].copy(),
         quat_wxyz=_true_attitude(x, quat_measured_wxyz),
-        sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
+        sigma_yaw_rad=min(math.sqrt(float(turn) + turned_rad**2), math.pi),
         agl_m=max(state.agl_m, 0.0),
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
         wind_ne_m_s=wind_ne_m_s(state),
     )
-
-
-def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
-    """A tilt error turns the heading of a nose that points up or down: by tan(pitch)."""
-    w, x, y, z = quat_measured_wxyz.tolist()
-    sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
-    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
-    yaw, forward = States.HEADING_BIAS, States.TILT.start
-    return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
 
 
 def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:

@@ -158,11 +158,11 @@ class AttitudeHistory:
         i = bisect.bisect_left(self._times_s, t_s)
         return i < len(self._times_s) and self._times_s[i] == t_s
 
-    def turned_unseen_rad(self, t_s: float) -> float:
-        """How far it may have turned by then with neither attitude nor gyro to tell."""
+    def held_at(self, t_s: float) -> tuple[Array, float]:
+        """`quat_at`, and how far it may have turned with neither attitude nor gyro to tell, rad."""
         if not self._times_s or self.knows(t_s):
-            return 0.0
-        return TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
+            return self.quat_at(t_s), 0.0
+        return self.quat_at(t_s), TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
     def knows(self, t_s: float) -> bool:
         """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""
@@ -232,9 +232,9 @@ class AttitudeHistory:
         turn = self.gyro.between(self._times_s[i], t_s)
         return None if turn is None else quat_multiply(self._quats[i], turn)
 
-    def yaw_at(self, t_s: float) -> float:
-        """Heading as the autopilot has it, radians."""
-        return yaw_of(self.quat_at(t_s))
+    def yaw_at(self, t_s: float) -> tuple[float, bool]:
+        """Heading as the autopilot has it, radians, and whether telemetry reaches there (`at`)."""
+        return yaw_of(self.quat_at(t_s)), self.at(t_s) is not None
 
 
 def yaw_of(quat_wxyz: Array) -> float:
