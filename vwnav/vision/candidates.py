@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -120,7 +121,7 @@ def is_finite(prior: Prior) -> bool:
         prior.pitch_rad,
     )
     sigmas = (prior.sigma_m, prior.sigma_yaw_rad, prior.sigma_agl_ratio)
-    finite = all(number is None or math.isfinite(number) for number in numbers)
+    finite = all(map(math.isfinite, filter(None, numbers)))
     return finite and min(sigmas) >= 0.0 and (prior.agl_m is None or prior.agl_m > 0.0)
 
 
@@ -134,34 +135,25 @@ def hypotheses(prior: Prior, agl_range_m: tuple[float, float]) -> list[Hypothesi
     yaws, yaw_bound_rad = _yaws(prior)
     agls, scale_bound = _agls(prior, agl_range_m)
     bounds = SimilarityBounds(scale_bound, yaw_bound_rad)
-    found = [
-        (yaw_cost + agl_cost, Hypothesis(yaw_rad, agl_m, bounds))
-        for (yaw_rad, yaw_cost), (agl_m, agl_cost) in itertools.product(yaws, agls)
-    ]
-    found.sort(key=lambda item: item[0])
-    return [hypothesis for _, hypothesis in found]
+    found: list[tuple[float, Hypothesis]] = []
+    for (yaw_rad, yaw_cost), (agl_m, agl_cost) in itertools.product(yaws, agls):
+        found.append((yaw_cost + agl_cost, Hypothesis(yaw_rad, agl_m, bounds)))
+    return list(map(itemgetter(1), sorted(found, key=itemgetter(0))))
 
 
 def _yaws(prior: Prior) -> tuple[list[tuple[float, float]], float]:
     """Headings with their squared distance from the prior in sigmas, and how far each reaches."""
     step_rad = 2.0 * math.pi / YAW_STEPS
     if prior.yaw_rad is None or SIGMAS * prior.sigma_yaw_rad >= math.pi:
-        yaws = [(float(wrap_pi(i * step_rad)), 0.0) for i in range(YAW_STEPS)]
+        yaws = [(wrap_pi(i * step_rad), 0.0) for i in range(YAW_STEPS)]
         return yaws, step_rad / 2.0 + LOOSE_YAW_RAD
     open_rad = SIGMAS * prior.sigma_yaw_rad
     bound_rad = min(open_rad + LOOSE_YAW_RAD, MAX_YAW_BOUND_RAD)
     count = math.ceil(max(0.0, open_rad - YAW_REACH_RAD) / step_rad)
-    yaws = (
-        [
-            (
-                float(wrap_pi(prior.yaw_rad + i * step_rad)),
-                (i * step_rad / prior.sigma_yaw_rad) ** 2,
-            )
-            for i in range(-count, count + 1)
-        ]
-        if count
-        else [(prior.yaw_rad, 0.0)]
-    )
+    if count == 0:
+        return [(prior.yaw_rad, 0.0)], bound_rad
+    away_rad = [i * step_rad for i in range(-count, count + 1)]
+    yaws = [(wrap_pi(prior.yaw_rad + a), (a / prior.sigma_yaw_rad) ** 2) for a in away_rad]
     return yaws, bound_rad
 
 
@@ -179,6 +171,8 @@ def _agls(
     opened = 1.0 + SIGMAS * prior.sigma_agl_ratio
     bound = min(opened * LOOSE_SCALE, MAX_SCALE_BOUND)
     count = math.ceil(max(0.0, math.log(opened / SCALE_REACH)) / math.log(SCALE_STEP))
+    if count == 0:
+        return [(prior.agl_m, 0.0)], bound
     sigma = math.log1p(prior.sigma_agl_ratio)
     agls = [
         (prior.agl_m * SCALE_STEP**i, (i * math.log(SCALE_STEP) / sigma) ** 2 if i else 0.0)
