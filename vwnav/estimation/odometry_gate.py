@@ -13,16 +13,15 @@ import bisect
 import math
 from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.events import Displacement, NedFix, NewKeyframe
+from vwnav.estimation.events import Displacement, Event, NedFix, NewKeyframe
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.states import FilterState, States
-from vwnav.estimation.timeline import Timeline
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
@@ -54,6 +53,17 @@ class _Way(NamedTuple):
 
 def _time(way: _Way) -> float:
     return way.t_s
+
+
+class _History(Protocol):
+    """What the gate asks of the filter's `Timeline`."""
+
+    oldest: FilterState
+    newest: FilterState
+
+    def keyframe_known(self, t_s: float) -> bool: ...
+
+    def insert(self, event: Event) -> Innovation: ...
 
 
 class OdometryGate:
@@ -93,7 +103,7 @@ class OdometryGate:
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
 
     def admit(
-        self, motion: OdometryMotion, event: Displacement, timeline: Timeline
+        self, motion: OdometryMotion, event: Displacement, timeline: _History
     ) -> Displacement | Verdict:
         """What may meet the filter of a way, whose keyframe is cloned from now on; or why not.
 
@@ -130,7 +140,7 @@ class OdometryGate:
             return False
         return known or self._attitudes.at(motion.t0_s) is not None
 
-    def _cloned(self, motion: OdometryMotion, timeline: Timeline) -> bool:
+    def _cloned(self, motion: OdometryMotion, timeline: _History) -> bool:
         """Whether its keyframe's pose is cloned now."""
         share = self._config.anchor_share
         covariance = share * motion.covariance_ned_m2

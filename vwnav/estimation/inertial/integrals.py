@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 
-from vwnav.types import Array
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
