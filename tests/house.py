@@ -175,7 +175,7 @@ def one_step() -> Entered:
     from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.world import draw
     from vwnav.config import Config
-    from vwnav.estimation.states import Start
+    from vwnav.estimation.beginning.starts import Start
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of

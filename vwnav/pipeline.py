@@ -19,7 +19,7 @@ from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.events import Exposed, NedFix, Untracked
 from vwnav.estimation.filtering import Filtering
-from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.states import Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame

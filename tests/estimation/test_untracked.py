@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vwnav.estimation.beginning.starts import Start, begun_anew
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix, Untracked
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.states import Start, begun_anew
+from vwnav.estimation.states import Verdict
 from vwnav.types import Attitude, Estimate, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -20,8 +20,8 @@ from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.errors import MapError, SourceError
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.states import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.maps.build.builder import BuildOptions, build_pack

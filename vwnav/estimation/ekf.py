@@ -1,41 +1,26 @@
 """The estimator: every measurement at its own time, in any order; the estimate at any time.
 
-Read `states.py` and `config.py` first (what is estimated, with all noises), then `process.py` (how
-it moves), `kalman.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
-measurement says), `timeline.py` (which of them it is, and late ones).
+Read `states.py` and `config.py` first (what is estimated, the Kalman update, all noises), then
+`process.py` (how it moves), `fixes.py`, `odometry.py` and `heights.py` (what each measurement
+says), `timeline.py` (which of them it is, and late ones).
 """
 
 import math
 from collections.abc import Callable
 
+from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
-from vwnav.estimation.events import (
-    Displacement,
-    Drag,
-    Event,
-    LateFix,
-    Misled,
-    NedFix,
-    Told,
-)
+from vwnav.estimation.events import Displacement, Drag, Event, LateFix, Misled, NedFix, Told
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
 from vwnav.estimation.inertial.drag import explained_m_s2
 from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
-from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import (
-    FilterState,
-    Start,
-    begun_anew,
-    estimate_of,
-    first_state,
-    outside,
-)
+from vwnav.estimation.states import FilterState, Innovation, Verdict, estimate_of, outside
 from vwnav.estimation.timeline import Timeline, sensible
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 

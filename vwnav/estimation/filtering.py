@@ -2,9 +2,9 @@
 
 from typing import Protocol
 
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.inputs import Measurement
-from vwnav.estimation.kalman import Innovation
-from vwnav.estimation.states import FilterState, Start
+from vwnav.estimation.states import FilterState, Innovation
 from vwnav.types import Attitude, Estimate
 
 

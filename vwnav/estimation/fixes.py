@@ -7,25 +7,20 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
+from vwnav.estimation.disputes import agreeing, convinces, freed, remember
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.kalman import (
-    CHI_SQUARE_GATE,
-    Innovation,
-    Measurement,
-    Verdict,
-    agreeing,
-    convinces,
-    correct,
-    freed,
-    fuse,
-    remember,
-)
 from vwnav.estimation.states import (
+    CHI_SQUARE_GATE,
     Exposure,
     FilterState,
+    Innovation,
+    Measurement,
     States,
     TrustedPosition,
+    Verdict,
+    correct,
+    fuse,
     tells_heading,
 )
 from vwnav.geometry.rotations import wrap_pi

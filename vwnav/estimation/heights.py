@@ -7,21 +7,20 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
+from vwnav.estimation.disputes import convinces, freed, remember
 from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.kalman import (
+from vwnav.estimation.states import (
     CHI_SQUARE_GATE,
+    FilterState,
     Innovation,
     Measurement,
+    States,
     Verdict,
-    convinces,
     correct,
-    freed,
     fuse,
-    remember,
 )
-from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
+from vwnav.estimation.disputes import convinces, remember
 from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
@@ -13,12 +15,14 @@ from vwnav.estimation.inertial.attitudes import (
     level_axes,
     true_from_autopilot,
 )
-from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
 from vwnav.estimation.states import (
     Anchor,
     FilterState,
+    Innovation,
+    Measurement,
     States,
-    first_variance,
+    Verdict,
+    fuse,
     tells_heading,
     white_acceleration,
 )

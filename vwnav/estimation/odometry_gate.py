@@ -20,8 +20,7 @@ import numpy as np
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.events import Displacement, Event, NedFix, NewKeyframe
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.kalman import Innovation, Verdict
-from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 

@@ -26,7 +26,6 @@ from vwnav.estimation.events import (
 from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.drag import apply_drag
-from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.odometry import (
     apply_displacement,
     apply_keyframe,
@@ -34,7 +33,7 @@ from vwnav.estimation.odometry import (
     apply_untracked,
 )
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, Height, Range, Stationary
 
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further

@@ -17,7 +17,7 @@ from vwnav.assemble import about_run, assemble
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard

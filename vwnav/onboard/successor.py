@@ -18,7 +18,7 @@ import numpy as np
 from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot

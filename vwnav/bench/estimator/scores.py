@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav.bench.estimator.flown import Rows, Run
 from vwnav.estimation.events import NedFix
-from vwnav.estimation.kalman import Innovation
+from vwnav.estimation.states import Innovation
 from vwnav.types import Array, OdometryMotion
 
 SETTLED_S = 30.0  # after take-off and the first fixes

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, MapFix, Prior

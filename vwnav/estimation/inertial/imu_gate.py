@@ -15,7 +15,7 @@ import numpy as np
 
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.kalman import Innovation, Verdict
+from vwnav.estimation.states import Innovation, Verdict
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 
