@@ -93,9 +93,12 @@ def pose_from_rectified(
     regional_px2 = regional_covariance(uv_rect, uv_map, H_map_rect, view.nadir_uv)
     covariance_px2 = with_regions(covariance_px2, regional_px2)
     agl_m = view.agl_m * turn.scale
+    # Of north and east: the fit's, in metres, and the errors that no match shows.
+    to_ne = np.array([[0.0, -1.0 / px_per_m[1]], [1.0 / px_per_m[0], 0.0]])
+    unseen_m2 = (agl_m * errors.sigma_tilt_rad) ** 2 + errors.sigma_georeference_m**2
     return MapPose(
         nadir_px=nadir_px,
-        covariance_ne_m2=_covariance_ne_m2(covariance_px2, px_per_m, agl_m, errors),
+        covariance_ne_m2=np.asarray(to_ne @ covariance_px2 @ to_ne.T + unseen_m2 * np.eye(2)),
         yaw_correction_rad=turn.rotation_rad,
         sigma_yaw_rad=turn.sigma_rad,
         scale_ratio=turn.scale,
@@ -168,15 +171,6 @@ def _cross_sigmas(covariance: Array, turn_rad: float) -> tuple[float, float]:
     )
 
 
-def _covariance_ne_m2(
-    covariance_px2: Array, px_per_m: tuple[float, float], agl_m: float, errors: PoseErrors
-) -> Array:
-    """Of north and east: the fit's, in metres, and the errors that no match shows."""
-    to_ne = np.array([[0.0, -1.0 / px_per_m[1]], [1.0 / px_per_m[0], 0.0]])
-    unseen_m2 = (agl_m * errors.sigma_tilt_rad) ** 2 + errors.sigma_georeference_m**2
-    return np.asarray(to_ne @ covariance_px2 @ to_ne.T + unseen_m2 * np.eye(2))
-
-
 def _turn_and_scale(
     H_map_rect: Array,
     m_per_px: float,
@@ -212,20 +206,14 @@ def homography_covariance(
     Zisserman, 2nd edition, section 5.2.3). `sigma_px` is the error of a pair in image 1;
     the pairs' own scatter is used where it is larger. None when they do not fix a homography.
     """
-    designs = _designs(uv0, H_1_0, at_uv, homography=True)
-    if designs is None:
-        return None
-    return _propagate(*designs, _variance(uv0, uv1, H_1_0, sigma_px, unknowns=8))
+    return _propagated(uv0, uv1, H_1_0, sigma_px, at_uv, homography=True)
 
 
 def similarity_covariance(
     uv0: Array, uv1: Array, H_1_0: Array, sigma_px: float, at_uv: Array
 ) -> Array | None:
     """As `homography_covariance`, for a fit by `estimate_similarity` to n > 2 pairs."""
-    designs = _designs(uv0, H_1_0, at_uv, homography=False)
-    if designs is None:
-        return None
-    return _propagate(*designs, _variance(uv0, uv1, H_1_0, sigma_px, unknowns=4))
+    return _propagated(uv0, uv1, H_1_0, sigma_px, at_uv, homography=False)
 
 
 def regional_covariance(uv0: Array, uv1: Array, H_1_0: Array, at_uv: Array) -> Array:
@@ -318,15 +306,18 @@ def _similarity_design(points: Array) -> Array:
     return np.asarray(np.stack([u, v], axis=1).reshape(-1, 4))
 
 
-def _variance(uv0: Array, uv1: Array, H: Array, sigma_px: float, unknowns: int) -> float:
-    spare = 2 * len(uv0) - unknowns
-    scatter = np.sum((transform_points(H, uv0) - uv1) ** 2) / spare if spare > 0 else 0.0
-    return max(sigma_px**2, float(scatter))
-
-
-def _propagate(design: Array, design_at: Array, variance_px2: float) -> Array | None:
+def _propagated(
+    uv0: Array, uv1: Array, H_1_0: Array, sigma_px: float, at_uv: Array, *, homography: bool
+) -> Array | None:
+    """The larger of a pair's error and the pairs' scatter, on to the mapped place."""
+    designs = _designs(uv0, H_1_0, at_uv, homography=homography)
+    if designs is None:
+        return None
+    design, design_at = designs
     information = design.T @ design
     if len(design) < len(information) or np.linalg.cond(information) > _MAX_CONDITION:
         return None
-    spread = np.linalg.solve(information, design_at.T)
-    return np.asarray(variance_px2 * design_at @ spread)
+    spare = len(design) - len(information)
+    scatter = np.sum((transform_points(H_1_0, uv0) - uv1) ** 2) / spare if spare > 0 else 0.0
+    variance_px2 = max(sigma_px**2, float(scatter))
+    return np.asarray(variance_px2 * design_at @ np.linalg.solve(information, design_at.T))

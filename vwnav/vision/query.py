@@ -53,17 +53,16 @@ class View:
 
 
 class Undistorted:
-    """An undistorted image, halved as often as was needed so far."""
+    """An undistorted image, halved as often as was needed so far.
+
+    Attributes:
+        K: (3, 3) of its camera. size_wh: width and height of the whole image.
+    """
 
     def __init__(self, gray: Gray, K: Array) -> None:
         self._halved = [gray]
         self.K = K
-
-    @property
-    def size_wh(self) -> tuple[int, int]:
-        """Width and height of the whole image."""
-        h, w = self._halved[0].shape
-        return w, h
+        self.size_wh: tuple[int, int] = gray.shape[::-1]
 
     @property
     def contrast(self) -> float:
@@ -82,10 +81,9 @@ class Undistorted:
             level += 1
             if level == len(self._halved):
                 # An even size, so that a pixel is the mean of exactly four.
-                h, w = (side - side % 2 for side in self._halved[-1].shape)
-                even = self._halved[-1][:h, :w]
-                size = (w // 2, h // 2)
-                half = cv2.resize(even, size, interpolation=cv2.INTER_AREA)
+                h, w = self._halved[-1].shape
+                even, size_wh = self._halved[-1][: h - h % 2, : w - w % 2], (w // 2, h // 2)
+                half = cv2.resize(even, size_wh, interpolation=cv2.INTER_AREA)
                 self._halved.append(np.asarray(half, np.uint8))
         ratio = float(2**level)
         offset = 0.5 * ratio - 0.5

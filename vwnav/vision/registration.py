@@ -174,10 +174,8 @@ def register(
     if pose is None:
         geometry = RejectReason.GEOMETRY
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
-    matched, landmarks = (
-        features.take(pairs[consensus.inliers, i])
-        for i, features in enumerate((view.features, map_.features))
-    )
+    of_view, of_map = pairs[consensus.inliers].T
+    matched, landmarks = view.features.take(of_view), map_.features.take(of_map)
     likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
     return Registration(candidate, view, map_, consensus, landmarks, likeness, pose)
 

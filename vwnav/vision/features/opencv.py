@@ -65,7 +65,9 @@ class SiftFeatures:
         described, descriptors = sift.compute(gray, keypoints)
         scores = np.fromiter(map(_RESPONSE, described), np.float32)
         uv = np.asarray(cv2.KeyPoint.convert(described), np.float32)
-        return Features(uv, _root(np.asarray(descriptors, np.float32)), scores)
+        total = np.abs(descriptors).sum(axis=1, keepdims=True)
+        root = np.sqrt(descriptors / np.maximum(total, 1e-9)).astype(np.float32)
+        return Features(uv, root, scores)
 
 
 def _strongest(keypoints: Sequence[cv2.KeyPoint], count: int, upright: bool) -> list[cv2.KeyPoint]:
@@ -85,12 +87,6 @@ def _strongest(keypoints: Sequence[cv2.KeyPoint], count: int, upright: bool) -> 
         if len(kept) == count:
             break
     return kept
-
-
-def _root(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-    total = np.abs(descriptors).sum(axis=1, keepdims=True)
-    root: NDArray[np.float32] = np.sqrt(descriptors / np.maximum(total, 1e-9))
-    return root.astype(np.float32)
 
 
 class OrbFeatures:
