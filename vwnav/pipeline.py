@@ -315,10 +315,10 @@ class Pipeline:
             roll_rad=roll_rad,
             pitch_rad=pitch_rad,
         )
-        if now.sigma_horizontal_m > self._config.max_prior_sigma_m:
+        if (sigma_m := now.sigma_horizontal_m) > self._config.max_prior_sigma_m:
             return prior
         lat_deg, lon_deg, _ = self.local_frame.to_geodetic(now.position_ned_m)
-        sigma_m = doubt * max(now.sigma_horizontal_m, MIN_PRIOR_SIGMA_M)
+        sigma_m = doubt * max(sigma_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 
     def _fuse_fix(self, fix: MapFix, begins: bool) -> MapFix | Rejected:

@@ -66,6 +66,7 @@ class Candidate:
         level: of the map.
         lat_deg, lon_deg: where the camera may be.
         radius_m: how far from there.
+        coarse: a registration is to be looked at again at the sharpest level.
         area: the window of a coarse candidate; None where the place and the view make it.
         max_keypoints: of the view.
         tests: how many candidates there are until a registration of this one is weighed.
@@ -76,14 +77,10 @@ class Candidate:
     lat_deg: float
     lon_deg: float
     radius_m: float = 0.0
+    coarse: bool = False
     area: Window | None = None
     max_keypoints: int
     tests: int = 1
-
-    @property
-    def coarse(self) -> bool:
-        """Whether a registration is to be looked at again at the sharpest level."""
-        return self.area is not None
 
     @property
     def m_per_px(self) -> float:
@@ -227,6 +224,7 @@ def _coarse(hypothesis: Hypothesis, level: Level, window: Window, tests: int) ->
         level=level,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
+        coarse=True,
         area=window,
         max_keypoints=COARSE_KEYPOINTS,
         tests=tests,

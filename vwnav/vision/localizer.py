@@ -123,7 +123,9 @@ class Localizer:
         outcome = self._located(query)
         if isinstance(outcome, MapFix):
             refusal = implausible(query, outcome, self._config.max_sigma_m)
-            outcome = refusal or self._of_body(outcome, prior)
+            if refusal is None and self._arm is not None:
+                outcome = self._arm.fix_of_body(outcome, prior)
+            outcome = refusal or outcome
         stats = outcome.stats
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
@@ -131,9 +133,6 @@ class Localizer:
         if isinstance(outcome, Rejected) and outcome.reason not in SAID_NOTHING_OF:
             outcome = replace(outcome, weak=self._weak(query, prior))
         return replace(outcome, stats=timed)
-
-    def _of_body(self, fix: MapFix, prior: Prior) -> MapFix:
-        return self._arm.fix_of_body(fix, prior) if self._arm else fix
 
     def _located(self, query: Query) -> MapFix | Rejected:
         """The way of an image: candidates, registered, refined, verified, one of them the fix."""
@@ -306,7 +305,7 @@ class Localizer:
         """What was kept that is certain and near enough to be a fix, if more spoke for it."""
         most_m = self._config.max_sigma_m
         return tuple(
-            replace(each, fix=self._of_body(each.fix, prior))
+            replace(each, fix=self._arm.fix_of_body(each.fix, prior)) if self._arm else each
             for each in query.weak
             if not implausible(query, each.fix, most_m)
         )

@@ -103,6 +103,8 @@ class Query:
         views: made so far, by heading and by height in pixels.
         piece: of the map that was looked at last: its level, its window and its features.
         weak: places found so far that too little speaks for.
+        attitude_known: whether roll and pitch are.
+        heading_open: whether nothing, or next to nothing, is known of it.
         ms: milliseconds spent per stage, named as in `MatchStats`.
     """
 
@@ -124,18 +126,9 @@ class Query:
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []
         self.ms: dict[str, float] = {}
+        self.attitude_known = prior.roll_rad is not None and prior.pitch_rad is not None
+        self.heading_open = prior.yaw_rad is None or not prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
         self._clock = clock
-
-    @property
-    def attitude_known(self) -> bool:
-        """Whether roll and pitch are."""
-        return self.prior.roll_rad is not None and self.prior.pitch_rad is not None
-
-    @property
-    def heading_open(self) -> bool:
-        """Whether nothing, or next to nothing, is known of it."""
-        known = self.prior.yaw_rad is not None and self.prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
-        return not known
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
