@@ -184,7 +184,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
             CameraWatch(64, 48), record,
         )  # fmt: skip
         runtime.run(Images(), WallClock())
-        record.close(SimpleNamespace(sim=False), assembled)
+        record.close(SimpleNamespace(sim=False), pipeline, pack.name)
     return folder
 
 

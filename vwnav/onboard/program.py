@@ -160,7 +160,7 @@ def _fly(
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
-    aboard = put_aboard(plan, assembled, autopilot, handle, record, options.arms)
+    aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, options.arms)
     with _stopped_by_signals():
         try:
             if not options.arms:
@@ -168,7 +168,7 @@ def _fly(
             end = aboard.runtime.run(source, clock)
         finally:
             handle.end()
-            record.close(options, assembled)
+            record.close(options, assembled.pipeline, plan.pack.name)
     if end.reason is not None:
         error = PreflightError if end.unsafe else VwnavError
         raise error(f"{end.reason} (record in {folder})")

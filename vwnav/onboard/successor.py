@@ -137,14 +137,14 @@ def _succeed(
     keep_alive = KeepAlive(UdpChannel(handover.keepalive_port, listens=False), clock)
     stack.callback(keep_alive.close)
     aboard = put_aboard(
-        plan, assembled, autopilot, keep_alive, record, arms=False,
+        plan, assembled.pipeline, autopilot, keep_alive, record, arms=False,
         first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)
     try:
         aboard.runtime.run(source, clock)
     finally:
-        record.close(options, assembled)
+        record.close(options, assembled.pipeline, plan.pack.name)
 
 
 def _start(
