@@ -32,7 +32,7 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import match, similarities
+from vwnav.vision.matching import match, paired_similarity
 from vwnav.vision.query import Query, View, seen
 from vwnav.vision.significance import share_alike
 
@@ -177,7 +177,7 @@ def register(
         features.take(pairs[consensus.inliers, i])
         for i, features in enumerate((view.features, map_.features))
     )
-    likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
+    likeness = paired_similarity(matched.descriptors, landmarks.descriptors)
     return Registration(candidate, view, map_, consensus, landmarks, likeness, pose)
 
 
