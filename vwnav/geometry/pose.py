@@ -230,16 +230,15 @@ def regional_covariance(uv0: Array, uv1: Array, H_1_0: Array, at_uv: Array) -> A
     design, design_at = designs
     residual = (uv1 - transform_points(H_1_0, uv0)).ravel()
     east, south = (uv0 > np.median(uv0, axis=0)).T
-    quadrant = np.repeat(2 * south + east, 2)
-    total = np.zeros((2, 2))
-    for left_out in range(_QUADRANTS):
-        A, e = design[quadrant != left_out], residual[quadrant != left_out]
-        information = A.T @ A
-        if len(A) < len(information) or np.linalg.cond(information) > _MAX_CONDITION:
-            continue
-        shift = design_at @ np.linalg.solve(information, A.T @ e)
-        total += np.outer(shift, shift)
-    return (_QUADRANTS - 1) / _QUADRANTS * total
+    inside = np.repeat(2 * south + east, 2) == np.arange(_QUADRANTS)[:, None]
+    # What all regions say of the unknowns, less what one of them does.
+    told, pulled = (inside[:, None, :] * design.T) @ design, (inside * residual) @ design
+    information, pull = told.sum(axis=0) - told, pulled.sum(axis=0) - pulled
+    enough = np.count_nonzero(~inside, axis=1) >= design.shape[1]
+    enough &= np.linalg.cond(information) <= _MAX_CONDITION
+    unknowns = np.linalg.solve(information[enough], pull[enough][..., None])
+    shifts = (design_at @ unknowns)[..., 0]
+    return np.asarray((_QUADRANTS - 1) / _QUADRANTS * shifts.T @ shifts)
 
 
 def with_regions(scatter: Array, regional: Array) -> Array:

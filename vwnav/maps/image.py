@@ -58,6 +58,55 @@ class MapImage:
         return MapImage(np.where(mask[..., None], mean, 0).astype(np.uint8), mask)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedFeatures:
+    """The features of some tiles, strongest first.
+
+    Attributes:
+        features: uv from the corner of the first tile.
+        owner: (n,) number of the tile of each.
+        corner_px: (2,) of the first tile, global pixels.
+    """
+
+    features: Features
+    owner: NDArray[np.int64]
+    corner_px: NDArray[np.int64]
+
+    def strongest_in(self, window: Window, count: int) -> Features:
+        """Those in a window, relative to it; where they are too many, the first of every tile."""
+        shift_px = (self.corner_px - np.array(window[:2])).astype(np.float32)
+        uv = self.features.uv + shift_px
+        corner, (h, w) = uv + np.float32(0.5), window.shape
+        inside = (corner >= 0.0).all(axis=1) & (corner < np.array([w, h], np.float32)).all(axis=1)
+        kept = np.flatnonzero(inside)
+        if len(kept) > count:
+            by_tile = np.argsort(self.owner[kept], kind="stable")
+            owner = self.owner[kept][by_tile]
+            rank = np.empty(len(kept), np.int64)
+            rank[by_tile] = np.arange(len(kept)) - np.searchsorted(owner, owner)
+            kept = kept[np.sort(np.argsort(rank, kind="stable")[:count])]
+        return Features(uv[kept], self.features.descriptors[kept], self.features.scores[kept])
+
+
+def join(tiles: dict[Tile, Features]) -> JoinedFeatures | None:
+    """All features of some tiles; None where they have none."""
+    if not tiles:
+        return None
+    found = list(tiles.values())
+    corner_px = np.array(next(iter(tiles)).window[:2], np.int64)
+    sizes = [len(features) for features in found]
+    shift_px = np.array([tile.window[:2] for tile in tiles]) - corner_px
+    uv = np.concatenate([features.uv for features in found])
+    uv = uv + np.repeat(shift_px.astype(np.float32), sizes, axis=0)
+    scores = np.concatenate([features.scores for features in found])
+    descriptors = np.concatenate([features.descriptors for features in found])
+    order = np.argsort(-scores, kind="stable")
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    return JoinedFeatures(
+        Features(uv[order], descriptors[order], scores[order]), owner[order], corner_px
+    )
+
+
 def assemble(zoom: int, window: Window, fetch: Callable[[Tile], MapImage | None]) -> MapImage:
     """Put the tiles under a window together; a tile that is None has no data."""
     out = MapImage.empty(window.shape)

@@ -8,7 +8,7 @@ with small views in every heading and height left open.
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
@@ -39,6 +39,10 @@ PRIOR_SIGMAS = 3.0  # of the prior's position are looked at
 MAX_UPSAMPLING = 1.67  # a view much sharper than the image shows blur the map does not have
 COARSE_VIEW_PX = 300.0  # of the longer side of a coarse view
 COARSE_KEYPOINTS = 600
+THRIFTY_VIEW_AREA_PX = 130_000.0  # of a first look: decides, with the height, which level it is at
+WORTH_THRIFT_PX = (
+    32_000.0  # of an image on the map: less is cheap, and holds too little to lose any
+)
 WINDOW_PX = 1280  # of a piece of map that is matched at once, and half more where it must be
 MAX_RIVALRY = 0.7  # of the best place's occupied cells for another place: neither is believed
 
@@ -70,6 +74,7 @@ class Candidate:
         area: the window of a coarse candidate; None where the place and the view make it.
         max_keypoints: of the view.
         tests: how many candidates there are until a registration of this one is weighed.
+        thrifty: a first look, at the part of the view that is worth its pixels.
     """
 
     hypothesis: Hypothesis
@@ -81,6 +86,7 @@ class Candidate:
     area: Window | None = None
     max_keypoints: int
     tests: int = 1
+    thrifty: bool = False
 
     @property
     def m_per_px(self) -> float:
@@ -181,12 +187,25 @@ def _agls(
 def fine_level(pack: MapReader, query: Query, agl_m: float, max_view_area_px: float) -> Level:
     """The sharpest level that the image can fill and that the time allows."""
     width_m, height_m = query.footprint_m(agl_m)
-    image_m_per_px = width_m / query.image.size_wh[0]
+    image_m_per_px = agl_m / query.image.K[0, 0]
     for level in pack.levels:
         fits = width_m * height_m / level.m_per_px**2 <= max_view_area_px
         if fits and level.m_per_px * MAX_UPSAMPLING >= image_m_per_px:
             return level
     return pack.levels[-1]
+
+
+def thrifty_candidate(pack: MapReader, query: Query, fine: Candidate) -> Candidate | None:
+    """The same at no more pixels than most images need; None where that would save nothing.
+
+    What does not convince at so few is looked at as `fine` has it.
+    """
+    width_m, height_m = query.footprint_m(fine.hypothesis.agl_m)
+    if width_m * height_m / fine.level.m_per_px**2 < WORTH_THRIFT_PX:
+        return None
+    level = fine_level(pack, query, fine.hypothesis.agl_m, THRIFTY_VIEW_AREA_PX)
+    coarser = level if level.m_per_px > fine.level.m_per_px else fine.level
+    return replace(fine, level=coarser, thrifty=True)
 
 
 def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Candidate]:

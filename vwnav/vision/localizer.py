@@ -11,10 +11,11 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from vwnav.geometry.camera import Camera, Rectification
+from vwnav.geometry.camera import Camera, Rectification, cut_to_image
 from vwnav.geometry.geodesy import Window
 from vwnav.maps.image import MapReader
 from vwnav.types import (
@@ -37,6 +38,7 @@ from vwnav.vision.candidates import (
     fine_level,
     hypotheses,
     is_finite,
+    thrifty_candidate,
 )
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
@@ -52,15 +54,15 @@ from vwnav.vision.registration import (
     share_turned,
 )
 from vwnav.vision.rivals import best_of
+from vwnav.vision.significance import is_mistakable
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
+CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
 WEAK_LOG10_NFA = 2.0  # less is not even held against the image
 WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
 WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that are worth refining
 SURE_DECADES = 10.0  # so little chance that the rest need not be searched
-MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
-MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 # Of such an image nothing is kept: all of it looks alike, or the best may not have been seen.
 SAID_NOTHING_OF = (RejectReason.AMBIGUOUS, RejectReason.GIVEN_UP)
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
@@ -151,22 +153,21 @@ class Localizer:
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
-                found = self._verified(query, self._refined(query, found))
+                found = self._verified(query, found)
                 if isinstance(found, Registration):
                     return fix_of(query, found)
-                if found.reason is RejectReason.AMBIGUOUS:
+                if found.reason is RejectReason.AMBIGUOUS and not candidate.thrifty:
                     return found
+            if candidate.thrifty:
+                continue
             refusal = refusal or found
             if found.reason in HOPELESS and not candidate.coarse:
                 return refusal
         if candidates[0].coarse:
-            best = best_of(
-                query, coarse, len(candidates),
-                lambda hit: self._verified(query, self._refined(query, hit)),
-            )  # fmt: skip
+            best = best_of(query, coarse, len(candidates), partial(self._verified, query))
             return fix_of(query, best) if isinstance(best, Registration) else best
-        decades = self._config.min_decades
-        first, accept = candidates[0], self._acceptance(candidates[0])
+        first = next(each for each in candidates if not each.thrifty)
+        accept, decades = self._acceptance(first), self._config.min_decades
         fix = fix_by_correlation(self._pack, self._maker, query, first, accept, decades)
         return fix or refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
 
@@ -187,6 +188,10 @@ class Localizer:
                 for tests, each in enumerate(todo[: config.max_guesses], 1)
             ]
             if radius_m <= config.max_track_radius_px * fine[0].level.m_per_px:
+                thrifty = thrifty_candidate(self._pack, query, fine[0])
+                if thrifty is not None:
+                    after = [replace(each, tests=each.tests + 1) for each in fine]
+                    return [thrifty, *after]
                 return fine
         coarse = coarse_candidates(self._pack, query, todo)
         if not coarse:
@@ -231,6 +236,8 @@ class Localizer:
         made = self._maker.rectify(query, hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
         if made is None:
             return query.rejected(RejectReason.TILTED, "the camera does not look down")
+        if candidate.thrifty:
+            made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX)
         window = candidate.window(made)
         if (refusal := self._hopeless(query, candidate, made, window)) is not None:
             return refusal
@@ -260,15 +267,19 @@ class Localizer:
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.
 
-        What is fine and weak or hardly turned or scaled stays, as does what is not found again.
+        What is fine stays where it is weak, sure, or hardly turned or scaled, as does what is not
+        found again.
         """
         weak = found.consensus.log10_nfa > WORTH_LOG10_NFA
-        if not found.candidate.coarse and (weak or not found.is_turned):
+        sure = self._decades(found) >= SURE_DECADES
+        if not found.candidate.coarse and (weak or sure or not found.is_turned):
             return found
         view = found.view.rectification
         radius_m = 6.0 * view.m_per_px + 0.05 * max(view.size_wh) * view.m_per_px
         nadir = found.lat_lon_of_view(view.nadir_uv)
         closer = self._fine(query, found.hypothesis, nadir, radius_m, found.candidate.tests)
+        if found.candidate.thrifty:
+            closer = thrifty_candidate(self._pack, query, closer) or closer
         again = self._register(query, closer)
         enough = WEAK_LOG10_NFA if found.candidate.coarse else WORTH_LOG10_NFA
         if isinstance(again, Registration) and again.consensus.log10_nfa <= enough:
@@ -276,10 +287,11 @@ class Localizer:
         return found
 
     def _verified(self, query: Query, found: Registration) -> Registration | Rejected:
-        """Weigh a registration; where the matches do not convince, the images must correlate.
+        """Refine and weigh a registration; where matches do not convince, images must correlate.
 
         A coarse one is not believed: what the sharpest level does not show again is not there.
         """
+        found = self._refined(query, found)
         consensus = found.consensus
         if found.candidate.coarse:
             return may_be_chance(query, consensus)
@@ -289,7 +301,8 @@ class Localizer:
             with query.stage("verify_ms"):
                 decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
         if decades < needed or found.consensus.log10_nfa > WORTH_LOG10_NFA:
-            self._note(query, found, decades, needed)
+            if not found.candidate.thrifty:
+                self._note(query, found, decades, needed)
             return may_be_chance(query, consensus)
         with query.stage("verify_ms"):
             return self._ambiguous(query, found) or found
@@ -314,10 +327,12 @@ class Localizer:
         """A refusal where the map shows the like at other places, or turned, that are open too."""
         cells, where = found.consensus.cells, "beside it"
         share = share_beside(self._pack, self._extractor, query, found)
-        if not _is_mistakable(share, cells) and query.heading_open:
+        mistakable = is_mistakable(share, cells)
+        if not mistakable and query.heading_open:
             where = "turned by a quarter or a half"
             share = share_turned(self._pack, self._extractor, found)
-        if not _is_mistakable(share, cells):
+            mistakable = is_mistakable(share, cells)
+        if not mistakable:
             return None
         return query.rejected(
             RejectReason.AMBIGUOUS,
@@ -333,8 +348,3 @@ class Localizer:
         are least: `vwnav bench significance` measures how many of its powers of ten are a true one.
         """
         return max(0.0, -found.consensus.log10_nfa / self._extractor.log10_per_decade)
-
-
-def _is_mistakable(share: float, cells: int) -> bool:
-    """Whether most landmarks have their like elsewhere, and too few have not."""
-    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS

@@ -36,14 +36,14 @@ def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> N
             f"{frame.descriptors.shape[1]} and {map_.descriptors.dtype} x "
             f"{map_.descriptors.shape[1]}"
         )
-    if len(frame) == 0 or len(map_) == 0:
+    if 0 in (len(frame.descriptors), len(map_.descriptors)):
         return np.zeros((0, 2), np.int64)
     binary = frame.descriptors.dtype == np.uint8
     nearest = _nearest_bits if binary else _nearest_cosine
     chosen, similarity = nearest(frame.descriptors, map_.descriptors)
     # Back from the map's side: only the chosen map features have to be asked.
     back, _ = nearest(map_.descriptors[chosen], frame.descriptors)
-    mutual = np.flatnonzero(back == np.arange(len(frame)))
+    mutual = np.flatnonzero(back == np.arange(len(back)))
     mutual = mutual[similarity[mutual] >= min_similarity]
     best_first = mutual[np.argsort(-similarity[mutual], kind="stable")]
     return np.stack([best_first, chosen[best_first]], axis=1)
@@ -58,6 +58,14 @@ def similarities(queries: Descriptors, references: Descriptors) -> NDArray[np.fl
         for each in (queries, references)
     )
     return np.asarray(signs0 @ signs1.T / signs0.shape[1], np.float32)
+
+
+def paired_similarity(queries: Descriptors, references: Descriptors) -> NDArray[np.float32]:
+    """Similarity (n,) of each descriptor with the one in the same row, as `match` has it."""
+    if queries.dtype != np.uint8:
+        return np.asarray(np.einsum("nd,nd->n", queries, references), np.float32)
+    differing = np.unpackbits(queries.astype(np.uint8) ^ references.astype(np.uint8), axis=1)
+    return np.asarray(1.0 - 2.0 * differing.mean(axis=1), np.float32)
 
 
 def _nearest_cosine(

@@ -100,7 +100,7 @@ class Query:
         prior: what is known.
         seed: of every random choice.
         features: name of the feature set.
-        views: made so far, by heading and by height in pixels.
+        views: made so far, by heading, by height in pixels and by size.
         piece: of the map that was looked at last: its level, its window and its features.
         weak: places found so far that too little speaks for.
         attitude_known: whether roll and pitch are.
@@ -122,7 +122,7 @@ class Query:
         self.prior = prior
         self.seed = seed
         self.features = features
-        self.views: dict[tuple[float, float], View] = {}
+        self.views: dict[tuple[float, float, tuple[int, int]], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []
         self.ms: dict[str, float] = {}
@@ -220,7 +220,7 @@ class QueryMaker:
 
     def view(self, query: Query, yaw_rad: float, made: Rectification, max_keypoints: int) -> View:
         """The view with its features; kept, since levels of twice the size share it."""
-        key = (round(yaw_rad, 6), round(made.agl_m / made.m_per_px, 1))
+        key = (round(yaw_rad, 6), round(made.agl_m / made.m_per_px, 1), made.size_wh)
         if key not in query.views:
             with query.stage("rectify_ms"):
                 gray = self.warp(query, made)
@@ -247,7 +247,10 @@ class QueryMaker:
         size = np.array(query.image.size_wh, np.float64)
         corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * (size - 1.0)
         outline = transform_points(made.H_rect_frame, corners)
-        covered = cv2.contourArea(outline.astype(np.float32)) / gray.size
+        h, w = gray.shape
+        canvas = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32) - np.float32(0.5)
+        shown_px, _ = cv2.intersectConvexConvex(outline.astype(np.float32), canvas)
+        covered = shown_px / gray.size
         oversampling = min(MAX_OVERSAMPLING, 1.0 / max(covered, 1e-3))
         found = self._extractor.extract(gray, round(max_keypoints * oversampling))
         inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size)

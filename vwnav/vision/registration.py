@@ -33,7 +33,7 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import match, similarities
+from vwnav.vision.matching import match, paired_similarity
 from vwnav.vision.query import Query, View, seen
 from vwnav.vision.significance import share_alike
 
@@ -176,7 +176,7 @@ def register(
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
     of_view, of_map = pairs[consensus.inliers].T
     matched, landmarks = view.features.take(of_view), map_.features.take(of_map)
-    likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
+    likeness = paired_similarity(matched.descriptors, landmarks.descriptors)
     return Registration(candidate, view, map_, consensus, landmarks, likeness, pose)
 
 

@@ -26,6 +26,8 @@ MAX_SAMPLE = 160
 MAX_LANDMARKS = 150  # that are looked for elsewhere
 # Of its likeness to the query, what makes a like of a landmark: the matched are the luckiest.
 AS_LIKE = np.float32(0.8)
+MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
+MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 MIN_SHIFT_PX = 8.0  # what is nearer is the same place
 SHIFT_CELL_PX = 4.0  # of the table of shifts, of which 3 x 3 are taken together
 
@@ -112,15 +114,18 @@ def share_alike(
         others: features of the map, their pixels those of the landmarks but for a shift.
         within_px: a longer shift does not count.
     """
-    step = math.ceil(len(landmarks) / MAX_LANDMARKS)
+    step = math.ceil(len(landmarks.uv) / MAX_LANDMARKS)
     uv, onto = landmarks.uv[::step], others.uv
-    if len(others) == 0:
+    if len(onto) == 0:
         return 0.0
     alike = similarities(landmarks.descriptors[::step], others.descriptors)
     # Of some kinds of features unrelated ones are alike by half: what counts is more than that.
-    # The median, sorted: np.median asks for three places at once, and takes five times as long.
-    ranked, n = np.sort(alike, axis=1), alike.shape[1]
-    unrelated = (ranked[:, (n - 1) // 2] + ranked[:, n // 2]) / np.float32(2.0)
+    # The median: np.median asks for three places at once, and takes ten times as long.
+    middle, odd = divmod(alike.shape[1], 2)
+    ranked = np.partition(alike, middle, axis=1)
+    upper = ranked[:, middle]
+    lower = upper if odd else ranked[:, :middle].max(axis=1)
+    unrelated = (lower + upper) / np.float32(2.0)
     least = unrelated + AS_LIKE * (likeness[::step] - unrelated)
     owners, twins = np.nonzero(alike >= least[:, None])
     shifts = (onto[twins] - uv[owners]).astype(np.float64)
@@ -133,6 +138,11 @@ def share_alike(
     at_best = np.abs(shifts - best).max(axis=1) <= 1.5 * SHIFT_CELL_PX
     agreeing = uv[np.unique(owners[at_best])].astype(np.float64)
     return occupied_cells(agreeing) / occupied_cells(uv.astype(np.float64))
+
+
+def is_mistakable(share: float, cells: int) -> bool:
+    """Whether most landmarks have their like elsewhere, and too few have not."""
+    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS
 
 
 def _peak(shifts: Array) -> Array:
