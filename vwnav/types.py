@@ -88,7 +88,7 @@ class FeatureExtractor(Protocol):
 
     @property
     def log10_per_decade(self) -> float:
-        """By how much its matches overrate themselves: see `vwnav.vision.significance`."""
+        """By how much its matches overrate themselves: see `vwnav.vision.matching`."""
         ...
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:

@@ -72,21 +72,6 @@ class JoinedFeatures:
     owner: NDArray[np.int64]
     corner_px: NDArray[np.int64]
 
-    def strongest_in(self, window: Window, count: int) -> Features:
-        """Those in a window, relative to it; where they are too many, the first of every tile."""
-        shift_px = (self.corner_px - np.array(window[:2])).astype(np.float32)
-        uv = self.features.uv + shift_px
-        corner, (h, w) = uv + np.float32(0.5), window.shape
-        inside = (corner >= 0.0).all(axis=1) & (corner < np.array([w, h], np.float32)).all(axis=1)
-        kept = np.flatnonzero(inside)
-        if len(kept) > count:
-            by_tile = np.argsort(self.owner[kept], kind="stable")
-            owner = self.owner[kept][by_tile]
-            rank = np.empty(len(kept), np.int64)
-            rank[by_tile] = np.arange(len(kept)) - np.searchsorted(owner, owner)
-            kept = kept[np.sort(np.argsort(rank, kind="stable")[:count])]
-        return Features(uv[kept], self.features.descriptors[kept], self.features.scores[kept])
-
 
 def join(tiles: dict[Tile, Features]) -> JoinedFeatures | None:
     """All features of some tiles; None where they have none."""

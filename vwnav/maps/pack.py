@@ -209,15 +209,7 @@ class MapPack:
         if joined is None:
             nothing = extractor.extract(np.zeros((64, 64), np.uint8), 1)
             return MapFeatures(zoom, origin_px, nothing)
-        return MapFeatures(zoom, origin_px, joined.strongest_in(window, max_keypoints))
-
-    def check_features(self, extractor: FeatureExtractor) -> None:
-        """Check before a flight that the pack's features can be compared with an extractor's.
-
-        Raises:
-            ModelError: they were made by another model; the message holds the repairing command.
-        """
-        self._stored_set(extractor)
+        return MapFeatures(zoom, origin_px, _strongest_in(joined, window, max_keypoints))
 
     def elevation_m(self, lat_deg: float, lon_deg: float) -> float | None:
         """Height of the ground above mean sea level in metres, None where it is not known."""
@@ -247,7 +239,12 @@ class MapPack:
             raise damaged(self.path, str(error)) from error
         return int(count or 0)
 
-    def _stored_set(self, extractor: FeatureExtractor) -> FeatureSetInfo | None:
+    def check_features(self, extractor: FeatureExtractor) -> FeatureSetInfo | None:
+        """The pack's features that can be compared with an extractor's; None where there are none.
+
+        Raises:
+            ModelError: they were made by another model; the message holds the repairing command.
+        """
         stored = next((info for info in self.feature_sets if info.name == extractor.name), None)
         if stored is None:
             self._warn_once(
@@ -285,7 +282,7 @@ class MapPack:
         self, tiles: tuple[Tile, ...], extractor: FeatureExtractor
     ) -> dict[Tile, Features]:
         """Those of each tile that has any."""
-        stored, set_id = self._stored_set(extractor), extractor.feature_set_id
+        stored, set_id = self.check_features(extractor), extractor.feature_set_id
         found: dict[Tile, Features] = {}
         for tile in tiles:
             with self._lock:
@@ -316,3 +313,19 @@ class MapPack:
         if what not in self._warned:
             self._warned.add(what)
             _LOG.warning(message)
+
+
+def _strongest_in(joined: JoinedFeatures, window: Window, count: int) -> Features:
+    """Those in a window, relative to it; where they are too many, the first of every tile."""
+    shift_px = (joined.corner_px - np.array(window[:2])).astype(np.float32)
+    uv = joined.features.uv + shift_px
+    corner, (h, w) = uv + np.float32(0.5), window.shape
+    inside = (corner >= 0.0).all(axis=1) & (corner < np.array([w, h], np.float32)).all(axis=1)
+    kept = np.flatnonzero(inside)
+    if len(kept) > count:
+        by_tile = np.argsort(joined.owner[kept], kind="stable")
+        owner = joined.owner[kept][by_tile]
+        rank = np.empty(len(kept), np.int64)
+        rank[by_tile] = np.arange(len(kept)) - np.searchsorted(owner, owner)
+        kept = kept[np.sort(np.argsort(rank, kind="stable")[:count])]
+    return Features(uv[kept], joined.features.descriptors[kept], joined.features.scores[kept])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
 from vwnav.types import Array
-from vwnav.vision.significance import log10_nfa, occupied_cells
+from vwnav.vision.matching import log10_nfa, occupied_cells
 
 Complex = NDArray[np.complex128]
 MAX_PAIRS = 40_000
@@ -54,18 +54,15 @@ class Similarity:
 
     Attributes:
         H_map_view: (3, 3).
-        near: (m,) bool, matches within the threshold of it.
+        near: (m,) bool, matches within the threshold of it, which agree.
+        count: how many they are.
         center_uv: (2,) where it puts the reference point.
     """
 
     H_map_view: Array
     near: NDArray[np.bool_]
+    count: int
     center_uv: Array
-
-    @property
-    def count(self) -> int:
-        """How many matches agree."""
-        return int(np.count_nonzero(self.near))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,20 +196,23 @@ def vote(
     """
     if len(uv_view) < MIN_AGREEING:
         return []
-    z0 = _complex(uv_view - reference_uv)
-    z1 = _complex(uv_map)
+    z0 = np.ascontiguousarray(uv_view - reference_uv).view(np.complex128)[:, 0]
+    z1 = np.ascontiguousarray(uv_map).view(np.complex128)[:, 0]
     a, centers = _votes(z0, z1, bounds, seed)
     starts = _starts(a, centers)
     if len(starts) == 0:
         return []
     a, b, near = _refine(z0, z1, starts, threshold_px)
-    right = bounds.allows(a) & (np.count_nonzero(near, axis=1) >= MIN_AGREEING)
-    found = [_similarity(a[i], b[i], near[i], reference_uv) for i in np.flatnonzero(right)]
-    return _apart(found)
-
-
-def _complex(uv: Array) -> Complex:
-    return np.asarray(uv[:, 0] + 1j * uv[:, 1], np.complex128)
+    counts = np.count_nonzero(near, axis=1)
+    best_first = np.argsort(-counts, kind="stable")
+    right = (bounds.allows(a) & (counts >= MIN_AGREEING))[best_first]
+    found: list[Similarity] = []
+    centers = np.zeros(0, np.complex128)
+    for i in best_first[right]:
+        if np.all(np.abs(centers - b[i]) > CELL_PX):
+            centers = np.append(centers, b[i])
+            found.append(_similarity(a[i], b[i], near[i], reference_uv))
+    return found
 
 
 def _votes(
@@ -244,10 +244,10 @@ def _pairs(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return first, second
 
 
-def _peaks(centers: Complex) -> list[complex]:
+def _peaks(centers: Complex) -> Complex:
     """Places where most votes fall, best first."""
     if len(centers) == 0:
-        return []
+        return centers
     origin = complex(centers.real.min(), centers.imag.min())
     cells = (centers - origin) / CELL_PX
     columns, rows = cells.real.astype(np.int64), cells.imag.astype(np.int64)
@@ -259,7 +259,8 @@ def _peaks(centers: Complex) -> list[complex]:
     is_peak = (summed >= cv2.dilate(summed, np.ones((3, 3), np.uint8))) & (summed >= 2.0)
     peak_rows, peak_columns = np.nonzero(is_peak)
     best = np.argsort(-summed[peak_rows, peak_columns], kind="stable")[:PLACES]
-    return [origin + CELL_PX * complex(peak_columns[i] + 0.5, peak_rows[i] + 0.5) for i in best]
+    peaks = peak_columns[best] + 0.5 + 1j * (peak_rows[best] + 0.5)
+    return np.asarray(origin + CELL_PX * peaks, np.complex128)
 
 
 def _starts(a: Complex, centers: Complex) -> Complex:
@@ -317,14 +318,4 @@ def _similarity(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: A
     H = np.eye(3)
     H[:2, :2] = linear
     H[:2, 2] = center_uv - linear @ reference_uv
-    return Similarity(H, near, center_uv)
-
-
-def _apart(found: list[Similarity]) -> list[Similarity]:
-    """The best one of each place, best first."""
-    kept: list[Similarity] = []
-    for each in sorted(found, key=lambda each: -each.count):
-        distances_px = [np.linalg.norm(each.center_uv - other.center_uv) for other in kept]
-        if min(distances_px, default=np.inf) > CELL_PX:
-            kept.append(each)
-    return kept
+    return Similarity(H, near, int(np.count_nonzero(near)), center_uv)

@@ -43,6 +43,7 @@ from vwnav.vision.candidates import (
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
 from vwnav.vision.lever_arm import LeverArm
+from vwnav.vision.matching import is_mistakable
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
     Registration,
@@ -54,7 +55,6 @@ from vwnav.vision.registration import (
     share_turned,
 )
 from vwnav.vision.rivals import best_of
-from vwnav.vision.significance import is_mistakable
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 CUT_MULTIPLE_PX = 32  # the models work on whole multiples

@@ -33,9 +33,8 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import match, paired_similarity
+from vwnav.vision.matching import match, paired_similarity, share_alike
 from vwnav.vision.query import Query, View, seen
-from vwnav.vision.significance import share_alike
 
 MIN_KEYPOINTS = 12
 MIN_MATCHES = 8
