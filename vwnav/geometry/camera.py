@@ -312,8 +312,11 @@ def cut_to_image(
 
 def _shown(view: Rectification, frame_size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     """Which cells (rows, columns) of a view show the image in their middle."""
-    u, v = ((np.arange(_CUT_CELLS) + 0.5) * side / _CUT_CELLS - 0.5 for side in view.size_wh)
-    x, y, depth = (a * u + (b * v + c)[:, None] for a, b, c in np.linalg.inv(view.H_rect_frame))
+    w, h = view.size_wh
+    cells = np.arange(_CUT_CELLS) + 0.5
+    u, v = cells * w / _CUT_CELLS - 0.5, cells * h / _CUT_CELLS - 0.5
+    a, b, c = np.linalg.inv(view.H_rect_frame).T[:, :, None]
+    x, y, depth = a[..., None] * u + (b * v + c)[..., None]
     w, h = frame_size_wh
     # Positive where the image's middle is; what is behind the horizon fits between no edges.
     sign = np.sign(view.H_rect_frame[2] @ [(w - 1) / 2.0, (h - 1) / 2.0, 1.0])

@@ -24,16 +24,12 @@ class RobustFit:
 
     Attributes:
         H: (3, 3), `H[2, 2] == 1`; the last row of a similarity is exactly 0 0 1.
-        inliers: (n,) bool, of the pairs that were handed in.
+        inliers: (n,) bool, of the pairs that were handed in. count: how many they are.
     """
 
     H: Array
     inliers: BoolArray
-
-    @property
-    def count(self) -> int:
-        """How many pairs are inliers."""
-        return int(np.count_nonzero(self.inliers))
+    count: int
 
 
 def transform_points(H_1_0: Array, uv0: Array) -> Array:
@@ -84,14 +80,15 @@ class CentredPairs:
     def fit(self, H_centred: Array, threshold_px: float, minimum: int) -> RobustFit | None:
         """The fit in the caller's pixels, None when it has fewer inliers than `minimum`."""
         inliers = _inliers(H_centred, self.p0, self.p1, threshold_px)
-        if inliers is None or np.count_nonzero(inliers) < minimum:
+        count = 0 if inliers is None else int(np.count_nonzero(inliers))
+        if inliers is None or count < minimum:
             return None
         to_centre0, from_centre1 = np.eye(3), np.eye(3)
         to_centre0[:2, 2], from_centre1[:2, 2] = -self.centre0, self.centre1
         H = from_centre1 @ H_centred @ to_centre0
         if abs(H[2, 2]) < 1e-12 or not np.all(np.isfinite(H)):
             return None
-        return RobustFit(H / H[2, 2], inliers)
+        return RobustFit(H / H[2, 2], inliers, count)
 
 
 def centred(uv0: Array, uv1: Array) -> CentredPairs | None:

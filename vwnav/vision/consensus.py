@@ -114,6 +114,9 @@ def find_consensus(
     if not places:
         return None
     H, inliers = _fit(uv_view, uv_map, places[0], size_wh, threshold_px, max_stretch, seed)
+    rival_cells = 0
+    for place in places[1:]:
+        rival_cells = max(rival_cells, occupied_cells(uv_view[place.near]))
     return Consensus(
         H_map_view=H,
         uv_view=uv_view[inliers],
@@ -122,7 +125,7 @@ def find_consensus(
         matches=len(inliers),
         log10_nfa=log10_nfa(H, uv_view, uv_map, inliers, threshold_px),
         cells=occupied_cells(uv_view[inliers]),
-        rival_cells=max((occupied_cells(uv_view[each.near]) for each in places[1:]), default=0),
+        rival_cells=rival_cells,
     )
 
 
