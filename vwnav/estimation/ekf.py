@@ -13,9 +13,9 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
 from vwnav.estimation.events import Displacement, Drag, Event, LateFix, Misled, NedFix, Told
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
-from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.inertial.drag import explained_m_s2
-from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
+from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
@@ -153,10 +153,9 @@ class Ekf:
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
-        if not is_rotation(attitude):
-            return Innovation(Verdict.NOT_FINITE)
-        if self._ahead(attitude.t_s):
-            return Innovation(Verdict.AHEAD)
+        refusal = self._refusal(attitude)
+        if refusal is not None:
+            return Innovation(refusal)
         if self.counts_heading:
             self._attitudes.add(attitude)
             return Innovation(Verdict.FUSED)
@@ -168,10 +167,9 @@ class Ekf:
         While samples come, they move the estimate between measurements, instead of the attitude's
         thrust and the slow acceleration.
         """
-        if not is_sensible(sample):
-            return Innovation(Verdict.NOT_FINITE)
-        if self._ahead(sample.t_s):
-            return Innovation(Verdict.AHEAD)
+        refusal = self._refusal(sample)
+        if refusal is not None:
+            return Innovation(refusal)
         self._attitude_gate.heard(sample.t_s)
         was_lost = self._imu_gate.lost
         verdict = self._imu_gate.take(sample)
@@ -294,18 +292,14 @@ class Ekf:
                 self._say(f"the estimate left its envelope ({why}) and begins anew")
         return innovation
 
-    def _refusal(self, event: Told) -> Verdict | None:
-        if not sensible(event):
+    def _refusal(self, seen: Told | Attitude | ImuSample) -> Verdict | None:
+        """Why it is not taken: no sense in it, or far ahead of the newest time that is known.
+
+        Attitudes and samples of before the start are kept; no time is known then.
+        """
+        if not sensible(seen):
             return Verdict.NOT_FINITE
         if self._timeline is None:
-            return Verdict.NOT_STARTED
-        if self._ahead(event.t_s):
-            return Verdict.AHEAD
-        return None
-
-    def _ahead(self, t_s: float) -> bool:
-        """Whether a time is far beyond the newest one known; before the start none is."""
-        if self._timeline is None:
-            return False
+            return None if isinstance(seen, Attitude | ImuSample) else Verdict.NOT_STARTED
         newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
-        return t_s > newest_s + self._config.ahead_s
+        return Verdict.AHEAD if seen.t_s > newest_s + self._config.ahead_s else None

@@ -25,7 +25,9 @@ from vwnav.estimation.events import (
 )
 from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
+from vwnav.estimation.inertial.attitudes import is_rotation
 from vwnav.estimation.inertial.drag import apply_drag
+from vwnav.estimation.inertial.imu import is_felt
 from vwnav.estimation.odometry import (
     apply_displacement,
     apply_keyframe,
@@ -34,7 +36,7 @@ from vwnav.estimation.odometry import (
 )
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
-from vwnav.types import Array, Height, Range, Stationary
+from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left.
@@ -169,11 +171,15 @@ def _corrected(
             return apply_stationary(state, context)
 
 
-def sensible(event: Told) -> bool:
+def sensible(event: Told | Attitude | ImuSample) -> bool:
     """Whether its numbers are finite, its covariances positive, and it can be at all."""
     if not math.isfinite(event.t_s):
         return False
     match event:
+        case Attitude():
+            return is_rotation(event.quat_wxyz)
+        case ImuSample():
+            return is_felt(event)
         case Height(_, height_m):
             return math.isfinite(height_m)
         case Range(_, distance_m):

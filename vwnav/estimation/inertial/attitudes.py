@@ -279,9 +279,7 @@ def true_from_autopilot(heading_bias_rad: float) -> Array:
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def is_rotation(attitude: Attitude) -> bool:
-    """Whether it has a time, and a quaternion of about unit length."""
-    quat = np.asarray(attitude.quat_wxyz)
-    if not math.isfinite(attitude.t_s) or quat.shape != (4,) or not np.all(np.isfinite(quat)):
-        return False
-    return 0.5 < float(np.linalg.norm(quat)) < 2.0
+def is_rotation(quat_wxyz: Array) -> bool:
+    """Whether it is a finite quaternion of about unit length."""
+    quat = np.asarray(quat_wxyz)
+    return quat.shape == (4,) and 0.5 < float(np.linalg.norm(quat)) < 2.0
