@@ -312,8 +312,10 @@ def cut_to_image(
 
 def _shown(view: Rectification, frame_size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     """Which cells (rows, columns) of a view show the image in their middle."""
-    u, v = ((np.arange(_CUT_CELLS) + 0.5) * side / _CUT_CELLS - 0.5 for side in view.size_wh)
-    x, y, depth = (a * u + (b * v + c)[:, None] for a, b, c in np.linalg.inv(view.H_rect_frame))
+    u, v = ((np.arange(_CUT_CELLS) + 0.5)[:, None] * view.size_wh / _CUT_CELLS - 0.5).T
+    H_frame_view = np.linalg.inv(view.H_rect_frame)
+    rows = H_frame_view[:, 1:2] * v + H_frame_view[:, 2:]
+    x, y, depth = rows[:, :, None] + (H_frame_view[:, :1] * u)[:, None, :]
     w, h = frame_size_wh
     # Positive where the image's middle is; what is behind the horizon fits between no edges.
     sign = np.sign(view.H_rect_frame[2] @ [(w - 1) / 2.0, (h - 1) / 2.0, 1.0])
