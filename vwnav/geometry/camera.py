@@ -312,11 +312,10 @@ def cut_to_image(
 
 def _shown(view: Rectification, frame_size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     """Which cells (rows, columns) of a view show the image in their middle."""
-    w, h = view.size_wh
-    cells = np.arange(_CUT_CELLS) + 0.5
-    u, v = cells * w / _CUT_CELLS - 0.5, cells * h / _CUT_CELLS - 0.5
-    a, b, c = np.linalg.inv(view.H_rect_frame).T[:, :, None]
-    x, y, depth = a[..., None] * u + (b * v + c)[..., None]
+    u, v = ((np.arange(_CUT_CELLS) + 0.5)[:, None] * view.size_wh / _CUT_CELLS - 0.5).T
+    H_frame_view = np.linalg.inv(view.H_rect_frame)
+    rows = H_frame_view[:, 1:2] * v + H_frame_view[:, 2:]
+    x, y, depth = rows[:, :, None] + (H_frame_view[:, :1] * u)[:, None, :]
     w, h = frame_size_wh
     # Positive where the image's middle is; what is behind the horizon fits between no edges.
     sign = np.sign(view.H_rect_frame[2] @ [(w - 1) / 2.0, (h - 1) / 2.0, 1.0])

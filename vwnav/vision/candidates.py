@@ -195,17 +195,22 @@ def fine_level(pack: MapReader, query: Query, agl_m: float, max_view_area_px: fl
     return pack.levels[-1]
 
 
-def thrifty_candidate(pack: MapReader, query: Query, fine: Candidate) -> Candidate | None:
-    """The same at no more pixels than most images need; None where that would save nothing.
+def thrifty_first(pack: MapReader, query: Query, fine: list[Candidate]) -> list[Candidate]:
+    """Before others a look at no more pixels than most images need, where that saves any.
 
-    What does not convince at so few is looked at as `fine` has it.
+    Args:
+        pack: the map.
+        query: whose view is looked at.
+        fine: the likeliest first; what a thrifty look does not tell is left to them.
     """
-    width_m, height_m = query.footprint_m(fine.hypothesis.agl_m)
-    if width_m * height_m / fine.level.m_per_px**2 < WORTH_THRIFT_PX:
-        return None
-    level = fine_level(pack, query, fine.hypothesis.agl_m, THRIFTY_VIEW_AREA_PX)
-    coarser = level if level.m_per_px > fine.level.m_per_px else fine.level
-    return replace(fine, level=coarser, thrifty=True)
+    first = fine[0]
+    width_m, height_m = query.footprint_m(first.hypothesis.agl_m)
+    if width_m * height_m / first.level.m_per_px**2 < WORTH_THRIFT_PX:
+        return fine
+    level = fine_level(pack, query, first.hypothesis.agl_m, THRIFTY_VIEW_AREA_PX)
+    coarser = level if level.m_per_px > first.level.m_per_px else first.level
+    after = [replace(each, tests=each.tests + 1) for each in fine]
+    return [replace(first, level=coarser, thrifty=True), *after]
 
 
 def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Candidate]:

@@ -38,7 +38,7 @@ from vwnav.vision.candidates import (
     fine_level,
     hypotheses,
     is_finite,
-    thrifty_candidate,
+    thrifty_first,
 )
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
@@ -121,13 +121,9 @@ class Localizer:
         """
         self._given_up.clear()
         of_camera = self._arm.prior_of_camera(prior) if self._arm else prior
-        query = self._maker.query(frame, of_camera, seed)
-        outcome = self._located(query)
+        outcome = self._located(query := self._maker.query(frame, of_camera, seed))
         if isinstance(outcome, MapFix):
-            refusal = implausible(query, outcome, self._config.max_sigma_m)
-            if refusal is None and self._arm is not None:
-                outcome = self._arm.fix_of_body(outcome, prior)
-            outcome = refusal or outcome
+            outcome = self._arm.fix_of_body(outcome, prior) if self._arm else outcome
         stats = outcome.stats
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
@@ -153,11 +149,12 @@ class Localizer:
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
-                found = self._verified(query, found)
-                if isinstance(found, Registration):
-                    return fix_of(query, found)
-                if found.reason is RejectReason.AMBIGUOUS and not candidate.thrifty:
-                    return found
+                held = self._verified(query, found)
+                outcome = held if isinstance(held, Rejected) else self._plausible(query, held)
+                settled = outcome is not held or outcome.reason is RejectReason.AMBIGUOUS
+                if isinstance(outcome, MapFix) or (settled and not candidate.thrifty):
+                    return outcome
+                found = outcome
             if candidate.thrifty:
                 continue
             refusal = refusal or found
@@ -165,11 +162,18 @@ class Localizer:
                 return refusal
         if candidates[0].coarse:
             best = best_of(query, coarse, len(candidates), partial(self._verified, query))
-            return fix_of(query, best) if isinstance(best, Registration) else best
+            return (
+                best if isinstance(best, Rejected) else self._plausible(query, fix_of(query, best))
+            )
         first = next(each for each in candidates if not each.thrifty)
         accept, decades = self._acceptance(first), self._config.min_decades
         fix = fix_by_correlation(self._pack, self._maker, query, first, accept, decades)
-        return fix or refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
+        refusal = refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
+        return refusal if fix is None else self._plausible(query, fix)
+
+    def _plausible(self, query: Query, found: Registration | MapFix) -> MapFix | Rejected:
+        fix = fix_of(query, found) if isinstance(found, Registration) else found
+        return implausible(query, fix, self._config.max_sigma_m) or fix
 
     def _candidates(self, query: Query) -> list[Candidate] | Rejected:
         """What to try: around a prior at the sharpest level, else everywhere, coarsely."""
@@ -188,11 +192,7 @@ class Localizer:
                 for tests, each in enumerate(todo[: config.max_guesses], 1)
             ]
             if radius_m <= config.max_track_radius_px * fine[0].level.m_per_px:
-                thrifty = thrifty_candidate(self._pack, query, fine[0])
-                if thrifty is not None:
-                    after = [replace(each, tests=each.tests + 1) for each in fine]
-                    return [thrifty, *after]
-                return fine
+                return thrifty_first(self._pack, query, fine)
         coarse = coarse_candidates(self._pack, query, todo)
         if not coarse:
             detail = "the map has no level at which to search there"
@@ -267,19 +267,16 @@ class Localizer:
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.
 
-        What is fine stays where it is weak, sure, or hardly turned or scaled, as does what is not
-        found again.
+        A thrifty look stays, a fine one that is weak, sure or hardly turned, and what is not found.
         """
         weak = found.consensus.log10_nfa > WORTH_LOG10_NFA
-        sure = self._decades(found) >= SURE_DECADES
-        if not found.candidate.coarse and (weak or sure or not found.is_turned):
+        settled = weak or self._decades(found) >= SURE_DECADES or not found.is_turned
+        if found.candidate.thrifty or (settled and not found.candidate.coarse):
             return found
         view = found.view.rectification
         radius_m = 6.0 * view.m_per_px + 0.05 * max(view.size_wh) * view.m_per_px
         nadir = found.lat_lon_of_view(view.nadir_uv)
         closer = self._fine(query, found.hypothesis, nadir, radius_m, found.candidate.tests)
-        if found.candidate.thrifty:
-            closer = thrifty_candidate(self._pack, query, closer) or closer
         again = self._register(query, closer)
         enough = WEAK_LOG10_NFA if found.candidate.coarse else WORTH_LOG10_NFA
         if isinstance(again, Registration) and again.consensus.log10_nfa <= enough:
@@ -290,19 +287,19 @@ class Localizer:
         """Refine and weigh a registration; where matches do not convince, images must correlate.
 
         A coarse one is not believed: what the sharpest level does not show again is not there.
+        Nor is a thrifty one that is not sure: the whole image is there to be asked.
         """
         found = self._refined(query, found)
-        consensus = found.consensus
-        if found.candidate.coarse:
+        consensus, decades = found.consensus, self._decades(found)
+        unsure = found.candidate.thrifty and decades < SURE_DECADES
+        if found.candidate.coarse or unsure:
             return may_be_chance(query, consensus)
         needed = self._config.min_decades + math.log10(found.candidate.tests)
-        decades = self._decades(found)
         if decades < needed:
             with query.stage("verify_ms"):
                 decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
         if decades < needed or found.consensus.log10_nfa > WORTH_LOG10_NFA:
-            if not found.candidate.thrifty:
-                self._note(query, found, decades, needed)
+            self._note(query, found, decades, needed)
             return may_be_chance(query, consensus)
         with query.stage("verify_ms"):
             return self._ambiguous(query, found) or found
@@ -325,7 +322,8 @@ class Localizer:
 
     def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
         """A refusal where the map shows the like at other places, or turned, that are open too."""
-        cells, where = found.consensus.cells, "beside it"
+        # A part of the image tells places less apart: many cells are no excuse.
+        cells, where = 0 if found.candidate.thrifty else found.consensus.cells, "beside it"
         share = share_beside(self._pack, self._extractor, query, found)
         mistakable = is_mistakable(share, cells)
         if not mistakable and query.heading_open:

@@ -182,10 +182,11 @@ def register(
 def _matches(query: Query, view: View, map_: MapFeatures) -> NDArray[np.int64] | Rejected:
     """Pairs (m, 2) of a view's features and those of a piece of map."""
     few = RejectReason.FEW_KEYPOINTS
-    if len(view.features) < MIN_KEYPOINTS:
-        return query.rejected(few, f"{len(view.features)} keypoints in the picture")
-    if len(map_.features) < MIN_KEYPOINTS:
-        return query.rejected(few, f"{len(map_.features)} keypoints on the map there")
+    shown, mapped = len(view.features.uv), len(map_.features.uv)
+    if shown < MIN_KEYPOINTS:
+        return query.rejected(few, f"{shown} keypoints in the picture")
+    if mapped < MIN_KEYPOINTS:
+        return query.rejected(few, f"{mapped} keypoints on the map there")
     pairs = match(view.features, map_.features)
     if len(pairs) < MIN_MATCHES:
         detail = f"{len(pairs)} matches"
