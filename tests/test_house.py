@@ -10,7 +10,7 @@ from tests.house import measure
 BOUNDS = {
     "step_files": 24,
     "step_functions": 212,
-    "step_crossings": 187,
+    "step_crossings": 179,
     "import_chain": 14,
     "files_in_a_folder": 14,
     "largest_file": 350,

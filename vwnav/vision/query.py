@@ -267,17 +267,19 @@ class QueryMaker:
     def _extract(self, query: Query, made: Rectification, gray: Gray, max_keypoints: int) -> View:
         """Features of a view, those that the image really shows."""
         size = np.array(query.image.size_wh, np.float64)
-        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * (size - 1.0)
-        outline = transform_points(made.H_rect_frame, corners)
+        corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+        shown_uv = transform_points(
+            made.H_rect_frame, np.array([*corners, [0.5, 0.5]]) * (size - 1.0)
+        )
+        outline, center_uv = shown_uv[:4], shown_uv[4]
         h, w = gray.shape
         canvas = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32) - np.float32(0.5)
         shown_px, _ = cv2.intersectConvexConvex(outline.astype(np.float32), canvas)
         covered = shown_px / gray.size
         oversampling = min(MAX_OVERSAMPLING, 1.0 / max(covered, 1e-3))
         found = self._extractor.extract(gray, round(max_keypoints * oversampling))
-        inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size)
+        inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size, center_uv)
         features = found.take(np.flatnonzero(inside)[:max_keypoints])
-        center_uv = transform_points(made.H_rect_frame, (size - 1.0) / 2.0)[0]
         return View(made, center_uv, gray, features)
 
 
@@ -290,15 +292,14 @@ def seen(query: Query, made: Rectification) -> NDArray[np.bool_]:
     return np.asarray(shown) > 0
 
 
-def _inside(uv: Array, H_rect_frame: Array, size_wh: Array) -> NDArray[np.bool_]:
+def _inside(uv: Array, H_rect_frame: Array, size_wh: Array, center_uv: Array) -> NDArray[np.bool_]:
     """Which view pixels show the image's inside, `EDGE_PX` of the view away from its edge."""
     H_frame_rect = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
-    center = transform_points(H_rect_frame, (size_wh - 1.0) / 2.0)[0]
-    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center))))
+    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center_uv))))
     frame_uv = transform_points(H_frame_rect, uv)
     margin = EDGE_PX * frame_px_per_px
     low, high = margin, size_wh - 1.0 - margin
     # Behind the horizon the third coordinate changes its sign.
     depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
-    ahead = depth * (center @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
+    ahead = depth * (center_uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
     return np.asarray(ahead & np.all((frame_uv >= low) & (frame_uv <= high), axis=1))
