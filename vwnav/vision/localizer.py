@@ -322,8 +322,8 @@ class Localizer:
 
     def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
         """A refusal where the map shows the like at other places, or turned, that are open too."""
-        # A part of the image tells places less apart: many cells are no excuse.
-        cells, where = 0 if found.candidate.thrifty else found.consensus.cells, "beside it"
+        # A part of the image tells places less apart: twice as many must be unlike.
+        cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
         share = share_beside(self._pack, self._extractor, query, found)
         mistakable = is_mistakable(share, cells)
         if not mistakable and query.heading_open:
