@@ -1,6 +1,9 @@
 """How the house is built: what one step enters, import chains, sizes, doubled names.
 
-    python tests/house.py [--json]
+    python tests/house.py [--json | --functions]
+
+`--functions` lists what the step enters: per file its functions, how often each is called, and how
+often from other files.
 
 A step is the fourth `Pipeline.step` of a warmed pipeline (SIFT, embedded map, matched inline) that
 returns a fix and odometry. Crossings are calls whose nearest caller in the package is in another
@@ -143,23 +146,34 @@ class Entered:
     """What a call enters of the package: functions, files, and from file to file."""
 
     def __init__(self) -> None:
-        self.functions: set[CodeType] = set()
-        self.crossings = 0
+        self.calls: Counter[CodeType] = Counter()
+        self.crossed: Counter[CodeType] = Counter()  # calls from another file
 
     def __call__(self, frame: FrameType, event: str, _: Any) -> None:
         """A profile function (`sys.setprofile`)."""
         code = frame.f_code
         if event != "call" or not in_package(code):
             return
-        self.functions.add(code)
+        self.calls[code] += 1
         caller = frame.f_back
         while caller is not None and not in_package(caller.f_code):
             caller = caller.f_back
-        self.crossings += caller is not None and caller.f_code.co_filename != code.co_filename
+        if caller is not None and caller.f_code.co_filename != code.co_filename:
+            self.crossed[code] += 1
 
     @property
     def files(self) -> set[str]:
-        return {code.co_filename for code in self.functions}
+        return {code.co_filename for code in self.calls}
+
+    def told(self) -> Iterator[str]:
+        """A line for each file, the fullest first, then its functions in order of place."""
+        of = {file: [c for c in self.calls if c.co_filename == file] for file in self.files}
+        for file, codes in sorted(of.items(), key=lambda each: -len(each[1])):
+            crossed = sum(self.crossed[code] for code in codes)
+            name = Path(file).relative_to(PACKAGE)
+            yield f"{name}: {len(codes)} functions, {crossed} calls from other files"
+            for code in sorted(codes, key=lambda code: code.co_firstlineno):
+                yield f"{self.calls[code]:>6}{self.crossed[code]:>4}  {code.co_qualname}"
 
 
 def in_package(code: CodeType) -> bool:
@@ -175,7 +189,7 @@ def one_step() -> Entered:
     from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.world import draw
     from vwnav.config import Config
-    from vwnav.estimation.states import Start
+    from vwnav.estimation.beginning.starts import Start
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
@@ -232,8 +246,8 @@ def measure() -> House:
     entered, chain = one_step(), longest_chain(graph)
     return House(
         step_files=len(entered.files),
-        step_functions=len(entered.functions),
-        step_crossings=entered.crossings,
+        step_functions=len(entered.calls),
+        step_crossings=entered.crossed.total(),
         import_chain=len(chain),
         files_in_a_folder=most,
         largest_file=sizes[largest],
@@ -253,6 +267,9 @@ def measure() -> House:
 
 def main() -> None:
     """Print what was measured."""
+    if "--functions" in sys.argv[1:]:
+        print("\n".join(one_step().told()))
+        return
     figures = asdict(measure())
     if "--json" in sys.argv[1:]:
         print(json.dumps(figures))

@@ -4,12 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.states import Start
-from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.pipeline import InlineExecutor, Pipeline
+from vwnav.pipeline import FeatureChoice, InlineExecutor, Pipeline
 from vwnav.seams import PipelineConfig
 from vwnav.types import (
     Attitude,

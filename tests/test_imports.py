@@ -30,9 +30,8 @@ ALLOWED = {
     "safety": BASE,
     "mavlink": BASE | {"geometry"},
     "watchdog": BASE | {"mavlink", "safety"},
-    "feature_choice": BASE | {"seams"},
     "seams": BASE,
-    "pipeline": BASE | {"geometry", "estimation", "feature_choice", "seams"},
+    "pipeline": BASE | {"geometry", "estimation", "seams"},
     "mission": BASE | {"guidance", "safety", "watchdog"},
     "flight": BASE | {"guidance", "safety", "watchdog", "mission"},
     "runtime": BASE | {"safety", "seams", "pipeline", "flight", "mission"},
@@ -45,8 +44,7 @@ ALLOWED = {
     | {"vision", "estimation", "guidance", "safety", "seams", "mission"}
     | {"recording"},
     "assemble": BASE
-    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"}
-    | {"feature_choice"},
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"},
     "screen": BASE | {"safety"},
     "onboard": BASE
     | {"geometry", "maps", "estimation", "guidance", "safety", "mavlink", "watchdog", "pipeline"}

@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import Untracked
-from vwnav.feature_choice import FeatureChoice
+from vwnav.estimation.events import Untracked
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.pipeline import InlineExecutor, Pipeline
+from vwnav.pipeline import FeatureChoice, InlineExecutor, Pipeline
 from vwnav.seams import PipelineConfig
 from vwnav.types import (
     Attitude,

@@ -14,7 +14,7 @@ from models.network import CELL_PX, FeatureNetwork
 from training.data import Scene
 from training.sampling import Sample, SampleConfig, ViewPairs
 from training.warps import FloatArray, Image, warp_points
-from vwnav.geometry.homography import estimate_similarity
+from vwnav.geometry.similarity import estimate_similarity
 from vwnav.types import Features
 
 Extract = Callable[[Image], Features]

@@ -12,11 +12,10 @@ from vwnav.errors import ModelError
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf
-from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import Pipeline
+from vwnav.pipeline import FeatureChoice, Pipeline
 from vwnav.recording.input_log import About
 from vwnav.types import FeatureExtractor, PointKind
 from vwnav.vision.config import FeaturesConfig

@@ -11,23 +11,22 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.sequences import Sequences
-from vwnav.estimation.inputs import Measurement
-from vwnav.estimation.kalman import Innovation, Verdict
-from vwnav.estimation.states import FilterState, Start
-from vwnav.estimation.timeline import Exposed, NedFix, Untracked
-from vwnav.feature_choice import FeatureChoice
+from vwnav.estimation.events import Exposed, NedFix, Untracked
+from vwnav.estimation.filtering import Filtering
+from vwnav.estimation.states import Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.seams import Localizing, PipelineConfig, StepResult, Tracking
+from vwnav.seams import FeatureChoiceConfig, Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
+    Array,
     Attitude,
     Estimate,
     Frame,
@@ -48,40 +47,6 @@ LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
 
-class Filtering(Protocol):
-    """What the pipeline needs of `vwnav.estimation.ekf.Ekf`."""
-
-    @property
-    def state(self) -> FilterState | None:
-        """The state after the newest event; None before a start."""
-        ...
-
-    @property
-    def counts_heading(self) -> bool:
-        """Whether a video's own turning is all that tells the heading."""
-        ...
-
-    def initialise(self, start: Start) -> None:
-        """Begin, or begin anew."""
-        ...
-
-    def handle(self, seen: Measurement) -> Innovation:
-        """Take a measurement of any kind."""
-        ...
-
-    def estimate(self, t_s: float) -> Estimate | None:
-        """The estimate at a time; None while there is nothing to predict from."""
-        ...
-
-    def attitude_at(self, t_s: float) -> Attitude | None:
-        """The autopilot's attitude at an exposure; None where telemetry does not reach."""
-        ...
-
-    def covers(self, t_s: float) -> bool:
-        """Whether telemetry has reached an exposure."""
-        ...
-
-
 class InlineExecutor(Executor):
     """Runs a call at once in the calling thread: replay is deterministic with it."""
 
@@ -93,6 +58,52 @@ class InlineExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class FeatureChoice:
+    """Which localizer comes next: the primary, or the fallback while the primary fails."""
+
+    def __init__(
+        self,
+        primary: Localizing,
+        fallback: Localizing | None,
+        config: FeatureChoiceConfig,
+        say: Callable[[str], None],
+    ) -> None:
+        self._primary, self._fallback = primary, fallback
+        self._config, self._say = config, say
+        self._failures, self._on_fallback, self._fallback_attempts = 0, False, 0
+        self._broken: set[str] = set()  # reasons that were said
+
+    def next(self) -> Localizing:
+        """The localizer to try now."""
+        if not self._on_fallback or self._fallback is None:
+            return self._primary
+        self._fallback_attempts += 1
+        again = self._fallback_attempts % self._config.primary_retry_every == 0
+        return self._primary if again else self._fallback
+
+    def broke(self, used: Localizing, error: Exception) -> None:
+        """A localizer raised: a model that fails at run time. The fallback stands in at once."""
+        reason = f"{type(error).__name__}: {error}"
+        stands_in = used is self._primary and self._fallback is not None
+        if reason not in self._broken:
+            self._broken.add(reason)
+            self._say(f"map matching failed ({reason})" + (": SIFT stands in" if stands_in else ""))
+        if stands_in and not self._on_fallback:
+            self._on_fallback, self._fallback_attempts = True, 0
+
+    def report(self, used: Localizing, succeeded: bool) -> None:
+        """Learn from an attempt: enough failures switch to the fallback, one success back."""
+        if used is not self._primary or self._fallback is None:
+            return
+        self._failures = 0 if succeeded else self._failures + 1
+        if succeeded and self._on_fallback:
+            self._on_fallback = False
+            self._say("learned features work again")
+        elif not self._on_fallback and self._failures >= self._config.fallback_after:
+            self._on_fallback, self._fallback_attempts = True, 0
+            self._say(f"no fix from learned features in {self._failures} attempts: SIFT stands in")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,13 +149,9 @@ class Pipeline:
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
         """
-        self.local_frame = local_frame
-        self._features = features
-        self._odometry = odometry
-        self._ekf = ekf
-        self._config = config
-        self._executor, self._rolling = executor, rolling
-        self._sigma_tilt_rad = sigma_tilt_rad
+        self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
+        self._features, self._odometry, self._ekf = features, odometry, ekf
+        self._config, self._executor, self._rolling = config, executor, rolling
         self._lock = threading.Lock()
         self._pending: _Attempt | None = None
         self._next_attempt_s = -np.inf
@@ -152,8 +159,7 @@ class Pipeline:
         self._first_fix = FirstFix()
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
-        self.attempts = 0
-        self.accepted = 0
+        self.attempts = self.accepted = 0
 
     def estimate(self, t_s: float) -> Estimate | None:
         """The estimate predicted to `t_s`; None while there is nothing to predict from."""
@@ -183,25 +189,25 @@ class Pipeline:
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
         with self._lock:
-            alone = self._ekf.counts_heading
-            attitude = None if alone else self._ekf.attitude_at(frame.t_s)
+            attitude = None if self._ekf.counts_heading else self._ekf.attitude_at(frame.t_s)
             if self._rolling and attitude is not None:
                 now = self._ekf.estimate(frame.t_s)
                 image = with_motion(image, self._ekf.attitude_at, now)
-        motion = self._track(image, attitude)
-        finished = self._collect() or self._give_up(frame.t_s)
-        started = self._attempt_if_due(image, attitude)
-        outcome = started or finished or Rejected(frame.t_s, RejectReason.NOT_TRIED)
+        R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
+        motion = self._track(image, attitude, R_ned_body)
+        outcome = self._collect(frame.t_s)
+        outcome = self._attempt_if_due(image, R_ned_body) or outcome
+        outcome = outcome or Rejected(frame.t_s, RejectReason.NOT_TRIED)
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
-    def _track(self, frame: Frame, attitude: Attitude | None) -> OdometryMotion | Rejected:
+    def _track(
+        self, frame: Frame, attitude: Attitude | None, R_ned_body: Array | None
+    ) -> OdometryMotion | Rejected:
         """Motion since the keyframe. In a video alone the images' own turning is the gyro."""
         now = self.estimate(frame.t_s)
-        R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
         motion = self._odometry.step(frame, R_ned_body, now.agl_m if now else UNKNOWN_AGL_M)
         if self._lost:
-            told = attitude or self._odometry.counted_attitude(frame.t_s)
-            self._sequences.follow(motion, told)
+            self._sequences.follow(motion, attitude or self._odometry.counted_attitude(frame.t_s))
         if now is None:
             motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground unknown")
         with self._lock:
@@ -215,18 +221,17 @@ class Pipeline:
                     return Rejected(frame.t_s, RejectReason.PRIOR, verdict.value)
         return motion
 
-    def _attempt_if_due(self, frame: Frame, attitude: Attitude | None) -> MapFix | Rejected | None:
+    def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:
         """Start matching this image when it is time to; the outcome if it is there at once."""
         if self._pending is not None or frame.t_s < self._next_attempt_s:
             return None
-        if attitude is None and not self._ekf.counts_heading:
-            return None
-        if 0 < self._config.most_fixes <= self.accepted:
+        unseen = R_ned_body is None and not self._ekf.counts_heading
+        if unseen or 0 < self._config.most_fixes <= self.accepted:
             return None
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
-        prior = self._prior(now, attitude)
+        prior = self._prior(now, R_ned_body)
         state = self._ekf.state
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:
@@ -234,35 +239,25 @@ class Pipeline:
         searching = prior.lat_deg is None
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval
-        localizer = self._features.next()
         with self._lock:
             self._ekf.handle(Exposed(frame.t_s))
+        localizer = self._features.next()
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
         self._lost = begins or self._first_fix.young or searching or prior.sigma_m > LOST_SIGMA_M
         self._pending = _Attempt(frame.t_s, localizer, future, begins)
-        return self._collect()
+        return self._collect(frame.t_s)
 
-    def _give_up(self, t_s: float) -> Rejected | None:
-        """Leave an attempt that has taken too long: what it searches for it will not find."""
-        attempt = self._pending
-        if attempt is None or t_s - attempt.t_s <= self._config.give_up_after_s:
-            return None
-        self._pending = None
-        if not attempt.future.cancel():
-            attempt.localizer.give_up()
-        self._count(attempt.localizer, succeeded=False)
-        detail = f"given up after {t_s - attempt.t_s:.0f} s"
-        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, detail)
-
-    def _collect(self) -> MapFix | Rejected | None:
+    def _collect(self, t_s: float) -> MapFix | Rejected | None:
         """Fuse the attempt that is under way, if it has ended. One that raised has failed."""
         attempt = self._pending
-        if attempt is None or not attempt.future.done():
+        if attempt is None:
             return None
+        if not attempt.future.done():
+            overdue = t_s - attempt.t_s > self._config.give_up_after_s
+            return self._give_up(attempt, t_s) if overdue else None
         self._pending = None
-        outcome: MapFix | Rejected
         try:
-            outcome = attempt.future.result()
+            outcome: MapFix | Rejected = attempt.future.result()
         except Exception as error:
             self._features.broke(attempt.localizer, error)
             outcome = Rejected(attempt.t_s, RejectReason.BROKEN, str(error))
@@ -279,6 +274,15 @@ class Pipeline:
         self._count(attempt.localizer, isinstance(outcome, MapFix))
         return outcome
 
+    def _give_up(self, attempt: _Attempt, t_s: float) -> Rejected:
+        """Leave an attempt that has taken too long: what it searches for it will not find."""
+        self._pending = None
+        if not attempt.future.cancel():
+            attempt.localizer.give_up()
+        self._count(attempt.localizer, succeeded=False)
+        late_s = t_s - attempt.t_s
+        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, f"given up after {late_s:.0f} s")
+
     def _count(self, localizer: Localizing, succeeded: bool) -> None:
         self.attempts += 1
         self.accepted += succeeded
@@ -287,7 +291,7 @@ class Pipeline:
             self._first_fix.missed()
         self._features.report(localizer, succeeded)
 
-    def _prior(self, now: Estimate | None, measured: Attitude | None) -> Prior:
+    def _prior(self, now: Estimate | None, R_ned_body: Array | None) -> Prior:
         """What the filter knows, as the localizer wants it.
 
         A filter that is sure of itself and finds nothing is doubted: its place may be wrong by
@@ -296,8 +300,7 @@ class Pipeline:
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
         # count it twice if the image were rectified with its corrected attitude.
         roll_rad, pitch_rad = None, None
-        if measured is not None:
-            R_ned_body = rotation_from_quat(measured.quat_wxyz)
+        if R_ned_body is not None:
             roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
@@ -312,36 +315,36 @@ class Pipeline:
             roll_rad=roll_rad,
             pitch_rad=pitch_rad,
         )
-        if now.sigma_horizontal_m > self._config.max_prior_sigma_m:
+        if (sigma_m := now.sigma_horizontal_m) > self._config.max_prior_sigma_m:
             return prior
         lat_deg, lon_deg, _ = self.local_frame.to_geodetic(now.position_ned_m)
-        sigma_m = doubt * max(now.sigma_horizontal_m, MIN_PRIOR_SIGMA_M)
+        sigma_m = doubt * max(sigma_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 
     def _fuse_fix(self, fix: MapFix, begins: bool) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
+        told = NedFix(
+            t_s=fix.t_s,
+            position_ne_m=ned_m[:2],
+            covariance_ne_m2=fix.covariance_ne_m2,
+            yaw_rad=fix.yaw_rad,
+            sigma_yaw_rad=fix.sigma_yaw_rad,
+            agl_m=fix.agl_m,
+            sigma_agl_m=fix.sigma_agl_m,
+            sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
+        )
         with self._lock:
             if begins and not self._first_fix.confirmed(fix):
                 once = RejectReason.UNCONFIRMED
                 return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
-            if self._ekf.state is None or self._first_fix.doubted:
+            if begins and (self._ekf.state is None or self._first_fix.doubted):
                 self._ekf.initialise(start_at(fix, ned_m))
                 self._first_fix.began()
-            innovation = self._ekf.handle(
-                NedFix(
-                    t_s=fix.t_s,
-                    position_ne_m=ned_m[:2],
-                    covariance_ne_m2=fix.covariance_ne_m2,
-                    yaw_rad=fix.yaw_rad,
-                    sigma_yaw_rad=fix.sigma_yaw_rad,
-                    agl_m=fix.agl_m,
-                    sigma_agl_m=fix.sigma_agl_m,
-                    sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
-                )
-            )
+            innovation = self._ekf.handle(told)
         if innovation.accepted:
-            self._first_fix.fused()
+            if self._first_fix.young:
+                self._first_fix.fused()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)

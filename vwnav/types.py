@@ -5,7 +5,6 @@ Times `t_s` are seconds on one monotonic clock, at exposure for images. NaN neve
 unknown values are None.
 """
 
-import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, Protocol
@@ -19,8 +18,6 @@ PlacedBy = Literal["keypoints", "correlation", "sequence"]
 PointKind = Literal["nadir", "center"]
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
-
-LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +88,7 @@ class FeatureExtractor(Protocol):
 
     @property
     def log10_per_decade(self) -> float:
-        """By how much its matches overrate themselves: see `vwnav.vision.significance`."""
+        """By how much its matches overrate themselves: see `vwnav.vision.matching`."""
         ...
 
     def extract(self, gray: Gray, max_keypoints: int) -> Features:
@@ -277,10 +274,6 @@ class Height:
     t_s: float
     height_m: float
 
-    def sensible(self) -> bool:
-        """Whether the numbers are finite."""
-        return math.isfinite(self.t_s) and math.isfinite(self.height_m)
-
 
 @dataclass(frozen=True, slots=True)
 class Range:
@@ -289,20 +282,12 @@ class Range:
     t_s: float
     distance_m: float
 
-    def sensible(self) -> bool:
-        """Whether the numbers are finite and the distance is one that can be."""
-        return math.isfinite(self.t_s) and 0.0 < self.distance_m < LARGEST_RANGE_M
-
 
 @dataclass(frozen=True, slots=True)
 class Stationary:
     """The aircraft stands on the ground."""
 
     t_s: float
-
-    def sensible(self) -> bool:
-        """Whether the time is finite."""
-        return math.isfinite(self.t_s)
 
 
 Telemetry = Attitude | ImuSample | Height | Range | Stationary

@@ -52,7 +52,7 @@ def flight(folder: str, model: str) -> dict[str, Any]:
     from vwnav.assemble import assemble
     from vwnav.cameras.video_file import VideoFile
     from vwnav.config import Config, with_features
-    from vwnav.estimation.states import Start
+    from vwnav.estimation.beginning.starts import Start
     from vwnav.geometry.calibration import load_camera
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack

@@ -12,7 +12,8 @@ from scipy import stats
 
 from vwnav.bench.localizer import boards, repeating, short_flights, unrelated
 from vwnav.bench.localizer.labels import UNCONFIRMED_PX, corrected
-from vwnav.bench.localizer.looks import CAMERA, LookCase, TruePose
+from vwnav.bench.localizer.looks import CAMERA, LookCase, TruePose, open_board
+from vwnav.bench.localizer.repeating import repeating_boards
 from vwnav.bench.localizer.scoring import judge, score, upper_bound
 from vwnav.cli.main import main
 from vwnav.errors import ModelError
@@ -22,6 +23,8 @@ from vwnav.vision.features.learned import (
     LearnedFeatures,
     released_model,
 )
+from vwnav.vision.features.load import load_features
+from vwnav.vision.localizer import Localizer
 
 EVERYWHERE = np.ones((500, 500), np.bool_)
 
@@ -261,3 +264,13 @@ def test_a_runway_turned_by_180_degrees_looks_nearly_the_same():
     assert np.array_equal(
         day, repeating._day("runway", repeating.KINDS["runway"], 0, 0, repeating.TEXTURE)
     )
+
+
+def test_a_part_of_a_runway_is_not_believed_where_the_whole_tells_the_place(tmp_path):
+    """Looked at thriftily it is found 200 m along the runway, with 28 inliers."""
+    learned = load_features("learned")
+    (board,) = (b for b in repeating_boards(8, "runway") if b.looks[0].name.startswith("runway 1."))
+    (look,) = (each for each in board.looks if (each.name, each.kind) == ("runway 1.3", "prior"))
+    with open_board(board, learned, str(tmp_path)) as pack:
+        said = Localizer(pack, learned, look.camera).localize(look.frame(), look.prior, look.seed)
+    assert judge(look, said, 0.0).located

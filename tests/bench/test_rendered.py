@@ -17,7 +17,7 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.cli.main import app
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M
 from vwnav.sim.renderer import default_camera
 from vwnav.types import Frame, MapFix

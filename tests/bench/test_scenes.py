@@ -14,7 +14,7 @@ from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.raster import array_source, local_georeference
-from vwnav.vision.features.sift import SiftFeatures
+from vwnav.vision.features.opencv import SiftFeatures
 
 SIFT = FeatureSet("sift", SiftFeatures().extract, [Method("sift")])
 

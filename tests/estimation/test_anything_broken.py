@@ -14,7 +14,7 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
 SECONDS = 32.0

@@ -6,13 +6,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.states import Start
+from vwnav.estimation.states import Verdict
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 

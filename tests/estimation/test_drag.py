@@ -14,8 +14,8 @@ from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import States
-from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import OdometryMotion
 

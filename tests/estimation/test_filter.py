@@ -14,11 +14,11 @@ from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation import odometry
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.states import Start, States
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.states import States, Verdict
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

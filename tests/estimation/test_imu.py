@@ -17,12 +17,13 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.states import Start, States
+from vwnav.estimation.states import States
 from vwnav.geometry.rotations import (
     euler_from_rotation,
     quat_from_rotation,

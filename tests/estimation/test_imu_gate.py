@@ -10,10 +10,10 @@ import pytest
 from vwnav.bench.estimator.run import Run, play
 from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.states import Start
+from vwnav.estimation.states import Verdict
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.types import Attitude, ImuSample
 

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.errors import SourceError
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import Exposed, NedFix
 from vwnav.estimation.inputs import Asked, decode, encode
-from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import Exposed, NedFix
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range, Stationary
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)

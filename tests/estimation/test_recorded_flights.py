@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Asked
-from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import NedFix
 from vwnav.recording.input_log import ImageSeen, read_input_log
 from vwnav.types import Array, Estimate
 

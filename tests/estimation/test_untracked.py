@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vwnav.estimation.beginning.starts import Start, begun_anew
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.states import Start, begun_anew
-from vwnav.estimation.timeline import NedFix, Untracked
+from vwnav.estimation.events import NedFix, Untracked
+from vwnav.estimation.states import Verdict
 from vwnav.types import Attitude, Estimate, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -129,7 +129,7 @@ def test_an_outage_is_counted_from_the_last_image_that_was_followed():
 
 def test_a_fix_of_before_the_loss_leaves_the_heading_of_now_open():
     """A search in another thread ends when the history no longer reaches its image."""
-    from vwnav.estimation.timeline import Exposed
+    from vwnav.estimation.events import Exposed
 
     ekf, t_s = followed()
     ekf.handle(Exposed(t_s))

@@ -4,12 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from vwnav.geometry.homography import (
-    estimate_homography,
-    estimate_similarity,
-    jacobian_at,
-    transform_points,
-)
+from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
+from vwnav.geometry.similarity import estimate_similarity
 
 SIZE_PX = 600.0
 seeds = st.integers(0, 2**31)

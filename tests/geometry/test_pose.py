@@ -4,9 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vwnav.geometry.camera import rectification
-from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
+from vwnav.geometry.homography import estimate_homography, transform_points
 from vwnav.geometry.pose import PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler, wrap_pi
+from vwnav.geometry.similarity import estimate_similarity
 
 seeds = st.integers(0, 2**31)
 EXACT = PoseErrors(sigma_px=0.5, sigma_tilt_rad=0.0, sigma_lean_rad=0.0)

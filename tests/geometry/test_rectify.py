@@ -1,9 +1,10 @@
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.geometry.camera import Camera, rectification
+from vwnav.geometry.camera import Camera, cut_to_image, rectification
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.rotations import rotation_from_euler
 
@@ -85,3 +86,32 @@ def test_camera_that_does_not_look_down_has_no_view(pitch_deg: float) -> None:
 )
 def test_numbers_without_sense_have_no_view(agl_m: float, m_per_px: float) -> None:
     assert rectification(CAMERA.K, SIZE_WH, attitude(0, 0, 0), agl_m, m_per_px) is None
+
+
+def share_shown(view, area_px: float) -> float:
+    """Share of the view's pixels that show the image, and of so large an image's that it shows."""
+    H, everywhere = view.H_rect_frame, np.ones(SIZE_WH[::-1], np.uint8)
+    shown = cv2.warpPerspective(everywhere, H, view.size_wh, flags=cv2.INTER_NEAREST)
+    return shown.mean(), shown.sum() / area_px
+
+
+@given(tilts, tilts, yaws)
+def test_a_cut_view_is_the_same_view_of_a_part(roll: float, pitch: float, yaw: float) -> None:
+    whole = rectification(CAMERA.K, SIZE_WH, attitude(roll, pitch, yaw), 50.0, 0.25)
+    cut = cut_to_image(whole, SIZE_WH, 32)
+    uv = np.array([[320.0, 240.0], [250.0, 200.0]])
+    seen, seen_whole = (transform_points(each.H_rect_frame, uv) for each in (cut, whole))
+    np.testing.assert_allclose(seen - cut.nadir_uv, seen_whole - whole.nadir_uv, atol=1e-6)
+    assert all(side % 32 == 0 for side in cut.size_wh)
+    assert ((seen > 0.0) & (seen < np.array(cut.size_wh))).all()
+
+
+@pytest.mark.parametrize(("yaw_deg", "kept"), [(0, 0.9), (20, 0.8), (45, 0.7), (90, 0.9)])
+def test_a_cut_view_shows_little_but_the_image_and_most_of_it(yaw_deg: int, kept: float) -> None:
+    whole = rectification(CAMERA.K, SIZE_WH, attitude(0.05, -0.1, np.radians(yaw_deg)), 50.0, 0.2)
+    _, area_px = share_shown(whole, 1.0)
+    cut = cut_to_image(whole, SIZE_WH, 32)
+    filled, shown = share_shown(cut, area_px)
+    assert filled > 0.8
+    assert shown > kept
+    assert np.prod(cut.size_wh) < 1.05 * np.prod(whole.size_wh)

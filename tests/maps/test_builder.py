@@ -10,11 +10,11 @@ import pytest
 from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import ground_resolution_m_per_px
+from vwnav.geometry.geodesy import Window, ground_resolution_m_per_px
 from vwnav.maps.build.builder import BuildOptions, build_pack, default_levels
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.image import MapImage, Window
+from vwnav.maps.image import MapImage
 from vwnav.maps.pack import MapPack
 
 

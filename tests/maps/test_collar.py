@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from map_samples import textured
 
+from vwnav.geometry.geodesy import Window
 from vwnav.maps.build.collar import find_collar
-from vwnav.maps.image import MapImage, Window
+from vwnav.maps.image import MapImage
 
 
 def collar_mask(bgr: np.ndarray) -> np.ndarray:

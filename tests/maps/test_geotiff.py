@@ -17,10 +17,9 @@ from rasterio.transform import Affine
 from rasterio.warp import Resampling, reproject, transform_bounds
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import mercator_px
+from vwnav.geometry.geodesy import Window, mercator_px
 from vwnav.maps.build.builder import build_pack
 from vwnav.maps.build.geotiff import RasterFile, read_heights
-from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
 
 

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
-from vwnav.maps.image import MapImage, Tile, Window, assemble
+from vwnav.geometry.geodesy import Tile, Window, lat_lon_from_mercator_px, mercator_px
+from vwnav.maps.image import MapImage, assemble
 
 zooms = st.integers(0, 22)
 edges = st.tuples(*[st.integers(-600, 1400)] * 4)

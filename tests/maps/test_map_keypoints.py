@@ -3,6 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from map_samples import DotFinder, SiftStub, textured
 
+from vwnav.geometry.geodesy import Tile
 from vwnav.maps.build.keypoints import (
     KEYPOINTS_PER_TILE,
     NODATA_RADIUS_PX,
@@ -12,7 +13,7 @@ from vwnav.maps.build.keypoints import (
     spread,
     usable_mask,
 )
-from vwnav.maps.image import MapImage, Tile
+from vwnav.maps.image import MapImage
 from vwnav.types import Features
 
 WORLD = MapImage(textured(1024, 1024), np.ones((1024, 1024), bool))  # all of zoom 2

@@ -9,7 +9,7 @@ from rasterio.shutil import copy as copy_raster
 from rasterio.warp import transform_bounds
 from test_geotiff import pack_of, worst_mark_error_px
 
-from vwnav.maps.image import Window
+from vwnav.geometry.geodesy import Window
 from vwnav.maps.pack import MapPack
 
 # GDAL's MBTiles driver stands for all other software that opens these files.

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 
 from vwnav.errors import MapError, ModelError
-from vwnav.geometry.geodesy import lat_lon_from_mercator_px
-from vwnav.maps.image import Window
+from vwnav.geometry.geodesy import Window, lat_lon_from_mercator_px
 from vwnav.maps.pack import MapPack
 
 X, Y = ORIGIN_PX

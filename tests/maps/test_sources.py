@@ -11,9 +11,9 @@ from rasterio.shutil import copy as copy_raster
 from test_geotiff import pack_of, worst_mark_error_px
 
 from vwnav.errors import MapError
+from vwnav.geometry.geodesy import Window
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.sources import default_options, open_sources
-from vwnav.maps.image import Window
 from vwnav.maps.pack import MapPack
 
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from map_samples import textured
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import LocalFrame, mercator_px
+from vwnav.geometry.geodesy import LocalFrame, Window, mercator_px
 from vwnav.maps.build.raster import (
     array_source,
     corner_georeference,
@@ -13,7 +13,6 @@ from vwnav.maps.build.raster import (
     local_georeference,
 )
 from vwnav.maps.build.warp import PlacedRaster, render
-from vwnav.maps.image import Window
 
 ZOOM = 18
 

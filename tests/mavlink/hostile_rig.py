@@ -8,8 +8,8 @@ from autopilot_links import HOME, PX4, PX4_OFFBOARD, Clock, End, Scripted, Way
 from pymavlink.dialects.v20 import all as mavlink
 
 from vwnav.config import Config
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.states import Start
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort

@@ -20,9 +20,8 @@ from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.errors import MapError, SourceError
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.states import Start
-from vwnav.feature_choice import FeatureChoice
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.maps.build.builder import BuildOptions, build_pack
@@ -31,7 +30,7 @@ from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.record import FlightRecord
-from vwnav.pipeline import Pipeline
+from vwnav.pipeline import FeatureChoice, Pipeline
 from vwnav.recording.input_log import About, ImageSeen, InputLog, read_input_log
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
@@ -185,7 +184,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
             CameraWatch(64, 48), record,
         )  # fmt: skip
         runtime.run(Images(), WallClock())
-        record.close(SimpleNamespace(sim=False), assembled)
+        record.close(SimpleNamespace(sim=False), pipeline, pack.name)
     return folder
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from vwnav.errors import ConfigError
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.maps.image import Window
+from vwnav.geometry.geodesy import LocalFrame, Window
 from vwnav.sim.named_sites import MAP_M_PER_PX, MAP_NORTH_M, is_site, map_raster, parse_site
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from vwnav.bench.estimator.streams import _AttitudeErrors
 from vwnav.bench.estimator.world import DT_S, FilterWorld, fly
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
 from vwnav.geometry.rotations import (
     quat_from_vector,

@@ -9,7 +9,7 @@ from vision_scenes import texture
 from vwnav.errors import ConfigError
 from vwnav.types import FeatureExtractor
 from vwnav.vision.features.load import load_features
-from vwnav.vision.features.sift import SiftFeatures
+from vwnav.vision.features.opencv import SiftFeatures
 
 SCENE = texture(3, 480)
 

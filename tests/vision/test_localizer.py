@@ -11,7 +11,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler, wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import Features, Frame, MapFix, Prior, Rejected, RejectReason
-from vwnav.vision.features.checks import no_features
+from vwnav.vision.features.opencv import no_features
 from vwnav.vision.localizer import Localizer
 
 AGL_M = 60.0
@@ -321,3 +321,48 @@ def test_an_image_covered_in_part_is_still_found(pack, ground, extractor):
     fix = Localizer(pack, extractor, CAMERA).localize(frame, prior_at(10.0, 10.0), 0)
     assert isinstance(fix, MapFix)
     assert np.linalg.norm(error_ne_m(fix, 12.0, 8.0)) < 2 * M_PER_PX
+
+
+class Watched:
+    """Features that note of what size the views were, and see nothing in the first `blind` ones."""
+
+    def __init__(self, extractor, blind: int = 0) -> None:
+        self.name, self.feature_set_id = extractor.name, extractor.feature_set_id
+        self.log10_per_decade = extractor.log10_per_decade
+        self._extractor, self._blind = extractor, blind
+        self.sizes_px: list[int] = []
+
+    def extract(self, gray, max_keypoints):
+        self.sizes_px.append(gray.size)
+        seen = gray if len(self.sizes_px) > self._blind else np.zeros_like(gray)
+        return self._extractor.extract(seen, max_keypoints)
+
+
+def turned_look(pack, ground, extractor, yaw_off_deg: float = 0.0):
+    frame = frame_at(ground, 10.0, -15.0, 90.0, rpy_deg=(0, 0, 40), rng=np.random.default_rng(3))
+    prior = prior_at(12, -11, yaw_deg=40 + yaw_off_deg, agl_m=92.0)
+    return Localizer(pack, extractor, CAMERA).localize(frame, prior, 0)
+
+
+def test_what_shows_no_image_is_not_looked_at(pack, ground, learned):
+    watched = Watched(learned)
+    fix = turned_look(pack, ground, watched)
+    assert np.linalg.norm(error_ne_m(fix, 10.0, -15.0)) < 0.5
+    corner_to_corner_px = (2 * 90.0 * math.tan(math.radians(35)) / 0.407) ** 2 * 0.75 * 2.1
+    assert len(watched.sizes_px) == 1
+    assert watched.sizes_px[0] < 0.55 * corner_to_corner_px
+
+
+def test_an_image_that_a_part_does_not_place_is_looked_at_as_a_whole(pack, ground, learned):
+    watched = Watched(learned, blind=1)
+    fix = turned_look(pack, ground, watched)
+    assert np.linalg.norm(error_ne_m(fix, 10.0, -15.0)) < 0.5
+    assert len(watched.sizes_px) == 2
+    assert watched.sizes_px[1] > 1.5 * watched.sizes_px[0]
+
+
+def test_what_is_sure_is_not_looked_at_twice(pack, ground, learned):
+    watched = Watched(learned)
+    fix = turned_look(pack, ground, watched, yaw_off_deg=10.0)
+    assert np.linalg.norm(error_ne_m(fix, 10.0, -15.0)) < 0.5
+    assert len(watched.sizes_px) == 1

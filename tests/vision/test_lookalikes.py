@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vwnav.types import Features
-from vwnav.vision.significance import share_alike
+from vwnav.vision.matching import share_alike
 
 SHIFT_PX = np.array([120.0, 30.0])
 

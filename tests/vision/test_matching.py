@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from vwnav.types import Features
 from vwnav.vision import matching
-from vwnav.vision.matching import match
+from vwnav.vision.matching import match, paired_similarity, similarities
 
 
 def cosine(seed: int, count: int, size: int = 8) -> Features:
@@ -80,3 +80,13 @@ def test_other_kinds_cannot_be_matched():
         match(cosine(0, 5), binary(0, 5))
     with pytest.raises(ValueError, match="descriptors of one kind"):
         match(cosine(0, 5), cosine(0, 5, 16))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint8])
+def test_the_similarity_of_pairs_is_that_of_all_with_all(kind):
+    rng = np.random.default_rng(4)
+    first, second = (rng.integers(0, 255, (9, 32)).astype(kind) for _ in range(2))
+    if kind is np.float32:
+        first, second = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (first, second))
+    expected = similarities(first, second).diagonal()
+    assert paired_similarity(first, second) == pytest.approx(expected, abs=1e-6)

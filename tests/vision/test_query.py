@@ -10,7 +10,8 @@ from vision_scenes import CAMERA, M_PER_PX, frame_at, texture
 from vwnav.errors import CalibrationError
 from vwnav.geometry.homography import transform_points
 from vwnav.types import Frame, Prior
-from vwnav.vision.query import QueryMaker, Undistorted
+from vwnav.vision.query import QueryMaker, Taken
+from vwnav.vision.shutter import seen_by_rows
 
 GROUND = texture(8)
 
@@ -56,7 +57,7 @@ def test_keypoints_lie_inside_the_image(extractor, yaw_deg):
 
 def test_halving_keeps_the_centre_convention():
     ramp = np.tile(np.arange(0, 240, 2, dtype=np.uint8), (90, 1))
-    half, H_frame_half = Undistorted(ramp, np.eye(3)).at_scale(0.4)
+    half, H_frame_half = Taken(ramp, np.eye(3)).at_scale(0.4)
     uv = transform_points(H_frame_half, np.array([[10.0, 5.0], [20.0, 30.0]]))
     assert half.shape == (45, 60)
     assert half[5, 10] == pytest.approx(2.0 * uv[0, 0], abs=1.0)
@@ -71,16 +72,40 @@ def test_an_image_shrunk_a_lot_does_not_alias(orb):
     assert maker.warp(query, maker.rectify(query, 0.0, 60.0, 4 * M_PER_PX)).std() < 3.0
 
 
-def test_distortion_is_removed_first(orb):
-    camera = replace(CAMERA, distortion=(-0.2, 0.03, 0.0, 0.0))
-    maker = maker_of(orb, camera)
-    rays = query_of(maker, np.zeros((360, 480), np.uint8)).image.K
+BENT = replace(CAMERA, distortion=(-0.2, 0.03, 0.001, -0.001))
+
+
+def test_distortion_is_removed(orb):
     grid = np.stack(np.meshgrid(np.arange(480), np.arange(360)), axis=-1).reshape(-1, 2)
-    bearings = camera.bearings(grid.astype(np.float64))
+    bearings = BENT.bearings(grid.astype(np.float64))
     line = np.abs(bearings[:, 0] / bearings[:, 2] - 0.3).reshape(360, 480) < 0.004
-    found = query_of(maker, np.where(line, 255, 0).astype(np.uint8)).image.at_scale(1.0)[0]
-    columns = np.array([np.average(np.arange(480), weights=row) for row in found[20:340] + 1e-9])
-    assert np.abs(columns - (0.3 * rays[0, 0] + rays[0, 2])).max() < 1.0
+    maker = maker_of(orb, BENT)
+    query = query_of(maker, np.where(line, 255, 0).astype(np.uint8))
+    made = maker.rectify(query, 0.0, 60.0, M_PER_PX)
+    view = maker.warp(query, made)
+    middle = view[20:-20]
+    columns = middle @ np.arange(view.shape[1]) / middle.sum(axis=1)
+    assert np.abs(columns - (made.nadir_uv[0] + 0.3 * 60.0 / M_PER_PX)).max() < 0.5
+
+
+@pytest.mark.parametrize("flow", [None, np.array([[0, 1, 0.3], [-1, 0, 0.2], [0.1, 0, 0]])])
+@pytest.mark.parametrize("rpy_deg", [(0, 0, 30), (20, -15, 200)])
+def test_between_its_grid_points_a_view_is_fetched_from_the_right_places(orb, rpy_deg, flow):
+    camera = replace(BENT, readout_s=0.02)
+    maker, yaw_rad = maker_of(orb, camera), math.radians(rpy_deg[2])
+    query = query_of(maker, np.zeros((360, 480), np.uint8), rpy_deg)
+    query.flow = flow
+    made = maker.rectify(query, yaw_rad, 60.0, M_PER_PX)
+    w, h = made.size_wh
+    uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 2)
+    straight = transform_points(np.linalg.inv(made.H_rect_frame), uv)
+    inside = np.all((straight >= 0.0) & (straight <= (479.0, 359.0)), axis=1)
+    rays = camera.undistorted().bearings(straight[inside])
+    exact = camera.project(rays) if flow is None else seen_by_rows(rays, camera, flow)
+    places = maker.places(query, made, 1.0).reshape(-1, 2)[inside]
+    assert np.count_nonzero(inside) > 5000
+    px_per_view_px = CAMERA.K[0, 0] * M_PER_PX / 60.0
+    assert np.abs(places - exact).max() < 0.15 * px_per_view_px
 
 
 def test_an_image_of_another_size_is_an_error_of_calibration(orb):

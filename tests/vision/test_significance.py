@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from vwnav.vision.significance import _log10_tail, log10_nfa, occupied_cells
+from vwnav.vision.matching import _log10_tail, log10_nfa, occupied_cells
 
 
 @given(n=st.integers(3, 90), k=st.integers(1, 90), p=st.floats(1e-3, 0.2))

@@ -3,10 +3,11 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.integrals import ImuIntegrals
 
 # Height of the ground in metres at (north, east) about the origin, None where it is not known.
 # Only differences are used: the table may have another datum.
@@ -25,13 +26,21 @@ class TerrainPatch:
     per_east: float
 
 
+class Felt(Protocol):
+    """What the steps ask of the `ImuHistory`."""
+
+    def until(self, t_s: float) -> ImuIntegrals | None:
+        """All that was felt until `t_s`; None before the first sample and in a silence."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
     """Handed to every step; attitudes and IMU samples grow, the rest stays."""
 
     config: EkfConfig
     attitudes: AttitudeHistory
-    imu: ImuHistory
+    imu: Felt
     ground: Ground | None = None
     _nodes: dict[tuple[int, int], float | None] = field(default_factory=dict)
 

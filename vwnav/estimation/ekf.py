@@ -1,46 +1,27 @@
 """The estimator: every measurement at its own time, in any order; the estimate at any time.
 
-Read `states.py` and `config.py` first (what is estimated, with all noises), then `process.py` (how
-it moves), `kalman.py` (the Kalman update), `fixes.py`, `odometry.py` and `heights.py` (what each
-measurement says), `update.py` (which of them it is), `timeline.py` (late ones).
+Read `states.py` and `config.py` first (what is estimated, the Kalman update, all noises), then
+`process.py` (how it moves), `fixes.py`, `odometry.py` and `heights.py` (what each measurement
+says), `timeline.py` (which of them it is, and late ones).
 """
 
 import math
 from collections.abc import Callable
-from functools import partial
 
+from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
+from vwnav.estimation.events import Displacement, Drag, Event, LateFix, Misled, NedFix, Told
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
-from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory, is_rotation
+from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.inertial.drag import explained_m_s2
-from vwnav.estimation.inertial.imu import ImuHistory, is_sensible
+from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
-from vwnav.estimation.kalman import Innovation, Verdict
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import (
-    FilterState,
-    Start,
-    begun_anew,
-    estimate_of,
-    first_state,
-    outside,
-)
-from vwnav.estimation.timeline import (
-    Displacement,
-    Drag,
-    Event,
-    Exposed,
-    LateFix,
-    Misled,
-    NedFix,
-    Timeline,
-    Told,
-    Untracked,
-)
-from vwnav.estimation.update import apply
+from vwnav.estimation.states import FilterState, Innovation, Verdict, estimate_of, outside
+from vwnav.estimation.timeline import Timeline, sensible
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
 _ATTITUDE_MARGIN_S = 1.0
@@ -84,6 +65,7 @@ class Ekf:
         self._say: Callable[[str], None] = lambda _: None
         self._restarted_s = -math.inf
         self._drag_s = -math.inf
+        self._refused_ways = 0  # in a row
 
     def covers(self, t_s: float) -> bool:
         """Whether waiting for telemetry tells no more of the attitude at an exposure.
@@ -148,8 +130,7 @@ class Ekf:
         self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
 
     def _begin(self, state: FilterState) -> None:
-        step = partial(apply, context=self._context)
-        self._timeline = Timeline(state, step, self._config.history_s, self._config.jump_m)
+        self._timeline = Timeline(state, self._context)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
@@ -163,15 +144,18 @@ class Ekf:
                 return self._handle_odometry(seen)
             case NedFix():
                 return self._handle_fix(seen)
-            case _:
-                return self._handle_event(seen)
+        refusal = self._refusal(seen)
+        if refusal is not None or self._timeline is None:
+            return Innovation(refusal or Verdict.NOT_STARTED)
+        if isinstance(seen, Height | Range | Stationary):
+            self._attitude_gate.heard(seen.t_s)
+        return self._insert(seen)
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
-        if not is_rotation(attitude):
-            return Innovation(Verdict.NOT_FINITE)
-        if self._ahead(attitude.t_s):
-            return Innovation(Verdict.AHEAD)
+        refusal = self._refusal(attitude)
+        if refusal is not None:
+            return Innovation(refusal)
         if self.counts_heading:
             self._attitudes.add(attitude)
             return Innovation(Verdict.FUSED)
@@ -183,10 +167,9 @@ class Ekf:
         While samples come, they move the estimate between measurements, instead of the attitude's
         thrust and the slow acceleration.
         """
-        if not is_sensible(sample):
-            return Innovation(Verdict.NOT_FINITE)
-        if self._ahead(sample.t_s):
-            return Innovation(Verdict.AHEAD)
+        refusal = self._refusal(sample)
+        if refusal is not None:
+            return Innovation(refusal)
         self._attitude_gate.heard(sample.t_s)
         was_lost = self._imu_gate.lost
         verdict = self._imu_gate.take(sample)
@@ -241,7 +224,10 @@ class Ekf:
         if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
             assert self._timeline is not None
             agrees = innovation.verdict is Verdict.FUSED
-            if not gate.lost and self._imu_gate.saw_way(innovation, motion.t1_s):
+            if not gate.lost:
+                self._refused_ways = 0 if agrees else self._refused_ways + 1
+            doubtful = not (agrees or gate.lost)
+            if doubtful and self._imu_gate.refused_ways(self._refused_ways, motion.t1_s):
                 self._imu_changed()
                 gate.forgive()
             elif gate.learn(agrees, self._timeline.newest):
@@ -287,20 +273,11 @@ class Ekf:
         state = self._timeline.newest
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
-        turned_rad = self._attitudes.turned_unseen_rad(state.t_s)
-        return estimate_of(state, self._attitudes.quat_at(state.t_s), turned_rad)
+        return estimate_of(state, *self._attitudes.held_at(state.t_s))
 
     def _note(self, seen: Input) -> None:
         if self._input_log is not None:
             self._input_log(seen)
-
-    def _handle_event(self, event: Height | Range | Stationary | Exposed | Untracked) -> Innovation:
-        refusal = self._refusal(event)
-        if refusal is not None or self._timeline is None:
-            return Innovation(refusal or Verdict.NOT_STARTED)
-        if isinstance(event, Height | Range | Stationary):
-            self._attitude_gate.heard(event.t_s)
-        return self._insert(event)
 
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""
@@ -315,18 +292,14 @@ class Ekf:
                 self._say(f"the estimate left its envelope ({why}) and begins anew")
         return innovation
 
-    def _refusal(self, event: Told) -> Verdict | None:
-        if not event.sensible():
+    def _refusal(self, seen: Told | Attitude | ImuSample) -> Verdict | None:
+        """Why it is not taken: no sense in it, or far ahead of the newest time that is known.
+
+        Attitudes and samples of before the start are kept; no time is known then.
+        """
+        if not sensible(seen):
             return Verdict.NOT_FINITE
         if self._timeline is None:
-            return Verdict.NOT_STARTED
-        if self._ahead(event.t_s):
-            return Verdict.AHEAD
-        return None
-
-    def _ahead(self, t_s: float) -> bool:
-        """Whether a time is far beyond the newest one known; before the start none is."""
-        if self._timeline is None:
-            return False
+            return None if isinstance(seen, Attitude | ImuSample) else Verdict.NOT_STARTED
         newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
-        return t_s > newest_s + self._config.ahead_s
+        return Verdict.AHEAD if seen.t_s > newest_s + self._config.ahead_s else None

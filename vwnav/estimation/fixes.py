@@ -7,28 +7,22 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.heights import apply_agl
+from vwnav.estimation.disputes import agreeing, convinces, freed, remember
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.kalman import (
-    CHI_SQUARE_GATE,
-    Innovation,
-    Measurement,
-    Verdict,
-    agreeing,
-    convinces,
-    correct,
-    freed,
-    fuse,
-    remember,
-)
 from vwnav.estimation.states import (
+    CHI_SQUARE_GATE,
     Exposure,
     FilterState,
+    Innovation,
+    Measurement,
     States,
     TrustedPosition,
+    Verdict,
+    correct,
+    fuse,
     tells_heading,
 )
-from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
@@ -61,10 +55,9 @@ _THEN = _PoseSlices(
 def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
     """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
     attitudes, config = context.attitudes, context.config
-    yaw_rad = attitudes.yaw_at(fix.t_s)
-    position = _position(state, fix, yaw_rad, _NOW)
     # Against an attitude that is only held, a heading would take a turn for the compass' error.
-    told = attitudes.at(fix.t_s) is not None
+    yaw_rad, told = attitudes.yaw_at(fix.t_s)
+    position = _position(state, fix, yaw_rad, _NOW)
     if not told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
@@ -83,7 +76,8 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
 
 def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
     """Copy what a fix of this moment's image will tell: place, attitude error, height."""
-    if attitudes.at(state.t_s) is None:
+    yaw_rad, told = attitudes.yaw_at(state.t_s)
+    if not told:
         return replace(state, exposure=None)  # nobody knows how it was turned
     G = np.eye(States.SIZE)
     G[States.EXPOSED_POSITION] = G[States.POSITION_NE]
@@ -92,8 +86,7 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
     P = G @ state.P @ G.T
     P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
-    exposure = Exposure(state.t_s, attitudes.yaw_at(state.t_s))
-    return replace(state, x=G @ state.x, P=P, exposure=exposure)
+    return replace(state, x=G @ state.x, P=P, exposure=Exposure(state.t_s, yaw_rad))
 
 
 def apply_late_fix(
@@ -165,7 +158,13 @@ def _apply_position(
         return after, innovation
     if innovation.verdict is Verdict.RELOCATED:
         after = _on_other_ground(state, after, context)
-    return replace(_trusting(after, fix), t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
+    before_s = after.t_last_fix_s
+    if before_s is not None and 0.0 < fix.t_s - before_s < _AGREEING_S:
+        # It agrees with one shortly before it: to begin anew from, should that be.
+        position_ne_m = after.x[States.POSITION_NE].copy()
+        sigma_m = math.sqrt(max(np.diag(after.P)[States.POSITION_NE]))
+        after = replace(after, trusted=TrustedPosition(after.t_s, position_ne_m, sigma_m))
+    return replace(after, t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
 
 
 def _fused_or_relocated(
@@ -200,16 +199,6 @@ def _leaning(state: FilterState, measurement: Measurement, config: EkfConfig) ->
     """
     doubted = measurement.R + config.lone_fix_sigma_m**2 * np.eye(2)
     return correct(state, replace(measurement, R=doubted))
-
-
-def _trusting(state: FilterState, fix: NedFix) -> FilterState:
-    """Where a fix that agrees with one shortly before it shows the aircraft, to begin anew from."""
-    before_s = state.t_last_fix_s
-    if before_s is None or not 0.0 < fix.t_s - before_s < _AGREEING_S:
-        return state
-    position_ne_m = state.x[States.POSITION_NE].copy()
-    sigma_m = math.sqrt(max(np.diag(state.P)[States.POSITION_NE]))
-    return replace(state, trusted=TrustedPosition(state.t_s, position_ne_m, sigma_m))
 
 
 def _sudden(measurement: Measurement, config: EkfConfig) -> bool:
@@ -283,3 +272,37 @@ def _apply_heading(
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
     turned = freed(turned, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
     return replace(turned, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def apply_agl(
+    state: FilterState,
+    agl_m: float,
+    sigma_m: float,
+    config: EkfConfig,
+    by_map: bool = False,
+    by_tilt: Array | None = None,
+) -> tuple[FilterState, Innovation]:
+    """Fuse a height above ground, of a fix or a rangefinder.
+
+    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
+    Heights `by_map` share the error of its scale; `by_tilt` (2,) is what a radian of tilt error
+    adds to it.
+    """
+    H = np.zeros((1, States.SIZE))
+    H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
+    H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
+    if by_tilt is not None:
+        H[0, States.TILT] = by_tilt
+    measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
+    fused, innovation = fuse(state, measurement)
+    if innovation.verdict is Verdict.FUSED:
+        return replace(fused, rejected_agls=()), innovation
+    rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
+    state = replace(state, rejected_agls=rejected)
+    if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
+        return state, innovation
+    open_m = 2.0 * abs(float(measurement.residual[0]))
+    # Whether the keyframe's ground was believed wrong too is not known.
+    state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
+    fused = correct(state, measurement)
+    return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -7,20 +7,20 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
+from vwnav.estimation.disputes import convinces, freed, remember
+from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.kalman import (
+from vwnav.estimation.states import (
     CHI_SQUARE_GATE,
+    FilterState,
     Innovation,
     Measurement,
+    States,
     Verdict,
-    convinces,
     correct,
-    freed,
     fuse,
-    remember,
 )
-from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
@@ -123,40 +123,6 @@ def apply_range(
         + _lag_m2(state, config.rangefinder_lag_s)
     )
     return apply_agl(state, event.distance_m * cos, sigma_m, config, by_tilt=by_tilt)
-
-
-def apply_agl(
-    state: FilterState,
-    agl_m: float,
-    sigma_m: float,
-    config: EkfConfig,
-    by_map: bool = False,
-    by_tilt: Array | None = None,
-) -> tuple[FilterState, Innovation]:
-    """Fuse a height above ground, of a fix or a rangefinder.
-
-    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    Heights `by_map` share the error of its scale; `by_tilt` (2,) is what a radian of tilt error
-    adds to it.
-    """
-    H = np.zeros((1, States.SIZE))
-    H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
-    H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
-    if by_tilt is not None:
-        H[0, States.TILT] = by_tilt
-    measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
-    fused, innovation = fuse(state, measurement)
-    if innovation.verdict is Verdict.FUSED:
-        return replace(fused, rejected_agls=()), innovation
-    rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
-    state = replace(state, rejected_agls=rejected)
-    if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
-        return state, innovation
-    open_m = 2.0 * abs(float(measurement.residual[0]))
-    # Whether the keyframe's ground was believed wrong too is not known.
-    state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
-    fused = correct(state, measurement)
-    return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:

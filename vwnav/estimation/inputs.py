@@ -12,8 +12,8 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from vwnav.errors import SourceError
-from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import Exposed, NedFix, Untracked
+from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.events import Exposed, NedFix, Untracked
 from vwnav.types import (
     Array,
     Attitude,

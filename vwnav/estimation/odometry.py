@@ -4,25 +4,29 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
+from vwnav.estimation.disputes import convinces, remember
+from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
     AttitudeHistory,
     level_axes,
     true_from_autopilot,
 )
-from vwnav.estimation.kalman import Innovation, Measurement, Verdict, convinces, fuse, remember
 from vwnav.estimation.states import (
     Anchor,
     FilterState,
+    Innovation,
+    Measurement,
     States,
-    first_variance,
+    Verdict,
+    fuse,
     tells_heading,
     white_acceleration,
 )
-from vwnav.estimation.timeline import Misled, NewKeyframe
-from vwnav.geometry.rotations import skew, wrap_pi
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
@@ -65,7 +69,7 @@ def apply_keyframe(
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
-    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s))
+    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s)[0])
     return replace(state, x=G @ state.x, P=P, anchor=anchor)
 
 
@@ -83,7 +87,7 @@ def apply_displacement(
         return replace(state, P=P), Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
     if not config.odometry_turns_attitude:
-        turned_rad = attitudes.yaw_at(motion.t1_s) - anchor.yaw_rad
+        turned_rad = attitudes.yaw_at(motion.t1_s)[0] - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
     before = state
@@ -213,15 +217,17 @@ def _displacement(
     # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
     # residual and gain alike, and every image would pull height and place to the same side.
     predicted_m: Array = x[States.POSITION] - x[States.ANCHOR_POSITION]
+    north_m, east_m, down_m = predicted_m.tolist()
     H = np.zeros((3, States.SIZE))
     H[:, States.POSITION] = np.eye(3)
     H[:, States.ANCHOR_POSITION] = -np.eye(3)
     H[:, States.ANCHOR_DOWN] += predicted_m / agl_m
     H[:, States.ANCHOR_TERRAIN] = predicted_m / agl_m
-    H[:, States.ANCHOR_HEADING_BIAS] = -predicted_m[1], predicted_m[0], 0.0
+    H[:, States.ANCHOR_HEADING_BIAS] = -east_m, north_m, 0.0
     yaw0_rad = yaw_rad - float(x[States.ANCHOR_HEADING_BIAS])
     level0, level1 = level_axes(yaw0_rad), level_axes(yaw0_rad + motion.yaw_increment_rad)
-    by_tilt0 = -skew(predicted_m)[:, :2] @ level0
+    turned_m = np.array([[0.0, down_m], [-down_m, 0.0], [east_m, -north_m]])  # tilt x way
+    by_tilt0 = turned_m @ level0
     # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
     by_tilt1 = np.zeros((3, 2))
     by_tilt1[:2] = motion.tilt_share * agl_m * _QUARTER_TURN @ level1
@@ -231,7 +237,7 @@ def _displacement(
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
-    R[2, 2] += (config.zoom_share * float(predicted_m[2])) ** 2
+    R[2, 2] += (config.zoom_share * down_m) ** 2
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, considered=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))

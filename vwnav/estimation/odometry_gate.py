@@ -13,15 +13,15 @@ import bisect
 import math
 from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.events import Displacement, Event, NedFix, NewKeyframe
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.kalman import Verdict
-from vwnav.estimation.states import FilterState, States
-from vwnav.estimation.timeline import Displacement, NedFix, NewKeyframe, Timeline, between
+from vwnav.estimation.states import FilterState, Innovation, States, Verdict
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _WINDOW_S = 1.2
@@ -52,6 +52,17 @@ class _Way(NamedTuple):
 
 def _time(way: _Way) -> float:
     return way.t_s
+
+
+class _History(Protocol):
+    """What the gate asks of the filter's `Timeline`."""
+
+    oldest: FilterState
+    newest: FilterState
+
+    def keyframe_known(self, t_s: float) -> bool: ...
+
+    def insert(self, event: Event) -> Innovation: ...
 
 
 class OdometryGate:
@@ -91,7 +102,7 @@ class OdometryGate:
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
 
     def admit(
-        self, motion: OdometryMotion, event: Displacement, timeline: Timeline
+        self, motion: OdometryMotion, event: Displacement, timeline: _History
     ) -> Displacement | Verdict:
         """What may meet the filter of a way, whose keyframe is cloned from now on; or why not.
 
@@ -104,7 +115,7 @@ class OdometryGate:
         if not known and motion.t0_s < timeline.oldest.t_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Verdict.NO_ANCHOR
-            event = self.displacement(between(before, motion))
+            event = self.displacement(_between(before, motion))
             known = timeline.keyframe_known(event.motion.t0_s)
         if not self._seen_upright(event.motion, known):
             return Verdict.NO_ATTITUDE
@@ -128,7 +139,7 @@ class OdometryGate:
             return False
         return known or self._attitudes.at(motion.t0_s) is not None
 
-    def _cloned(self, motion: OdometryMotion, timeline: Timeline) -> bool:
+    def _cloned(self, motion: OdometryMotion, timeline: _History) -> bool:
         """Whether its keyframe's pose is cloned now."""
         share = self._config.anchor_share
         covariance = share * motion.covariance_ned_m2
@@ -191,6 +202,22 @@ class OdometryGate:
     def _begin_anew(self) -> None:
         self._seen.clear()
         self._begun_s = math.inf
+
+
+def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
+    """The way from one image to a later one that were both compared with the same keyframe.
+
+    For a keyframe that the filter has forgotten: over a spot where nothing changes odometry keeps
+    it for minutes, and a filter that begins anew meanwhile would have no ways at all.
+    """
+    return replace(
+        after,
+        t0_s=before.t1_s,
+        displacement_ned_m=after.displacement_ned_m - before.displacement_ned_m,
+        covariance_ned_m2=after.covariance_ned_m2 + before.covariance_ned_m2,
+        yaw_increment_rad=wrap_pi(after.yaw_increment_rad - before.yaw_increment_rad),
+        sigma_yaw_rad=math.hypot(after.sigma_yaw_rad, before.sigma_yaw_rad),
+    )
 
 
 def possible(motion: OdometryMotion, state: FilterState, config: EkfConfig) -> bool:

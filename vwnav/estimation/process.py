@@ -24,8 +24,9 @@ from vwnav.estimation.inertial.gyro_aiding import (
     explained,
     gyro_measurement,
 )
+from vwnav.estimation.inertial.integrals import Measured
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
-from vwnav.estimation.states import FilterState, Measured, States, white_acceleration
+from vwnav.estimation.states import FilterState, States, white_acceleration
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 

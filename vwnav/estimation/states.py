@@ -1,19 +1,19 @@
-"""The filter as a table: what is estimated, how sure it is at first, and how fast it may change."""
+"""The filter as a table, what it believes, and its Kalman update: one for every measurement."""
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.inertial.integrals import ImuIntegrals
+from vwnav.estimation.inertial.integrals import Measured
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_quat, rotation_from_vector
 from vwnav.types import Array, Estimate
 
-_HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
-_TERRAIN_SIGMA_M = 30.0
-_BARO_SIGMA_M = 2.0
+# 99.9 % of chi-square by degrees of freedom (scipy.stats.chi2.ppf(0.999, dof)).
+CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
+_RIDGE = 1e-12
 _MOST_HEADING_SIGMA_RAD = math.radians(45.0)  # of a heading that is known
 _KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
 
@@ -59,6 +59,9 @@ class States:
     SIZE = 40
 
 
+_HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
     """The keyframe whose position is cloned in the state: its exposure and autopilot heading."""
@@ -94,20 +97,6 @@ class RejectedInnovation:
 
 
 RejectedInnovations = tuple[RejectedInnovation, ...]  # in order of time
-
-
-class Measured(NamedTuple):
-    """What the autopilot tells of a moment.
-
-    Attributes:
-        quat_wxyz: (4,) its attitude.
-        felt: what its IMU had felt until then.
-        carried_rad: how far its gyro alone had turned the heading on, from its last attitude.
-    """
-
-    quat_wxyz: Array
-    felt: ImuIntegrals | None
-    carried_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,73 +144,135 @@ class FilterState:
         return float(-self.x[States.DOWN] - self.x[States.TERRAIN])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Start:
-    """What is known at first. On the ground nothing moves; in the air nothing is sure.
+class Verdict(Enum):
+    """What became of a measurement."""
+
+    FUSED = "fused"
+    GATED = "too far from the prediction"
+    RELOCATED = "the filter jumped to it"
+    UNCONFIRMED = "waits for a second one that agrees"
+    NOT_FINITE = "not a finite, sensible measurement"
+    TOO_LATE = "older than the history"
+    AHEAD = "from the future"
+    DUPLICATE = "already there"
+    NO_ANCHOR = "its keyframe is not known"
+    NO_ATTITUDE = "no attitude that is believed tells how it was seen"
+    ON_GROUND = "the aircraft stands, or nearly"
+    IMPOSSIBLE = "no aircraft does that"
+    DISTRUSTED = "most of its kind contradict the IMU"
+    HEADING_UNKNOWN = "the heading is not known yet"
+    NOT_STARTED = "the filter is not initialised"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """What a measurement said against the prediction.
 
     Attributes:
-        position_ned_m: (3,), None when unknown; its sigma is per horizontal axis.
-        sigma_baro_m: of the barometer's zero; None takes the configured one, of a barometer that
-            was zeroed where the height is counted from.
+        nis: normalised innovation squared, None when it was not compared.
+        dof: its degrees of freedom. residual: (dof,) measured minus predicted.
+        parts: the heading and AGL of a fix, the heading of odometry.
     """
 
-    t_s: float
-    position_ned_m: Array | None = None
-    sigma_m: float = 5.0
-    agl_m: float = 0.15
-    sigma_agl_m: float = 0.15
-    sigma_velocity_m_s: float = 0.1
-    sigma_baro_m: float | None = None
+    verdict: Verdict
+    nis: float | None = None
+    dof: int = 0
+    residual: Array | None = None
+    parts: tuple["Innovation", ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the state now contains it."""
+        return self.verdict in (Verdict.FUSED, Verdict.RELOCATED)
 
 
-def first_state(start: Start, config: EkfConfig) -> FilterState:
-    """The state before any measurement.
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """A linearised measurement: residual (m,), its Jacobian H (m, n) and noise R (m, m).
 
-    Raises:
-        ValueError: a number that is not finite, or a sigma that is not positive.
+    Attributes:
+        considered: consider states (Schmidt 1966), uncertain in it but not corrected by it: its
+            model of them is too rough. Nor does it correct what their errors have done to other
+            states: a place that is wrong because the heading is stays so until one of them is told.
     """
-    known = start.position_ned_m is not None
-    position = np.zeros(3) if start.position_ned_m is None else np.array(start.position_ned_m)
-    sigmas = np.array([start.sigma_m, start.sigma_agl_m, start.sigma_velocity_m_s])
-    if position.shape != (3,) or not np.all(np.isfinite([*position, start.t_s, start.agl_m])):
-        raise ValueError(f"expected a finite position (3,), time and height, got {start}")
-    if not (np.all(np.isfinite(sigmas)) and np.all(sigmas > 0.0)):
-        raise ValueError(f"expected positive sigmas, got {sigmas}")
-    x = np.zeros(States.SIZE)
-    x[States.POSITION] = position
-    x[States.TERRAIN] = -position[2] - start.agl_m
-    x[States.DRAG] = config.drag_per_s
-    variance = first_variance(config)
-    variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
-    variance[States.DOWN] = 0.1**2  # the height is counted from here
-    variance[States.VELOCITY] = start.sigma_velocity_m_s**2
-    variance[States.TERRAIN] = start.sigma_agl_m**2
-    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
-    trusted = TrustedPosition(start.t_s, position[:2], start.sigma_m) if known else None
-    P, t_s = np.diag(variance), start.t_s
-    return FilterState(t_s, x, P, known, tells_heading(P), t_s, t_s, trusted=trusted)
+
+    residual: Array
+    H: Array
+    R: Array
+    considered: tuple[int, ...] = ()
+
+
+def fuse(
+    state: FilterState, measurement: Measurement, visual_weight: float = 0.0
+) -> tuple[FilterState, Innovation]:
+    """Correct by a measurement unless its gate refuses it, by chi-square of its dimension.
+
+    `visual_weight` is the lambda of the thesis' eq. 3.30: x + K r, then a part lambda of what is
+    still missing. That part goes along the least change of the measured states that explains it:
+    K' = K + lambda H^+ (I - H K).
+    """
+    innovation, K = _compare(state, measurement)
+    if innovation.verdict is Verdict.GATED:
+        return state, innovation
+    if visual_weight > 0.0:
+        H = measurement.H
+        K = K + visual_weight * np.linalg.pinv(H) @ (np.eye(len(H)) - H @ K)
+    return _corrected(state, measurement, K), innovation
+
+
+def correct(state: FilterState, measurement: Measurement) -> FilterState:
+    """Correct by a measurement, whatever its gate says."""
+    return _corrected(state, measurement, _compare(state, measurement)[1])
+
+
+def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
+    """The innovation, and the gain K (n, m) for it: optimal but for consider states."""
+    r, H = measurement.residual, measurement.H
+    PHt = state.P @ H.T
+    S = H @ PHt + measurement.R
+    if len(r) == 1:
+        K, nis = PHt / S[0, 0], float(r[0] ** 2 / S[0, 0])
+    elif measurement.considered:
+        K = _schmidt_gain(state.P, PHt, measurement)
+        nis = float(r @ np.linalg.solve(S, r))
+    else:
+        solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
+        K, nis = solved[:, 1:].T, float(r @ solved[:, 0])
+    verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
+    return Innovation(verdict, nis, len(r), r), K
+
+
+def _schmidt_gain(P: Array, PHt: Array, measurement: Measurement) -> Array:
+    """The gain (n, m) that would be optimal if the consider states c were known as they are.
+
+    P given c is P - P_c P_cc^-1 P_c^T; only its product with H^T is needed.
+
+    With the optimal gain and its rows of c at zero, places far from the last fix were moved by the
+    heading error that the residual seemed to show, metres at a time, and the heading was not.
+    """
+    c, H = list(measurement.considered), measurement.H
+    P_c = P[:, c]
+    # A clone of a state that is cloned anew has all but its covariance: the ridge keeps it regular.
+    P_cc = P_c[c] + _RIDGE * np.eye(len(c))
+    given = PHt - P_c @ np.linalg.solve(P_cc, PHt[c])
+    K = np.array(np.linalg.solve(H @ given + measurement.R, given.T).T, dtype=np.float64)
+    K[c] = 0.0
+    return K
+
+
+def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:
+    """Joseph's form keeps P symmetric and positive for any gain; headings stay in [-pi, pi)."""
+    A = np.eye(States.SIZE) - K @ measurement.H
+    P = A @ state.P @ A.T
+    P += (K @ measurement.R) @ K.T
+    x = state.x + K @ measurement.residual
+    x[_HEADINGS] = (x[_HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
+    return replace(state, x=x, P=0.5 * (P + P.T))
 
 
 def tells_heading(P: Array) -> bool:
     """Whether a covariance (n, n) leaves the heading known well enough to turn ways by it."""
     return bool(P[States.HEADING_BIAS, States.HEADING_BIAS] < _MOST_HEADING_SIGMA_RAD**2)
-
-
-def first_variance(config: EkfConfig) -> Array:
-    """(n,) of what the settings know of at first; of the rest, which the start tells, ones."""
-    variance = np.ones(States.SIZE)
-    variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
-    variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
-    variance[States.TILT] = config.tilt_sigma_rad**2
-    variance[States.BARO] = config.baro_sigma_m**2
-    variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
-    variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
-    variance[States.WIND_FORCE] = config.wind_force_sigma_m_s2**2
-    variance[States.DRAG] = config.drag_sigma_per_s**2
-    variance[States.MAP] = config.map_sigma_m**2
-    variance[States.MAP_TURN] = config.map_turn_rad**2
-    variance[States.MAP_SCALE] = config.map_scale**2
-    return variance
 
 
 def outside(state: FilterState, config: EkfConfig) -> str | None:
@@ -240,44 +291,6 @@ def outside(state: FilterState, config: EkfConfig) -> str | None:
     return None
 
 
-def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
-    """At the last trusted fix, as unsure as an aircraft can have flown since.
-
-    Heights keep their values where they are numbers: they have witnesses of their own, and are open
-    to them. Of the attitude's error nothing is believed but that it is as at first.
-    """
-    x, variance = np.zeros(States.SIZE), first_variance(config)
-    x[States.DRAG] = config.drag_per_s
-    heights = [States.DOWN, States.BARO, States.TERRAIN]
-    if np.all(np.isfinite(state.x[heights])):
-        x[heights] = state.x[heights]
-        # Nor may what it took the barometer's bias for be far from what weather does in an hour.
-        x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
-    variance[States.DOWN], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
-    variance[States.BARO] = _BARO_SIGMA_M**2
-    variance[States.VELOCITY] = config.restart_velocity_m_s**2
-    known = state.trusted is not None
-    sigma_m = config.unknown_sigma_m
-    if state.trusted is not None:
-        x[States.POSITION_NE] = state.trusted.position_ne_m
-        flown_m = 0.5 * config.most_speed_m_s * max(state.t_s - state.trusted.t_s, 0.0)
-        sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
-    variance[States.POSITION_NE] = sigma_m**2
-    P = np.diag(variance)
-    return FilterState(
-        state.t_s,
-        x,
-        P,
-        position_known=known,
-        heading_known=tells_heading(P),
-        tracked_s=state.tracked_s,
-        exposed_s=state.exposed_s,
-        t_last_fix_s=state.t_last_fix_s,
-        trusted=state.trusted,
-        reset_counter=state.reset_counter + 1,
-    )
-
-
 def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
     """What a state says of the aircraft.
 
@@ -289,28 +302,25 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
     x, P = state.x, state.P
     down, terrain = States.DOWN, States.TERRAIN
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
+    # A tilt error turns the heading of a nose that points up or down: by tan(pitch).
+    qw, qx, qy, qz = quat_measured_wxyz.tolist()
+    sin_pitch = min(max(2.0 * (qw * qy - qx * qz), -0.9), 0.9)
+    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
+    yaw, forward = States.HEADING_BIAS, States.TILT.start
+    turn = P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward]
     return Estimate(
         t_s=state.t_s,
         position_ned_m=x[States.POSITION].copy(),
         velocity_ned_m_s=x[States.VELOCITY].copy(),
         covariance=P[States.MOTION, States.MOTION].copy(),
         quat_wxyz=_true_attitude(x, quat_measured_wxyz),
-        sigma_yaw_rad=min(math.sqrt(_yaw_variance(P, quat_measured_wxyz) + turned_rad**2), math.pi),
+        sigma_yaw_rad=min(math.sqrt(float(turn) + turned_rad**2), math.pi),
         agl_m=max(state.agl_m, 0.0),
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
         wind_ne_m_s=wind_ne_m_s(state),
     )
-
-
-def _yaw_variance(P: Array, quat_measured_wxyz: Array) -> float:
-    """A tilt error turns the heading of a nose that points up or down: by tan(pitch)."""
-    w, x, y, z = quat_measured_wxyz.tolist()
-    sin_pitch = min(max(2.0 * (w * y - x * z), -0.9), 0.9)
-    tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
-    yaw, forward = States.HEADING_BIAS, States.TILT.start
-    return float(P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward])
 
 
 def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:

@@ -27,6 +27,8 @@ _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
 _MIN_SHARE = 0.4  # of the image that must lie within that
 _GRID = 33
+_CUT_CELLS = 24
+_WORTH_SHARE = 0.5  # of a strip of a view that must show the image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -227,7 +229,10 @@ def rectification(
     Returns:
         None when the camera does not look down enough, or the numbers make no view.
     """
-    if not (_positive(agl_m) and _positive(m_per_px) and np.all(np.isfinite(R_ned_camera))):
+    numbers = np.array([agl_m, m_per_px])
+    if not (np.all(numbers > 0.0) and np.all(np.isfinite(numbers))):
+        return None
+    if not np.all(np.isfinite(R_ned_camera)):
         return None
     ground_en = _ground_east_north(K, frame_size_wh, R_ned_camera)
     if len(ground_en) < _MIN_SHARE * _GRID**2:
@@ -239,10 +244,6 @@ def rectification(
     H_rect_ned = np.array([[0.0, scale, nadir_uv[0]], [-scale, 0.0, nadir_uv[1]], [0.0, 0.0, 1.0]])
     H_rect_frame = H_rect_ned @ R_ned_camera @ np.linalg.inv(K)
     return Rectification(H_rect_frame, size_wh, m_per_px, nadir_uv, agl_m)
-
-
-def _positive(value: float) -> bool:
-    return math.isfinite(value) and value > 0.0
 
 
 def _ground_east_north(K: Array, size_wh: tuple[int, int], R_ned_camera: Array) -> Array:
@@ -260,14 +261,67 @@ def _window(ground_en_px: Array, max_size_px: int) -> tuple[tuple[int, int], Arr
     """Size (w, h) of the view and its north-west corner (east, north), in pixels from the nadir."""
     low, high = ground_en_px.min(axis=0), ground_en_px.max(axis=0)
     size = np.clip(np.ceil(high - low), 1, max_size_px)
-    # The median leans to where the image has most pixels per metre of ground.
-    middle = np.median(ground_en_px, axis=0)
     half = size / 2.0
+    # The median leans to where the image has most pixels per metre of ground.
+    is_cut = max(high - low) > max_size_px
+    middle = np.median(ground_en_px, axis=0) if is_cut else (low + high) / 2.0
     middle = np.clip(
         middle, np.minimum(low + half, high - half), np.maximum(low + half, high - half)
     )
     corner = np.array([middle[0] - half[0], middle[1] + half[1]])
     return (int(size[0]), int(size[1])), corner
+
+
+def cut_to_image(
+    view: Rectification, frame_size_wh: tuple[int, int], multiple_px: int
+) -> Rectification:
+    """The part of a view that is worth its pixels.
+
+    An image that is turned fills half of a north-up view. Of all rectangles the one is taken whose
+    pixels that show the image, less `_WORTH_SHARE` of all its pixels, are the most; what is lost
+    are corners of the image, about which the view shows little else of it.
+
+    Args:
+        view: of the whole image.
+        frame_size_wh: (width, height) of the image.
+        multiple_px: the sides are made the nearest multiple of it, and may reach past the view.
+    """
+    top, bottom = np.triu_indices(_CUT_CELLS + 1, 1)
+    filled = np.zeros((_CUT_CELLS + 1, _CUT_CELLS))
+    np.cumsum(_shown(view, frame_size_wh), axis=0, out=filled[1:])
+    worth = filled[bottom] - filled[top] - _WORTH_SHARE * (bottom - top)[:, None]
+    # Of each band of rows the best run of columns: the largest rise of the sums.
+    sums = np.zeros((len(top), _CUT_CELLS + 1))
+    np.cumsum(worth, axis=1, out=sums[:, 1:])
+    rise = sums[:, 1:] - np.minimum.accumulate(sums[:, :-1], axis=1)
+    band, last = np.unravel_index(int(np.argmax(rise)), rise.shape)
+    first = int(np.argmin(sums[band, : last + 1]))
+    corners = np.array([[first, top[band]], [last + 1, bottom[band]]])
+    low_px, high_px = corners * np.array(view.size_wh) / _CUT_CELLS
+    size_px = np.maximum(np.round((high_px - low_px) / multiple_px), 1.0) * multiple_px
+    corner_px = np.round((low_px + high_px - size_px) / 2.0)
+    shift = np.eye(3)
+    shift[:2, 2] = -corner_px
+    return replace(
+        view,
+        H_rect_frame=shift @ view.H_rect_frame,
+        size_wh=(int(size_px[0]), int(size_px[1])),
+        nadir_uv=view.nadir_uv - corner_px,
+    )
+
+
+def _shown(view: Rectification, frame_size_wh: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which cells (rows, columns) of a view show the image in their middle."""
+    u, v = ((np.arange(_CUT_CELLS) + 0.5)[:, None] * view.size_wh / _CUT_CELLS - 0.5).T
+    H_frame_view = np.linalg.inv(view.H_rect_frame)
+    rows = H_frame_view[:, 1:2] * v + H_frame_view[:, 2:]
+    x, y, depth = rows[:, :, None] + (H_frame_view[:, :1] * u)[:, None, :]
+    w, h = frame_size_wh
+    # Positive where the image's middle is; what is behind the horizon fits between no edges.
+    sign = np.sign(view.H_rect_frame[2] @ [(w - 1) / 2.0, (h - 1) / 2.0, 1.0])
+    x, y, depth = sign * x, sign * y, sign * depth
+    across = (-0.5 * depth <= x) & (x <= (w - 0.5) * depth)
+    return np.asarray(across & (-0.5 * depth <= y) & (y <= (h - 0.5) * depth))
 
 
 def to_gray(image: NDArray[np.uint8]) -> Gray:

@@ -6,7 +6,8 @@ upper edge (85.05 degrees north), and the centre of the first pixel is at 0.5.
 """
 
 import math
-from typing import overload
+from collections.abc import Iterator
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -209,3 +210,62 @@ def zoom_for_resolution(lat_deg: float, m_per_px: float) -> int:
         raise ValueError(f"expected a positive resolution in metres per pixel, got {m_per_px}")
     zoom = round(math.log2(ground_resolution_m_per_px(lat_deg, 0) / m_per_px))
     return min(max(zoom, 0), MAX_ZOOM)
+
+
+class Tile(NamedTuple):
+    """A tile of a level: `x` counts from 180 degrees west, `y` from the northern edge."""
+
+    zoom: int
+    x: int
+    y: int
+
+    @property
+    def row(self) -> int:
+        """The tile's row as MBTiles counts it: from the southern edge (TMS)."""
+        return int(2**self.zoom - 1 - self.y)
+
+    @property
+    def window(self) -> "Window":
+        """The tile's pixels in global pixels of its level."""
+        x0, y0 = self.x * TILE_PX, self.y * TILE_PX
+        return Window(x0, y0, x0 + TILE_PX, y0 + TILE_PX)
+
+
+class Window(NamedTuple):
+    """A rectangle of global pixels of one level, corner convention, end exclusive."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) in pixels, never negative."""
+        return max(self.y1 - self.y0, 0), max(self.x1 - self.x0, 0)
+
+    def grown(self, margin_px: int) -> "Window":
+        """The window with a margin on each side."""
+        return Window(
+            self.x0 - margin_px, self.y0 - margin_px, self.x1 + margin_px, self.y1 + margin_px
+        )
+
+    def clipped(self, other: "Window") -> "Window":
+        """What this window shares with another; of zero size when that is nothing."""
+        x0, y0 = max(self.x0, other.x0), max(self.y0, other.y0)
+        return Window(x0, y0, max(x0, min(self.x1, other.x1)), max(y0, min(self.y1, other.y1)))
+
+    def parts(self, size_px: int) -> Iterator["Window"]:
+        """The window cut into squares of at most that size."""
+        for y0 in range(self.y0, self.y1, size_px):
+            for x0 in range(self.x0, self.x1, size_px):
+                yield Window(x0, y0, min(x0 + size_px, self.x1), min(y0 + size_px, self.y1))
+
+    def tiles(self, zoom: int) -> list[Tile]:
+        """The tiles that have a pixel in the window, row by row; the grid's own edges are kept."""
+        if 0 in self.shape:
+            return []
+        last = 2**zoom - 1
+        rows = range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1)
+        columns = range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1)
+        return [Tile(zoom, x, y) for y in rows for x in columns]

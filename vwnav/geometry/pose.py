@@ -82,20 +82,22 @@ def pose_from_rectified(
         px_per_m: (east, north) of the map level at that place.
         errors: of matches, attitude and map.
     """
-    is_similarity = not np.any(H_map_rect[2, :2])
-    propagate = similarity_covariance if is_similarity else homography_covariance
-    covariance_px2 = propagate(uv_rect, uv_map, H_map_rect, errors.sigma_px, view.nadir_uv)
-    turn_of = _turn_of_similarity if is_similarity else _turn_of_homography
+    homography = bool(np.any(H_map_rect[2, :2]))
+    fit = linearised(uv_rect, uv_map, H_map_rect, view.nadir_uv, homography=homography)
+    covariance_px2 = None if fit is None else scatter_covariance(fit, errors.sigma_px)
+    turn_of = _turn_of_homography if homography else _turn_of_similarity
     turn = turn_of(H_map_rect, view, uv_rect, uv_map, px_per_m, errors)
     nadir_px = transform_points(H_map_rect, view.nadir_uv)[0]
-    if covariance_px2 is None or turn is None or not np.all(np.isfinite(nadir_px)):
+    if fit is None or covariance_px2 is None or turn is None or not np.all(np.isfinite(nadir_px)):
         return None
-    regional_px2 = regional_covariance(uv_rect, uv_map, H_map_rect, view.nadir_uv)
-    covariance_px2 = with_regions(covariance_px2, regional_px2)
+    covariance_px2 = with_regions(covariance_px2, regional_covariance(fit))
     agl_m = view.agl_m * turn.scale
+    # Of north and east: the fit's, in metres, and the errors that no match shows.
+    to_ne = np.array([[0.0, -1.0 / px_per_m[1]], [1.0 / px_per_m[0], 0.0]])
+    unseen_m2 = (agl_m * errors.sigma_tilt_rad) ** 2 + errors.sigma_georeference_m**2
     return MapPose(
         nadir_px=nadir_px,
-        covariance_ne_m2=_covariance_ne_m2(covariance_px2, px_per_m, agl_m, errors),
+        covariance_ne_m2=np.asarray(to_ne @ covariance_px2 @ to_ne.T + unseen_m2 * np.eye(2)),
         yaw_correction_rad=turn.rotation_rad,
         sigma_yaw_rad=turn.sigma_rad,
         scale_ratio=turn.scale,
@@ -144,7 +146,8 @@ def _turn_of_homography(
     reach_px = _REACH * max(view.size_wh)
     around = view.nadir_uv + reach_px * _CROSS
     turn = _turn_and_scale(H_map_rect, view.m_per_px, around, px_per_m, errors.sigma_px)
-    covariance_px2 = homography_covariance(uv_rect, uv_map, H_map_rect, errors.sigma_px, around)
+    fit = linearised(uv_rect, uv_map, H_map_rect, around, homography=True)
+    covariance_px2 = None if fit is None else scatter_covariance(fit, errors.sigma_px)
     if turn is None or covariance_px2 is None:
         return None
     rotation_rad, scale, _ = turn
@@ -166,15 +169,6 @@ def _cross_sigmas(covariance: Array, turn_rad: float) -> tuple[float, float]:
         math.sqrt(float(rotation @ covariance @ rotation)),
         math.sqrt(float(scale @ covariance @ scale)),
     )
-
-
-def _covariance_ne_m2(
-    covariance_px2: Array, px_per_m: tuple[float, float], agl_m: float, errors: PoseErrors
-) -> Array:
-    """Of north and east: the fit's, in metres, and the errors that no match shows."""
-    to_ne = np.array([[0.0, -1.0 / px_per_m[1]], [1.0 / px_per_m[0], 0.0]])
-    unseen_m2 = (agl_m * errors.sigma_tilt_rad) ** 2 + errors.sigma_georeference_m**2
-    return np.asarray(to_ne @ covariance_px2 @ to_ne.T + unseen_m2 * np.eye(2))
 
 
 def _turn_and_scale(
@@ -203,55 +197,80 @@ def _turn_and_scale(
     return math.atan2(turn.imag, turn.real), scale, sigma_m / (spread * scale)
 
 
-def homography_covariance(
-    uv0: Array, uv1: Array, H_1_0: Array, sigma_px: float, at_uv: Array
-) -> Array | None:
-    """Covariance (2, 2) in px^2 of where the fitted homography maps `at_uv` (2,).
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """A homography, or a similarity, about what it was fitted to.
 
-    Linear propagation through the least-squares fit to the inlier pairs (n, 2), n > 4 (Hartley and
-    Zisserman, 2nd edition, section 5.2.3). `sigma_px` is the error of a pair in image 1;
-    the pairs' own scatter is used where it is larger. None when they do not fix a homography.
+    Attributes:
+        uv0: (n, 2) the pairs in image 0.
+        error_px: (2 n,) where they are in image 1, less where the fit maps them.
+        design: (2 n, k) derivatives of the mapped pairs by the fit's k unknowns.
+        design_at: (2 m, k) of the places that are asked for.
     """
-    designs = _designs(uv0, H_1_0, at_uv, homography=True)
-    if designs is None:
+
+    uv0: Array
+    error_px: Array
+    design: Array
+    design_at: Array
+
+
+def linearised(
+    uv0: Array, uv1: Array, H_1_0: Array, at_uv: Array, *, homography: bool
+) -> Linearised | None:
+    """A fit to inlier pairs (n, 2), with places `at_uv` (m, 2) of image 0 or one (2,).
+
+    In pixels that are centred and scaled, of image 1 as well: that only changes the unknowns.
+    None where the numbers make no fit.
+    """
+    to_unit, mapped = _to_unit(uv0), transform_points(H_1_0, uv0)
+    points, at = transform_points(to_unit, uv0), transform_points(to_unit, at_uv)
+    error_px = (uv1 - mapped).ravel()
+    if not homography:
+        return Linearised(uv0, error_px, _similarity_design(points), _similarity_design(at))
+    H_unit = _to_unit(mapped) @ H_1_0 @ np.linalg.inv(to_unit)
+    if not abs(H_unit[2, 2]) > 1e-12 * np.abs(H_unit).max():
         return None
-    return _propagate(*designs, _variance(uv0, uv1, H_1_0, sigma_px, unknowns=8))
+    H_unit /= H_unit[2, 2]
+    designs = _homography_design(points, H_unit), _homography_design(at, H_unit)
+    return Linearised(uv0, error_px, *designs)
 
 
-def similarity_covariance(
-    uv0: Array, uv1: Array, H_1_0: Array, sigma_px: float, at_uv: Array
-) -> Array | None:
-    """As `homography_covariance`, for a fit by `estimate_similarity` to n > 2 pairs."""
-    designs = _designs(uv0, H_1_0, at_uv, homography=False)
-    if designs is None:
+def scatter_covariance(fit: Linearised, sigma_px: float) -> Array | None:
+    """Covariance (2 m, 2 m) in px^2 of where a fit maps its places.
+
+    Linear propagation through the least-squares fit to the pairs, n > 4 of a homography, n > 2 of a
+    similarity (Hartley and Zisserman, 2nd edition, section 5.2.3). `sigma_px` is the error of a
+    pair in image 1; the pairs' own scatter is used where it is larger. None when they fix no fit.
+    """
+    design, design_at = fit.design, fit.design_at
+    information = design.T @ design
+    if len(design) < len(information) or np.linalg.cond(information) > _MAX_CONDITION:
         return None
-    return _propagate(*designs, _variance(uv0, uv1, H_1_0, sigma_px, unknowns=4))
+    spare = len(design) - len(information)
+    scatter = np.sum(fit.error_px**2) / spare if spare > 0 else 0.0
+    variance_px2 = max(sigma_px**2, float(scatter))
+    return np.asarray(variance_px2 * design_at @ np.linalg.solve(information, design_at.T))
 
 
-def regional_covariance(uv0: Array, uv1: Array, H_1_0: Array, at_uv: Array) -> Array:
-    """Covariance (2, 2) in px^2 of where a fit maps `at_uv` (2,), by leaving out regions.
+def regional_covariance(fit: Linearised) -> Array:
+    """Covariance (2, 2) in px^2 of where a fit maps its place, by leaving out regions.
 
     What pairs of one region share, their scatter does not show: roofs that lean alike, shadows
     that moved, a part of the map that was rectified otherwise. The fit is made anew, to first
     order, without each quadrant of the pairs (a grouped jackknife: Shao and Tu, "The Jackknife and
     Bootstrap", 1995). Zero where the other quadrants fix no fit.
     """
-    designs = _designs(uv0, H_1_0, at_uv, homography=bool(np.any(H_1_0[2, :2])))
-    if designs is None:
-        return np.zeros((2, 2))
-    design, design_at = designs
-    residual = (uv1 - transform_points(H_1_0, uv0)).ravel()
-    east, south = (uv0 > np.median(uv0, axis=0)).T
-    quadrant = np.repeat(2 * south + east, 2)
-    total = np.zeros((2, 2))
-    for left_out in range(_QUADRANTS):
-        A, e = design[quadrant != left_out], residual[quadrant != left_out]
-        information = A.T @ A
-        if len(A) < len(information) or np.linalg.cond(information) > _MAX_CONDITION:
-            continue
-        shift = design_at @ np.linalg.solve(information, A.T @ e)
-        total += np.outer(shift, shift)
-    return (_QUADRANTS - 1) / _QUADRANTS * total
+    design, error_px = fit.design, fit.error_px
+    east, south = (fit.uv0 > np.median(fit.uv0, axis=0)).T
+    inside = np.repeat(2 * south + east, 2) == np.arange(_QUADRANTS)[:, None]
+    # What all regions say of the unknowns, less what one of them does.
+    told, pulled = (inside[:, None, :] * design.T) @ design, (inside * error_px) @ design
+    information, pull = told.sum(axis=0) - told, pulled.sum(axis=0) - pulled
+    enough = np.count_nonzero(~inside, axis=1) >= design.shape[1]
+    enough &= np.linalg.cond(information) <= _MAX_CONDITION
+    unknowns = np.linalg.solve(information[enough], pull[enough][..., None])
+    shifts = (fit.design_at @ unknowns)[..., 0]
+    return np.asarray((_QUADRANTS - 1) / _QUADRANTS * shifts.T @ shifts)
 
 
 def with_regions(scatter: Array, regional: Array) -> Array:
@@ -269,24 +288,6 @@ def with_regions(scatter: Array, regional: Array) -> Array:
     variances, axes = np.linalg.eigh(whitened)
     told = np.where(variances > _HEARD, variances, 1.0)
     return np.asarray((root @ axes) * told @ (root @ axes).T)
-
-
-def _designs(
-    uv0: Array, H_1_0: Array, at_uv: Array, *, homography: bool
-) -> tuple[Array, Array] | None:
-    """Derivatives of the mapped pairs and of the mapped place by the unknowns.
-
-    In pixels that are centred and scaled, of image 1 as well: that only changes the unknowns.
-    """
-    to_unit = _to_unit(uv0)
-    points, at = transform_points(to_unit, uv0), transform_points(to_unit, at_uv)
-    if not homography:
-        return _similarity_design(points), _similarity_design(at)
-    H_unit = _to_unit(transform_points(H_1_0, uv0)) @ H_1_0 @ np.linalg.inv(to_unit)
-    if not abs(H_unit[2, 2]) > 1e-12 * np.abs(H_unit).max():
-        return None
-    H_unit /= H_unit[2, 2]
-    return _homography_design(points, H_unit), _homography_design(at, H_unit)
 
 
 def _to_unit(uv: Array) -> Array:
@@ -316,17 +317,3 @@ def _similarity_design(points: Array) -> Array:
     u = np.stack([x, -y, one, zero], axis=-1)
     v = np.stack([y, x, zero, one], axis=-1)
     return np.asarray(np.stack([u, v], axis=1).reshape(-1, 4))
-
-
-def _variance(uv0: Array, uv1: Array, H: Array, sigma_px: float, unknowns: int) -> float:
-    spare = 2 * len(uv0) - unknowns
-    scatter = np.sum((transform_points(H, uv0) - uv1) ** 2) / spare if spare > 0 else 0.0
-    return max(sigma_px**2, float(scatter))
-
-
-def _propagate(design: Array, design_at: Array, variance_px2: float) -> Array | None:
-    information = design.T @ design
-    if len(design) < len(information) or np.linalg.cond(information) > _MAX_CONDITION:
-        return None
-    spread = np.linalg.solve(information, design_at.T)
-    return np.asarray(variance_px2 * design_at @ spread)

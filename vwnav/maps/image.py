@@ -1,76 +1,17 @@
-"""Pieces of a map: tiles of the web-mercator grid, windows over it, images with a mask."""
+"""Pieces of a map: images with a mask, features, and what the localizer reads of it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.geodesy import TILE_PX
+from vwnav.geometry.geodesy import Tile, Window
 from vwnav.types import FeatureExtractor, Features, Gray
 
 Mask = NDArray[np.bool_]
-
-
-class Tile(NamedTuple):
-    """A tile of a level: `x` counts from 180 degrees west, `y` from the northern edge."""
-
-    zoom: int
-    x: int
-    y: int
-
-    @property
-    def row(self) -> int:
-        """The tile's row as MBTiles counts it: from the southern edge (TMS)."""
-        return int(2**self.zoom - 1 - self.y)
-
-    @property
-    def window(self) -> "Window":
-        """The tile's pixels in global pixels of its level."""
-        x0, y0 = self.x * TILE_PX, self.y * TILE_PX
-        return Window(x0, y0, x0 + TILE_PX, y0 + TILE_PX)
-
-
-class Window(NamedTuple):
-    """A rectangle of global pixels of one level, corner convention, end exclusive."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(height, width) in pixels, never negative."""
-        return max(self.y1 - self.y0, 0), max(self.x1 - self.x0, 0)
-
-    def grown(self, margin_px: int) -> "Window":
-        """The window with a margin on each side."""
-        return Window(
-            self.x0 - margin_px, self.y0 - margin_px, self.x1 + margin_px, self.y1 + margin_px
-        )
-
-    def clipped(self, other: "Window") -> "Window":
-        """What this window shares with another; of zero size when that is nothing."""
-        x0, y0 = max(self.x0, other.x0), max(self.y0, other.y0)
-        return Window(x0, y0, max(x0, min(self.x1, other.x1)), max(y0, min(self.y1, other.y1)))
-
-    def parts(self, size_px: int) -> Iterator["Window"]:
-        """The window cut into squares of at most that size."""
-        for y0 in range(self.y0, self.y1, size_px):
-            for x0 in range(self.x0, self.x1, size_px):
-                yield Window(x0, y0, min(x0 + size_px, self.x1), min(y0 + size_px, self.y1))
-
-    def tiles(self, zoom: int) -> list[Tile]:
-        """The tiles that have a pixel in the window, row by row; the grid's own edges are kept."""
-        if 0 in self.shape:
-            return []
-        last = 2**zoom - 1
-        rows = range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1)
-        columns = range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1)
-        return [Tile(zoom, x, y) for y in rows for x in columns]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +56,40 @@ class MapImage:
         mask = weight >= 2
         mean = (total + weight[..., None] // 2) // np.maximum(weight, 1)[..., None]
         return MapImage(np.where(mask[..., None], mean, 0).astype(np.uint8), mask)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedFeatures:
+    """The features of some tiles, strongest first.
+
+    Attributes:
+        features: uv from the corner of the first tile.
+        owner: (n,) number of the tile of each.
+        corner_px: (2,) of the first tile, global pixels.
+    """
+
+    features: Features
+    owner: NDArray[np.int64]
+    corner_px: NDArray[np.int64]
+
+
+def join(tiles: dict[Tile, Features]) -> JoinedFeatures | None:
+    """All features of some tiles; None where they have none."""
+    if not tiles:
+        return None
+    found = list(tiles.values())
+    corner_px = np.array(next(iter(tiles)).window[:2], np.int64)
+    sizes = [len(features) for features in found]
+    shift_px = np.array([tile.window[:2] for tile in tiles]) - corner_px
+    uv = np.concatenate([features.uv for features in found])
+    uv = uv + np.repeat(shift_px.astype(np.float32), sizes, axis=0)
+    scores = np.concatenate([features.scores for features in found])
+    descriptors = np.concatenate([features.descriptors for features in found])
+    order = np.argsort(-scores, kind="stable")
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    return JoinedFeatures(
+        Features(uv[order], descriptors[order], scores[order]), owner[order], corner_px
+    )
 
 
 def assemble(zoom: int, window: Window, fetch: Callable[[Tile], MapImage | None]) -> MapImage:

@@ -8,10 +8,10 @@ from pathlib import Path
 from urllib.parse import quote
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import ground_resolution_m_per_px
+from vwnav.geometry.geodesy import Tile, Window, ground_resolution_m_per_px
 from vwnav.maps.codec import DESCRIPTOR_KINDS, DescriptorKind, decode_features, decode_tile
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.image import Level, MapImage, Tile, Window
+from vwnav.maps.image import Level, MapImage
 from vwnav.maps.schema import SCHEMA_VERSION, SQLITE_MAGIC, metadata_checksum
 from vwnav.types import FEATURE_NAMES, FeatureName, Features
 

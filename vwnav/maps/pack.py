@@ -12,9 +12,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from vwnav.errors import ModelError
-from vwnav.geometry.geodesy import TILE_PX, mercator_px
+from vwnav.geometry.geodesy import TILE_PX, Tile, Window, mercator_px
 from vwnav.maps.build.keypoints import block_of, block_tiles, extract_block
-from vwnav.maps.image import MapFeatures, MapImage, Mask, Tile, Window, assemble
+from vwnav.maps.image import JoinedFeatures, MapFeatures, MapImage, Mask, assemble, join
 from vwnav.maps.mbtiles import (
     DAMAGE,
     FeatureSetInfo,
@@ -33,6 +33,7 @@ _CACHED_IMAGES = 64  # tiles; 0.25 MB each
 _CACHED_FEATURES = 192  # tiles of one set; up to 0.2 MB each
 MAX_WINDOW_PX = 64_000_000
 MAX_KEYPOINTS = 20_000
+_CACHED_JOINS = 3  # what steps look at: around the prior, closer, and beside it; some MB each
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 
@@ -104,6 +105,7 @@ class MapPack:
         self.sources, self.created_utc = description.sources, description.created_utc
         self._images: Lru[Tile, MapImage | None] = Lru(_CACHED_IMAGES)
         self._features: Lru[tuple[str, Tile], Features | None] = Lru(_CACHED_FEATURES)
+        self._joined: Lru[tuple[str, tuple[Tile, ...]], JoinedFeatures | None] = Lru(_CACHED_JOINS)
         self._warned: set[object] = set()
 
     @classmethod
@@ -198,19 +200,16 @@ class MapPack:
         """
         window = Window(int(x0), int(y0), int(x1), int(y1)).clipped(self.window(zoom))
         origin_px = np.array(window[:2], np.int64)
-        features = self._tiled_features(window.tiles(zoom), extractor)
-        if not features:
+        tiles = tuple(window.tiles(zoom))
+        with self._lock:
+            joined = self._joined.get(
+                (extractor.feature_set_id, tiles),
+                lambda: join(self._tiled_features(tiles, extractor)),
+            )
+        if joined is None:
             nothing = extractor.extract(np.zeros((64, 64), np.uint8), 1)
             return MapFeatures(zoom, origin_px, nothing)
-        return MapFeatures(zoom, origin_px, _strongest_in(window, features, max_keypoints))
-
-    def check_features(self, extractor: FeatureExtractor) -> None:
-        """Check before a flight that the pack's features can be compared with an extractor's.
-
-        Raises:
-            ModelError: they were made by another model; the message holds the repairing command.
-        """
-        self._stored_set(extractor)
+        return MapFeatures(zoom, origin_px, _strongest_in(joined, window, max_keypoints))
 
     def elevation_m(self, lat_deg: float, lon_deg: float) -> float | None:
         """Height of the ground above mean sea level in metres, None where it is not known."""
@@ -240,7 +239,12 @@ class MapPack:
             raise damaged(self.path, str(error)) from error
         return int(count or 0)
 
-    def _stored_set(self, extractor: FeatureExtractor) -> FeatureSetInfo | None:
+    def check_features(self, extractor: FeatureExtractor) -> FeatureSetInfo | None:
+        """The pack's features that can be compared with an extractor's; None where there are none.
+
+        Raises:
+            ModelError: they were made by another model; the message holds the repairing command.
+        """
         stored = next((info for info in self.feature_sets if info.name == extractor.name), None)
         if stored is None:
             self._warn_once(
@@ -275,10 +279,10 @@ class MapPack:
             return None
 
     def _tiled_features(
-        self, tiles: list[Tile], extractor: FeatureExtractor
+        self, tiles: tuple[Tile, ...], extractor: FeatureExtractor
     ) -> dict[Tile, Features]:
         """Those of each tile that has any."""
-        stored, set_id = self._stored_set(extractor), extractor.feature_set_id
+        stored, set_id = self.check_features(extractor), extractor.feature_set_id
         found: dict[Tile, Features] = {}
         for tile in tiles:
             with self._lock:
@@ -311,24 +315,17 @@ class MapPack:
             _LOG.warning(message)
 
 
-def _strongest_in(window: Window, tiles: dict[Tile, Features], count: int) -> Features:
-    """The tiles' features in a window, relative to it, strongest first.
-
-    Where they are too many, the first ones of every tile.
-    """
-    found = tiles.values()
-    shift_px = np.array([(tile.x, tile.y) for tile in tiles]) * TILE_PX - np.array(window[:2])
-    sizes = [len(features.uv) for features in found]
-    uv = np.concatenate([features.uv for features in found])
-    uv = uv + np.repeat(shift_px.astype(np.float32), sizes, axis=0)
-    corner, size_wh = uv + np.float32(0.5), np.array(window.shape[::-1], np.float32)
-    inside = np.flatnonzero(((corner >= 0.0) & (corner < size_wh)).all(axis=1))
-    owner = np.repeat(np.arange(len(sizes)), sizes)[inside]
-    # Features come strongest first: the rank within a tile is the place in it.
-    rank = np.arange(len(inside)) - np.searchsorted(owner, owner)
-    kept = np.argsort(rank, kind="stable")[:count]
-    kept = inside[kept]
-    scores = np.concatenate([features.scores for features in found])
-    kept = kept[np.argsort(-scores[kept], kind="stable")]
-    descriptors = np.concatenate([features.descriptors for features in found])
-    return Features(uv[kept], descriptors[kept], scores[kept])
+def _strongest_in(joined: JoinedFeatures, window: Window, count: int) -> Features:
+    """Those in a window, relative to it; where they are too many, the first of every tile."""
+    shift_px = (joined.corner_px - np.array(window[:2])).astype(np.float32)
+    uv = joined.features.uv + shift_px
+    corner, (h, w) = uv + np.float32(0.5), window.shape
+    inside = (corner >= 0.0).all(axis=1) & (corner < np.array([w, h], np.float32)).all(axis=1)
+    kept = np.flatnonzero(inside)
+    if len(kept) > count:
+        by_tile = np.argsort(joined.owner[kept], kind="stable")
+        owner = joined.owner[kept][by_tile]
+        rank = np.empty(len(kept), np.int64)
+        rank[by_tile] = np.arange(len(kept)) - np.searchsorted(owner, owner)
+        kept = kept[np.sort(np.argsort(rank, kind="stable")[:count])]
+    return Features(uv[kept], joined.features.descriptors[kept], joined.features.scores[kept])

@@ -3,12 +3,12 @@
 import time
 from dataclasses import dataclass
 
-from vwnav.assemble import Assembled
 from vwnav.clock import Clock
 from vwnav.flight import Flight
 from vwnav.mission.mission import Crew, DeadMansHandle
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.record import FlightRecord
+from vwnav.pipeline import Pipeline
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
@@ -30,7 +30,7 @@ class Aboard:
 
 def put_aboard(
     plan: FlightPlan,
-    assembled: Assembled,
+    pipeline: Pipeline,
     autopilot: Autopilot,
     keep_alive: DeadMansHandle,
     record: FlightRecord,
@@ -41,7 +41,7 @@ def put_aboard(
 
     Args:
         plan: what is flown.
-        assembled: the pipeline.
+        pipeline: from images to the estimate.
         autopilot: the link's driver.
         keep_alive: the sign of life to the watchdog.
         record: hears and keeps everything.
@@ -54,11 +54,9 @@ def put_aboard(
     flight = Flight(
         autopilot, plan.mission, keep_alive, crew, config.flight, config.limits, config.safety
     )
-    record.follow(flight, assembled.pipeline)
+    record.follow(flight, pipeline)
     guard = EstimateGuard(config.estimate, first_counter)
-    runtime = FlightRuntime(
-        assembled.pipeline, flight, autopilot, guard, keep_alive, camera, record
-    )
+    runtime = FlightRuntime(pipeline, flight, autopilot, guard, keep_alive, camera, record)
     return Aboard(flight, runtime)
 
 

@@ -17,7 +17,7 @@ from vwnav.assemble import about_run, assemble
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
@@ -160,7 +160,7 @@ def _fly(
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
-    aboard = put_aboard(plan, assembled, autopilot, handle, record, options.arms)
+    aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, options.arms)
     with _stopped_by_signals():
         try:
             if not options.arms:
@@ -168,7 +168,7 @@ def _fly(
             end = aboard.runtime.run(source, clock)
         finally:
             handle.end()
-            record.close(options, assembled)
+            record.close(options, assembled.pipeline, plan.pack.name)
     if end.reason is not None:
         error = PreflightError if end.unsafe else VwnavError
         raise error(f"{end.reason} (record in {folder})")

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from vwnav import __version__
-from vwnav.assemble import Assembled
 from vwnav.clock import Clock
 from vwnav.config import Config
 from vwnav.flight import Flight
@@ -131,13 +130,13 @@ class FlightRecord:
             f"({inliers} inliers)  {vehicle.mode.value}  battery {battery}{error}"
         )
 
-    def close(self, options: FlyOptions, assembled: Assembled) -> None:
+    def close(self, options: FlyOptions, pipeline: Pipeline, map_name: str) -> None:
         """Finish the files and print the table; what cannot be written is said, the rest is."""
         self._line.__exit__(None, None, None)
         endings: tuple[tuple[str, Callable[[], None]], ...] = (
             ("trajectory.csv", self._close_trajectory),
             ("flight.mcap", self._recorder.close),
-            ("run.json", lambda: self._write_summary(options, assembled)),
+            ("run.json", lambda: self._write_summary(options, pipeline, map_name)),
             ("track.png", lambda: self._image.save(self._folder / "track.png")),
         )
         for name, finish in endings:
@@ -146,23 +145,22 @@ class FlightRecord:
             except Exception as error:
                 _log.exception("%s could not be finished", name)
                 say(f"{name} could not be finished: {error}")
-        print_table("flight", self._rows(assembled))
+        print_table("flight", self._rows(pipeline))
 
     def _close_trajectory(self) -> None:
         if self._trajectory is not None:
             self._trajectory.close()
 
-    def _write_summary(self, options: FlyOptions, assembled: Assembled) -> None:
-        write_json(self._folder / "run.json", self._summary(options, assembled))
+    def _write_summary(self, options: FlyOptions, pipeline: Pipeline, map_name: str) -> None:
+        write_json(self._folder / "run.json", self._summary(options, pipeline, map_name))
 
-    def _summary(self, options: FlyOptions, assembled: Assembled) -> dict[str, object]:
-        pipeline = assembled.pipeline
+    def _summary(self, options: FlyOptions, pipeline: Pipeline, map_name: str) -> dict[str, object]:
         end = self._flight.end if self._flight else None
         summary: dict[str, object] = {
             "command": "fly",
             "version": __version__,
             "simulated": options.sim,
-            "map": assembled.pack.name,
+            "map": map_name,
             **self.input_log.about.as_json(),
             "completed": end is not None and end.reason is None,
             "reason": end.reason if end else "the flight loop broke off",
@@ -182,8 +180,7 @@ class FlightRecord:
             }
         return summary
 
-    def _rows(self, assembled: Assembled) -> list[tuple[str, str]]:
-        pipeline = assembled.pipeline
+    def _rows(self, pipeline: Pipeline) -> list[tuple[str, str]]:
         rate = 100.0 * pipeline.accepted / pipeline.attempts if pipeline.attempts else 0.0
         end = self._flight.end if self._flight else None
         done = "whole route flown" if end and end.reason is None else "not completed"

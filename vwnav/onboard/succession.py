@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.types import Array
 from vwnav.watchdog.loop import Resume

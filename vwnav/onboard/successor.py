@@ -18,7 +18,7 @@ import numpy as np
 from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
@@ -137,14 +137,14 @@ def _succeed(
     keep_alive = KeepAlive(UdpChannel(handover.keepalive_port, listens=False), clock)
     stack.callback(keep_alive.close)
     aboard = put_aboard(
-        plan, assembled, autopilot, keep_alive, record, arms=False,
+        plan, assembled.pipeline, autopilot, keep_alive, record, arms=False,
         first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)
     try:
         aboard.runtime.run(source, clock)
     finally:
-        record.close(options, assembled)
+        record.close(options, assembled.pipeline, plan.pack.name)
 
 
 def _start(

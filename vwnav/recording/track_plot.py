@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.errors import VwnavError
-from vwnav.geometry.geodesy import LocalFrame, mercator_px, mercator_px_per_m
-from vwnav.maps.image import Window
+from vwnav.geometry.geodesy import LocalFrame, Window, mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
 from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix

@@ -6,9 +6,9 @@ import re
 import numpy as np
 
 from vwnav.errors import ConfigError
-from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.geodesy import LocalFrame, Window
 from vwnav.maps.build.raster import DrawnSource, local_georeference
-from vwnav.maps.image import MapImage, Window
+from vwnav.maps.image import MapImage
 from vwnav.sim.site import Site
 
 SITE_PREFIX = "sim:"

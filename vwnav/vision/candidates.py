@@ -8,14 +8,20 @@ with small views in every heading and height left open.
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
 from vwnav.geometry.camera import Rectification
-from vwnav.geometry.geodesy import ground_resolution_m_per_px, lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.geodesy import (
+    Window,
+    ground_resolution_m_per_px,
+    lat_lon_from_mercator_px,
+    mercator_px,
+)
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.image import Level, MapReader, Window
+from vwnav.maps.image import Level, MapReader
 from vwnav.types import Prior
 from vwnav.vision.consensus import SimilarityBounds
 from vwnav.vision.query import Query
@@ -33,6 +39,10 @@ PRIOR_SIGMAS = 3.0  # of the prior's position are looked at
 MAX_UPSAMPLING = 1.67  # a view much sharper than the image shows blur the map does not have
 COARSE_VIEW_PX = 300.0  # of the longer side of a coarse view
 COARSE_KEYPOINTS = 600
+THRIFTY_VIEW_AREA_PX = 130_000.0  # of a first look: decides, with the height, which level it is at
+WORTH_THRIFT_PX = (
+    32_000.0  # of an image on the map: less is cheap, and holds too little to lose any
+)
 WINDOW_PX = 1280  # of a piece of map that is matched at once, and half more where it must be
 MAX_RIVALRY = 0.7  # of the best place's occupied cells for another place: neither is believed
 
@@ -60,9 +70,11 @@ class Candidate:
         level: of the map.
         lat_deg, lon_deg: where the camera may be.
         radius_m: how far from there.
+        coarse: a registration is to be looked at again at the sharpest level.
         area: the window of a coarse candidate; None where the place and the view make it.
         max_keypoints: of the view.
         tests: how many candidates there are until a registration of this one is weighed.
+        thrifty: a first look, at the part of the view that is worth its pixels.
     """
 
     hypothesis: Hypothesis
@@ -70,14 +82,11 @@ class Candidate:
     lat_deg: float
     lon_deg: float
     radius_m: float = 0.0
+    coarse: bool = False
     area: Window | None = None
     max_keypoints: int
     tests: int = 1
-
-    @property
-    def coarse(self) -> bool:
-        """Whether a registration is to be looked at again at the sharpest level."""
-        return self.area is not None
+    thrifty: bool = False
 
     @property
     def m_per_px(self) -> float:
@@ -115,7 +124,7 @@ def is_finite(prior: Prior) -> bool:
         prior.pitch_rad,
     )
     sigmas = (prior.sigma_m, prior.sigma_yaw_rad, prior.sigma_agl_ratio)
-    finite = all(number is None or math.isfinite(number) for number in numbers)
+    finite = all(map(math.isfinite, filter(None, numbers)))
     return finite and min(sigmas) >= 0.0 and (prior.agl_m is None or prior.agl_m > 0.0)
 
 
@@ -129,34 +138,25 @@ def hypotheses(prior: Prior, agl_range_m: tuple[float, float]) -> list[Hypothesi
     yaws, yaw_bound_rad = _yaws(prior)
     agls, scale_bound = _agls(prior, agl_range_m)
     bounds = SimilarityBounds(scale_bound, yaw_bound_rad)
-    found = [
-        (yaw_cost + agl_cost, Hypothesis(yaw_rad, agl_m, bounds))
-        for (yaw_rad, yaw_cost), (agl_m, agl_cost) in itertools.product(yaws, agls)
-    ]
-    found.sort(key=lambda item: item[0])
-    return [hypothesis for _, hypothesis in found]
+    found: list[tuple[float, Hypothesis]] = []
+    for (yaw_rad, yaw_cost), (agl_m, agl_cost) in itertools.product(yaws, agls):
+        found.append((yaw_cost + agl_cost, Hypothesis(yaw_rad, agl_m, bounds)))
+    return list(map(itemgetter(1), sorted(found, key=itemgetter(0))))
 
 
 def _yaws(prior: Prior) -> tuple[list[tuple[float, float]], float]:
     """Headings with their squared distance from the prior in sigmas, and how far each reaches."""
     step_rad = 2.0 * math.pi / YAW_STEPS
     if prior.yaw_rad is None or SIGMAS * prior.sigma_yaw_rad >= math.pi:
-        yaws = [(float(wrap_pi(i * step_rad)), 0.0) for i in range(YAW_STEPS)]
+        yaws = [(wrap_pi(i * step_rad), 0.0) for i in range(YAW_STEPS)]
         return yaws, step_rad / 2.0 + LOOSE_YAW_RAD
     open_rad = SIGMAS * prior.sigma_yaw_rad
     bound_rad = min(open_rad + LOOSE_YAW_RAD, MAX_YAW_BOUND_RAD)
     count = math.ceil(max(0.0, open_rad - YAW_REACH_RAD) / step_rad)
-    yaws = (
-        [
-            (
-                float(wrap_pi(prior.yaw_rad + i * step_rad)),
-                (i * step_rad / prior.sigma_yaw_rad) ** 2,
-            )
-            for i in range(-count, count + 1)
-        ]
-        if count
-        else [(prior.yaw_rad, 0.0)]
-    )
+    if count == 0:
+        return [(prior.yaw_rad, 0.0)], bound_rad
+    away_rad = [i * step_rad for i in range(-count, count + 1)]
+    yaws = [(wrap_pi(prior.yaw_rad + a), (a / prior.sigma_yaw_rad) ** 2) for a in away_rad]
     return yaws, bound_rad
 
 
@@ -174,6 +174,8 @@ def _agls(
     opened = 1.0 + SIGMAS * prior.sigma_agl_ratio
     bound = min(opened * LOOSE_SCALE, MAX_SCALE_BOUND)
     count = math.ceil(max(0.0, math.log(opened / SCALE_REACH)) / math.log(SCALE_STEP))
+    if count == 0:
+        return [(prior.agl_m, 0.0)], bound
     sigma = math.log1p(prior.sigma_agl_ratio)
     agls = [
         (prior.agl_m * SCALE_STEP**i, (i * math.log(SCALE_STEP) / sigma) ** 2 if i else 0.0)
@@ -185,12 +187,30 @@ def _agls(
 def fine_level(pack: MapReader, query: Query, agl_m: float, max_view_area_px: float) -> Level:
     """The sharpest level that the image can fill and that the time allows."""
     width_m, height_m = query.footprint_m(agl_m)
-    image_m_per_px = width_m / query.image.size_wh[0]
+    image_m_per_px = agl_m / query.image.K[0, 0]
     for level in pack.levels:
         fits = width_m * height_m / level.m_per_px**2 <= max_view_area_px
         if fits and level.m_per_px * MAX_UPSAMPLING >= image_m_per_px:
             return level
     return pack.levels[-1]
+
+
+def thrifty_first(pack: MapReader, query: Query, fine: list[Candidate]) -> list[Candidate]:
+    """Before others a look at no more pixels than most images need, where that saves any.
+
+    Args:
+        pack: the map.
+        query: whose view is looked at.
+        fine: the likeliest first; what a thrifty look does not tell is left to them.
+    """
+    first = fine[0]
+    width_m, height_m = query.footprint_m(first.hypothesis.agl_m)
+    if width_m * height_m / first.level.m_per_px**2 < WORTH_THRIFT_PX:
+        return fine
+    level = fine_level(pack, query, first.hypothesis.agl_m, THRIFTY_VIEW_AREA_PX)
+    coarser = level if level.m_per_px > first.level.m_per_px else first.level
+    after = [replace(each, tests=each.tests + 1) for each in fine]
+    return [replace(first, level=coarser, thrifty=True), *after]
 
 
 def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Candidate]:
@@ -228,6 +248,7 @@ def _coarse(hypothesis: Hypothesis, level: Level, window: Window, tests: int) ->
         level=level,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
+        coarse=True,
         area=window,
         max_keypoints=COARSE_KEYPOINTS,
         tests=tests,

@@ -7,6 +7,7 @@ Points are complex numbers here, z = u + i v: a similarity is then `z_map = a z_
 scale |a| and the clockwise rotation arg(a).
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
 from vwnav.types import Array
-from vwnav.vision.significance import log10_nfa, occupied_cells
+from vwnav.vision.matching import log10_nfa, occupied_cells
 
 Complex = NDArray[np.complex128]
 MAX_PAIRS = 40_000
@@ -42,7 +43,8 @@ class SimilarityBounds:
     def allows(self, a: Complex) -> NDArray[np.bool_]:
         """Which of the complex factors are within the bounds."""
         scale = np.abs(a)
-        rotation_ok = np.abs(np.angle(a)) <= self.max_rotation_rad
+        # As |arg(a)| <= max_rotation_rad, without an arcus.
+        rotation_ok = a.real >= math.cos(min(self.max_rotation_rad, math.pi)) * scale
         return rotation_ok & (scale <= self.max_scale) & (scale * self.max_scale >= 1.0)
 
 
@@ -52,18 +54,15 @@ class Similarity:
 
     Attributes:
         H_map_view: (3, 3).
-        near: (m,) bool, matches within the threshold of it.
+        near: (m,) bool, matches within the threshold of it, which agree.
+        count: how many they are.
         center_uv: (2,) where it puts the reference point.
     """
 
     H_map_view: Array
     near: NDArray[np.bool_]
+    count: int
     center_uv: Array
-
-    @property
-    def count(self) -> int:
-        """How many matches agree."""
-        return int(np.count_nonzero(self.near))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +114,9 @@ def find_consensus(
     if not places:
         return None
     H, inliers = _fit(uv_view, uv_map, places[0], size_wh, threshold_px, max_stretch, seed)
+    rival_cells = 0
+    for place in places[1:]:
+        rival_cells = max(rival_cells, occupied_cells(uv_view[place.near]))
     return Consensus(
         H_map_view=H,
         uv_view=uv_view[inliers],
@@ -123,7 +125,7 @@ def find_consensus(
         matches=len(inliers),
         log10_nfa=log10_nfa(H, uv_view, uv_map, inliers, threshold_px),
         cells=occupied_cells(uv_view[inliers]),
-        rival_cells=max((occupied_cells(uv_view[each.near]) for each in places[1:]), default=0),
+        rival_cells=rival_cells,
     )
 
 
@@ -139,7 +141,8 @@ def _fit(
     """The better of the similarity and a homography about it, and its inliers."""
     error = np.linalg.norm(transform_points(place.H_map_view, uv_view) - uv_map, axis=1)
     around = np.flatnonzero(error <= 3.0 * threshold_px)
-    if len(around) < MIN_FOR_HOMOGRAPHY:
+    # With all of them it must explain so many.
+    if len(around) < max(MIN_FOR_HOMOGRAPHY, HOMOGRAPHY_GAIN * place.count):
         return place.H_map_view, place.near
     fit = estimate_homography(uv_view[around], uv_map[around], threshold_px, seed)
     if (
@@ -196,22 +199,23 @@ def vote(
     """
     if len(uv_view) < MIN_AGREEING:
         return []
-    z0 = _complex(uv_view - reference_uv)
-    z1 = _complex(uv_map)
+    z0 = np.ascontiguousarray(uv_view - reference_uv).view(np.complex128)[:, 0]
+    z1 = np.ascontiguousarray(uv_map).view(np.complex128)[:, 0]
     a, centers = _votes(z0, z1, bounds, seed)
+    starts = _starts(a, centers)
+    if len(starts) == 0:
+        return []
+    a, b, near = _refine(z0, z1, starts, threshold_px)
+    counts = np.count_nonzero(near, axis=1)
+    best_first = np.argsort(-counts, kind="stable")
+    right = (bounds.allows(a) & (counts >= MIN_AGREEING))[best_first]
     found: list[Similarity] = []
-    for center in _peaks(centers):
-        # As wide as the corners of the 3 x 3 cells, so that no peak is without votes.
-        close = np.abs(centers - center) <= 2.2 * CELL_PX
-        start = (_median(a[close]), _median(centers[close]))
-        fit = _refine(z0, z1, *start, threshold_px)
-        if fit is not None and bounds.allows(np.array([fit[0]]))[0]:
-            found.append(_similarity(*fit, reference_uv))
-    return _apart(found)
-
-
-def _complex(uv: Array) -> Complex:
-    return np.asarray(uv[:, 0] + 1j * uv[:, 1], np.complex128)
+    centers = np.zeros(0, np.complex128)
+    for i in best_first[right]:
+        if np.all(np.abs(centers - b[i]) > CELL_PX):
+            centers = np.append(centers, b[i])
+            found.append(_similarity(a[i], b[i], near[i], reference_uv))
+    return found
 
 
 def _votes(
@@ -219,10 +223,13 @@ def _votes(
 ) -> tuple[Complex, Complex]:
     """Factor and place of the reference point, of every pair that the bounds allow."""
     first, second = _pairs(len(z0), seed)
-    base = z0[second] - z0[first]
-    long_enough = np.abs(base) >= MIN_BASELINE_RATIO * 2.0 * float(np.max(np.abs(z0)))
-    first, second, base = first[long_enough], second[long_enough], base[long_enough]
-    a = (z1[second] - z1[first]) / base
+    base, moved = z0[second] - z0[first], z1[second] - z1[first]
+    base2, moved2 = base.real**2 + base.imag**2, moved.real**2 + moved.imag**2
+    # Lengths first, squared: angles of all would take most of the time.
+    most2 = bounds.max_scale**2
+    fits = base2 >= (MIN_BASELINE_RATIO * 2.0 * float(np.max(np.abs(z0)))) ** 2
+    kept = np.flatnonzero(fits & (moved2 <= most2 * base2) & (base2 <= most2 * moved2))
+    a, first = moved[kept] / base[kept], first[kept]
     allowed = bounds.allows(a)
     a, first = a[allowed], first[allowed]
     return a, z1[first] - a * z0[first]
@@ -235,13 +242,15 @@ def _pairs(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     # Every match takes part in equally many pairs.
     steps = np.random.default_rng(seed).permutation(n - 1)[: MAX_PAIRS // n] + 1
     first = np.tile(np.arange(n), len(steps))
-    return first, (first + np.repeat(steps, n)) % n
+    second = first + np.repeat(steps, n)
+    second[second >= n] -= n
+    return first, second
 
 
-def _peaks(centers: Complex) -> list[complex]:
+def _peaks(centers: Complex) -> Complex:
     """Places where most votes fall, best first."""
     if len(centers) == 0:
-        return []
+        return centers
     origin = complex(centers.real.min(), centers.imag.min())
     cells = (centers - origin) / CELL_PX
     columns, rows = cells.real.astype(np.int64), cells.imag.astype(np.int64)
@@ -253,30 +262,57 @@ def _peaks(centers: Complex) -> list[complex]:
     is_peak = (summed >= cv2.dilate(summed, np.ones((3, 3), np.uint8))) & (summed >= 2.0)
     peak_rows, peak_columns = np.nonzero(is_peak)
     best = np.argsort(-summed[peak_rows, peak_columns], kind="stable")[:PLACES]
-    return [origin + CELL_PX * complex(peak_columns[i] + 0.5, peak_rows[i] + 0.5) for i in best]
+    peaks = peak_columns[best] + 0.5 + 1j * (peak_rows[best] + 0.5)
+    return np.asarray(origin + CELL_PX * peaks, np.complex128)
 
 
-def _median(z: Complex) -> complex:
-    """Of either part; sorted, which is faster than np.median."""
-    ranked, n = np.sort([z.real, z.imag], axis=1), len(z)
-    return complex(*(ranked[:, (n - 1) // 2] + ranked[:, n // 2]) / 2.0)
+def _starts(a: Complex, centers: Complex) -> Complex:
+    """(k, 2) factor and place of the votes at the places where most of them fall, best first."""
+    starts = []
+    for peak in _peaks(centers):
+        # As wide as the corners of the 3 x 3 cells, so that no peak is without votes.
+        away = centers - peak
+        close = np.flatnonzero(away.real**2 + away.imag**2 <= (2.2 * CELL_PX) ** 2)
+        parts = np.stack([a[close], centers[close]]).view(np.float64).reshape(2, len(close), 2)
+        # The medians, sorted, which is faster than np.median.
+        ranked = np.sort(parts, axis=1)
+        middle = (ranked[:, (len(close) - 1) // 2] + ranked[:, len(close) // 2]) / 2.0
+        starts.append(middle @ [1.0, 1.0j])
+    return np.array(starts)
 
 
 def _refine(
-    z0: Complex, z1: Complex, a: complex, b: complex, threshold_px: float
-) -> tuple[complex, complex, NDArray[np.bool_]] | None:
-    """Least squares over a shrinking neighbourhood; the factor, the shift, and who agrees."""
+    z0: Complex, z1: Complex, starts: Complex, threshold_px: float
+) -> tuple[Complex, Complex, NDArray[np.bool_]]:
+    """Least squares over shrinking neighbourhoods of k similarities at once.
+
+    Args:
+        z0: (m,) points of the view.
+        z1: (m,) their partners on the map.
+        starts: (k, 2) factors and shifts to begin with.
+        threshold_px: largest error of a match that agrees.
+
+    Returns:
+        The factors (k,), the shifts (k,), and who agrees with each (k, m); of a similarity that
+        fewer than `MIN_AGREEING` agree with at any time, none do.
+    """
+    a, b = starts.T
+    moments = np.stack([z0, z1, np.abs(z0) ** 2, z1 * np.conj(z0)], axis=1)
     for factor in (4.0, 2.0, 1.0, 1.0):
-        near = np.abs(a * z0 + b - z1) <= factor * threshold_px
-        if np.count_nonzero(near) < MIN_AGREEING:
-            return None
-        middle0, middle1 = z0[near].mean(), z1[near].mean()
-        spread = float(np.sum(np.abs(z0[near] - middle0) ** 2))
-        if spread <= 0.0:
-            return None
-        a = complex(np.sum((z1[near] - middle1) * np.conj(z0[near] - middle0)) / spread)
-        b = complex(middle1 - a * middle0)
-    return a, b, np.abs(a * z0 + b - z1) <= threshold_px
+        near = _near(z0, z1, a, b, factor * threshold_px)
+        count = np.count_nonzero(near, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean0, mean1, square, product = (near @ moments / count[:, None]).T
+            a = (product - mean1 * np.conj(mean0)) / (square - np.abs(mean0) ** 2)
+            a[count < MIN_AGREEING] = np.nan
+            b = mean1 - a * mean0
+    return a, b, _near(z0, z1, a, b, threshold_px)
+
+
+def _near(z0: Complex, z1: Complex, a: Complex, b: Complex, within_px: float) -> NDArray[np.bool_]:
+    """Which points (m,) each of k similarities puts within a distance of their partners (k, m)."""
+    off = a[:, None] * z0 + b[:, None] - z1
+    return np.asarray(off.real**2 + off.imag**2 <= within_px**2)
 
 
 def _similarity(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: Array) -> Similarity:
@@ -285,14 +321,4 @@ def _similarity(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: A
     H = np.eye(3)
     H[:2, :2] = linear
     H[:2, 2] = center_uv - linear @ reference_uv
-    return Similarity(H, near, center_uv)
-
-
-def _apart(found: list[Similarity]) -> list[Similarity]:
-    """The best one of each place, best first."""
-    kept: list[Similarity] = []
-    for each in sorted(found, key=lambda each: -each.count):
-        distances_px = [np.linalg.norm(each.center_uv - other.center_uv) for other in kept]
-        if min(distances_px, default=np.inf) > CELL_PX:
-            kept.append(each)
-    return kept
+    return Similarity(H, near, int(np.count_nonzero(near)), center_uv)

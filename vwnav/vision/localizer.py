@@ -11,11 +11,13 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from vwnav.geometry.camera import Camera, Rectification
-from vwnav.maps.image import MapReader, Window
+from vwnav.geometry.camera import Camera, Rectification, cut_to_image
+from vwnav.geometry.geodesy import Window
+from vwnav.maps.image import MapReader
 from vwnav.types import (
     FeatureExtractor,
     Frame,
@@ -36,10 +38,12 @@ from vwnav.vision.candidates import (
     fine_level,
     hypotheses,
     is_finite,
+    thrifty_first,
 )
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
 from vwnav.vision.lever_arm import LeverArm
+from vwnav.vision.matching import is_mistakable
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
     Registration,
@@ -53,13 +57,12 @@ from vwnav.vision.registration import (
 from vwnav.vision.rivals import best_of
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
+CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
 WEAK_LOG10_NFA = 2.0  # less is not even held against the image
 WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
 WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that are worth refining
 SURE_DECADES = 10.0  # so little chance that the rest need not be searched
-MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
-MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 # Of such an image nothing is kept: all of it looks alike, or the best may not have been seen.
 SAID_NOTHING_OF = (RejectReason.AMBIGUOUS, RejectReason.GIVEN_UP)
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
@@ -118,11 +121,9 @@ class Localizer:
         """
         self._given_up.clear()
         of_camera = self._arm.prior_of_camera(prior) if self._arm else prior
-        query = self._maker.query(frame, of_camera, seed)
-        outcome = self._located(query)
+        outcome = self._located(query := self._maker.query(frame, of_camera, seed))
         if isinstance(outcome, MapFix):
-            refusal = implausible(query, outcome, self._config.max_sigma_m)
-            outcome = refusal or self._of_body(outcome, prior)
+            outcome = self._arm.fix_of_body(outcome, prior) if self._arm else outcome
         stats = outcome.stats
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
@@ -130,9 +131,6 @@ class Localizer:
         if isinstance(outcome, Rejected) and outcome.reason not in SAID_NOTHING_OF:
             outcome = replace(outcome, weak=self._weak(query, prior))
         return replace(outcome, stats=timed)
-
-    def _of_body(self, fix: MapFix, prior: Prior) -> MapFix:
-        return self._arm.fix_of_body(fix, prior) if self._arm else fix
 
     def _located(self, query: Query) -> MapFix | Rejected:
         """The way of an image: candidates, registered, refined, verified, one of them the fix."""
@@ -151,24 +149,31 @@ class Localizer:
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
-                found = self._verified(query, self._refined(query, found))
-                if isinstance(found, Registration):
-                    return fix_of(query, found)
-                if found.reason is RejectReason.AMBIGUOUS:
-                    return found
+                held = self._verified(query, found)
+                outcome = held if isinstance(held, Rejected) else self._plausible(query, held)
+                settled = outcome is not held or outcome.reason is RejectReason.AMBIGUOUS
+                if isinstance(outcome, MapFix) or (settled and not candidate.thrifty):
+                    return outcome
+                found = outcome
+            if candidate.thrifty:
+                continue
             refusal = refusal or found
             if found.reason in HOPELESS and not candidate.coarse:
                 return refusal
         if candidates[0].coarse:
-            best = best_of(
-                query, coarse, len(candidates),
-                lambda hit: self._verified(query, self._refined(query, hit)),
-            )  # fmt: skip
-            return fix_of(query, best) if isinstance(best, Registration) else best
-        decades = self._config.min_decades
-        first, accept = candidates[0], self._acceptance(candidates[0])
+            best = best_of(query, coarse, len(candidates), partial(self._verified, query))
+            return (
+                best if isinstance(best, Rejected) else self._plausible(query, fix_of(query, best))
+            )
+        first = next(each for each in candidates if not each.thrifty)
+        accept, decades = self._acceptance(first), self._config.min_decades
         fix = fix_by_correlation(self._pack, self._maker, query, first, accept, decades)
-        return fix or refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
+        refusal = refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
+        return refusal if fix is None else self._plausible(query, fix)
+
+    def _plausible(self, query: Query, found: Registration | MapFix) -> MapFix | Rejected:
+        fix = fix_of(query, found) if isinstance(found, Registration) else found
+        return implausible(query, fix, self._config.max_sigma_m) or fix
 
     def _candidates(self, query: Query) -> list[Candidate] | Rejected:
         """What to try: around a prior at the sharpest level, else everywhere, coarsely."""
@@ -187,7 +192,7 @@ class Localizer:
                 for tests, each in enumerate(todo[: config.max_guesses], 1)
             ]
             if radius_m <= config.max_track_radius_px * fine[0].level.m_per_px:
-                return fine
+                return thrifty_first(self._pack, query, fine)
         coarse = coarse_candidates(self._pack, query, todo)
         if not coarse:
             detail = "the map has no level at which to search there"
@@ -231,6 +236,8 @@ class Localizer:
         made = self._maker.rectify(query, hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
         if made is None:
             return query.rejected(RejectReason.TILTED, "the camera does not look down")
+        if candidate.thrifty:
+            made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX)
         window = candidate.window(made)
         if (refusal := self._hopeless(query, candidate, made, window)) is not None:
             return refusal
@@ -260,10 +267,11 @@ class Localizer:
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.
 
-        What is fine and weak or hardly turned or scaled stays, as does what is not found again.
+        A thrifty look stays, a fine one that is weak, sure or hardly turned, and what is not found.
         """
         weak = found.consensus.log10_nfa > WORTH_LOG10_NFA
-        if not found.candidate.coarse and (weak or not found.is_turned):
+        settled = weak or self._decades(found) >= SURE_DECADES or not found.is_turned
+        if found.candidate.thrifty or (settled and not found.candidate.coarse):
             return found
         view = found.view.rectification
         radius_m = 6.0 * view.m_per_px + 0.05 * max(view.size_wh) * view.m_per_px
@@ -276,15 +284,17 @@ class Localizer:
         return found
 
     def _verified(self, query: Query, found: Registration) -> Registration | Rejected:
-        """Weigh a registration; where the matches do not convince, the images must correlate.
+        """Refine and weigh a registration; where matches do not convince, images must correlate.
 
         A coarse one is not believed: what the sharpest level does not show again is not there.
+        Nor is a thrifty one that is not sure: the whole image is there to be asked.
         """
-        consensus = found.consensus
-        if found.candidate.coarse:
+        found = self._refined(query, found)
+        consensus, decades = found.consensus, self._decades(found)
+        unsure = found.candidate.thrifty and decades < SURE_DECADES
+        if found.candidate.coarse or unsure:
             return may_be_chance(query, consensus)
         needed = self._config.min_decades + math.log10(found.candidate.tests)
-        decades = self._decades(found)
         if decades < needed:
             with query.stage("verify_ms"):
                 decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
@@ -305,19 +315,22 @@ class Localizer:
         """What was kept that is certain and near enough to be a fix, if more spoke for it."""
         most_m = self._config.max_sigma_m
         return tuple(
-            replace(each, fix=self._of_body(each.fix, prior))
+            replace(each, fix=self._arm.fix_of_body(each.fix, prior)) if self._arm else each
             for each in query.weak
             if not implausible(query, each.fix, most_m)
         )
 
     def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
         """A refusal where the map shows the like at other places, or turned, that are open too."""
-        cells, where = found.consensus.cells, "beside it"
+        # A part of the image tells places less apart: twice as many must be unlike.
+        cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
         share = share_beside(self._pack, self._extractor, query, found)
-        if not _is_mistakable(share, cells) and query.heading_open:
+        mistakable = is_mistakable(share, cells)
+        if not mistakable and query.heading_open:
             where = "turned by a quarter or a half"
             share = share_turned(self._pack, self._extractor, found)
-        if not _is_mistakable(share, cells):
+            mistakable = is_mistakable(share, cells)
+        if not mistakable:
             return None
         return query.rejected(
             RejectReason.AMBIGUOUS,
@@ -333,8 +346,3 @@ class Localizer:
         are least: `vwnav bench significance` measures how many of its powers of ten are a true one.
         """
         return max(0.0, -found.consensus.log10_nfa / self._extractor.log10_per_decade)
-
-
-def _is_mistakable(share: float, cells: int) -> bool:
-    """Whether most landmarks have their like elsewhere, and too few have not."""
-    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS

@@ -1,13 +1,38 @@
-"""Mutual nearest neighbours between two feature lists."""
+"""Matches, and what their agreement proves.
+
+Features that are each other's nearest are matches. Could so many of them agree by chance? An
+a-contrario test in place of a fixed inlier count, after Moisan and Stival, "A probabilistic
+criterion to detect rigid point matches between two images" (IJCV 2004): the expected number of
+places where unrelated matches would agree as well.
+
+And does the map look alike elsewhere, or turned? Then a registration may be any of the places.
+A road with a hedge fits anywhere along itself, a crossing fits turned by a quarter, a runway by a
+half. Which of them it is, matches between two dates do not say; the map itself says that it
+repeats. Each landmark of a registration is looked for elsewhere: what is nearly as like to it as
+the query's feature is could have been matched as well. Where most landmarks have their like at one
+and the same shift, the query may be there too.
+"""
+
+import math
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.types import Features
+from vwnav.geometry.homography import transform_points
+from vwnav.types import Array, Features
 
 CHUNK = 8192  # map features compared at once: 1000 x 8192 float32 are 32 MB
 BITS_PER_BYTE = 8
+CELL_PX = 16.0  # matches within one cell see the same thing: counted once
+MAX_SAMPLE = 160
+MAX_LANDMARKS = 150  # that are looked for elsewhere
+# Of its likeness to the query, what makes a like of a landmark: the matched are the luckiest.
+AS_LIKE = np.float32(0.8)
+MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
+MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
+MIN_SHIFT_PX = 8.0  # what is nearer is the same place
+SHIFT_CELL_PX = 4.0  # of the table of shifts, of which 3 x 3 are taken together
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
 
@@ -36,14 +61,14 @@ def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> N
             f"{frame.descriptors.shape[1]} and {map_.descriptors.dtype} x "
             f"{map_.descriptors.shape[1]}"
         )
-    if len(frame) == 0 or len(map_) == 0:
+    if 0 in (len(frame.descriptors), len(map_.descriptors)):
         return np.zeros((0, 2), np.int64)
     binary = frame.descriptors.dtype == np.uint8
     nearest = _nearest_bits if binary else _nearest_cosine
     chosen, similarity = nearest(frame.descriptors, map_.descriptors)
     # Back from the map's side: only the chosen map features have to be asked.
     back, _ = nearest(map_.descriptors[chosen], frame.descriptors)
-    mutual = np.flatnonzero(back == np.arange(len(frame)))
+    mutual = np.flatnonzero(back == np.arange(len(back)))
     mutual = mutual[similarity[mutual] >= min_similarity]
     best_first = mutual[np.argsort(-similarity[mutual], kind="stable")]
     return np.stack([best_first, chosen[best_first]], axis=1)
@@ -58,6 +83,14 @@ def similarities(queries: Descriptors, references: Descriptors) -> NDArray[np.fl
         for each in (queries, references)
     )
     return np.asarray(signs0 @ signs1.T / signs0.shape[1], np.float32)
+
+
+def paired_similarity(queries: Descriptors, references: Descriptors) -> NDArray[np.float32]:
+    """Similarity (n,) of each descriptor with the one in the same row, as `match` has it."""
+    if queries.dtype != np.uint8:
+        return np.asarray(np.einsum("nd,nd->n", queries, references), np.float32)
+    differing = np.unpackbits(queries.astype(np.uint8) ^ references.astype(np.uint8), axis=1)
+    return np.asarray(1.0 - 2.0 * differing.mean(axis=1), np.float32)
 
 
 def _nearest_cosine(
@@ -85,3 +118,130 @@ def _nearest_bits(
     nearest = np.array([pair.trainIdx for pair in found], np.int64)
     distance = np.array([pair.distance for pair in found], np.float32)
     return nearest, 1.0 - 2.0 * distance / np.float32(BITS_PER_BYTE * queries.shape[1])
+
+
+def log10_nfa(
+    H_map_view: Array,
+    uv_view: Array,
+    uv_map: Array,
+    agree: NDArray[np.bool_],
+    threshold_px: float,
+) -> float:
+    """log10 of how often unrelated images would show as good an agreement.
+
+    That a wrong match agrees with a fit by chance is measured on the matches themselves: how often
+    the map point of one match lies where the fit puts another. The more the matches crowd there,
+    the less their agreement says.
+
+    Args:
+        H_map_view: (3, 3) the fit.
+        uv_view: (m, 2) all the matches in the view.
+        uv_map: (m, 2) their partners on the map.
+        agree: (m,) those within the threshold of the fit.
+        threshold_px: of agreement.
+    """
+    cells, agreeing = occupied_cells(uv_view), occupied_cells(uv_view[agree])
+    if agreeing <= 2:
+        return 0.0
+    per_cell = len(uv_view) / cells
+    chance = min(1.0, per_cell * _chance(H_map_view, uv_view, uv_map, threshold_px))
+    couples = cells * (cells - 1) / 2.0  # each makes a similarity that is looked at
+    return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
+
+
+def occupied_cells(uv_view: Array) -> int:
+    """In how many cells of the view the points (m, 2) lie."""
+    column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
+    return len(np.unique(column + 100_000 * row))
+
+
+def _chance(H_map_view: Array, uv_view: Array, uv_map: Array, threshold_px: float) -> float:
+    """Probability that the map point of another match is within the threshold of the fit."""
+    step = max(1, len(uv_view) // MAX_SAMPLE)
+    mapped = transform_points(H_map_view, uv_view[::step])
+    # A wider circle counts more pairs; the area brings it back.
+    radius_px = 4.0 * threshold_px
+    # Axis by axis: sums of two over a last axis take eight times as long.
+    du = mapped[:, None, 0] - uv_map[:, 0]
+    dv = mapped[:, None, 1] - uv_map[:, 1]
+    near = np.count_nonzero(du**2 + dv**2 <= radius_px**2)
+    own = np.count_nonzero(np.sum((mapped - uv_map[::step]) ** 2, axis=1) <= radius_px**2)
+    others = len(mapped) * (len(uv_map) - 1)
+    # One pair more than was seen: absence of evidence is no evidence of zero.
+    return (near - own + 1) / others / 16.0
+
+
+def _log10_tail(n: int, k: int, p: float) -> float:
+    """log10 of the probability of k or more successes in n trials of probability p."""
+    if k <= n * p:
+        return 0.0
+    i = np.arange(k, n + 1)
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
+    log_terms = (
+        log_factorial[n]
+        - log_factorial[i]
+        - log_factorial[n - i]
+        + i * math.log(p)
+        + (n - i) * math.log1p(-min(p, 1.0 - 1e-12))
+    )
+    top = float(log_terms.max())
+    return (top + math.log(float(np.sum(np.exp(log_terms - top))))) / math.log(10.0)
+
+
+def share_alike(
+    landmarks: Features,
+    likeness: NDArray[np.float32],
+    others: Features,
+    within_px: float = math.inf,
+) -> float:
+    """Share of the cells with landmarks whose like lies at one shift, the best there is.
+
+    Args:
+        landmarks: map features that carry a registration.
+        likeness: (k,) similarity of each with the query's feature that was matched to it.
+        others: features of the map, their pixels those of the landmarks but for a shift.
+        within_px: a longer shift does not count.
+    """
+    step = math.ceil(len(landmarks.uv) / MAX_LANDMARKS)
+    uv, onto = landmarks.uv[::step], others.uv
+    if len(onto) == 0:
+        return 0.0
+    alike = similarities(landmarks.descriptors[::step], others.descriptors)
+    # Of some kinds of features unrelated ones are alike by half: what counts is more than that.
+    # The median: np.median asks for three places at once, and takes ten times as long.
+    middle, odd = divmod(alike.shape[1], 2)
+    ranked = np.partition(alike, middle, axis=1)
+    upper = ranked[:, middle]
+    lower = upper if odd else ranked[:, :middle].max(axis=1)
+    unrelated = (lower + upper) / np.float32(2.0)
+    least = unrelated + AS_LIKE * (likeness[::step] - unrelated)
+    owners, twins = np.nonzero(alike >= least[:, None])
+    shifts = (onto[twins] - uv[owners]).astype(np.float64)
+    length_px = np.linalg.norm(shifts, axis=1)
+    counted = (length_px > MIN_SHIFT_PX) & (length_px <= within_px)
+    shifts, owners = shifts[counted], owners[counted]
+    if len(shifts) == 0:
+        return 0.0
+    best = _peak(shifts)
+    at_best = np.abs(shifts - best).max(axis=1) <= 1.5 * SHIFT_CELL_PX
+    agreeing = uv[np.unique(owners[at_best])].astype(np.float64)
+    return occupied_cells(agreeing) / occupied_cells(uv.astype(np.float64))
+
+
+def is_mistakable(share: float, cells: int) -> bool:
+    """Whether most landmarks have their like elsewhere, and too few have not."""
+    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS
+
+
+def _peak(shifts: Array) -> Array:
+    """The shift (2,) that most agree upon."""
+    origin = shifts.min(axis=0)
+    column, row = ((shifts - origin) / SHIFT_CELL_PX).astype(np.int64).T
+    shape = (int(row.max()) + 1, int(column.max()) + 1)
+    table = np.bincount(row * shape[1] + column, minlength=shape[0] * shape[1]).reshape(shape)
+    # 3 x 3 sums, so that a peak on a cell's edge is not split.
+    summed = cv2.boxFilter(
+        table.astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
+    v, u = np.unravel_index(int(np.argmax(summed)), shape)
+    return np.asarray(origin + SHIFT_CELL_PX * (np.array([u, v]) + 0.5))

@@ -1,5 +1,6 @@
 """The query: one image that is to be registered, its rectified views and their features."""
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification, to_gray
+from vwnav.geometry.geodesy import Window
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.maps.image import MapFeatures, Window
+from vwnav.maps.image import MapFeatures
 from vwnav.types import (
     Array,
     FeatureExtractor,
@@ -25,11 +27,12 @@ from vwnav.types import (
     RejectReason,
     WeakFix,
 )
-from vwnav.vision.shutter import maps_at_once, ray_flow
+from vwnav.vision.shutter import ray_flow, seen_by_rows
 
 MAX_VIEW_PX = 1400
 EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
 MIN_SHRINK = 0.6  # below this the image is halved first: a warp alone would alias
+GRID_PX = 8  # of a view, within which the image bends by some hundredths of a pixel
 MAX_OVERSAMPLING = 2.5
 MAX_YAW_SIGMA_RAD = 0.5  # beyond this a view may be turned by a quarter
 
@@ -51,18 +54,17 @@ class View:
     features: Features
 
 
-class Undistorted:
-    """An undistorted image, halved as often as was needed so far."""
+class Taken:
+    """An image as it was taken, halved as often as was needed so far.
+
+    Attributes:
+        K: (3, 3) of its camera. size_wh: width and height of the whole image.
+    """
 
     def __init__(self, gray: Gray, K: Array) -> None:
         self._halved = [gray]
         self.K = K
-
-    @property
-    def size_wh(self) -> tuple[int, int]:
-        """Width and height of the whole image."""
-        h, w = self._halved[0].shape
-        return w, h
+        self.size_wh: tuple[int, int] = gray.shape[::-1]
 
     @property
     def contrast(self) -> float:
@@ -81,10 +83,9 @@ class Undistorted:
             level += 1
             if level == len(self._halved):
                 # An even size, so that a pixel is the mean of exactly four.
-                h, w = (side - side % 2 for side in self._halved[-1].shape)
-                even = self._halved[-1][:h, :w]
-                size = (w // 2, h // 2)
-                half = cv2.resize(even, size, interpolation=cv2.INTER_AREA)
+                h, w = self._halved[-1].shape
+                even, size_wh = self._halved[-1][: h - h % 2, : w - w % 2], (w // 2, h // 2)
+                half = cv2.resize(even, size_wh, interpolation=cv2.INTER_AREA)
                 self._halved.append(np.asarray(half, np.uint8))
         ratio = float(2**level)
         offset = 0.5 * ratio - 0.5
@@ -97,46 +98,42 @@ class Query:
 
     Attributes:
         t_s: time of exposure.
-        image: undistorted.
+        image: as it was taken; its K is that of what it is undistorted to.
+        flow: A of `ray_flow`, while its rows were exposed one after the other; None at rest.
         prior: what is known.
         seed: of every random choice.
         features: name of the feature set.
-        views: made so far, by heading and by height in pixels.
+        views: made so far, by heading, by height in pixels and by size.
         piece: of the map that was looked at last: its level, its window and its features.
         weak: places found so far that too little speaks for.
+        attitude_known: whether roll and pitch are.
+        heading_open: whether nothing, or next to nothing, is known of it.
         ms: milliseconds spent per stage, named as in `MatchStats`.
     """
 
     def __init__(
         self,
         t_s: float,
-        image: Undistorted,
+        image: Taken,
         prior: Prior,
         seed: int,
         features: FeatureName,
         clock: Callable[[], float],
+        flow: Array | None = None,
     ) -> None:
         self.t_s = t_s
+        self.flow = flow
         self.image = image
         self.prior = prior
         self.seed = seed
         self.features = features
-        self.views: dict[tuple[float, float], View] = {}
+        self.views: dict[tuple[float, float, tuple[int, int]], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []
         self.ms: dict[str, float] = {}
+        self.attitude_known = prior.roll_rad is not None and prior.pitch_rad is not None
+        self.heading_open = prior.yaw_rad is None or not prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
         self._clock = clock
-
-    @property
-    def attitude_known(self) -> bool:
-        """Whether roll and pitch are."""
-        return self.prior.roll_rad is not None and self.prior.pitch_rad is not None
-
-    @property
-    def heading_open(self) -> bool:
-        """Whether nothing, or next to nothing, is known of it."""
-        known = self.prior.yaw_rad is not None and self.prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
-        return not known
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -173,9 +170,6 @@ class QueryMaker:
         self, camera: Camera, extractor: FeatureExtractor, clock: Callable[[], float]
     ) -> None:
         self._camera = camera
-        self._undistorted = camera.undistorted()
-        self._maps = camera.undistort_maps() if camera.distortion else None
-        self._rolling_maps = camera.undistort_maps(cv2.CV_32FC1) if camera.readout_s else None
         self._extractor = extractor
         self._clock = clock
 
@@ -189,23 +183,16 @@ class QueryMaker:
         image = frame.image
         check_fits(self._camera, image.shape[1], image.shape[0])
         gray = image if image.ndim == 2 else to_gray(image)
-        maps = self._maps
-        if self._rolling_maps is not None and (flow := self._flow(frame, prior)) is not None:
-            maps = maps_at_once(self._camera, self._rolling_maps, flow)
-        if maps is not None:
-            map1, map2 = maps
-            straight = cv2.remap(
-                gray, map1, map2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
-            gray = np.asarray(straight, np.uint8)
-        undistorted = Undistorted(gray, self._undistorted.K)
-        query = Query(frame.t_s, undistorted, prior, seed, self._extractor.name, self._clock)
+        taken, flow = Taken(gray, self._camera.K), self._flow(frame, prior)
+        query = Query(frame.t_s, taken, prior, seed, self._extractor.name, self._clock, flow)
         query.ms["rectify_ms"] = 1e3 * (self._clock() - start)
         return query
 
     def _flow(self, frame: Frame, prior: Prior) -> Array | None:
         """How what is seen moves while rows are read; None where nothing is known of it."""
-        if prior.roll_rad is None or prior.pitch_rad is None or prior.agl_m is None:
+        if not self._camera.readout_s or prior.agl_m is None:
+            return None
+        if prior.roll_rad is None or prior.pitch_rad is None:
             return None
         R_level_body = rotation_from_euler(prior.roll_rad, prior.pitch_rad, 0.0)
         down_camera = (R_level_body @ self._camera.R_body_camera)[2]
@@ -228,7 +215,7 @@ class QueryMaker:
 
     def view(self, query: Query, yaw_rad: float, made: Rectification, max_keypoints: int) -> View:
         """The view with its features; kept, since levels of twice the size share it."""
-        key = (round(yaw_rad, 6), round(made.agl_m / made.m_per_px, 1))
+        key = (round(yaw_rad, 6), round(made.agl_m / made.m_per_px, 1), made.size_wh)
         if key not in query.views:
             with query.stage("rectify_ms"):
                 gray = self.warp(query, made)
@@ -237,30 +224,62 @@ class QueryMaker:
         return replace(query.views[key], rectification=made)
 
     def warp(self, query: Query, made: Rectification) -> Gray:
-        """The gray view; what the image does not show continues its edge."""
+        """The gray view in one warp; what the image does not show continues its edge."""
         center = (np.array(query.image.size_wh) - 1.0) / 2.0
-        scale = np.sqrt(abs(np.linalg.det(jacobian_at(made.H_rect_frame, center))))
-        source, H_frame_source = query.image.at_scale(float(scale))
-        view = cv2.warpPerspective(
-            source,
-            made.H_rect_frame @ H_frame_source,
-            made.size_wh,
-            flags=cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        scale = float(np.sqrt(abs(np.linalg.det(jacobian_at(made.H_rect_frame, center)))))
+        source, H_frame_source = query.image.at_scale(scale)
+        replicate = cv2.BORDER_REPLICATE
+        if not self._camera.distortion and query.flow is None:
+            H_view_source = made.H_rect_frame @ H_frame_source
+            view = cv2.warpPerspective(
+                source, H_view_source, made.size_wh, flags=cv2.INTER_LINEAR, borderMode=replicate
+            )
+        else:
+            places = (self.places(query, made, scale) + 0.5) / H_frame_source[0, 0] - 0.5
+            u, v = np.moveaxis(places, -1, 0).astype(np.float32)
+            view = cv2.remap(source, u, v, cv2.INTER_LINEAR, borderMode=replicate)
         return np.asarray(view, np.uint8)
+
+    def places(self, query: Query, made: Rectification, scale: float) -> NDArray[np.float64]:
+        """Pixels (h, w, 2) of the image as it was taken that the view's pixels show.
+
+        They bend smoothly: they are computed on a grid that reaches a cell past the view.
+        """
+        w, h = made.size_wh
+        columns, rows = math.ceil(w / GRID_PX) + 2, math.ceil(h / GRID_PX) + 2
+        uv = np.stack(np.meshgrid(np.arange(columns) - 0.5, np.arange(rows) - 0.5), axis=-1)
+        H_frame_rect = np.asarray(np.linalg.inv(made.H_rect_frame), np.float64)
+        straight = transform_points(H_frame_rect, GRID_PX * uv - 0.5)
+        # Far outside of the image a lens model folds back.
+        beyond, last = 2.0 * GRID_PX / scale, np.array(query.image.size_wh) - 1.0
+        straight = np.clip(np.nan_to_num(straight), -beyond, last + beyond)
+        flat = (straight - self._camera.K[:2, 2]) / np.diag(self._camera.K)[:2]
+        rays, camera = np.column_stack([flat, np.ones(len(flat))]), self._camera
+        flow = query.flow
+        grid = camera.project(rays) if flow is None else seen_by_rows(rays, camera, flow)
+        fine = cv2.resize(
+            grid.reshape(rows, columns, 2),
+            (GRID_PX * columns, GRID_PX * rows),
+            interpolation=cv2.INTER_LINEAR,
+        )
+        return np.asarray(fine[GRID_PX : GRID_PX + h, GRID_PX : GRID_PX + w])
 
     def _extract(self, query: Query, made: Rectification, gray: Gray, max_keypoints: int) -> View:
         """Features of a view, those that the image really shows."""
         size = np.array(query.image.size_wh, np.float64)
-        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * (size - 1.0)
-        outline = transform_points(made.H_rect_frame, corners)
-        covered = cv2.contourArea(outline.astype(np.float32)) / gray.size
+        corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+        shown_uv = transform_points(
+            made.H_rect_frame, np.array([*corners, [0.5, 0.5]]) * (size - 1.0)
+        )
+        outline, center_uv = shown_uv[:4], shown_uv[4]
+        h, w = gray.shape
+        canvas = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32) - np.float32(0.5)
+        shown_px, _ = cv2.intersectConvexConvex(outline.astype(np.float32), canvas)
+        covered = shown_px / gray.size
         oversampling = min(MAX_OVERSAMPLING, 1.0 / max(covered, 1e-3))
         found = self._extractor.extract(gray, round(max_keypoints * oversampling))
-        inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size)
+        inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size, center_uv)
         features = found.take(np.flatnonzero(inside)[:max_keypoints])
-        center_uv = transform_points(made.H_rect_frame, (size - 1.0) / 2.0)[0]
         return View(made, center_uv, gray, features)
 
 
@@ -273,15 +292,14 @@ def seen(query: Query, made: Rectification) -> NDArray[np.bool_]:
     return np.asarray(shown) > 0
 
 
-def _inside(uv: Array, H_rect_frame: Array, size_wh: Array) -> NDArray[np.bool_]:
+def _inside(uv: Array, H_rect_frame: Array, size_wh: Array, center_uv: Array) -> NDArray[np.bool_]:
     """Which view pixels show the image's inside, `EDGE_PX` of the view away from its edge."""
     H_frame_rect = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
-    center = transform_points(H_rect_frame, (size_wh - 1.0) / 2.0)[0]
-    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center))))
+    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center_uv))))
     frame_uv = transform_points(H_frame_rect, uv)
     margin = EDGE_PX * frame_px_per_px
     low, high = margin, size_wh - 1.0 - margin
     # Behind the horizon the third coordinate changes its sign.
     depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
-    ahead = depth * (center @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
+    ahead = depth * (center_uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
     return np.asarray(ahead & np.all((frame_uv >= low) & (frame_uv <= high), axis=1))

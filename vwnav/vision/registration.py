@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.geodesy import (
+    Window,
     horizontal_distance_m,
     lat_lon_from_mercator_px,
     mercator_px_per_m,
@@ -19,7 +20,7 @@ from vwnav.geometry.geodesy import (
 from vwnav.geometry.homography import transform_points
 from vwnav.geometry.pose import MapPose, PoseErrors, pose_from_rectified
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.image import MapFeatures, MapReader, Window
+from vwnav.maps.image import MapFeatures, MapReader
 from vwnav.types import (
     Array,
     FeatureExtractor,
@@ -32,9 +33,8 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import match, similarities
+from vwnav.vision.matching import match, paired_similarity, share_alike
 from vwnav.vision.query import Query, View, seen
-from vwnav.vision.significance import share_alike
 
 MIN_KEYPOINTS = 12
 MIN_MATCHES = 8
@@ -173,21 +173,20 @@ def register(
     if pose is None:
         geometry = RejectReason.GEOMETRY
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
-    matched, landmarks = (
-        features.take(pairs[consensus.inliers, i])
-        for i, features in enumerate((view.features, map_.features))
-    )
-    likeness = similarities(matched.descriptors, landmarks.descriptors).diagonal()
+    of_view, of_map = pairs[consensus.inliers].T
+    matched, landmarks = view.features.take(of_view), map_.features.take(of_map)
+    likeness = paired_similarity(matched.descriptors, landmarks.descriptors)
     return Registration(candidate, view, map_, consensus, landmarks, likeness, pose)
 
 
 def _matches(query: Query, view: View, map_: MapFeatures) -> NDArray[np.int64] | Rejected:
     """Pairs (m, 2) of a view's features and those of a piece of map."""
     few = RejectReason.FEW_KEYPOINTS
-    if len(view.features) < MIN_KEYPOINTS:
-        return query.rejected(few, f"{len(view.features)} keypoints in the picture")
-    if len(map_.features) < MIN_KEYPOINTS:
-        return query.rejected(few, f"{len(map_.features)} keypoints on the map there")
+    shown, mapped = len(view.features.uv), len(map_.features.uv)
+    if shown < MIN_KEYPOINTS:
+        return query.rejected(few, f"{shown} keypoints in the picture")
+    if mapped < MIN_KEYPOINTS:
+        return query.rejected(few, f"{mapped} keypoints on the map there")
     pairs = match(view.features, map_.features)
     if len(pairs) < MIN_MATCHES:
         detail = f"{len(pairs)} matches"

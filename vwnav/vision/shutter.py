@@ -10,7 +10,6 @@ above the ground. Within a read-out of 20 ms at 60 degrees a second the squares 
 are 0.02 px.
 """
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +19,6 @@ from vwnav.types import Array, Frame
 
 Pixels = Array | NDArray[np.float32]
 LEAST_SHIFT_PX = 0.25  # of the first and the last row; less is left as it is
-_CELL_PX = 16
 _ROUNDS = 2  # until the row that a point is seen in stands
 
 
@@ -58,28 +56,18 @@ def row_times_s(uv: Pixels, camera: Camera) -> Array:
     return np.asarray(((uv[:, 1] + 0.5) / camera.height_px - 0.5) * camera.readout_s)
 
 
-def maps_at_once(
-    camera: Camera, maps: tuple[NDArray[np.float32], NDArray[np.float32]], flow: Array
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Maps for `cv2.remap` to the undistorted image that a global shutter would have taken.
-
-    By how much they differ from those of the camera at rest is smooth: it is computed on a grid.
+def seen_by_rows(rays: Array, camera: Camera, flow: Array) -> Array:
+    """Pixels (n, 2) at which rows show what a global shutter would see in directions (n, 3).
 
     Args:
+        rays: of any length, in camera axes at the middle row's moment.
         camera: as it takes images.
-        maps: (h, w) each, to its undistorted image.
         flow: A, from `ray_flow`.
     """
-    wh = (camera.width_px, camera.height_px)
-    grid_wh = (-(-wh[0] // _CELL_PX), -(-wh[1] // _CELL_PX))
-    uv = _grid(camera, grid_wh)
-    rays = camera.undistorted().bearings(uv)
-    still = seen = camera.project(rays)
+    seen = camera.project(rays)
     for _ in range(_ROUNDS):
         seen = camera.project(rays - row_times_s(seen, camera)[:, None] * (rays @ flow.T))
-    shift = (seen - still).astype(np.float32).reshape(*grid_wh[::-1], 2)
-    whole = cv2.resize(shift, wh, interpolation=cv2.INTER_LINEAR)
-    return maps[0] + whole[..., 0], maps[1] + whole[..., 1]
+    return seen
 
 
 def _grid(camera: Camera, grid_wh: tuple[int, int]) -> Array:

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
-from vwnav.estimation.kalman import Innovation
-from vwnav.estimation.states import FilterState
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.states import FilterState, Innovation
 from vwnav.types import Array, Estimate, MapFix, OdometryMotion, Rejected
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream, Table
 from vwnav.bench.estimator.world import FilterWorld, TrueTrajectory
 from vwnav.errors import SourceError
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.inputs import Asked, decode, encode
-from vwnav.estimation.states import Start
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import plain
 

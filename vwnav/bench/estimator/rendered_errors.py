@@ -13,9 +13,9 @@ from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.scores import SETTLED_S, rms
 from vwnav.bench.estimator.streams import MeasurementEvent
 from vwnav.bench.estimator.world import TrueTrajectory
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.kalman import Innovation
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.states import Innovation
 from vwnav.geometry.rotations import (
     euler_from_rotation,
     rotation_from_quat,

@@ -18,12 +18,12 @@ from vwnav.bench.estimator.rendered_flight import RENDERED_S, RenderedFlight, im
 from vwnav.bench.estimator.run import START_SIGMA_M, against
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.config import Config, with_features
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Measurement
-from vwnav.estimation.kalman import Innovation
-from vwnav.estimation.states import Start
+from vwnav.estimation.states import Innovation
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.simulation import map_pack_of

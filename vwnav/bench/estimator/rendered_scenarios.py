@@ -10,7 +10,7 @@ from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, p
 from vwnav.bench.estimator.scenarios import judge_nominal
 from vwnav.bench.estimator.scores import SETTLED_S, position_nees, rms
 from vwnav.bench.estimator.world import FilterWorld
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.geometry.rotations import wrap_pi
 
 FIRST_FIXES = 20  # of the climb and the hover after it; then odometry flies alone

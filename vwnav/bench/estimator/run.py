@@ -10,12 +10,12 @@ import numpy as np
 from vwnav.bench.estimator.flown import Rows, Run
 from vwnav.bench.estimator.streams import MeasurementEvent, MeasurementStream
 from vwnav.bench.estimator.world import TrueTrajectory
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
-from vwnav.estimation.kalman import Innovation
-from vwnav.estimation.states import Start
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.states import Innovation
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation, wrap_pi
 from vwnav.types import Array, Attitude, Estimate, ImuSample, OdometryMotion
 

@@ -21,7 +21,7 @@ from vwnav.bench.estimator.scores import (
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.types import Array
 
 _BATCH = 10  # flights computed side by side

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator.flown import Rows, Run
-from vwnav.estimation.kalman import Innovation
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.states import Innovation
 from vwnav.types import Array, OdometryMotion
 
 SETTLED_S = 30.0  # after take-off and the first fixes

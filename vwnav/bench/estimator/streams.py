@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.bench.estimator.world import DT_S, G_M_S2, FilterWorld, TrueTrajectory, ground_m
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
-from vwnav.estimation.timeline import NedFix
 from vwnav.geometry.rotations import rotation_from_quat, rotation_from_vector, wrap_pi
 from vwnav.types import Array, Attitude, Height, ImuSample, OdometryMotion
 

@@ -24,10 +24,9 @@ from vwnav.cameras.image_metadata import read_image_metadata
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, rectification
-from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.geodesy import LocalFrame, Window
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.build.raster import RasterSource
-from vwnav.maps.image import Window
 from vwnav.types import Array
 
 KEYPOINTS = 1000  # of a frame; the map gets as many per area

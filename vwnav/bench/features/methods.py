@@ -13,10 +13,8 @@ from vwnav.bench.features.xfeat import load_xfeat
 from vwnav.errors import VwnavError
 from vwnav.maps.codec import decode_features, encode_features
 from vwnav.types import Features, Gray
-from vwnav.vision.features.checks import no_features
 from vwnav.vision.features.learned import LearnedFeatures, released_model
-from vwnav.vision.features.orb import OrbFeatures
-from vwnav.vision.features.sift import DESCRIPTOR_SIZE, SiftFeatures
+from vwnav.vision.features.opencv import SIFT_SIZE, OrbFeatures, SiftFeatures, no_features
 from vwnav.vision.matching import match
 
 LOWE_RATIO = 0.9
@@ -132,7 +130,7 @@ def _opencv_sift(gray: Gray, max_keypoints: int) -> Features:
     """SIFT with its own orientations in one call, as RootSIFT."""
     keypoints, descriptors = cv2.SIFT.create(nfeatures=max_keypoints).detectAndCompute(gray, None)
     if descriptors is None:
-        return no_features(DESCRIPTOR_SIZE, np.float32)
+        return no_features(SIFT_SIZE, np.float32)
     total = np.abs(descriptors).sum(axis=1, keepdims=True)
     found = Features(
         np.array([point.pt for point in keypoints], np.float32),

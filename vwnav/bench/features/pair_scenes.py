@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.features.scenes import Mask, ReferenceMap, Scene, generator, look_at
+from vwnav.bench.features.scenes import Mask, ReferenceMap, Scene, generator, ground_mask, look_at
 from vwnav.cameras.image_folder import read_image
 from vwnav.errors import SourceError
 from vwnav.geometry.homography import transform_points
@@ -25,7 +25,6 @@ _GENERATED_PX, _GENERATED_M_PER_PX = 900, 0.3
 _ROTATION_SIGMA_RAD = np.radians(6.0)
 _LOG_SCALE_SIGMA, _SCALE_MIN, _SCALE_MAX = 0.17, 0.85, 1.18
 _TILT_SIGMA, _ASPECT_SIGMA, _SHIFT_SIGMA = 0.02, 0.01, 0.08
-_DIRTY_BLACK = 4  # JPEG makes the black corners of a rotated image this bright
 _ATTEMPTS = 50
 
 
@@ -171,10 +170,3 @@ def _another_hour(gray: Gray, rng: np.random.Generator) -> Gray:
     changed = cv2.GaussianBlur(tone.astype(np.float32)[gray], (0, 0), rng.uniform(0.3, 0.9))
     noise = rng.normal(0.0, rng.uniform(1.0, 5.0), gray.shape)
     return np.asarray(np.clip(np.round(changed + noise), 0, 255), np.uint8)
-
-
-def ground_mask(image: NDArray[np.uint8]) -> Mask:
-    """True where an image shows ground, not the black corners that its registration left."""
-    black = (image.max(axis=2) < _DIRTY_BLACK).astype(np.uint8)
-    black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
-    return np.asarray(cv2.dilate(black, np.ones((7, 7), np.uint8)) == 0)

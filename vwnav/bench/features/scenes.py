@@ -18,6 +18,7 @@ MULTIPLE_PX = 32  # sides of all images: no feature set has to resize or pad
 _SHRINK_AT_ONCE = 1.3  # a warp alone would alias below that
 
 Mask = NDArray[np.bool_]
+_DIRTY_BLACK = 4  # JPEG makes the black corners of a rotated image this bright
 Unit = Literal["m", "px"]
 
 
@@ -127,3 +128,10 @@ def look_at(
         borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(view, np.uint8), np.asarray(here > 0)
+
+
+def ground_mask(image: NDArray[np.uint8]) -> Mask:
+    """True where an image shows ground, not the black corners that its registration left."""
+    black = (image.max(axis=2) < _DIRTY_BLACK).astype(np.uint8)
+    black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
+    return np.asarray(cv2.dilate(black, np.ones((7, 7), np.uint8)) == 0)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from vwnav.bench.features.methods import FeatureSet
 from vwnav.bench.features.repeatability import KEYPOINTS, Repeatability, repeatability
 from vwnav.bench.features.scenes import BLOCK_PX, EDGE_PX, MARGIN_PX, Mask, ReferenceMap, Scene
-from vwnav.geometry.homography import estimate_homography, estimate_similarity, transform_points
+from vwnav.geometry.homography import estimate_homography, transform_points
+from vwnav.geometry.similarity import estimate_similarity
 from vwnav.types import Array, Features, Gray
 
 RIGHT_PX = 3.0  # a match nearer to the truth than this is an inlier

@@ -9,7 +9,7 @@ import numpy as np
 from vwnav.bench.features.methods import FeatureSet
 from vwnav.bench.features.scenes import ReferenceMap, Scene, image_side
 from vwnav.bench.features.scoring import FIT_PX, masked_features
-from vwnav.geometry.homography import estimate_similarity
+from vwnav.geometry.similarity import estimate_similarity
 
 KEYPOINTS = 3000
 MAX_IMAGES = 50

@@ -10,7 +10,7 @@ from vwnav.assemble import about_run, assemble_with
 from vwnav.bench.flights.noted_link import LockstepWatcher
 from vwnav.bench.flights.stage import Loop, Place
 from vwnav.config import Config
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack

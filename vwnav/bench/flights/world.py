@@ -16,7 +16,7 @@ from vwnav.bench.flights.noted_link import NotedLink
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures, Place
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Mission, Phase
 from vwnav.rules.flight_log import At

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from vwnav.bench.features.pair_scenes import ground_mask
-from vwnav.bench.features.scenes import Mask
+from vwnav.bench.features.scenes import Mask, ground_mask
 from vwnav.cameras.image_folder import read_image
 from vwnav.errors import ConfigError
 from vwnav.types import Array, Gray

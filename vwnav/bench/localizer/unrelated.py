@@ -1,6 +1,6 @@
 """What unrelated images agree on: how little chance the best wrong agreement of a model shows.
 
-`vwnav/vision/significance.py` takes matches for independent, which they are not; by how much it
+`vwnav/vision/matching.py` takes matches for independent, which they are not; by how much it
 overrates them differs from model to model, so it is measured on images of different places.
 """
 
@@ -44,10 +44,9 @@ from vwnav.vision.candidates import hypotheses
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.consensus import SimilarityBounds, vote
 from vwnav.vision.features.learned import LOG10_PER_DECADE
-from vwnav.vision.matching import match
+from vwnav.vision.matching import log10_nfa, match
 from vwnav.vision.query import QueryMaker, View
 from vwnav.vision.registration import MIN_KEYPOINTS, MIN_MATCHES
-from vwnav.vision.significance import log10_nfa
 
 IMAGES = 90  # views, and as many pieces of map: each view is held against many of them
 UNSURE = 0.6

@@ -28,7 +28,8 @@ from vwnav.bench.features.scoring import (
 from vwnav.bench.speed.accuracy import PATH
 from vwnav.bench.speed.settings import KEYPOINTS, SIZES_WH
 from vwnav.geometry.geodesy import TILE_PX
-from vwnav.geometry.homography import estimate_similarity, transform_points
+from vwnav.geometry.homography import transform_points
+from vwnav.geometry.similarity import estimate_similarity
 from vwnav.maps.build.geotiff import RasterFile
 from vwnav.maps.build.keypoints import KEYPOINTS_PER_TILE
 from vwnav.types import Features

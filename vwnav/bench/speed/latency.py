@@ -14,7 +14,7 @@ from vwnav.bench.speed.results import Latency
 from vwnav.bench.speed.settings import CAMERA_HZ, Setting
 from vwnav.clock import Clock, WallClock
 from vwnav.config import Config
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.pipeline import Pipeline
 from vwnav.runtime import LINK_HZ
 from vwnav.types import Attitude, Frame, Gray, Range

@@ -8,7 +8,7 @@ import numpy as np
 
 from vwnav.cameras.sources import open_source
 from vwnav.errors import CalibrationError, SourceError
-from vwnav.estimation.timeline import NedFix
+from vwnav.estimation.events import NedFix
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.recording.input_log import read_about, read_input_log
 from vwnav.recording.telemetry_files import load_telemetry

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.states import Start
+from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, MapFix, Prior
@@ -39,7 +39,7 @@ class FirstFix:
     def __init__(self) -> None:
         self._found: MapFix | None = None
         self._misses = 0
-        self._fixes: int | None = None  # since a beginning that a search found
+        self._fixes = 0  # since a beginning that a search found
         self.doubted = False
         self.young = False
 
@@ -81,11 +81,10 @@ class FirstFix:
         self._fixes, self.doubted, self.young = 0, False, True
 
     def fused(self) -> None:
-        """A fix was fused by a filter that has its beginning."""
+        """A fix was fused by a filter whose beginning is young."""
         self._misses = 0
-        if self._fixes is not None:
-            self._fixes += 1
-            self.young = self._fixes < TRUSTED_AFTER
+        self._fixes += 1
+        self.young = self._fixes < TRUSTED_AFTER
 
     def missed(self) -> None:
         """An image gave no fix."""

@@ -2,7 +2,7 @@
 
 A right place is found again where the way leads from it, a wrong one is not. So a handful of
 hypotheses are kept: each is a pose on the map, carried along the way, that weak places of later
-images agree with. Evidence is a power of ten (see `vwnav.vision.significance`), and powers of
+images agree with. Evidence is a power of ten (see `vwnav.vision.matching`), and powers of
 images add up where the images are independent: that is on ground that none of the others has
 shown. Another look at the same ground matches the same features of the map, whatever it is.
 

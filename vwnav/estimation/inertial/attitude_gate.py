@@ -12,7 +12,7 @@ import math
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.kalman import Verdict
+from vwnav.estimation.states import Verdict
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array, Attitude
 

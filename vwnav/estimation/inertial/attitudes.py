@@ -158,11 +158,11 @@ class AttitudeHistory:
         i = bisect.bisect_left(self._times_s, t_s)
         return i < len(self._times_s) and self._times_s[i] == t_s
 
-    def turned_unseen_rad(self, t_s: float) -> float:
-        """How far it may have turned by then with neither attitude nor gyro to tell."""
+    def held_at(self, t_s: float) -> tuple[Array, float]:
+        """`quat_at`, and how far it may have turned with neither attitude nor gyro to tell, rad."""
         if not self._times_s or self.knows(t_s):
-            return 0.0
-        return TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
+            return self.quat_at(t_s), 0.0
+        return self.quat_at(t_s), TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
 
     def knows(self, t_s: float) -> bool:
         """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""
@@ -232,9 +232,9 @@ class AttitudeHistory:
         turn = self.gyro.between(self._times_s[i], t_s)
         return None if turn is None else quat_multiply(self._quats[i], turn)
 
-    def yaw_at(self, t_s: float) -> float:
-        """Heading as the autopilot has it, radians."""
-        return yaw_of(self.quat_at(t_s))
+    def yaw_at(self, t_s: float) -> tuple[float, bool]:
+        """Heading as the autopilot has it, radians, and whether telemetry reaches there (`at`)."""
+        return yaw_of(self.quat_at(t_s)), self.at(t_s) is not None
 
 
 def yaw_of(quat_wxyz: Array) -> float:
@@ -279,9 +279,7 @@ def true_from_autopilot(heading_bias_rad: float) -> Array:
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def is_rotation(attitude: Attitude) -> bool:
-    """Whether it has a time, and a quaternion of about unit length."""
-    quat = np.asarray(attitude.quat_wxyz)
-    if not math.isfinite(attitude.t_s) or quat.shape != (4,) or not np.all(np.isfinite(quat)):
-        return False
-    return 0.5 < float(np.linalg.norm(quat)) < 2.0
+def is_rotation(quat_wxyz: Array) -> bool:
+    """Whether it is a finite quaternion of about unit length."""
+    quat = np.asarray(quat_wxyz)
+    return quat.shape == (4,) and 0.5 < float(np.linalg.norm(quat)) < 2.0

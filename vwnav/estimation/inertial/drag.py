@@ -16,8 +16,7 @@ import numpy as np
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, true_from_autopilot
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.kalman import Innovation, Measurement, Verdict, fuse
-from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.states import FilterState, Innovation, Measurement, States, Verdict, fuse
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array
 

@@ -16,8 +16,7 @@ import numpy as np
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import level_axes, yaw_of
 from vwnav.estimation.inertial.preintegration import PreintegratedImu
-from vwnav.estimation.kalman import CHI_SQUARE_GATE
-from vwnav.estimation.states import States
+from vwnav.estimation.states import CHI_SQUARE_GATE, States
 from vwnav.geometry.rotations import quat_conjugate, quat_multiply, vector_from_quat
 from vwnav.types import Array
 

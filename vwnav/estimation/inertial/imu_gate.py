@@ -15,7 +15,7 @@ import numpy as np
 
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.kalman import Innovation, Verdict
+from vwnav.estimation.states import Innovation, Verdict
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
 
@@ -62,7 +62,6 @@ class ImuGate:
         self._ned_long = _Average(_LONG_S)
         self._newest_s = math.inf
         self.fixes_s: deque[float] = deque(maxlen=_LEAST_FIXES)
-        self._refused = 0  # ways of images, in a row
         self._unexplained_m_s2 = 0.0  # by the air, of the newest drag
         self._off_m_s2 = 0.0  # where its witnesses contradict it
         self._off_s = -math.inf
@@ -97,12 +96,11 @@ class ImuGate:
             return Verdict.DISTRUSTED
         return Verdict.FUSED if self._imu.add(sample) else Verdict.TOO_LATE
 
-    def saw_way(self, way: Innovation, t_s: float) -> bool:
-        """Whether what became of an image's way has made it lost."""
+    def refused_ways(self, count: int, t_s: float) -> bool:
+        """Whether so many ways of images, refused in a row until now, have made it lost."""
         climb_m_s2 = abs(float(self._ned.value[2]) + GRAVITY_M_S2)
         off_m_s2 = max(self._unexplained_m_s2, climb_m_s2)
-        self._refused = self._refused + 1 if way.verdict is Verdict.GATED else 0
-        proved = self._refused >= _LEAST_WAYS and self._refused * off_m_s2 >= _PROOF_M_S2
+        proved = count >= _LEAST_WAYS and count * off_m_s2 >= _PROOF_M_S2
         placed = len(self.fixes_s) == _LEAST_FIXES and t_s - self.fixes_s[0] < _FIXES_S
         if self.lost or off_m_s2 < _UNEXPLAINED_M_S2 or not (proved and placed):
             return False

@@ -1,8 +1,12 @@
-"""What an IMU felt until a moment, as the sums that preintegration subtracts."""
+"""What the autopilot tells of a moment; what its IMU felt until then are sums to subtract."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from vwnav.types import Array
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,3 +30,17 @@ class ImuIntegrals:
     integrals: Array
     turned: Array
     variances: Array
+
+
+class Measured(NamedTuple):
+    """What the autopilot tells of a moment.
+
+    Attributes:
+        quat_wxyz: (4,) its attitude.
+        felt: what its IMU had felt until then.
+        carried_rad: how far its gyro alone had turned the heading on, from its last attitude.
+    """
+
+    quat_wxyz: Array
+    felt: ImuIntegrals | None
+    carried_rad: float

@@ -13,6 +13,8 @@ from vwnav.errors import MapError
 from vwnav.geometry.geodesy import (
     MAX_ZOOM,
     TILE_PX,
+    Tile,
+    Window,
     ground_resolution_m_per_px,
     lat_lon_from_mercator_px,
     zoom_for_resolution,
@@ -22,7 +24,7 @@ from vwnav.maps.build.raster import Bounds, RasterSource
 from vwnav.maps.build.warp import PlacedRaster, bounds_window, render
 from vwnav.maps.build.writer import PackWriter
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.image import MapImage, Tile, Window, window_slices
+from vwnav.maps.image import MapImage, window_slices
 from vwnav.maps.schema import SCHEMA_VERSION
 from vwnav.types import FeatureExtractor
 

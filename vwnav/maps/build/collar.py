@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.maps.image import MapImage, Mask, Window
+from vwnav.geometry.geodesy import Window
+from vwnav.maps.image import MapImage, Mask
 
 _CELL_PX = 4
 _STRIP_PX = 512  # a multiple of the cell

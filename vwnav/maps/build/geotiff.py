@@ -15,10 +15,11 @@ from rasterio.warp import transform as transform_crs
 from rasterio.windows import Window as RasterioWindow
 
 from vwnav.errors import MapError
+from vwnav.geometry.geodesy import Window
 from vwnav.maps.build.collar import Collar, find_collar
 from vwnav.maps.build.raster import Bounds, Georeference
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.image import MapImage, Mask, Window
+from vwnav.maps.image import MapImage, Mask
 from vwnav.types import Array
 
 _WGS84 = CRS.from_epsg(4326)

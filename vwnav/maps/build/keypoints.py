@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.geodesy import TILE_PX
-from vwnav.maps.image import MapImage, Mask, Tile, Window
+from vwnav.geometry.geodesy import TILE_PX, Tile, Window
+from vwnav.maps.image import MapImage, Mask
 from vwnav.types import FeatureExtractor, Features, Gray
 
 KEYPOINTS_PER_TILE = 400  # some 700 under a view of 450 x 250 px, against its own 1000

@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.geodesy import LocalFrame, lat_lon_from_mercator_px, mercator_px
-from vwnav.maps.image import MapImage, Mask, Window
+from vwnav.geometry.geodesy import LocalFrame, Window, lat_lon_from_mercator_px, mercator_px
+from vwnav.maps.image import MapImage, Mask
 from vwnav.types import Array
 
 Bounds = tuple[float, float, float, float]  # south, west, north, east in degrees

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from vwnav.errors import MapError
-from vwnav.geometry.geodesy import mercator_px
+from vwnav.geometry.geodesy import Window, mercator_px
 from vwnav.maps.build.builder import BuildOptions
 from vwnav.maps.build.image_files import corner_images, is_corner_table
 from vwnav.maps.build.raster import Georeference, RasterSource, level_georeference
-from vwnav.maps.image import MapImage, Window
+from vwnav.maps.image import MapImage
 from vwnav.maps.pack import MapPack
 from vwnav.maps.schema import SQLITE_MAGIC
 

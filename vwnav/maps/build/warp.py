@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import (
     MAX_LAT_DEG,
+    Window,
     ground_resolution_m_per_px,
     horizontal_distance_m,
     lat_lon_from_mercator_px,
     mercator_px,
 )
 from vwnav.maps.build.raster import Bounds, RasterSource
-from vwnav.maps.image import MapImage, Window
+from vwnav.maps.image import MapImage
 from vwnav.types import Array
 
 _NODE_PX = 32  # exact georeference at such a grid, linear between: 1e-4 px at worst

@@ -11,6 +11,7 @@ from types import TracebackType
 import numpy as np
 
 from vwnav.errors import MapError
+from vwnav.geometry.geodesy import Tile, Window
 from vwnav.maps.codec import (
     DescriptorKind,
     decode_tile,
@@ -19,7 +20,7 @@ from vwnav.maps.codec import (
     encode_tile,
 )
 from vwnav.maps.heights import HeightGrid
-from vwnav.maps.image import MapImage, Tile, Window, assemble
+from vwnav.maps.image import MapImage, assemble
 from vwnav.maps.schema import APPLICATION_ID, SQLITE_MAGIC, TABLES, metadata_checksum
 from vwnav.types import FeatureExtractor, FeatureName, Features
 

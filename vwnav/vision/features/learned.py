@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 import vwnav
 from vwnav.errors import ModelError
 from vwnav.types import Features, Gray
-from vwnav.vision.features.checks import check_gray
+from vwnav.vision.features.opencv import check_gray
 
 SIZE_MULTIPLE_PX = 32  # the graph halves the image five times
 BORDER_PX = 4  # the graph finds nothing nearer to an edge; here the same at edges it cannot see
-LOG10_PER_DECADE = "log10_per_decade"  # in the metadata: see `vwnav.vision.significance`
+LOG10_PER_DECADE = "log10_per_decade"  # in the metadata: see `vwnav.vision.matching`
 # Of a model whose own value has not been measured: more than any that was (docs/benchmarks.md).
 CAUTIOUS_LOG10_PER_DECADE = 5.0
 _INPUTS = {"image": "tensor(uint8)", "max_keypoints": "tensor(int64)"}

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from vwnav.errors import ConfigError
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
-from vwnav.vision.features.orb import OrbFeatures
-from vwnav.vision.features.sift import SiftFeatures
+from vwnav.vision.features.opencv import OrbFeatures, SiftFeatures
 
 
 def load_features(

@@ -8,22 +8,34 @@ the slope of the ground (and the error of attitude 0). These eight numbers are t
 attitude comes in as prior on phi and (a, b). That chooses among the decompositions of the
 homography the physically right one, and tells tilting from moving as well as image and autopilot
 together can.
+
+The points are corners, followed by pyramidal Lucas-Kanade with a check backwards. Dense flow and
+matching of ORB, SIFT or learned features between the same images are slower and no more exact
+(docs/estimation.md has the table).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.geometry.camera import to_gray
 from vwnav.geometry.rotations import rotation_from_vector
-from vwnav.types import Array
+from vwnav.types import Array, Gray
 
 _T, _PHI, _SLOPE = slice(0, 3), slice(3, 6), slice(6, 8)
 _ITERATIONS = 5
 _TUKEY = 4.685  # 95 % efficiency for normal errors
 _RANSAC_STEPS = 300
+Points = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+_WINDOW_PX = 15
+_LEVELS = 3
+_FORTH_AND_BACK_PX = 0.7
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+_LEAST_RESPONSE = 2e-5  # smaller eigenvalue of the gradients, gray from 0 to 1: above sensor noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +80,7 @@ class Motion:
     turn_rad: Array
     slope: Array
     covariance: Array
-    inliers: NDArray[np.bool_]
+    inliers: BoolArray
     sigma_px: float
 
 
@@ -82,33 +94,33 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     if parameters is None:
         return None
     scale_px = threshold_px
-    weights = np.ones(len(seen.rays1))
     for _ in range(_ITERATIONS):
         residuals, J = _linearise(seen, parameters)
         size_px = np.hypot(residuals[:, 0], residuals[:, 1])
-        scale_px = min(scale_px, _scale(size_px[size_px < threshold_px], prior.pixel))
+        if np.any(size_px < threshold_px):
+            # One sigma per axis of residual lengths, from their median (of a Rayleigh distribution)
+            sigma_px = float(np.median(size_px[size_px < threshold_px])) / 1.1774
+            scale_px = min(scale_px, max(sigma_px, prior.pixel))
+        else:
+            scale_px = min(scale_px, prior.pixel)
         weights = np.clip(1.0 - (size_px / (_TUKEY * scale_px)) ** 2, 0.0, None) ** 2
-        step = _solve(residuals, J, weights / scale_px**2, parameters, prior)
-        if step is None:
+        information, gradient = _normal(residuals, J, weights / scale_px**2, parameters, prior)
+        try:
+            step = np.linalg.solve(information, gradient)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.all(np.isfinite(step)):
             return None
         parameters = parameters + step
     residuals, J = _linearise(seen, parameters)
-    size_px = np.hypot(residuals[:, 0], residuals[:, 1])
-    inliers = size_px < _TUKEY * scale_px
-    information = _information(J, inliers / scale_px**2, prior)
+    inliers = np.hypot(residuals[:, 0], residuals[:, 1]) < _TUKEY * scale_px
+    information, _ = _normal(residuals, J, inliers / scale_px**2, parameters, prior)
     if not np.all(np.isfinite(information)) or np.count_nonzero(inliers) < 4:
         return None
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return Motion(
         parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px
     )
-
-
-def _scale(size_px: Array, least_px: float) -> float:
-    """One sigma per axis of residual lengths, from their median (of a Rayleigh distribution)."""
-    if len(size_px) == 0:
-        return least_px
-    return max(float(np.median(size_px)) / 1.1774, least_px)
 
 
 def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
@@ -172,30 +184,19 @@ def _cross_matrices(v: Array) -> Array:
     return out
 
 
-def _prior_information(prior: MotionPrior) -> Array:
-    """(8,) diagonal; the way and the turn about down are left to the image."""
-    tilt, slope = prior.tilt_increment_rad**-2, prior.slope**-2
-    return np.array([0.0, 0.0, 0.0, tilt, tilt, 0.0, slope, slope])
-
-
-def _information(J: Array, weights: Array, prior: MotionPrior) -> Array:
-    flat = J.reshape(-1, 8)
-    weighted = flat * np.repeat(weights, 2)[:, None]
-    return np.asarray(flat.T @ weighted + np.diag(_prior_information(prior)))
-
-
-def _solve(
+def _normal(
     residuals: Array, J: Array, weights: Array, parameters: Array, prior: MotionPrior
-) -> Array | None:
-    """Gauss-Newton step (8,)."""
-    flat = J.reshape(-1, 8)
-    gradient = flat.T @ (np.repeat(weights, 2) * residuals.ravel())
-    gradient -= _prior_information(prior) * parameters
-    try:
-        step = np.linalg.solve(_information(J, weights, prior), gradient)
-    except np.linalg.LinAlgError:
-        return None
-    return np.asarray(step, dtype=np.float64) if np.all(np.isfinite(step)) else None
+) -> tuple[Array, Array]:
+    """Normal equations of a Gauss-Newton step: information (8, 8) and gradient (8,).
+
+    The way and the turn about down are left to the image.
+    """
+    tilt, slope = prior.tilt_increment_rad**-2, prior.slope**-2
+    known = np.array([0.0, 0.0, 0.0, tilt, tilt, 0.0, slope, slope])
+    flat, twice = J.reshape(-1, 8), np.repeat(weights, 2)
+    information = flat.T @ (flat * twice[:, None]) + np.diag(known)
+    gradient = flat.T @ (twice * residuals.ravel()) - known * parameters
+    return information, gradient
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,39 +240,87 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     return TiltSeen(min(float(along) / variance, 1.0), float(ratio))
 
 
-def off_plane(motion: Motion, share: float) -> Motion:
-    """The motion, less sure where only a share of the tracks lies on its plane.
-
-    Roofs and crowns of trees move on planes of their own: which of them was taken for the ground,
-    and how much the rest pulls at it, the inliers' own scatter does not tell.
-    """
-    return replace(motion, covariance=motion.covariance / share**2)
+def reduction(width_px: int, widest_px: int) -> int:
+    """The whole number by which images are shrunk so that they are at most `widest_px` wide."""
+    return max(1, math.ceil(width_px / widest_px))
 
 
-def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
-    """Way (3,) of the ground point in the image's centre, with its covariance (3, 3).
-
-    Tilting moves it as flying does. It stays on the ground, which is turned to be level; the third
-    component is how much shorter the way from the camera to that point became.
+def reduced_gray(image: NDArray[np.uint8], factor: int) -> Gray:
+    """Gray image shrunk by a whole number; what does not fill a pixel at the end is cut off.
 
     Args:
-        motion: since the keyframe.
-        axis0: (3,) optical axis in NED of the keyframe.
-        axis1: (3,) the same of the image, both as their attitudes have it.
+        image: (h, w) gray or (h, w, 3) BGR.
+        factor: from `reduction`.
     """
-    parameters = np.concatenate([motion.way, motion.turn_rad, motion.slope])
-    way = _centre(parameters, axis0, axis1)
-    J = np.empty((3, 8))
-    for i, step in enumerate(1e-6 * np.eye(8)):
-        J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
-    return way, J @ motion.covariance @ J.T
+    gray = image if image.ndim == 2 else to_gray(image)
+    if factor == 1:
+        return np.ascontiguousarray(gray, dtype=np.uint8)
+    height, width = gray.shape[0] // factor, gray.shape[1] // factor
+    cut = gray[: height * factor, : width * factor]
+    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:
-    t, normal = parameters[:3], np.array([parameters[6], parameters[7], 1.0])
-    axis = rotation_from_vector(parameters[3:6]) @ axis1
-    range0 = 1.0 / (normal @ axis0)
-    range1 = (1.0 - normal @ t) / (normal @ axis)
-    along = t + range1 * axis - range0 * axis0
-    level = rotation_from_vector(np.cross(normal / np.linalg.norm(normal), [0.0, 0.0, 1.0]))
-    return np.array([*(level @ along)[:2], range0 - range1])
+def find_corners(gray: Gray, cell_px: int) -> Points:
+    """The strongest corner (n, 2) of each cell of the image, if it is one (Shi and Tomasi 1994).
+
+    One per cell spreads them evenly, which is what tells tilting from moving.
+    """
+    response = cv2.cornerMinEigenVal(gray, 5)
+    margin = _WINDOW_PX // 2
+    rows, columns = ((size - 2 * margin) // cell_px for size in gray.shape)
+    if rows < 1 or columns < 1:
+        return np.zeros((0, 2), np.float32)
+    inner = response[margin : margin + rows * cell_px, margin : margin + columns * cell_px]
+    cells = inner.reshape(rows, cell_px, columns, cell_px).transpose(0, 2, 1, 3)
+    flat = cells.reshape(rows * columns, cell_px * cell_px)
+    best = np.argmax(flat, axis=1)
+    strong = np.flatnonzero(flat[np.arange(len(flat)), best] > _LEAST_RESPONSE)
+    u = margin + (strong % columns) * cell_px + best[strong] % cell_px
+    v = margin + (strong // columns) * cell_px + best[strong] // cell_px
+    return np.column_stack([u, v]).astype(np.float32)
+
+
+def track(gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points) -> tuple[Points, BoolArray]:
+    """Follow points from image 0 to image 1.
+
+    Args:
+        gray0: image 0.
+        gray1: image 1, of the same size.
+        uv0: (n, 2) where they are in image 0.
+        guess_uv1: (n, 2) where they are thought to be in image 1.
+
+    Returns:
+        (n, 2) where they are, and (n,) whether they came back to where they started.
+    """
+    height, width = gray1.shape
+    inside = np.all((guess_uv1 >= 0) & (guess_uv1 <= (width - 1, height - 1)), axis=1)
+    uv1 = guess_uv1.copy()
+    kept = np.zeros(len(uv0), dtype=np.bool_)
+    if not np.any(inside):
+        return uv1, kept
+    start, guess = np.ascontiguousarray(uv0[inside]), np.ascontiguousarray(guess_uv1[inside])
+    forth, found = _lucas_kanade(gray0, gray1, start, guess)
+    # Backwards from the same guess of the motion, not from the answer, or any answer would agree.
+    back, found_back = _lucas_kanade(gray1, gray0, forth, forth - (guess - start))
+    good = found & found_back & (np.max(np.abs(back - start), axis=1) < _FORTH_AND_BACK_PX)
+    uv1[inside] = forth
+    kept[inside] = good
+    return uv1, kept
+
+
+def _lucas_kanade(
+    gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points
+) -> tuple[Points, BoolArray]:
+    uv1, status, _ = cv2.calcOpticalFlowPyrLK(
+        gray0,
+        gray1,
+        uv0,
+        guess_uv1.copy(),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=_LEVELS,
+        criteria=_STOP,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    points = np.asarray(uv1, dtype=np.float32).reshape(-1, 2)
+    found = status.ravel().astype(np.bool_) & np.all(np.isfinite(points), axis=1)
+    return points, found

@@ -29,17 +29,20 @@ from vwnav.types import (
     RejectReason,
 )
 from vwnav.vision.config import OdometryConfig
+from vwnav.vision.odometry.alone import centre_way
 from vwnav.vision.odometry.ground_motion import (
     Motion,
     MotionPrior,
+    Points,
     Sightings,
     TiltSeen,
-    centre_way,
+    find_corners,
     fit_motion,
-    off_plane,
+    reduced_gray,
+    reduction,
     tilt_seen,
+    track,
 )
-from vwnav.vision.odometry.tracking import Points, find_corners, reduced_gray, reduction, track
 from vwnav.vision.shutter import as_at_once, ray_flow
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
@@ -49,7 +52,7 @@ _MOST_ZOOM = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ReducedView:
-    """A reduced image and how it was taken: height of the body, and of the camera.
+    """A reduced image and how it was taken: heading and height of the body, height of the camera.
 
     `flow` (3, 3) is how what is seen moves while rows are read, see `vwnav.vision.shutter`.
     """
@@ -57,6 +60,7 @@ class _ReducedView:
     t_s: float
     gray: Gray
     R_ned_camera: Array
+    heading_rad: float
     agl_m: float
     height_m: float
     flow: Array | None
@@ -185,7 +189,8 @@ class Odometry:
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
         flow = ray_flow(frame, self._camera, R_ned_camera[2], height_m) if self._rolling else None
-        return _ReducedView(frame.t_s, gray, R_ned_camera, agl_m, height_m, flow)
+        heading_rad = _heading(R_ned_camera, self._camera)
+        return _ReducedView(frame.t_s, gray, R_ned_camera, heading_rad, agl_m, height_m, flow)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """An image that shows nothing: what comes after it starts anew."""
@@ -247,18 +252,21 @@ class Odometry:
             config.least_inliers, config.least_inlier_ratio * stats.matches
         ):
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
-        if not _plausible(motion, config):
+        sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
+        if not (sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
         axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
         tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, *axes)
-        return self._accept(keyframe, view, off_plane(motion, count / stats.matches), count, tilt)
+        # Roofs and crowns of trees move on planes of their own: which of them was taken for the
+        # ground, and how much the rest pulls at it, the inliers' own scatter does not tell.
+        unsure = replace(motion, covariance=motion.covariance / (count / stats.matches) ** 2)
+        return self._accept(keyframe, view, unsure, count, tilt)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
         c = self._config
         if self._alone:
             return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.sigma_px)
-        headings = (_heading(v.R_ned_camera, self._camera) for v in (keyframe, view))
-        turned_rad = abs(wrap_pi(next(headings) - next(headings)))
+        turned_rad = abs(wrap_pi(keyframe.heading_rad - view.heading_rad))
         tilt_rad = math.hypot(c.tilt_increment_rad, c.tilt_rad * turned_rad)
         return MotionPrior(tilt_rad, c.slope, c.sigma_px)
 
@@ -266,9 +274,8 @@ class Odometry:
         self, keyframe: _Keyframe, view: _ReducedView, motion: Motion, count: int, tilt: TiltSeen
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
-        heading0_rad = _heading(keyframe.view.R_ned_camera, self._camera)
         heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
-        increment_rad = wrap_pi(heading1_rad - heading0_rad)
+        increment_rad = wrap_pi(heading1_rad - keyframe.view.heading_rad)
         height_m = keyframe.view.height_m
         if self._alone:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
@@ -278,7 +285,11 @@ class Odometry:
             way, covariance = motion.way, motion.covariance[:3, :3]
         swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
         self._remember(view, motion)
-        if self._served(keyframe, motion, increment_rad, count):
+        if (
+            count < self._config.keep_ratio * len(keyframe.uv)
+            or abs(increment_rad) > self._config.keep_turn_rad
+            or abs(motion.way[2]) > self._config.keep_zoom
+        ):
             self._start(view)
         return OdometryMotion(
             t0_s=keyframe.view.t_s,
@@ -299,7 +310,9 @@ class Odometry:
         """A level view with the heading that its image has shown."""
         self._heading_rad = heading_rad
         R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
-        return replace(view, R_ned_camera=R_ned_body @ self._camera.R_body_camera)
+        R_ned_camera = R_ned_body @ self._camera.R_body_camera
+        heading_rad = _heading(R_ned_camera, self._camera)
+        return replace(view, R_ned_camera=R_ned_camera, heading_rad=heading_rad)
 
     def _remember(self, view: _ReducedView, motion: Motion) -> None:
         course = self._course
@@ -308,20 +321,6 @@ class Odometry:
         self._course = _Course(view.t_s, motion.way, turn_rad, velocity)
         self._last = view
 
-    def _served(
-        self, keyframe: _Keyframe, motion: Motion, increment_rad: float, count: int
-    ) -> bool:
-        return (
-            count < self._config.keep_ratio * len(keyframe.uv)
-            or abs(increment_rad) > self._config.keep_turn_rad
-            or abs(motion.way[2]) > self._config.keep_zoom
-        )
-
 
 def _heading(R_ned_camera: Array, camera: Camera) -> float:
     return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
-
-
-def _plausible(motion: Motion, config: OdometryConfig) -> bool:
-    sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
-    return sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM

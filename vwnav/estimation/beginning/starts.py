@@ -1,0 +1,116 @@
+"""Where a filter begins: at first, and anew when its state is no aircraft's."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.states import FilterState, States, TrustedPosition, tells_heading
+from vwnav.types import Array
+
+_HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
+_TERRAIN_SIGMA_M = 30.0
+_BARO_SIGMA_M = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """What is known at first. On the ground nothing moves; in the air nothing is sure.
+
+    Attributes:
+        position_ned_m: (3,), None when unknown; its sigma is per horizontal axis.
+        sigma_baro_m: of the barometer's zero; None takes the configured one, of a barometer that
+            was zeroed where the height is counted from.
+    """
+
+    t_s: float
+    position_ned_m: Array | None = None
+    sigma_m: float = 5.0
+    agl_m: float = 0.15
+    sigma_agl_m: float = 0.15
+    sigma_velocity_m_s: float = 0.1
+    sigma_baro_m: float | None = None
+
+
+def first_state(start: Start, config: EkfConfig) -> FilterState:
+    """The state before any measurement.
+
+    Raises:
+        ValueError: a number that is not finite, or a sigma that is not positive.
+    """
+    known = start.position_ned_m is not None
+    position = np.zeros(3) if start.position_ned_m is None else np.array(start.position_ned_m)
+    sigmas = np.array([start.sigma_m, start.sigma_agl_m, start.sigma_velocity_m_s])
+    if position.shape != (3,) or not np.all(np.isfinite([*position, start.t_s, start.agl_m])):
+        raise ValueError(f"expected a finite position (3,), time and height, got {start}")
+    if not (np.all(np.isfinite(sigmas)) and np.all(sigmas > 0.0)):
+        raise ValueError(f"expected positive sigmas, got {sigmas}")
+    x = np.zeros(States.SIZE)
+    x[States.POSITION] = position
+    x[States.TERRAIN] = -position[2] - start.agl_m
+    x[States.DRAG] = config.drag_per_s
+    variance = first_variance(config)
+    variance[States.POSITION] = (start.sigma_m if known else config.unknown_sigma_m) ** 2
+    variance[States.DOWN] = 0.1**2  # the height is counted from here
+    variance[States.VELOCITY] = start.sigma_velocity_m_s**2
+    variance[States.TERRAIN] = start.sigma_agl_m**2
+    variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
+    trusted = TrustedPosition(start.t_s, position[:2], start.sigma_m) if known else None
+    P, t_s = np.diag(variance), start.t_s
+    return FilterState(t_s, x, P, known, tells_heading(P), t_s, t_s, trusted=trusted)
+
+
+def first_variance(config: EkfConfig) -> Array:
+    """(n,) of what the settings know of at first; of the rest, which the start tells, ones."""
+    variance = np.ones(States.SIZE)
+    variance[States.ACCELERATION] = config.acceleration_sigma_m_s2**2
+    variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
+    variance[States.TILT] = config.tilt_sigma_rad**2
+    variance[States.BARO] = config.baro_sigma_m**2
+    variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
+    variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
+    variance[States.WIND_FORCE] = config.wind_force_sigma_m_s2**2
+    variance[States.DRAG] = config.drag_sigma_per_s**2
+    variance[States.MAP] = config.map_sigma_m**2
+    variance[States.MAP_TURN] = config.map_turn_rad**2
+    variance[States.MAP_SCALE] = config.map_scale**2
+    return variance
+
+
+def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
+    """At the last trusted fix, as unsure as an aircraft can have flown since.
+
+    Heights keep their values where they are numbers: they have witnesses of their own, and are open
+    to them. Of the attitude's error nothing is believed but that it is as at first.
+    """
+    x, variance = np.zeros(States.SIZE), first_variance(config)
+    x[States.DRAG] = config.drag_per_s
+    heights = [States.DOWN, States.BARO, States.TERRAIN]
+    if np.all(np.isfinite(state.x[heights])):
+        x[heights] = state.x[heights]
+        # Nor may what it took the barometer's bias for be far from what weather does in an hour.
+        x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
+    variance[States.DOWN], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
+    variance[States.BARO] = _BARO_SIGMA_M**2
+    variance[States.VELOCITY] = config.restart_velocity_m_s**2
+    known = state.trusted is not None
+    sigma_m = config.unknown_sigma_m
+    if state.trusted is not None:
+        x[States.POSITION_NE] = state.trusted.position_ne_m
+        flown_m = 0.5 * config.most_speed_m_s * max(state.t_s - state.trusted.t_s, 0.0)
+        sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
+    variance[States.POSITION_NE] = sigma_m**2
+    P = np.diag(variance)
+    return FilterState(
+        state.t_s,
+        x,
+        P,
+        position_known=known,
+        heading_known=tells_heading(P),
+        tracked_s=state.tracked_s,
+        exposed_s=state.exposed_s,
+        t_last_fix_s=state.t_last_fix_s,
+        trusted=state.trusted,
+        reset_counter=state.reset_counter + 1,
+    )

@@ -1,0 +1,63 @@
+"""Innovations that the gates reject may be right after all: enough of them must agree."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vwnav.estimation.states import (
+    CHI_SQUARE_GATE,
+    FilterState,
+    Measurement,
+    RejectedInnovation,
+    RejectedInnovations,
+)
+
+_MOST_REMEMBERED = 64  # rejected innovations
+
+
+def freed(state: FilterState, index: int, sigma: float) -> FilterState:
+    """Forget how sure one state was: its correlations go, its sigma is as given."""
+    P = state.P.copy()
+    P[index, :] = 0.0
+    P[:, index] = 0.0
+    P[index, index] = sigma**2
+    return replace(state, P=P)
+
+
+def remember(
+    rejected: RejectedInnovations, t_s: float, measurement: Measurement, window_s: float
+) -> RejectedInnovations:
+    """The rejected innovations of the last `window_s`, with that of a measurement at the end."""
+    newest = RejectedInnovation(t_s, measurement.residual, measurement.R)
+    recent = [before for before in rejected if before.t_s >= t_s - window_s]
+    return (*recent, newest)[-_MOST_REMEMBERED:]
+
+
+def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnovations:
+    """Those that want the same change as the newest one, itself included.
+
+    Two agree when their residuals differ by no more than their covariances, and the drift that the
+    prediction may have made between them, explain at 99.9 %.
+    """
+    newest = rejected[-1]
+    gate = CHI_SQUARE_GATE[len(newest.residual)]
+    unit = np.eye(len(newest.residual))
+    same = []
+    for before in rejected:
+        drift = drift_per_s * (newest.t_s - before.t_s)
+        spread = before.covariance + newest.covariance + drift**2 * unit
+        apart = newest.residual - before.residual
+        if apart @ np.linalg.solve(spread, apart) <= gate:
+            same.append(before)
+    return tuple(same)
+
+
+def convinces(rejected: RejectedInnovations, drift_per_s: float, count: int, span_s: float) -> bool:
+    """Whether at least `count` over at least `span_s` agree, and at most a third does not."""
+    same = agreeing(rejected, drift_per_s)
+    recent = sum(each.t_s >= same[0].t_s for each in rejected)
+    return (
+        len(same) >= count
+        and same[-1].t_s - same[0].t_s >= span_s
+        and len(same) >= 2.0 / 3.0 * recent
+    )
