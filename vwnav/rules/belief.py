@@ -90,6 +90,22 @@ def _seldom_wrong(log: FlightLog) -> Breach | None:
     return Breach(long[0][0] - _SELDOM_S, "over 3 sigmas wrong for over 1 s") if long else None
 
 
+def _wrong_velocity(log: FlightLog) -> Breach | None:
+    """Of those that are told: an autopilot brakes by them."""
+
+    def off_sigmas(sent: Sent) -> float:
+        truth = log.true_velocity_ne_m_s(sent.stamp_s)
+        if truth is None or sent.velocity_ned_m_s is None or sent.sigma_m_s is None:
+            return 0.0
+        return math.dist(sent.velocity_ned_m_s[:2], truth) / sent.sigma_m_s
+
+    return always(
+        log.estimates,
+        lambda sent: off_sigmas(sent) <= _NEVER_SIGMAS,
+        lambda sent: f"{off_sigmas(sent):.1f} sigmas wrong",
+    )
+
+
 def _wrong_fix(log: FlightLog) -> Breach | None:
     def off_m(fix: At) -> float:
         truth = log.true_place_ne_m(fix.t_s)
@@ -124,6 +140,12 @@ BELIEF = (
         "Estimates are not more than 3 of their sigmas wrong for over 1 s.",
         ("estimates", "truth"),
         _seldom_wrong,
+    ),
+    Rule(
+        "told velocity",
+        "No velocity that the autopilot is told is more than 5 of its sigmas wrong.",
+        ("estimates", "truth"),
+        _wrong_velocity,
     ),
     Rule(
         "fix right",
