@@ -226,15 +226,15 @@ def test_fixes_that_come_later_make_it_a_sure_one_which_is_new_again():
 
 def test_a_jump_of_an_unproven_one_stays_unproven():
     def make(t_s: float) -> Estimate:
-        found = {"reset_counter": 1, "t_last_fix_s": 12.5} if t_s >= 12.5 else {}
+        found = {"reset_counter": 1, "t_last_fix_s": 13.5} if t_s >= 13.5 else {}
         return replace(
             wide(t_s, 2.0), position_ned_m=np.array([8.0 * t_s, 9.0 * bool(found), -50.0]), **found
         )
 
-    sent = feed_seeing(after_a_gap(), 10.0, 15.0, make)
+    sent = feed_seeing(after_a_gap(), 10.0, 16.0, make)
     assert {e.reset_counter for e in sent} == {1, 2}
     assert min(e.sigma_horizontal_m for e in sent) == pytest.approx(LIMITS.unproven_sigma_m)
-    assert sent[-1].t_s > 14.9
+    assert sent[-1].t_s > 15.9
 
 
 @pytest.mark.parametrize(
@@ -248,6 +248,19 @@ def test_a_jump_of_an_unproven_one_stays_unproven():
 )
 def test_after_a_gap_it_does_not_come_back_without_a_steady_velocity_or_from_anywhere(make):
     assert feed_seeing(after_a_gap(), 10.0, 19.0, make) == []
+
+
+def test_a_fix_right_after_it_came_back_is_waited_for_and_told_a_second_later_at_the_earliest():
+    def make(t_s: float) -> Estimate:
+        found = {"reset_counter": 1, "t_last_fix_s": 12.0} if t_s >= 12.0 else {}
+        place = np.array([8.0 * t_s, 9.0 * bool(found), -50.0])
+        return replace(wide(t_s, 2.0), position_ned_m=place, **found)
+
+    sent = feed_seeing(after_a_gap(), 10.0, 16.0, make)
+    changes = [b for a, b in pairwise(sent) if a.reset_counter != b.reset_counter]
+    assert [e.t_s for e in changes] == pytest.approx([13.5], abs=0.15)
+    assert sent[-1].t_s > 15.9
+    assert min(e.sigma_horizontal_m for e in sent) == pytest.approx(LIMITS.unproven_sigma_m)
 
 
 def test_after_a_brief_gap_an_unproven_one_goes_on_as_unproven():

@@ -18,6 +18,7 @@ from vwnav.safety.estimate_track import Track, Trial, at_least, is_finite, sigma
 from vwnav.types import Estimate
 
 _VELOCITY_LOST = "the estimate's velocity is lost"
+_RESTLESS = "the estimate jumps again and again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +42,7 @@ class EstimateLimits:
         settle_s: for how long it has to be steady then.
         settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
         steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
+        handed_on_s: a new one reaches the autopilot so much later: the watchdog looks at it first.
         new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
         unproven_s: for how long one without those fixes has had a velocity, seen and sure, when it
             comes back. An autopilot that is told neither comes down with the wind.
@@ -62,6 +64,7 @@ class EstimateLimits:
     settle_s: float = 0.5
     settle_drift_m_s: float = 2.0
     steady_s: float = 1.0
+    handed_on_s: float = 0.5
     new_fixes: int = 3
     new_fixes_s: float = 1.0
     unproven_s: float = 1.5
@@ -120,8 +123,9 @@ class EstimateGuard:
             if broken is None:
                 return self._sent(self._with_proof(estimate, t_s))
             self.lose(broken, t_s)
-            self._only_missed = gap_s > self._limits.max_gap_s or broken == _VELOCITY_LOST
-            self._may_resume = self._only_missed
+            self._may_resume = gap_s > self._limits.max_gap_s or broken == _VELOCITY_LOST
+            is_found = self._unproven is not None and broken == _RESTLESS  # by a first fix
+            self._only_missed = self._may_resume or is_found
         return self._try(estimate, fault, t_s, seen_s)
 
     def lose(self, reason: str, t_s: float) -> None:
@@ -183,7 +187,7 @@ class EstimateGuard:
             return f"there was no estimate for {gap_s:.1f} s"
         if estimate.reset_counter != self._last.reset_counter:
             if estimate.t_s - self._jumped_t_s < self._limits.steady_s:
-                return "the estimate jumps again and again"
+                return _RESTLESS
             self._track.clear()
             is_told = self._unproven is not None
             return self._unsure_velocity(estimate) if is_told else self._unsure(estimate)
@@ -238,6 +242,7 @@ class EstimateGuard:
         is_proven = self._unsure(estimate) is None and self._is_proven(trial, t_s)
         if is_proven or self._has_velocity(trial, estimate):
             self._renew(estimate)
+            self._jumped_t_s += self._limits.handed_on_s
             self._unproven = None if is_proven else trial
             return self._sent(self._with_proof(estimate, t_s))
         return None
