@@ -224,6 +224,17 @@ def test_fixes_that_come_later_make_it_a_sure_one_which_is_new_again():
     assert {e.reset_counter for e in sent} == {1, 2}
 
 
+def test_the_watchdog_has_had_a_second_of_it_before_it_is_new_again():
+    def make(t_s: float) -> Estimate:
+        seen_s = 11.2 + 0.4 * math.floor((t_s - 11.2) / 0.4) if t_s >= 11.2 else 0.0
+        return replace(wide(t_s, 2.0), reset_counter=1, t_last_fix_s=seen_s)
+
+    sent = feed_seeing(after_a_gap(), 10.0, 15.0, make)
+    (again,) = [b for a, b in pairwise(sent) if a.reset_counter != b.reset_counter]
+    least_s = LIMITS.handed_on_s + LIMITS.steady_s
+    assert again.t_s - sent[0].t_s == pytest.approx(least_s, abs=0.03)
+
+
 def test_a_jump_of_an_unproven_one_stays_unproven():
     def make(t_s: float) -> Estimate:
         found = {"reset_counter": 1, "t_last_fix_s": 13.5} if t_s >= 13.5 else {}

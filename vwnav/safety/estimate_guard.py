@@ -212,7 +212,7 @@ class EstimateGuard:
     def _sent(self, estimate: Estimate) -> Estimate:
         self.lost_since_s, self._trial, self.reason = None, None, ""
         if self._last is not None and estimate.reset_counter != self._last.reset_counter:
-            self._jumped_t_s = estimate.t_s
+            self._jumped_t_s = max(self._jumped_t_s, estimate.t_s)
         self._last = estimate
         self._track.add(estimate.t_s, *_north_east(estimate))
         return replace(estimate, reset_counter=estimate.reset_counter + self._renewals)
