@@ -127,7 +127,7 @@ class FlightRuntime:
         vehicle = self._autopilot.state()
         self._heard_s = None if vehicle.attitude is None else vehicle.attitude.t_s
         self._lose_what_is_not_heard(vehicle, t_s)
-        sent = self._guard.admit(believed, t_s, vehicle.armed)
+        sent = self._guard.admit(believed, t_s, vehicle.armed, self._seen_s)
         lost = self._guard.reason if believed is not None and sent is None else ""
         with self._lock:
             before = self._navigation

@@ -1,6 +1,7 @@
 """The driver of a PX4, in memory: what it says, when, and what it makes of the answers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -156,6 +157,23 @@ def test_the_estimate_waits_for_the_origin_and_is_sent_about_it(bench):
     assert message.covariance[20] == pytest.approx(math.pi**2)
     assert message.reset_counter == 2
     assert not bench.peer.of("VISION_SPEED_ESTIMATE")
+
+
+def test_a_px4_is_told_the_velocity_too_where_the_place_is_unsure(bench):
+    bench.has_origin()
+    unsure = np.diag([900.0, 400.0, 1.0, 0.25, 0.5, 0.1])
+    bench.autopilot.send_estimate(replace(bench.estimate(), covariance=unsure))
+    bench.run(0.05)
+    message = bench.peer.of("ODOMETRY")[-1]
+    assert not bench.peer.of("VISION_POSITION_ESTIMATE")
+    assert (message.frame_id, message.child_frame_id, message.estimator_type) == (1, 1, 2)
+    assert (message.x, message.y, message.z) == (10.0, -20.0, -30.0)
+    velocity = bench.estimate().velocity_ned_m_s
+    assert (message.vx, message.vy, message.vz) == pytest.approx(tuple(velocity), abs=1e-6)
+    assert [message.pose_covariance[i] for i in (0, 6, 11)] == [900.0, 400.0, 1.0]
+    assert [message.velocity_covariance[i] for i in (0, 6, 11)] == pytest.approx([0.25, 0.5, 0.1])
+    assert math.isnan(message.yawspeed)
+    assert message.reset_counter == 2
 
 
 def test_an_origin_that_is_there_already_is_kept(bench):

@@ -1,7 +1,9 @@
 """The same driver over real MAVLink: MAVSDK on one side, a pymavlink peer on the other."""
 
+import math
 import time
 
+import numpy as np
 import pytest
 from autopilot_links import HOME, stepped
 from link_peer import PX4_OFFBOARD, Peer, free_port, wait_for
@@ -10,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.errors import LinkError
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.types import Attitude, ImuSample
+from vwnav.types import Attitude, Estimate, ImuSample
 from vwnav.vehicle import FlightMode, Order
 
 
@@ -102,6 +104,27 @@ def test_a_flight_arms_takes_off_and_takes_control(px4):
     assert {"COMMAND_LONG", "SET_GPS_GLOBAL_ORIGIN", "PARAM_REQUEST_READ"} <= set(targets)
     ours = {kind: system for kind, system in targets.items() if kind not in ("TIMESYNC", "PING")}
     assert set(ours.values()) == {7}, ours
+
+
+def test_a_velocity_leaves_with_a_place_that_is_unsure(px4):
+    peer, autopilot = px4
+    autopilot.set_origin(*HOME)
+
+    def send() -> list:
+        estimate = Estimate(
+            time.monotonic(), np.array([10.0, -20.0, -30.0]), np.array([4.0, 5.0, -6.0]),
+            np.diag([900.0, 400.0, 1.0, 0.25, 0.5, 0.1]), np.array([1.0, 0.0, 0.0, 0.0]),
+            0.1, 30.0, 1.0, 1.0, 258,
+        )  # fmt: skip
+        autopilot.send_estimate(estimate)
+        return peer.of("ODOMETRY")
+
+    told = wait_for(send)[-1]
+    assert (told.frame_id, told.child_frame_id, told.estimator_type, told.quality) == (1, 1, 2, 0)
+    assert (told.vx, told.vy, told.vz, told.reset_counter) == (4.0, 5.0, -6.0, 2)
+    assert [told.pose_covariance[i] for i in (0, 6)] == [900.0, 400.0]
+    assert [told.velocity_covariance[i] for i in (0, 6)] == [0.25, 0.5]
+    assert math.isnan(told.rollspeed)
 
 
 def test_a_link_that_falls_silent_is_not_connected(px4):

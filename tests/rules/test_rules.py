@@ -149,6 +149,9 @@ RED: dict[str, Callable[[FlightLog], FlightLog]] = {
     "sigma bounded": lambda log: with_sent(log, 12.0, covariance_ne_m2=(4900.0, 0.0, 1.0)),
     "never 5 sigmas wrong": lambda log: further(log, 4.0, 12.0),
     "seldom 3 sigmas wrong": lambda log: further(log, 2.0, 12.0),
+    "told velocity": lambda log: with_sent(
+        log, 12.0, 12.1, velocity_ned_m_s=(9.0, 0.0, 0.0), sigma_m_s=0.3
+    ),
     "fix right": lambda log: replace(log, fixes=[At(12.0, (40.0, 0.0))]),
     "belief speed": lambda log: replace(log, beliefs=[At(12.0, (30.0, 30.0))]),
 }

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -176,6 +177,130 @@ def test_after_a_short_stall_it_does_not_go_on_elsewhere():
     guard = flying()
     feed(guard, DT_S, 1.0)
     assert feed(guard, 1.8, 9.0, lambda t: at(t, 7.0)) == []
+
+
+def wide(t_s: float, sigma_m: float = 40.0, sigma_m_s: float = 0.5) -> Estimate:
+    """On its way at 8 m/s, with no fix since the start."""
+    return at(t_s, 8.0 * t_s, 8.0, covariance=covariance(sigma_m, sigma_m_s))
+
+
+def feed_seeing(
+    guard: EstimateGuard, start_s: float, end_s: float, make, late_s: float = 0.1
+) -> list[Estimate]:
+    """Every image tells a motion, 0.1 s later."""
+    steps = [i * DT_S for i in range(round(start_s / DT_S), round(end_s / DT_S))]
+    sent = (guard.admit(make(t_s), t_s, True, t_s - late_s) for t_s in steps)
+    return [e for e in sent if e is not None]
+
+
+def after_a_gap() -> EstimateGuard:
+    guard = flying(8.0)
+    feed(guard, DT_S, 1.0, lambda t: at(t, 8.0 * t, 8.0))
+    guard.lose("the autopilot is not heard", 1.0)
+    return guard
+
+
+@pytest.mark.parametrize("sigma_m", [50.0, 2.0])
+def test_after_a_gap_it_comes_back_with_a_sure_velocity_and_a_place_that_is_told_as_unproven(
+    sigma_m,
+):
+    sent = feed_seeing(after_a_gap(), 10.0, 13.0, lambda t: wide(t, sigma_m))
+    assert sent[0].t_s == pytest.approx(10.0 + LIMITS.unproven_s, abs=0.03)
+    assert {e.reset_counter for e in sent} == {1}
+    told_m = max(sigma_m, LIMITS.unproven_sigma_m)
+    assert [e.sigma_horizontal_m for e in sent] == pytest.approx([told_m] * len(sent))
+    assert {e.covariance[3, 3] for e in sent} == {0.25}
+
+
+def test_fixes_that_come_later_make_it_a_sure_one_which_is_new_again():
+    def make(t_s: float) -> Estimate:
+        seen_s = 0.5 * math.floor(t_s / 0.5)
+        return replace(wide(t_s, 2.0), t_last_fix_s=seen_s if t_s > 12.0 else 0.0)
+
+    sent = feed_seeing(after_a_gap(), 10.0, 15.0, make)
+    (first,) = [b for a, b in pairwise(sent) if a.reset_counter != b.reset_counter]
+    assert first.t_s == pytest.approx(13.0, abs=0.03)  # fixes of 12.0, 12.5 and 13.0 s
+    assert first.sigma_horizontal_m == pytest.approx(2.0)
+    assert {e.reset_counter for e in sent} == {1, 2}
+
+
+def test_the_watchdog_has_had_a_second_of_it_before_it_is_new_again():
+    def make(t_s: float) -> Estimate:
+        seen_s = 11.2 + 0.4 * math.floor((t_s - 11.2) / 0.4) if t_s >= 11.2 else 0.0
+        return replace(wide(t_s, 2.0), reset_counter=1, t_last_fix_s=seen_s)
+
+    sent = feed_seeing(after_a_gap(), 10.0, 15.0, make)
+    (again,) = [b for a, b in pairwise(sent) if a.reset_counter != b.reset_counter]
+    least_s = LIMITS.handed_on_s + LIMITS.steady_s
+    assert again.t_s - sent[0].t_s == pytest.approx(least_s, abs=0.03)
+
+
+def test_a_jump_of_an_unproven_one_stays_unproven():
+    def make(t_s: float) -> Estimate:
+        found = {"reset_counter": 1, "t_last_fix_s": 13.5} if t_s >= 13.5 else {}
+        return replace(
+            wide(t_s, 2.0), position_ned_m=np.array([8.0 * t_s, 9.0 * bool(found), -50.0]), **found
+        )
+
+    sent = feed_seeing(after_a_gap(), 10.0, 16.0, make)
+    assert {e.reset_counter for e in sent} == {1, 2}
+    assert min(e.sigma_horizontal_m for e in sent) == pytest.approx(LIMITS.unproven_sigma_m)
+    assert sent[-1].t_s > 15.9
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda t: wide(t, sigma_m_s=2.0),
+        lambda t: wide(t, sigma_m=65.0),
+        lambda t: wide(t, sigma_m_s=2.0 if round(t / DT_S) % 40 == 0 else 0.5),
+        lambda t: replace(wide(t), velocity_ned_m_s=np.array([6.0 * (t % 1.0 > 0.5), 0.0, 0.0])),
+    ],
+)
+def test_after_a_gap_it_does_not_come_back_without_a_steady_velocity_or_from_anywhere(make):
+    assert feed_seeing(after_a_gap(), 10.0, 19.0, make) == []
+
+
+def test_a_fix_right_after_it_came_back_is_waited_for_and_told_a_second_later_at_the_earliest():
+    def make(t_s: float) -> Estimate:
+        found = {"reset_counter": 1, "t_last_fix_s": 12.0} if t_s >= 12.0 else {}
+        place = np.array([8.0 * t_s, 9.0 * bool(found), -50.0])
+        return replace(wide(t_s, 2.0), position_ned_m=place, **found)
+
+    sent = feed_seeing(after_a_gap(), 10.0, 16.0, make)
+    changes = [b for a, b in pairwise(sent) if a.reset_counter != b.reset_counter]
+    assert [e.t_s for e in changes] == pytest.approx([13.5], abs=0.15)
+    assert sent[-1].t_s > 15.9
+    assert min(e.sigma_horizontal_m for e in sent) == pytest.approx(LIMITS.unproven_sigma_m)
+
+
+def test_after_a_brief_gap_an_unproven_one_goes_on_as_unproven():
+    guard = after_a_gap()
+    assert feed_seeing(guard, 10.0, 12.0, lambda t: wide(t, 2.0))
+    sent = feed_seeing(guard, 12.8, 15.0, lambda t: wide(t, 2.0))
+    assert {e.reset_counter for e in sent} == {1}
+    assert min(e.sigma_horizontal_m for e in sent) == pytest.approx(LIMITS.unproven_sigma_m)
+
+
+def test_what_no_image_shows_is_made_up_and_does_not_come_back():
+    assert feed(after_a_gap(), 10.0, 19.0, wide) == []
+    assert feed_seeing(after_a_gap(), 10.0, 19.0, wide, late_s=0.6) == []
+    guard = after_a_gap()
+    assert [guard.admit(wide(t_s), t_s, True, 0.9) for t_s in (1.1, 1.2, 1.3)] == [None] * 3
+
+
+def test_what_was_wrong_with_it_is_no_gap():
+    guard = lost_at_1_s()
+    assert feed_seeing(guard, 1.02, 9.0, wide) == []
+    guard = after_a_gap()
+    assert guard.admit(at(9.98, 0.0, 50.0), 9.98) is None
+    assert feed_seeing(guard, 10.0, 19.0, wide) == []
+
+
+def test_a_navigator_that_begins_in_the_air_tells_a_velocity_before_it_has_found_the_place():
+    sent = feed_seeing(EstimateGuard(first_counter=7), 0.0, 4.0, wide)
+    assert sent[0].t_s == pytest.approx(0.1 + LIMITS.unproven_s, abs=0.03)
+    assert {e.reset_counter for e in sent} == {8}
 
 
 def test_what_only_the_caller_knows_makes_it_lost_too():

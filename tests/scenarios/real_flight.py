@@ -110,14 +110,15 @@ class RealFlight:
                     return int(folder.name)
         raise AssertionError("there is no watchdog")
 
-    def successor_pid(self) -> int:
-        """Of the second navigator."""
+    def successor_pids(self) -> list[int]:
+        """Of the navigators that serve after the first, or wait to: the oldest first."""
+        found = []
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
                 words = (folder / "cmdline").read_bytes().split(b"\0")
                 if b"--standby" in words and str(self.folder / "successor").encode() in words:
-                    return int(folder.name)
-        raise AssertionError("there is no successor")
+                    found.append(int(folder.name))
+        return sorted(found)
 
     def _speed_m_s(self) -> float:
         state = self.truth.latest()

@@ -1,5 +1,7 @@
 """The whole program with one thing broken, row by row, in lockstep."""
 
+from dataclasses import replace
+
 import pytest
 
 from vwnav.bench.flights.fly import fly
@@ -27,6 +29,16 @@ def test_whatever_breaks_the_aircraft_is_not_lost(scenario: Scenario) -> None:
 def test_neither_is_it_in_arducopters_manners(name: str) -> None:
     row = next(row for row in TABLE if row.name == name)
     verdict = judge(fly(in_manners(row, "copter"), lockstep_place()))
+    assert not verdict.wrong, "; ".join(verdict.wrong)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [2, 4, 5, 6])
+def test_after_a_cut_in_a_climb_it_lands_on_its_velocity_where_the_map_shows_nothing(
+    seed: int,
+) -> None:
+    row = next(row for row in TABLE if row.name == "link cut for 10 s while climbing")
+    verdict = judge(fly(replace(row, setup=replace(row.setup, seed=seed)), lockstep_place()))
     assert not verdict.wrong, "; ".join(verdict.wrong)
 
 

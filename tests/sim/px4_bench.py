@@ -22,6 +22,8 @@ class Bench:
         self.vision_yaw_rad: float | None = None
         self.reset_counter = 0
         self.vision_every = 8
+        self.vision_sigma_m: float | None = 0.5  # None tells no position
+        self.vision_tells_velocity = False
         self.velocity: tuple[float, float, float] | None = None
         self.sticks: tuple[int, int, int, int] | None = None
         self._rng = random.Random(5)
@@ -41,15 +43,19 @@ class Bench:
 
     def sample(self) -> VisionSample:
         body, noise = self.vehicle.body, self._rng.gauss
+        place = (
+            body.n + self.vision_jump_m + noise(0.0, self.vision_noise_m),
+            body.e + noise(0.0, self.vision_noise_m),
+            body.d,
+        )
+        sigma_m = self.vision_sigma_m
         return VisionSample(
             t_s=self.vehicle.t_s,
-            north_m=body.n + self.vision_jump_m + noise(0.0, self.vision_noise_m),
-            east_m=body.e + noise(0.0, self.vision_noise_m),
-            down_m=body.d,
-            variance_m2=0.25,
+            position_ned_m=None if sigma_m is None else place,
+            variance_m2=0.0 if sigma_m is None else sigma_m**2,
             yaw_rad=self.vision_yaw_rad,
-            velocity_ned_m_s=None,
-            velocity_variance=1.0,
+            velocity_ned_m_s=(body.vn, body.ve, body.vd) if self.vision_tells_velocity else None,
+            velocity_variance=0.25,
             reset_counter=self.reset_counter,
             turned_frame=False,
         )

@@ -111,7 +111,7 @@ def fly_on(name: str, cut_s: float, back_s: float, end_s: float) -> list[tuple[f
 
 def vision(t_s: float, place: list[float], variance_m2: float = 0.25) -> VisionSample:
     north, east, down = place
-    return VisionSample(t_s, north, east, down, variance_m2, None, None, 1.0, 0, False)
+    return VisionSample(t_s, (north, east, down), variance_m2, None, None, 1.0, 0, False)
 
 
 @needs_flights

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from px4_bench import Bench
 
+from vwnav.sim.mavlink.command import Result
 from vwnav.sim.multirotor.inertial_filter import AxisFilter
 from vwnav.sim.px4.estimator import _from_zero_island
+from vwnav.sim.px4.modes import NavState
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +90,62 @@ def test_vision_that_arrives_100_ms_late_is_fused_where_it_belongs(flying: Bench
         flying.vehicle.estimator.handle_vision(sample)
     assert flying.vehicle.estimator.fusing
     assert flying.position_error_m < 0.1
+
+
+def lost_for_10_s(bench: Bench) -> Bench:
+    """From 40 m, in Land and then Descend; what comes back says that it is new."""
+    set_parameter(bench, "COM_OBL_RC_ACT", 4)
+    bench.velocity = (3.0, 0.0, -2.0)
+    bench.run(15.0)
+    bench.vision, bench.velocity = False, None
+    bench.run(10.0)
+    assert not bench.vehicle.estimator.local_position_ok
+    assert bench.vehicle.body.d < -20.0
+    assert math.hypot(bench.vehicle.body.vn, bench.vehicle.body.ve) > 1.0
+    bench.vision, bench.reset_counter = True, 1
+    return bench
+
+
+def slowest_m_s(bench: Bench, seconds: float) -> float:
+    """Over the ground."""
+    speeds = []
+    for _ in range(round(seconds)):
+        bench.run(1.0)
+        speeds.append(math.hypot(bench.vehicle.body.vn, bench.vehicle.body.ve))
+    return min(speeds)
+
+
+@pytest.mark.parametrize("sigma_m", [None, 40.0])
+def test_a_velocity_stops_one_that_has_lost_its_position(flying: Bench, sigma_m) -> None:
+    bench = lost_for_10_s(flying)
+    bench.vision_sigma_m, bench.vision_tells_velocity = sigma_m, True
+    assert bench.run_until_state(NavState.LAND, 3.0) < 2.0
+    assert slowest_m_s(bench, 5.0) < 0.5
+
+
+def test_a_wide_position_alone_tells_it_no_velocity_within_seconds(flying: Bench) -> None:
+    bench = lost_for_10_s(flying)
+    bench.vision_sigma_m = 40.0
+    assert slowest_m_s(bench, 5.0) > 0.5
+
+
+def test_velocity_is_fused_only_where_it_is_asked_for(flying: Bench) -> None:
+    set_parameter(flying, "EKF2_EV_CTRL", 1)
+    bench = lost_for_10_s(flying)
+    bench.vision_sigma_m, bench.vision_tells_velocity = None, True
+    bench.run(3.0)
+    assert not bench.vehicle.estimator.local_position_ok
+
+
+def test_with_a_wide_position_it_lands_but_neither_holds_nor_returns(flying: Bench) -> None:
+    bench = lost_for_10_s(flying)
+    bench.vision_sigma_m, bench.vision_tells_velocity = 40.0, True
+    bench.run(2.0)
+    denied = Result.TEMPORARILY_REJECTED
+    assert (bench.ask(NavState.HOLD), bench.ask(NavState.RETURN)) == (denied, denied)
+    assert bench.ask(NavState.LAND) is Result.ACCEPTED
+    bench.run(1.0)
+    assert bench.state is NavState.LAND
 
 
 def test_an_origin_after_the_vision_wrecks_the_position() -> None:

@@ -214,7 +214,7 @@ def test_garbage_neither_arms_nor_stops_it(flights: dict[str, Future[Record]]) -
 
 def test_mavsdk_reads_it_as_px4(flights: dict[str, Future[Any]]) -> None:
     report = flights["mavsdk"].result()
-    assert report.vision_parameter == 1
+    assert report.vision_parameter == 5
     assert report.parameters > 100
     assert "COMMAND_DENIED" in report.early_arm
     assert report.origin_deg == pytest.approx(41.1)

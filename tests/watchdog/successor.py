@@ -1,9 +1,10 @@
 """A second navigator: notes what it was woken with, sends estimates, and tries to fly.
 
-    python successor.py NOTES [dies | stops]
+    python successor.py NOTES [dies | stops | loads]
 
 NOTES gets a line at the start, one when it is woken, one when its stdin ends. The first one that
-`stops` does so once it has sent some estimates.
+`stops` does so once it has sent some estimates. One that `loads` takes as long as that takes, and
+notes its number when it is woken.
 """
 
 import json
@@ -19,6 +20,7 @@ from navigator import connect, estimate, setpoint
 from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
 
 STOPS_AFTER = 25
+LOADS_S = 4.0
 
 
 def main() -> None:
@@ -28,12 +30,16 @@ def main() -> None:
         with notes.open("a") as file:
             file.write(text + "\n")
 
+    if sys.argv[2:] == ["loads"]:
+        time.sleep(LOADS_S)
     note("started")
     line = sys.stdin.readline()
     if not line:
         note("not needed")
         return
     note(line.strip())
+    if sys.argv[2:] == ["loads"]:
+        note(f"serves {os.getpid()}")
     if sys.argv[2:] == ["dies"]:
         sys.exit(1)
     ended = threading.Event()

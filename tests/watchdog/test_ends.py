@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from link_peer import PX4_LAND, free_port, is_still, wait_for
@@ -55,7 +56,7 @@ def test_after_the_navigators_end_a_successor_gives_estimates_and_never_flies(tm
         wait_for(lambda: [m for m in flying.peer.of(ESTIMATE, killed_s) if m.reset_counter == 1])
         wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
         assert all(is_still(s) for s in flying.peer.of(SETPOINT, killed_s + 0.1))
-    wait_for(lambda: notes.read_text().splitlines()[-1] == "ended")
+    wait_for(lambda: "ended" in notes.read_text().splitlines())
     resume = json.loads(notes.read_text().splitlines()[1])
     assert resume["position"]["position_ned_m"][0] > 2.0
     assert resume["velocity_ne_m_s"][0] == pytest.approx(8.0, abs=1.5)
@@ -109,7 +110,28 @@ def test_a_successor_that_hangs_is_ended_and_another_one_started(tmp_path):
         wait_for(lambda: notes.read_text().count("position_ned_m") == 2, 15.0)
         again_s = time.monotonic()
         wait_for(lambda: len(flying.peer.of(ESTIMATE, again_s)) > 10)
-    wait_for(lambda: notes.read_text().splitlines()[-1] == "ended")
+    wait_for(lambda: "ended" in notes.read_text().splitlines())
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_while_one_successor_serves_the_next_has_loaded_and_takes_over_at_once(tmp_path, number):
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes), "loads"]) as flying:
+        wait_for(lambda: notes.exists() and notes.read_text() == "started\n", 8.0)
+        flying.signal(signal.SIGKILL)
+        wait_for(lambda: notes.read_text().count("started") == 2, 8.0)
+        (first,) = served_by(notes)
+        ended_s = time.monotonic()
+        os.kill(first, number)
+        silent_s = 0.0 if number == signal.SIGKILL else 3.0  # before it is ended
+        wait_for(lambda: len(served_by(notes)) == 2, silent_s + 1.0 + SLACK_S)
+        wait_for(lambda: flying.peer.of(ESTIMATE, ended_s + silent_s + 0.1))
+
+
+def served_by(notes: Path) -> list[int]:
+    """Numbers of the processes that were woken, in their order."""
+    lines = notes.read_text().splitlines()
+    return [int(each.removeprefix("serves ")) for each in lines if each.startswith("serves")]
 
 
 def test_who_is_not_our_parent_any_more_is_not_ended(monkeypatch):

@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.mavlink.framing import Packet, packet_at
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.vehicle import FlightMode
-from vwnav.watchdog.filter import Rights, may_pass
+from vwnav.watchdog.filter import Rights, may_pass, told_by
+from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity
 
 MAV = mavlink.MAVLink(None, srcSystem=7, srcComponent=191)
 PX4, COPTER = AutopilotKind.PX4, AutopilotKind.ARDUPILOT
@@ -62,6 +63,20 @@ def vision() -> Packet:
     return packed(mavlink.MAVLink_vision_position_estimate_message(1, *[0.0] * 6))
 
 
+def odometry(frames: tuple[int, int] = (1, 1)) -> mavlink.MAVLink_odometry_message:
+    sigmas = [4.0, *[0.0] * 5, 9.0, *[0.0] * 14]
+    return mavlink.MAVLink_odometry_message(
+        2_000_000, *frames, 1, 2, -50, [1, 0, 0, 0], 5, 6, 7, 0, 0, 0, sigmas, sigmas, 3, 2, 0
+    )
+
+
+def test_odometry_tells_both_in_frames_that_are_judged_and_nothing_in_others():
+    position, velocity = told_by(odometry())
+    assert position == RelayedPosition(2.0, (1.0, 2.0, -50.0), 3.0, 3)
+    assert velocity == RelayedVelocity(2.0, (5.0, 6.0, 7.0), 3.0)
+    assert told_by(odometry((20, 12))) == (None, None)
+
+
 @pytest.mark.parametrize(
     ("packet", "passes_for"),
     [
@@ -72,6 +87,7 @@ def vision() -> Packet:
         (packed(mavlink.MAVLink_timesync_message(0, 5)), "FGE"),
         (vision(), "FGE"),
         (packed(mavlink.MAVLink_vision_speed_estimate_message(1, 0, 0, 0)), "FGE"),
+        (packed(odometry()), "FGE"),
         (long(mavlink.MAV_CMD_NAV_LAND), "FG"),
         (long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH), "FG"),
         (long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0), "F"),

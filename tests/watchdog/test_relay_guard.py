@@ -67,6 +67,47 @@ def test_after_a_sleep_one_that_wanders_or_is_unsure_does_not_pass_though_it_cal
     assert not any(feed(flying(), 21.0, 25.0, lambda t: at(t, 0.0, counter=1, sigma_m=20.0)))
 
 
+def feed_both(guard: RelayGuard, start_s: float, end_s: float, **told: float) -> list[bool]:
+    """Positions at 8 m/s, 40 m wide, with a velocity."""
+    speed_m_s, sigma_m_s = told.get("speed_m_s", 8.0), told.get("sigma_m_s", 0.5)
+    steps = range(round(start_s / DT_S), round(end_s / DT_S))
+    return [
+        guard.admit_both(
+            at(t_s, 8.0 * t_s, 1, told.get("sigma_m", 40.0)),
+            RelayedVelocity(t_s, (speed_m_s, 0.0, 0.0), sigma_m_s), t_s, armed=True,
+        )
+        for t_s in (i * DT_S for i in steps)
+    ]  # fmt: skip
+
+
+def test_after_a_sleep_a_new_one_whose_place_is_unsure_passes_with_a_velocity():
+    passed = feed_both(flying(8.0), 21.0, 23.0)
+    assert passed.index(True) * DT_S == pytest.approx(LIMITS.steady_s, abs=0.03)
+    assert all(passed[passed.index(True) :])
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"sigma_m": 80.0},
+        {"sigma_m_s": 3.0},
+        {"sigma_m_s": math.nan},
+        {"speed_m_s": 1.0},  # its positions move at 8 m/s
+        {"speed_m_s": 50.0},
+        {"speed_m_s": math.nan},
+    ],
+)
+def test_one_whose_velocity_is_unsure_or_not_that_of_its_positions_does_not_pass(told):
+    assert not any(feed_both(flying(8.0), 21.0, 29.0, **told))
+
+
+def test_an_impossible_velocity_stops_the_position_that_comes_with_it():
+    guard = flying(8.0)
+    fast = RelayedVelocity(1.0, (50.0, 0.0, 0.0), 0.3)
+    assert not guard.admit_both(at(1.0, 8.0), fast, 1.0, armed=True)
+    assert "50 m/s" in guard.reason
+
+
 def test_a_short_stall_goes_on_where_it_should_be_and_not_elsewhere():
     passed = feed(flying(8.0), 2.2, 4.0, lambda t: at(t, 8.0 * t))
     assert passed.index(True) * DT_S == pytest.approx(LIMITS.steady_s, abs=0.03)
@@ -81,11 +122,11 @@ def test_an_old_one_is_left_out_alone():
 
 def test_speeds_pass_with_the_positions_and_an_impossible_one_stops_both():
     guard = flying()
-    assert guard.admit_velocity(RelayedVelocity(1.0, (8.0, 0.0, 0.0)), 1.0)
-    assert not guard.admit_velocity(RelayedVelocity(0.5, (8.0, 0.0, 0.0)), 1.0)
-    assert not guard.admit_velocity(RelayedVelocity(1.0, (50.0, 0.0, 0.0)), 1.0)
+    assert guard.admit_velocity(RelayedVelocity(1.0, (8.0, 0.0, 0.0), 0.3), 1.0)
+    assert not guard.admit_velocity(RelayedVelocity(0.5, (8.0, 0.0, 0.0), 0.3), 1.0)
+    assert not guard.admit_velocity(RelayedVelocity(1.0, (50.0, 0.0, 0.0), 0.3), 1.0)
     assert not guard.admit_position(at(1.0), 1.0, armed=True)
-    assert not guard.admit_velocity(RelayedVelocity(1.1, (1.0, 0.0, 0.0)), 1.1)
+    assert not guard.admit_velocity(RelayedVelocity(1.1, (1.0, 0.0, 0.0), 0.3), 1.1)
 
 
 def test_on_the_ground_it_may_jump():

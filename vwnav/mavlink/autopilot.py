@@ -160,7 +160,7 @@ class LinkedAutopilot:
             if self._frame is None:
                 raise ValueError("set_origin has to be called before the first estimate is sent")
             if self._budget is not None:
-                self._outputs.estimate(estimate, self._budget.estimate_hz)
+                self._outputs.estimate(estimate, self._budget)
 
     def send_velocity(self, setpoint: VelocitySetpoint) -> None:
         """Ask for a velocity, in Offboard or GUIDED; call it at 10 Hz or more."""

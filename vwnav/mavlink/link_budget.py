@@ -16,6 +16,7 @@ _FRAME_BYTES = 12  # of MAVLink 2 around a payload
 _ESTIMATE_HZ = 50.0
 _LEAST_ESTIMATE_HZ = 10.0  # gaps of 0.2 s stop PX4's fusion, ArduPilot wants 4 Hz
 _POSITION_BYTES, _SPEED_BYTES = 117 + _FRAME_BYTES, 57 + _FRAME_BYTES
+_ODOMETRY_BYTES = 233 + _FRAME_BYTES
 # Setpoints at 20 Hz, our and the watchdog's heartbeat, TIMESYNC five times asked and ten answered,
 # and a command a second.
 _ALSO_UP_BYTES_S = 20 * 65 + 2 * 21 + 15 * 28 + 45
@@ -86,6 +87,11 @@ class LinkBudget:
     estimate_hz: float
     refusal: str | None
     is_tight: bool
+
+    @property
+    def odometry_hz(self) -> float:
+        """How often one is sent that tells PX4 the velocity too, in a longer message."""
+        return self.estimate_hz * _POSITION_BYTES / _ODOMETRY_BYTES
 
 
 def bytes_per_s(url: str) -> float | None:

@@ -30,10 +30,14 @@ def _equals(*values: int) -> Callable[[float], bool]:
 
 
 _PX4 = (
-    _ParameterRule(("EKF2_EV_CTRL",), _bit(0), "bit 0 (horizontal position) set: 1",
+    _ParameterRule(("EKF2_EV_CTRL",), _bit(0), "bit 0 (horizontal position) set: 5",
           "vision is not fused at all", "fail"),
-    _ParameterRule(("EKF2_EV_CTRL",), lambda value: not int(value) & 0b1110, "no other bits: 1",
-          "height, velocity and yaw sent by vwnav come from PX4's own sensors", "warn"),
+    _ParameterRule(("EKF2_EV_CTRL",), lambda value: int(value) & 0b101 != 1,
+          "bit 2 (velocity) set: 5",
+          "after a cut of the link it may come down with the wind: vwnav knows the velocity before "
+          "the place", "warn"),
+    _ParameterRule(("EKF2_EV_CTRL",), lambda value: not int(value) & 0b1010, "no other bits: 5",
+          "height and yaw sent by vwnav come from PX4's own sensors", "warn"),
     _ParameterRule(("EKF2_HGT_REF",), _equals(0, 2), "0 (barometer)",
           "a height from GPS or vision would follow what is jammed, or vwnav itself", "warn"),
     _ParameterRule(("SYS_HAS_GPS",), _equals(0), "0, then reboot",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from itertools import dropwhile, pairwise
 
 from vwnav.rules.flight_log import At, FlightLog, Sent
-from vwnav.rules.moments import flying, sent_armed
+from vwnav.rules.moments import flying, sent_armed, touch_down_s
 from vwnav.rules.rule import Rule
 from vwnav.rules.temporal import Breach, after, always, inside, spans_where, without
 
@@ -15,6 +15,7 @@ _FIX_LATE_S = 1.0  # from exposure to filter
 _RECOVERY_S = 3.0  # after something was broken
 _NEVER_SIGMAS, _SELDOM_SIGMAS, _SELDOM_S = 5.0, 3.0, 1.0
 _WRONG_FIX_M = 20.0
+_LANDS_S = 2.0  # from the last half metre until it is told to have landed
 
 
 def estimate_sigmas(log: FlightLog) -> list[tuple[float, float]]:
@@ -90,6 +91,26 @@ def _seldom_wrong(log: FlightLog) -> Breach | None:
     return Breach(long[0][0] - _SELDOM_S, "over 3 sigmas wrong for over 1 s") if long else None
 
 
+def _wrong_velocity(log: FlightLog) -> Breach | None:
+    """Of those that are told in the air: an autopilot brakes by them.
+
+    Half a metre up the filter may take it for standing; it is told to have landed a second later.
+    """
+    until_s = touch_down_s(log) - _LANDS_S
+
+    def off_sigmas(sent: Sent) -> float:
+        truth = log.true_velocity_ne_m_s(sent.stamp_s)
+        if truth is None or sent.velocity_ned_m_s is None or sent.sigma_m_s is None:
+            return 0.0
+        return math.dist(sent.velocity_ned_m_s[:2], truth) / sent.sigma_m_s
+
+    return always(
+        [sent for sent in log.estimates if sent.t_s < until_s],
+        lambda sent: off_sigmas(sent) <= _NEVER_SIGMAS,
+        lambda sent: f"{off_sigmas(sent):.1f} sigmas wrong",
+    )
+
+
 def _wrong_fix(log: FlightLog) -> Breach | None:
     def off_m(fix: At) -> float:
         truth = log.true_place_ne_m(fix.t_s)
@@ -124,6 +145,12 @@ BELIEF = (
         "Estimates are not more than 3 of their sigmas wrong for over 1 s.",
         ("estimates", "truth"),
         _seldom_wrong,
+    ),
+    Rule(
+        "told velocity",
+        "No velocity that the autopilot is told in the air is more than 5 of its sigmas wrong.",
+        ("vehicle", "estimates", "truth"),
+        _wrong_velocity,
     ),
     Rule(
         "fix right",

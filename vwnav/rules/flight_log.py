@@ -40,6 +40,7 @@ class Sent:
         t_s: arrival; `stamp_s` is the moment that it is about, the same where that is not known.
         covariance_ne_m2: north, north-east, east.
         velocity_ned_m_s: None where it was not noted.
+        sigma_m_s: of the velocity, the larger horizontal one, where the autopilot was told it.
     """
 
     t_s: float
@@ -48,6 +49,7 @@ class Sent:
     covariance_ne_m2: Vector
     reset_counter: int
     velocity_ned_m_s: Vector | None = None
+    sigma_m_s: float | None = None
 
     @property
     def sigma_m(self) -> float:
@@ -209,13 +211,22 @@ class FlightLog:
         i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1
         return rows[i].phase if i >= 0 else None
 
+    def true_velocity_ne_m_s(self, t_s: float) -> Level | None:
+        """Of the newest row; None where there is none within a second."""
+        row = self._truth_before(t_s)
+        return None if row is None else (row.velocity_ned_m_s[0], row.velocity_ned_m_s[1])
+
     def true_place_ne_m(self, t_s: float) -> Level | None:
         """The truth carried on from its newest row; None where there is none within a second."""
-        rows = self.truth
-        i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1
-        if i < 0 or t_s - rows[i].t_s > 1.0:
+        row = self._truth_before(t_s)
+        if row is None:
             return None
-        row, ahead_s = rows[i], t_s - rows[i].t_s
+        ahead_s = t_s - row.t_s
         north, east = row.position_ned_m[:2]
         vn, ve = row.velocity_ned_m_s[:2]
         return north + ahead_s * vn, east + ahead_s * ve
+
+    def _truth_before(self, t_s: float) -> LoggedTruth | None:
+        rows = self.truth
+        i = bisect.bisect_right(rows, t_s, key=lambda row: row.t_s) - 1
+        return None if i < 0 or t_s - rows[i].t_s > 1.0 else rows[i]

@@ -2,7 +2,9 @@
 
 An autopilot chases whatever it is told. One that has lost its position comes down level by itself
 when estimates stop; one that follows a runaway estimate flies away. So what was lost comes back
-only as a new estimate, with another reset counter, after several fixes that agree.
+only as a new estimate, with another reset counter: after several fixes that agree, or, where a gap
+is all that was wrong with it, as soon as its velocity is sure again, with a place that is told as
+unproven.
 
 `EstimateGuard` stands at the navigator's exit; `relay_guard` stands in the watchdog.
 """
@@ -12,10 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.safety.estimate_track import Track, Trial
-from vwnav.types import Array, Estimate
+from vwnav.safety.estimate_track import Track, Trial, at_least, is_finite, sigma, tilt_rad
+from vwnav.types import Estimate
 
 _VELOCITY_LOST = "the estimate's velocity is lost"
+_RESTLESS = "the estimate jumps again and again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +42,12 @@ class EstimateLimits:
         settle_s: for how long it has to be steady then.
         settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
         steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
+        handed_on_s: a new one reaches the autopilot so much later: the watchdog looks at it first.
         new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
+        unproven_s: for how long one without those fixes has had a velocity, seen and sure, when it
+            comes back. An autopilot that is told neither comes down with the wind.
+        unproven_sigma_m: its place is told with at least this, whatever a fix or two have made of
+            it: a match at a wrong place lies in the region that was searched.
     """
 
     max_age_s: float = 0.25
@@ -56,8 +64,11 @@ class EstimateLimits:
     settle_s: float = 0.5
     settle_drift_m_s: float = 2.0
     steady_s: float = 1.0
+    handed_on_s: float = 0.5
     new_fixes: int = 3
     new_fixes_s: float = 1.0
+    unproven_s: float = 1.5
+    unproven_sigma_m: float = 40.0
 
 
 class EstimateGuard:
@@ -80,17 +91,25 @@ class EstimateGuard:
         self._jumped_t_s = -math.inf
         self._track = self._new_track()
         self._trial: Trial | None = None
-        self._may_resume = False
+        self._unproven: Trial | None = None
+        self._may_resume = self._only_missed = False
         self.lost_since_s: float | None = None
         self.reason = ""
 
-    def admit(self, estimate: Estimate | None, t_s: float, armed: bool = True) -> Estimate | None:
+    def admit(
+        self,
+        estimate: Estimate | None,
+        t_s: float,
+        armed: bool = True,
+        seen_s: float | None = None,
+    ) -> Estimate | None:
         """The estimate as it is to be sent, with its own reset counter; None to send nothing.
 
         Args:
             estimate: the filter's, None where it has none.
             t_s: now; to be called at every turn of the sending loop.
             armed: on the ground, disarmed, nothing flies on it: it may jump and come back freely.
+            seen_s: exposure of the last image that told a motion or a place, None before one did.
         """
         if estimate is None or not self._is_of_now(estimate, t_s):
             self._miss(t_s, armed)
@@ -102,10 +121,12 @@ class EstimateGuard:
             gap_s = estimate.t_s - self._last.t_s if self._last is not None else math.inf
             broken = fault or self._break(estimate, gap_s)
             if broken is None:
-                return self._sent(estimate)
+                return self._sent(self._with_proof(estimate, t_s))
             self.lose(broken, t_s)
             self._may_resume = gap_s > self._limits.max_gap_s or broken == _VELOCITY_LOST
-        return self._try(estimate, fault, t_s)
+            is_found = self._unproven is not None and broken == _RESTLESS  # by a first fix
+            self._only_missed = self._may_resume or is_found
+        return self._try(estimate, fault, t_s, seen_s)
 
     def lose(self, reason: str, t_s: float) -> None:
         """Send nothing more until a new estimate stands; for what only the caller knows.
@@ -113,7 +134,7 @@ class EstimateGuard:
         A gap of telemetry, or a watchdog that does not hand the estimates on.
         """
         if self.lost_since_s is None:
-            self.lost_since_s = t_s
+            self.lost_since_s, self._only_missed = t_s, True
         self.reason, self._trial, self._may_resume = reason, None, False
 
     def _is_of_now(self, estimate: Estimate, t_s: float) -> bool:
@@ -131,25 +152,29 @@ class EstimateGuard:
     def _fault(self, estimate: Estimate) -> str | None:
         """What is wrong with it, by itself."""
         limits = self._limits
-        if not _is_finite(estimate):
+        if not is_finite(estimate):
             return "the estimate is not finite"
         speed_m_s = float(np.hypot(*estimate.velocity_ned_m_s[:2]))
         if not speed_m_s < limits.max_speed_m_s:
             return f"the estimate moves at {speed_m_s:.0f} m/s"
-        if not _tilt_rad(estimate.quat_wxyz) <= limits.max_tilt_rad:
+        if not tilt_rad(estimate.quat_wxyz) <= limits.max_tilt_rad:
             return "the estimate is tilted beyond what an aircraft flies"
-        if not _sigma(estimate, 3) < limits.max_velocity_sigma_m_s:
+        if not sigma(estimate, 3) < limits.max_velocity_sigma_m_s:
             return _VELOCITY_LOST
-        sigma_m = _sigma(estimate, 0)
+        sigma_m = sigma(estimate, 0)
         if estimate.t_last_fix_s is not None and not sigma_m < limits.max_position_sigma_m:
             return f"the estimate's position is uncertain by {sigma_m:.0f} m"
         return None
 
     def _unsure(self, estimate: Estimate) -> str | None:
         """What keeps it from being a new one."""
-        sigma_m, sigma_m_s = _sigma(estimate, 0), _sigma(estimate, 3)
+        sigma_m = sigma(estimate, 0)
         if sigma_m > self._limits.new_position_sigma_m:
             return f"the estimate's position is uncertain by {sigma_m:.0f} m"
+        return self._unsure_velocity(estimate)
+
+    def _unsure_velocity(self, estimate: Estimate) -> str | None:
+        sigma_m_s = sigma(estimate, 3)
         if sigma_m_s > self._limits.new_velocity_sigma_m_s:
             return f"the estimate's velocity is uncertain by {sigma_m_s:.1f} m/s"
         return None
@@ -162,18 +187,22 @@ class EstimateGuard:
             return f"there was no estimate for {gap_s:.1f} s"
         if estimate.reset_counter != self._last.reset_counter:
             if estimate.t_s - self._jumped_t_s < self._limits.steady_s:
-                return "the estimate jumps again and again"
+                return _RESTLESS
             self._track.clear()
-            return self._unsure(estimate)
+            is_told = self._unproven is not None
+            return self._unsure_velocity(estimate) if is_told else self._unsure(estimate)
         if self._track.jumped(estimate.t_s, *_north_east(estimate)):
             return "the estimate jumped"
-        step_m_s = estimate.velocity_ned_m_s[:2] - self._last.velocity_ned_m_s[:2]
-        if float(np.hypot(*step_m_s)) > self._limits.max_velocity_jump_m_s:
+        if self._velocity_jumped(estimate, self._last):
             return "the estimate's velocity jumped"
         return None
 
+    def _velocity_jumped(self, estimate: Estimate, before: Estimate) -> bool:
+        step_m_s = estimate.velocity_ned_m_s[:2] - before.velocity_ned_m_s[:2]
+        return float(np.hypot(*step_m_s)) > self._limits.max_velocity_jump_m_s
+
     def _on_ground(self, estimate: Estimate, fault: str | None) -> Estimate | None:
-        self.lost_since_s, self._trial = None, None
+        self.lost_since_s, self._trial, self._unproven = None, None, None
         self._track.clear()
         if fault is not None:
             self.reason, self._last = fault, None
@@ -183,38 +212,62 @@ class EstimateGuard:
     def _sent(self, estimate: Estimate) -> Estimate:
         self.lost_since_s, self._trial, self.reason = None, None, ""
         if self._last is not None and estimate.reset_counter != self._last.reset_counter:
-            self._jumped_t_s = estimate.t_s
+            self._jumped_t_s = max(self._jumped_t_s, estimate.t_s)
         self._last = estimate
         self._track.add(estimate.t_s, *_north_east(estimate))
         return replace(estimate, reset_counter=estimate.reset_counter + self._renewals)
 
-    def _try(self, estimate: Estimate, fault: str | None, t_s: float) -> Estimate | None:
+    def _try(
+        self, estimate: Estimate, fault: str | None, t_s: float, seen_s: float | None
+    ) -> Estimate | None:
         """Watch a lost estimate; it comes back as a new one, or as the same after a brief gap."""
         if fault is not None:
             self._trial = None
+            self._only_missed = self._only_missed and fault == _VELOCITY_LOST
             self._may_resume = self._may_resume and fault == _VELOCITY_LOST
             return None
         place = (estimate.t_s, *_north_east(estimate))
         trial = self._trial
         if trial is None or estimate.reset_counter != trial.counter or trial.track.jumped(*place):
             resume = trial is None and self._may_resume and self._is_brief(estimate)
-            trial = Trial(t_s, estimate.reset_counter, self._new_track(), resume)
+            assert self.lost_since_s is not None
+            counter = estimate.reset_counter
+            trial = Trial(t_s, counter, self._new_track(), resume, self.lost_since_s)
             self._trial = trial
         trial.track.add(*place)
         self._count_fix(trial, estimate)
         if self._goes_on(trial, estimate, t_s):
-            return self._sent(estimate)
-        if self._unsure(estimate) is None and self._is_proven(trial, t_s):
-            self._renewals += 1
-            self._jumped_t_s = estimate.t_s
-            self._track.clear()
-            return self._sent(estimate)
+            return self._sent(self._with_proof(estimate, t_s))
+        self._watch_velocity(trial, estimate, seen_s)
+        is_proven = self._unsure(estimate) is None and self._is_proven(trial, t_s)
+        if is_proven or self._has_velocity(trial, estimate):
+            self._renew(estimate)
+            self._jumped_t_s += self._limits.handed_on_s
+            self._unproven = None if is_proven else trial
+            return self._sent(self._with_proof(estimate, t_s))
         return None
+
+    def _renew(self, estimate: Estimate) -> None:
+        self._renewals += 1
+        self._jumped_t_s = estimate.t_s
+        self._track.clear()
+
+    def _with_proof(self, estimate: Estimate, t_s: float) -> Estimate:
+        """As it is once fixes have shown it, another new one then; until then a wide one."""
+        trial = self._unproven
+        if trial is None:
+            return estimate
+        self._count_fix(trial, estimate)
+        is_steady = estimate.t_s - self._jumped_t_s >= self._limits.steady_s
+        if is_steady and self._unsure(estimate) is None and self._is_proven(trial, t_s):
+            self._unproven = None
+            self._renew(estimate)
+            return estimate
+        return at_least(estimate, self._limits.unproven_sigma_m)
 
     def _count_fix(self, trial: Trial, estimate: Estimate) -> None:
         t_fix_s = estimate.t_last_fix_s
-        assert self.lost_since_s is not None
-        is_new = t_fix_s is not None and t_fix_s >= self.lost_since_s
+        is_new = t_fix_s is not None and t_fix_s >= trial.fixes_from_s
         if is_new and t_fix_s not in trial.fixes_t_s[-1:]:
             assert t_fix_s is not None
             trial.fixes_t_s.append(t_fix_s)
@@ -224,6 +277,25 @@ class EstimateGuard:
         if len(fixes_t_s) < limits.new_fixes or t_s - trial.since_s < limits.new_fixes_s:
             return False
         return fixes_t_s[-1] - fixes_t_s[0] >= limits.new_fixes_s
+
+    def _watch_velocity(self, trial: Trial, estimate: Estimate, seen_s: float | None) -> None:
+        """Since when it has been seen, sure, and the same from one to the next."""
+        before, trial.before = trial.before, estimate
+        jumped = before is not None and self._velocity_jumped(estimate, before)
+        newest_s = -math.inf if seen_s is None else seen_s
+        is_seen = estimate.t_s - newest_s <= self._limits.max_gap_s
+        if not is_seen or newest_s < trial.fixes_from_s or self._unsure_velocity(estimate):
+            trial.velocity_since_s = None
+        elif trial.velocity_since_s is None or jumped:
+            trial.velocity_since_s = estimate.t_s
+
+    def _has_velocity(self, trial: Trial, estimate: Estimate) -> bool:
+        """It was only missed, and how it moves has been sure for a while."""
+        since_s = trial.velocity_since_s
+        if not self._only_missed or since_s is None:
+            return False
+        is_steady = estimate.t_s - since_s >= self._limits.unproven_s
+        return is_steady and sigma(estimate, 0) < self._limits.max_position_sigma_m
 
     def _is_brief(self, estimate: Estimate) -> bool:
         """Whether little time has passed since the last one that was sent."""
@@ -253,33 +325,3 @@ class EstimateGuard:
 
 def _north_east(estimate: Estimate) -> tuple[float, float]:
     return float(estimate.position_ned_m[0]), float(estimate.position_ned_m[1])
-
-
-def _is_finite(estimate: Estimate) -> bool:
-    arrays = (
-        estimate.position_ned_m,
-        estimate.velocity_ned_m_s,
-        estimate.covariance,
-        estimate.quat_wxyz,
-    )
-    return math.isfinite(estimate.t_s) and all(bool(np.all(np.isfinite(a))) for a in arrays)
-
-
-def _sigma(estimate: Estimate, first: int) -> float:
-    """Larger semi-axis of the horizontal part that begins at `first`: 0 position, 3 velocity.
-
-    NaN, which no bound admits, where the covariance is none.
-    """
-    variance = float(
-        np.linalg.eigvalsh(estimate.covariance[first : first + 2, first : first + 2])[-1]
-    )
-    return math.sqrt(variance) if variance >= 0.0 else math.nan
-
-
-def _tilt_rad(quat_wxyz: Array) -> float:
-    """Angle between the body's down axis and the world's: its cosine is 1 - 2 (x^2 + y^2)."""
-    length = float(np.linalg.norm(quat_wxyz))
-    if length < 0.1:
-        return math.nan  # no rotation; no bound admits it
-    _, x, y, _ = (float(v) / length for v in quat_wxyz)
-    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))

@@ -2,7 +2,11 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vwnav.types import Array, Estimate
 
 _TRACK_S = 1.0
 
@@ -56,11 +60,62 @@ class Track:
 
 @dataclass
 class Trial:
-    """A lost estimate that is watched until it may come back."""
+    """A lost estimate that is watched until it may come back.
+
+    Attributes:
+        since_s: it began; `counter` is its reset counter.
+        may_resume: it may go on as the one that was lost.
+        fixes_t_s: map fixes from `fixes_from_s` on, since when motions count too; `count` of what
+            came.
+        before: the one before; `velocity_since_s` since when its velocity has been sure.
+    """
 
     since_s: float
     counter: int
     track: Track
     may_resume: bool
+    fixes_from_s: float = math.inf
     fixes_t_s: list[float] = field(default_factory=list)
     count: int = 0
+    before: Estimate | None = None
+    velocity_since_s: float | None = None
+
+
+def is_finite(estimate: Estimate) -> bool:
+    """Whether all of it are numbers."""
+    arrays = (
+        estimate.position_ned_m,
+        estimate.velocity_ned_m_s,
+        estimate.covariance,
+        estimate.quat_wxyz,
+    )
+    return math.isfinite(estimate.t_s) and all(bool(np.all(np.isfinite(a))) for a in arrays)
+
+
+def at_least(estimate: Estimate, sigma_m: float) -> Estimate:
+    """With a horizontal position that is no surer than that."""
+    if sigma(estimate, 0) >= sigma_m:
+        return estimate
+    covariance = estimate.covariance.copy()
+    covariance[:2, :2] = np.eye(2) * sigma_m**2  # adds what is positive: it stays a covariance
+    return replace(estimate, covariance=covariance)
+
+
+def sigma(estimate: Estimate, first: int) -> float:
+    """Larger semi-axis of the horizontal part that begins at `first`: 0 position, 3 velocity.
+
+    NaN, which no bound admits, where the covariance is none.
+    """
+    variance = float(
+        np.linalg.eigvalsh(estimate.covariance[first : first + 2, first : first + 2])[-1]
+    )
+    return math.sqrt(variance) if variance >= 0.0 else math.nan
+
+
+def tilt_rad(quat_wxyz: Array) -> float:
+    """Angle between the body's down axis and the world's: its cosine is 1 - 2 (x^2 + y^2)."""
+    length = float(np.linalg.norm(quat_wxyz))
+    if length < 0.1:
+        return math.nan  # no rotation; no bound admits it
+    _, x, y, _ = (float(v) / length for v in quat_wxyz)
+    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))

@@ -1,5 +1,6 @@
 """What is handed on to the autopilot, by what its sender may do."""
 
+import math
 from enum import Enum
 from typing import Any
 
@@ -8,19 +9,23 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.mavlink.framing import Packet
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.vehicle import FlightMode
+from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity
 
 _COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
 ESTIMATES = {
     mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE,
     mavlink.MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY,
 }
+# Where the second variance stands: of a row-major upper triangle (6, 6), and of a whole (3, 3).
+_SECOND_OF_SIX, _SECOND_OF_THREE = 6, 4
+_NED_AND_NED = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_NED)
 _GLOBAL_POSITION_SENSOR = 296  # newer than pymavlink's dialect
 # Other ways to tell an autopilot where it is. vwnav uses none of them and nothing guards them.
 _UNGUARDED_ESTIMATES = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_VISION_POSITION_ESTIMATE,
     mavlink.MAVLINK_MSG_ID_VICON_POSITION_ESTIMATE,
     mavlink.MAVLINK_MSG_ID_ATT_POS_MOCAP,
-    mavlink.MAVLINK_MSG_ID_ODOMETRY,
     mavlink.MAVLINK_MSG_ID_GPS_INPUT,
     mavlink.MAVLINK_MSG_ID_HIL_GPS,
     _GLOBAL_POSITION_SENSOR,
@@ -105,6 +110,34 @@ def decode(packet: Packet) -> Any | None:
         return mavlink.MAVLink(None).decode(bytearray(packet.data))
     except mavlink.MAVError:
         return None
+
+
+def told_by(message: Any) -> tuple[RelayedPosition | None, RelayedVelocity | None]:
+    """What one of `ESTIMATES` says; nothing of an ODOMETRY in frames that are not judged here."""
+    place = (message.x, message.y, message.z)
+    counter = message.reset_counter
+    match message.get_type():
+        case "VISION_POSITION_ESTIMATE":
+            sigma_m = _sigma(message.covariance, _SECOND_OF_SIX)
+            return RelayedPosition(message.usec / 1e6, place, sigma_m, counter), None
+        case "VISION_SPEED_ESTIMATE":
+            sigma_m_s = _sigma(message.covariance, _SECOND_OF_THREE)
+            return None, RelayedVelocity(message.usec / 1e6, place, sigma_m_s)
+        case "ODOMETRY" if (message.frame_id, message.child_frame_id) == _NED_AND_NED:
+            t_s, sigma_m = message.time_usec / 1e6, _sigma(message.pose_covariance, _SECOND_OF_SIX)
+            sigma_m_s = _sigma(message.velocity_covariance, _SECOND_OF_SIX)
+            speeds = (message.vx, message.vy, message.vz)
+            return (
+                RelayedPosition(t_s, place, sigma_m, counter),
+                RelayedVelocity(t_s, speeds, sigma_m_s),
+            )
+    return None, None
+
+
+def _sigma(covariance: list[float], second: int) -> float:
+    """Larger sigma of north and east; NaN, which no bound admits, where the covariance is none."""
+    variance = max(covariance[0], covariance[second])
+    return math.sqrt(variance) if variance >= 0.0 else math.nan
 
 
 def _mode_of_set_mode(packet: Packet, kind: AutopilotKind | None) -> FlightMode | None:

@@ -7,14 +7,14 @@ something arrives, a simulation whenever its time advances.
 import logging
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
 from vwnav.watchdog.dead_man import DeadMan, DeadManConfig, Silence
-from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass
+from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
 from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
@@ -232,14 +232,7 @@ class Watchdog:
         if message is None:
             return False
         was_good = self._estimates.lost_since_s is None
-        place = (message.x, message.y, message.z)
-        if packet.message_id == mavlink.MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE:
-            good = self._estimates.admit_velocity(RelayedVelocity(message.usec / 1e6, place), t_s)
-        else:
-            position = RelayedPosition(
-                message.usec / 1e6, place, _sigma_m(message.covariance), message.reset_counter
-            )
-            good = self._estimates.admit_position(position, t_s, self._ear.vehicle(t_s).armed)
+        good = self._admits(message, t_s)
         if good:
             self._silence.end()
         if was_good != (is_good := self._estimates.lost_since_s is None):
@@ -248,6 +241,17 @@ class Watchdog:
                 "handed on again" if is_good else f"held back: {self._estimates.reason}",
             )
         return good
+
+    def _admits(self, message: Any, t_s: float) -> bool:
+        armed = self._ear.vehicle(t_s).armed
+        match told_by(message):
+            case RelayedPosition() as position, None:
+                return self._estimates.admit_position(position, t_s, armed)
+            case None, RelayedVelocity() as velocity:
+                return self._estimates.admit_velocity(velocity, t_s)
+            case RelayedPosition() as position, RelayedVelocity() as velocity:
+                return self._estimates.admit_both(position, velocity, t_s, armed)
+        return False
 
     def _notice_cut(self, t_s: float) -> None:
         """Before news are read: what was made while nothing came is not to be the first word."""
@@ -342,9 +346,3 @@ class Watchdog:
                 self._guard.silence_s(t_s),
                 beat.phase if beat is not None else "",
             )
-
-
-def _sigma_m(covariance: list[float]) -> float:
-    """Larger horizontal sigma of a row-major upper triangle (21 numbers) of x, y, z, ..."""
-    variance = max(covariance[0], covariance[6])
-    return math.sqrt(variance) if variance >= 0.0 else math.nan

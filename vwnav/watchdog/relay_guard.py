@@ -17,6 +17,8 @@ class RelayLimits:
 
     Attributes:
         brief_gap_s: the navigator's own brief gap, and the time it waits until it is steady.
+        wide_position_sigma_m: of a new one that comes with a velocity, `new_velocity_sigma_m_s`
+            sure and off the way of its positions by at most `velocity_off_m_s`.
         steady_s: for how long estimates come steadily before they are handed on again, and
             between two jumps that are announced.
         fewest: estimates in that time.
@@ -29,13 +31,16 @@ class RelayLimits:
     brief_gap_s: float = 2.0
     drift_m_s: float = 2.5
     new_position_sigma_m: float = 6.0
+    wide_position_sigma_m: float = 65.0
+    new_velocity_sigma_m_s: float = 2.0
+    velocity_off_m_s: float = 4.0
     steady_s: float = 0.3
     fewest: int = 5
 
 
 @dataclass(frozen=True, slots=True)
 class RelayedPosition:
-    """What VISION_POSITION_ESTIMATE says: NED about the autopilot's origin.
+    """What VISION_POSITION_ESTIMATE and ODOMETRY say: NED about the autopilot's origin.
 
     Attributes:
         t_s: on the clock of this machine.
@@ -50,10 +55,11 @@ class RelayedPosition:
 
 @dataclass(frozen=True, slots=True)
 class RelayedVelocity:
-    """What VISION_SPEED_ESTIMATE says."""
+    """What VISION_SPEED_ESTIMATE and ODOMETRY say; `sigma_m_s` is the larger horizontal one."""
 
     t_s: float
     velocity_ned_m_s: tuple[float, float, float]
+    sigma_m_s: float
 
 
 class RelayGuard:
@@ -71,6 +77,7 @@ class RelayGuard:
         self._trial: Trial | None = None
         self._may_resume = False
         self._jumped_t_s = -math.inf
+        self._velocity: RelayedVelocity | None = None
         self.last: RelayedPosition | None = None
         self.lost_since_s: float | None = None
         self.reason = ""
@@ -99,16 +106,28 @@ class RelayGuard:
 
     def admit_velocity(self, velocity: RelayedVelocity, t_s: float) -> bool:
         """Whether this one may pass now; one that cannot be takes the positions with it."""
-        if self.lost_since_s is not None:
-            return False
-        if not all(map(math.isfinite, (velocity.t_s, *velocity.velocity_ned_m_s))):
-            self.lose("a velocity that is not finite", t_s)
-            return False
+        return self._is_possible(velocity, t_s) and self.lost_since_s is None
+
+    def admit_both(
+        self, position: RelayedPosition, velocity: RelayedVelocity, t_s: float, armed: bool
+    ) -> bool:
+        """Whether a message that tells both may pass now."""
+        return self._is_possible(velocity, t_s) and self.admit_position(position, t_s, armed)
+
+    def _is_possible(self, velocity: RelayedVelocity, t_s: float) -> bool:
+        numbers = (velocity.t_s, *velocity.velocity_ned_m_s)
+        is_finite = all(map(math.isfinite, numbers))
         speed_m_s = math.hypot(*velocity.velocity_ned_m_s[:2])
-        if speed_m_s > self._limits.max_speed_m_s:
-            self.lose(f"a velocity of {speed_m_s:.0f} m/s", t_s)
+        if not is_finite or speed_m_s > self._limits.max_speed_m_s:
+            self._velocity = None
+            if self.lost_since_s is None:
+                what = f"of {speed_m_s:.0f} m/s" if is_finite else "that is not finite"
+                self.lose(f"a velocity {what}", t_s)
             return False
-        return abs(t_s - velocity.t_s) <= self._limits.max_age_s
+        is_of_now = abs(t_s - velocity.t_s) <= self._limits.max_age_s
+        if is_of_now:
+            self._velocity = velocity
+        return is_of_now
 
     def lose(self, reason: str, t_s: float) -> None:
         """Hand nothing more on until it comes as a new one."""
@@ -141,6 +160,18 @@ class RelayGuard:
         if position.sigma_m > self._limits.new_position_sigma_m:
             return f"the new position is uncertain by {position.sigma_m:.0f} m"
         return None
+
+    def _is_wide(self, position: RelayedPosition, trial: Trial) -> bool:
+        """Its place is unsure, but how it moves is not, and its positions move so."""
+        limits, velocity = self._limits, self._velocity
+        if velocity is None or position.t_s - velocity.t_s > limits.steady_s:
+            return False
+        off_m_s = math.dist(trial.track.velocity_m_s(), velocity.velocity_ned_m_s[:2])
+        return (
+            position.sigma_m <= limits.wide_position_sigma_m
+            and velocity.sigma_m_s <= limits.new_velocity_sigma_m_s
+            and off_m_s <= limits.velocity_off_m_s
+        )
 
     def _on_ground(self, position: RelayedPosition, fault: str | None) -> bool:
         self.lost_since_s, self._trial = None, None
@@ -176,14 +207,14 @@ class RelayGuard:
         trial.count += 1
         if t_s - trial.since_s < self._limits.steady_s or trial.count < self._limits.fewest:
             return False
-        if not (self._is_new(position) or self._goes_on(trial, position)):
+        if not (self._is_new(position, trial) or self._goes_on(trial, position)):
             return False
         self._track.clear()
         return self._pass(position)
 
-    def _is_new(self, position: RelayedPosition) -> bool:
+    def _is_new(self, position: RelayedPosition, trial: Trial) -> bool:
         is_renewed = self.last is None or position.reset_counter != self.last.reset_counter
-        return is_renewed and self._unsure(position) is None
+        return is_renewed and (self._unsure(position) is None or self._is_wide(position, trial))
 
     def _goes_on(self, trial: Trial, position: RelayedPosition) -> bool:
         """After a brief gap: the same one, about where it would be by now. Asked once."""

@@ -1,13 +1,15 @@
-"""The successor's process: started early, woken when the navigator has ended.
+"""The successors' processes: one is always loaded and waits, woken when whoever served has ended.
 
 It loads what it needs and then waits for a line on its stdin. The line is one JSON object: where
 to connect and to beat, and the last good estimate (`Resume`). An end of stdin tells it to end: the
-watchdog has gone, or needs it no more. One that hangs is ended, and another one started.
+watchdog has gone, or needs it no more. One that hangs is ended. As soon as one serves, the next is
+prepared: an autopilot keeps its position for 5 s without estimates, and loading takes longer.
 """
 
 import contextlib
 import json
 import logging
+import os
 import subprocess
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,7 +22,8 @@ _MOST_STARTS = 5
 _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
-_SILENT_S = 4.0  # no other one has loaded yet: longer than a navigator may be
+_SILENT_S = 3.0  # as long as a navigator may be (`WatchdogConfig.end_after_s`)
+_NICER = 5  # one that loads goes behind one that serves
 
 
 class SuccessorProcess:
@@ -42,65 +45,75 @@ class SuccessorProcess:
             "observer": observer_url,
             "keepalive_port": keepalive_port,
         }
-        self._process: subprocess.Popen[bytes] | None = None
+        self._ready: subprocess.Popen[bytes] | None = None
+        self._serving: subprocess.Popen[bytes] | None = None
         self._starts = 0
         self._start_at_s = 0.0
-        self._woken = self._has_beaten = False
+        self._has_beaten = False
         self._silence = Silence()
 
     @property
     def stands_by(self) -> bool:
         """There is one that could be woken."""
-        return self._process is not None and not self._woken
+        return self._ready is not None
 
     def handle_beat(self) -> None:
-        """It lives."""
+        """The one that serves lives."""
         self._silence.end()
         self._has_beaten = True
 
     def step(self, resume: Resume | None, t_s: float) -> None:
-        """Keep it ready; with `resume` it is needed, from now on."""
+        """Keep one ready; with `resume` one is needed, from now on."""
         self._silence.listen(t_s)
-        if self._process is not None and self._process.poll() is not None:
-            _log.warning("the successor ended with code %d", self._process.returncode)
-            self._forget(t_s)
-        if self._process is not None and self._woken:
-            self._end_if_silent(self._process)
-        if self._process is None and self._starts < _MOST_STARTS and t_s >= self._start_at_s:
+        if self._has_ended(self._ready, t_s):
+            self._ready = None
+        if self._has_ended(self._serving, t_s):
+            self._serving = None
+        if self._serving is not None:
+            self._end_if_silent(self._serving)
+        if self._wants_another and t_s >= self._start_at_s:
             self._start(t_s)
-        if resume is not None and self._process is not None and not self._woken:
-            self._wake(self._process, resume)
+        if resume is not None and self._serving is None and self._ready is not None:
+            self._wake(self._ready, resume)
 
     def close(self) -> None:
-        """End it: its stdin ends, then it is told to, then killed."""
-        process, self._process = self._process, None
-        if process is None:
-            return
+        """End them: their stdin ends, then they are told to, then killed."""
+        ours = [each for each in (self._ready, self._serving) if each is not None]
+        self._ready = self._serving = None
+        for process in ours:
+            _close_stdin(process)
+        for process in ours:
+            _end(process)
+
+    @property
+    def _wants_another(self) -> bool:
+        """Not while the last one comes up: it has the place to find."""
+        comes_up = self._serving is not None and not self._has_beaten
+        return self._ready is None and not comes_up and self._starts < _MOST_STARTS
+
+    def _has_ended(self, process: subprocess.Popen[bytes] | None, t_s: float) -> bool:
+        if process is None or process.poll() is None:
+            return False
+        _log.warning("the successor ended with code %d", process.returncode)
         _close_stdin(process)
-        for end in (process.terminate, process.kill):
-            try:
-                process.wait(_END_TIMEOUT_S)
-                return
-            except subprocess.TimeoutExpired:
-                end()
-        process.wait()
+        self._back_off(t_s)
+        return True
 
     def _start(self, t_s: float) -> None:
         self._starts += 1
-        self._woken = self._has_beaten = False
         try:
-            self._process = subprocess.Popen(
+            self._ready = subprocess.Popen(
                 self._command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
             )
         except OSError as error:
             _log.error("the successor does not start: %s", error)
-            self._forget(t_s)
+            self._back_off(t_s)
+            return
+        if self._serving is not None:
+            _go_behind(self._ready)
 
-    def _forget(self, t_s: float) -> None:
+    def _back_off(self, t_s: float) -> None:
         """The next one is started after a while, a longer one each time."""
-        if self._process is not None:
-            _close_stdin(self._process)
-        self._process = None
         self._start_at_s = t_s + _FIRST_BACK_OFF_S * 2.0 ** (self._starts - 1)
 
     def _end_if_silent(self, process: subprocess.Popen[bytes]) -> None:
@@ -111,7 +124,8 @@ class SuccessorProcess:
             process.kill()
 
     def _wake(self, process: subprocess.Popen[bytes], resume: Resume) -> None:
-        self._woken = True
+        self._serving, self._ready = process, None
+        self._has_beaten = False
         self._silence.end()
         assert process.stdin is not None
         line = json.dumps({**self._ways, **asdict(resume)}) + "\n"
@@ -124,3 +138,20 @@ def _close_stdin(process: subprocess.Popen[bytes]) -> None:
     assert process.stdin is not None
     with contextlib.suppress(OSError):
         process.stdin.close()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    for end in (process.terminate, process.kill):
+        try:
+            process.wait(_END_TIMEOUT_S)
+            return
+        except subprocess.TimeoutExpired:
+            end()
+    process.wait()
+
+
+def _go_behind(process: subprocess.Popen[bytes]) -> None:
+    """Threads that it starts from now on as well, and for good: to go back takes a right."""
+    with contextlib.suppress(OSError):  # it has ended: the next step sees it
+        own = os.getpriority(os.PRIO_PROCESS, 0)
+        os.setpriority(os.PRIO_PROCESS, process.pid, own + _NICER)

@@ -1,5 +1,6 @@
 """The vehicle's end of its companion link; what passes it is noted for the rules."""
 
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -57,6 +58,13 @@ class NotedLink(ByteLink):
                 c = m.covariance
                 place, covariance = (m.x, m.y, m.z), (c[0], c[1], c[6])
                 sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
+                heard.estimates.append(sent)
+            case "ODOMETRY":
+                c = m.pose_covariance
+                place, covariance = (m.x, m.y, m.z), (c[0], c[1], c[6])
+                stamp_s, velocity = m.time_usec * 1e-6, (m.vx, m.vy, m.vz)
+                sigma_m_s = math.sqrt(max(m.velocity_covariance[0], m.velocity_covariance[6]))
+                sent = Sent(t_s, stamp_s, place, covariance, m.reset_counter, velocity, sigma_m_s)
                 heard.estimates.append(sent)
             case "SET_POSITION_TARGET_LOCAL_NED":
                 heard.setpoints.append(LoggedSetpoint(t_s, (m.vx, m.vy, m.vz), component))

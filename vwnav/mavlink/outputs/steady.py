@@ -4,14 +4,22 @@ import math
 from collections.abc import Callable
 
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
+from vwnav.mavlink.link_budget import LinkBudget
 from vwnav.mavlink.modes import AutopilotKind
-from vwnav.mavlink.outputs.vision_messages import velocity_target, vision_position, vision_speed
+from vwnav.mavlink.outputs.vision_messages import (
+    odometry,
+    velocity_target,
+    vision_position,
+    vision_speed,
+)
 from vwnav.mavlink.ports.port import Port
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import VelocitySetpoint
 
 _ON_TIME_S = 0.005  # an estimate may leave so much before its turn
+# From so wide a position PX4 finds no velocity within seconds: it is told that too.
+_WIDE_M = 5.0
 
 
 class Outputs:
@@ -29,8 +37,11 @@ class Outputs:
         self._heading_bias_rad = 0.0
         self._held_yaw_rad: float | None = None
 
-    def estimate(self, estimate: Estimate, rate_hz: float) -> None:
+    def estimate(self, estimate: Estimate, budget: LinkBudget) -> None:
         """Send an estimate, unless it comes before its turn or no origin is agreed upon."""
+        is_px4 = self._telemetry.kind is AutopilotKind.PX4
+        as_odometry = is_px4 and estimate.sigma_horizontal_m > _WIDE_M
+        rate_hz = budget.odometry_hz if as_odometry else budget.estimate_hz
         offset_ned_m = self._telemetry.origin_offset_ned_m
         if offset_ned_m is None or not self._is_its_turn(rate_hz):
             return
@@ -38,8 +49,11 @@ class Outputs:
         if attitude is not None:
             bias_rad = _yaw(attitude.quat_wxyz) - _yaw(estimate.quat_wxyz)
             self._heading_bias_rad = wrap_pi(bias_rad)
+        if as_odometry:
+            self._port.send("ODOMETRY", odometry(estimate, offset_ned_m))
+            return
         self._port.send("VISION_POSITION_ESTIMATE", vision_position(estimate, offset_ned_m))
-        if self._telemetry.kind is AutopilotKind.ARDUPILOT:  # PX4 does not handle it
+        if not is_px4:  # which does not handle it
             self._port.send("VISION_SPEED_ESTIMATE", vision_speed(estimate))
 
     def setpoint(self, setpoint: VelocitySetpoint) -> None:

@@ -12,7 +12,8 @@ from vwnav.vehicle import VelocitySetpoint
 # Attitude is the autopilot's own: sent back with the variance of no knowledge at all, so that it
 # can never be fused as if it were independent.
 _NO_ATTITUDE_VARIANCE_RAD2 = math.pi**2
-_FRAME_LOCAL_NED = 1
+_FRAME_LOCAL_NED = 1  # MAV_FRAME
+_OF_VISION = 2  # MAV_ESTIMATOR_TYPE
 _VELOCITY_AND_YAW = 0b100111000111  # POSITION_TARGET_TYPEMASK: ignore all the rest
 
 
@@ -25,9 +26,6 @@ def vision_position(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
     """
     x, y, z = (float(v) for v in estimate.position_ned_m + offset_ned_m)
     roll, pitch, yaw = euler_from_rotation(rotation_from_quat(estimate.quat_wxyz))
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = estimate.covariance[:3, :3]
-    covariance[3:, 3:] = np.eye(3) * _NO_ATTITUDE_VARIANCE_RAD2
     return {
         "usec": int(estimate.t_s * 1e6),
         "x": x,
@@ -36,10 +34,46 @@ def vision_position(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
         "roll": roll,
         "pitch": pitch,
         "yaw": yaw,
-        # Row-major upper triangle of (x, y, z, roll, pitch, yaw): 21 numbers.
-        "covariance": [float(v) for v in covariance[np.triu_indices(6)]],
+        "covariance": _with_attitude(estimate.covariance[:3, :3]),
         "reset_counter": estimate.reset_counter & 0xFF,
     }
+
+
+def odometry(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
+    """Fields of ODOMETRY: position and velocity, both NED.
+
+    Args:
+        estimate: as for `vision_position`.
+        offset_ned_m: likewise.
+    """
+    x, y, z = (float(v) for v in estimate.position_ned_m + offset_ned_m)
+    vx, vy, vz = (float(v) for v in estimate.velocity_ned_m_s)
+    return {
+        "time_usec": int(estimate.t_s * 1e6),
+        "frame_id": _FRAME_LOCAL_NED,
+        "child_frame_id": _FRAME_LOCAL_NED,
+        "x": x,
+        "y": y,
+        "z": z,
+        "q": [float(v) for v in estimate.quat_wxyz],
+        "vx": vx,
+        "vy": vy,
+        "vz": vz,
+        **dict.fromkeys(("rollspeed", "pitchspeed", "yawspeed")),  # None: not told
+        "pose_covariance": _with_attitude(estimate.covariance[:3, :3]),
+        "velocity_covariance": _with_attitude(estimate.covariance[3:, 3:]),
+        "reset_counter": estimate.reset_counter & 0xFF,
+        "estimator_type": _OF_VISION,
+        "quality": 0,  # not told, as in VISION_POSITION_ESTIMATE
+    }
+
+
+def _with_attitude(covariance: Array) -> list[float]:
+    """(3, 3) and what is known of the attitude: the 21 of a row-major upper triangle (6, 6)."""
+    whole = np.zeros((6, 6))
+    whole[:3, :3] = covariance
+    whole[3:, 3:] = np.eye(3) * _NO_ATTITUDE_VARIANCE_RAD2
+    return [float(v) for v in whole[np.triu_indices(6)]]
 
 
 def vision_speed(estimate: Estimate) -> dict[str, Any]:

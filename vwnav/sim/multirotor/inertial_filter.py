@@ -273,6 +273,15 @@ class AxisFilter:
         self.p01 = self.p02 = 0.0
         self.p11 = max(self.p11, 0.3**2)
 
+    def reset_velocity(self, velocity_m_s: float, variance_m2_s2: float) -> None:
+        """Jump to a velocity; what was known of it is forgotten."""
+        self.v, self.p11 = velocity_m_s, variance_m2_s2
+        self.p01 = self.p12 = 0.0
+
+    def velocity_ratio(self, innovation_m_s: float, variance_m2_s2: float, gate: float) -> float:
+        """As `test_ratio`, of a velocity."""
+        return innovation_m_s**2 / (gate**2 * (self.p11 + variance_m2_s2))
+
     def test_ratio(self, innovation_m: float, variance_m2: float, gate: float) -> float:
         """Squared innovation over its gate; more than 1 is refused (EKF2's test ratio)."""
         return innovation_m**2 / (max(gate, 0.1) ** 2 * (self.p00 + variance_m2))

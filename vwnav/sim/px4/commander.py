@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from vwnav.sim.mavlink.command import Landed, Result, Severity
 from vwnav.sim.px4.failsafe import Failsafe, Px4Health
-from vwnav.sim.px4.modes import POSITION_STATES, STICK_STATES, NavState
+from vwnav.sim.px4.modes import ACCURATE_STATES, POSITION_STATES, STICK_STATES, NavState
 from vwnav.sim.px4.parameters import Px4Parameters
 
 _NOT_ARMABLE = frozenset({NavState.RETURN, NavState.LAND, NavState.DESCEND})
@@ -111,6 +111,8 @@ class Px4Commander:
         if wanted is NavState.OFFBOARD and not health.offboard_ok:
             return False
         if wanted is NavState.RETURN and not health.global_position_ok:
+            return False
+        if wanted in ACCURATE_STATES and not health.position_accurate:
             return False
         if wanted in STICK_STATES and not health.manual_ok:
             return False

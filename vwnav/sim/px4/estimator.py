@@ -3,6 +3,7 @@
 What is EKF2's (and measured, see docs/simulation.md) is kept: vision must come faster than 5 Hz to
 be fused, the position dies after EKF2_NOAID_TOUT without it, a changed reset_counter resets, a
 steady disagreement resets after 2.5 s, and an origin set while vision is fused wrecks the position.
+Velocity is fused as EKF2's source has it (`ev_vel_control.cpp`): it aids as a position does.
 """
 
 import math
@@ -30,9 +31,7 @@ class VisionSample:
     """
 
     t_s: float
-    north_m: float
-    east_m: float
-    down_m: float
+    position_ned_m: tuple[float, float, float] | None
     variance_m2: float
     yaw_rad: float | None
     velocity_ned_m_s: tuple[float, float, float] | None
@@ -49,7 +48,8 @@ class Px4Estimator(InertialFilter):
         self._parameters = parameters
         self._wrecked_m = (0.0, 0.0)
         self.test_ratio = 0.0
-        self._last_fused_s = -math.inf
+        self._last_fused_s = self._last_velocity_s = -math.inf
+        self._fuses_velocity = False
         self._last_sample_s = -math.inf
         self._steady_since_s = 0.0
         self._last_vision_yaw_s = -math.inf
@@ -59,8 +59,11 @@ class Px4Estimator(InertialFilter):
 
     @property
     def local_position_ok(self) -> bool:
-        """Horizontal position is valid: aided within EKF2_NOAID_TOUT."""
-        return self.t_s - self._last_fused_s < self._parameters["EKF2_NOAID_TOUT"] * 1e-6
+        """Horizontal position is valid: aided within EKF2_NOAID_TOUT, be it by velocity alone."""
+        return self._is_recent(max(self._last_fused_s, self._last_velocity_s))
+
+    def _is_recent(self, t_s: float) -> bool:
+        return self.t_s - t_s < self._parameters["EKF2_NOAID_TOUT"] * 1e-6
 
     @property
     def lost_in_flight(self) -> bool:
@@ -69,8 +72,8 @@ class Px4Estimator(InertialFilter):
 
     @property
     def ever_aided(self) -> bool:
-        """A horizontal position was fused at some time."""
-        return self._last_fused_s > -math.inf
+        """A horizontal position or velocity was fused at some time."""
+        return max(self._last_fused_s, self._last_velocity_s) > -math.inf
 
     @property
     def global_position_ok(self) -> bool:
@@ -96,8 +99,8 @@ class Px4Estimator(InertialFilter):
 
     def _maintain(self, dt_s: float, on_ground: bool) -> None:
         north, east = self.north, self.east
-        if self.fusing and self.t_s - self._last_sample_s > _MAX_GAP_S:
-            self.fusing = False
+        if self.t_s - self._last_sample_s > _MAX_GAP_S:
+            self.fusing = self._fuses_velocity = False
         if on_ground:
             self._stand()
             if not self.local_position_ok:
@@ -167,45 +170,76 @@ class Px4Estimator(InertialFilter):
         if control & EV_YAW and sample.yaw_rad is not None:
             self._last_vision_yaw_s = self.t_s
             self.attitude.correct_heading(sample.yaw_rad, True, min(gap_s, 0.1))
-        if control & EV_HORIZONTAL:
-            north_m, east_m = self._in_north(sample, control)
-            self._handle_position(north_m, east_m, sample, delay_s, gap_s)
-        if control & EV_VELOCITY and self.fusing and sample.velocity_ned_m_s is not None:
-            vn, ve, vd = sample.velocity_ned_m_s
-            variance = sample.velocity_variance
-            self.north.fuse_velocity(vn - self.north.v, variance)
-            self.east.fuse_velocity(ve - self.east.v, variance)
-            self.down.fuse_velocity(vd - self.down.v, variance)
+        if gap_s > _MAX_GAP_S:
+            self.fusing = self._fuses_velocity = False
+            self._steady_since_s = self.t_s
+        jumped = self._vision_reset_counter not in (None, sample.reset_counter)
+        if sample.velocity_ned_m_s is None or not control & EV_VELOCITY:
+            self._fuses_velocity = False
+        elif self._is_steady(gap_s):
+            self._handle_velocity(sample.velocity_ned_m_s, sample.velocity_variance, jumped)
+        if sample.position_ned_m is None or not control & EV_HORIZONTAL:
+            self.fusing = False
+        else:
+            self._handle_position(self._in_north(sample, control), sample, delay_s, gap_s, jumped)
 
-    def _in_north(self, sample: VisionSample, control: int) -> tuple[float, float]:
+    def _is_steady(self, gap_s: float) -> bool:
+        """Vision comes often enough, and after a loss for long enough, to be begun with."""
+        waits = self.lost_in_flight and self.t_s - self._steady_since_s < _RESTART_S
+        return gap_s <= _MAX_GAP_S and not waits
+
+    def _handle_velocity(
+        self, velocity_ned_m_s: tuple[float, float, float], variance: float, jumped: bool
+    ) -> None:
+        """One that begins where nothing aids, or is renewed as the only aid, resets.
+
+        Beside a position it begins only where it agrees well.
+        """
+        axes = (self.north, self.east, self.down)
+        off = [v - axis.v for axis, v in zip(axes, velocity_ned_m_s, strict=True)]
+        begins = not self._fuses_velocity and not self.fusing
+        gate = max(self._parameters["EKF2_EVV_GATE"], 1.0)
+        ratios = [axis.velocity_ratio(d, variance, gate) for axis, d in zip(axes, off, strict=True)]
+        if begins or (jumped and not self.fusing):
+            for axis, v in zip(axes, velocity_ned_m_s, strict=True):
+                axis.reset_velocity(v, variance)
+        elif max(ratios) < (1.0 if self._fuses_velocity else 0.1):
+            for axis, d in zip(axes, off, strict=True):
+                axis.fuse_velocity(d, variance)
+        else:
+            return
+        self._fuses_velocity = True
+        self._last_velocity_s = self.t_s
+
+    def _in_north(self, sample: VisionSample, control: int) -> tuple[float, float, float]:
         """Turn a LOCAL_FRD position to north, when its yaw is measured but not fused."""
+        assert sample.position_ned_m is not None
+        north_m, east_m, down_m = sample.position_ned_m
         if not sample.turned_frame or sample.yaw_rad is None or control & EV_YAW:
-            return sample.north_m, sample.east_m
+            return north_m, east_m, down_m
         turn_rad = self.attitude.yaw_rad - sample.yaw_rad
         cos, sin = math.cos(turn_rad), math.sin(turn_rad)
-        return (
-            cos * sample.north_m - sin * sample.east_m,
-            sin * sample.north_m + cos * sample.east_m,
-        )
+        return cos * north_m - sin * east_m, sin * north_m + cos * east_m, down_m
 
     def _handle_position(
-        self, north_m: float, east_m: float, sample: VisionSample, delay_s: float, gap_s: float
+        self,
+        position_ned_m: tuple[float, float, float],
+        sample: VisionSample,
+        delay_s: float,
+        gap_s: float,
+        jumped: bool,
     ) -> None:
+        north_m, east_m, down_m = position_ned_m
         moved_n, moved_e, moved_d = self._moved_since(self.t_s - delay_s)
         dn = north_m + self._wrecked_m[0] + moved_n - self.north.x
         de = east_m + self._wrecked_m[1] + moved_e - self.east.x
         gate = self._parameters["EKF2_EVP_GATE"]
         ratio_n = self.north.test_ratio(dn, sample.variance_m2, gate)
         self.test_ratio = max(ratio_n, self.east.test_ratio(de, sample.variance_m2, gate))
-        if gap_s > _MAX_GAP_S:
-            self.fusing = False
-            self._steady_since_s = self.t_s
+        if not self._is_steady(gap_s):
             return
-        if self.lost_in_flight and self.t_s - self._steady_since_s < _RESTART_S:
-            return
-        jumped = self._vision_reset_counter not in (None, sample.reset_counter)
         self._vision_reset_counter = sample.reset_counter
-        if jumped or not self.local_position_ok or self._refused_too_long():
+        if jumped or not self._is_recent(self._last_fused_s) or self._refused_too_long():
             self._reset_to(self.north.x + dn, self.east.x + de, sample.variance_m2)
         elif self.test_ratio < 1.0:
             self._refused_since_s = None
@@ -217,7 +251,7 @@ class Px4Estimator(InertialFilter):
         self.fusing = True
         self._last_fused_s = self.t_s
         if self._vision_height:
-            self.down.fuse_position(sample.down_m + moved_d - self.down.x, sample.variance_m2)
+            self.down.fuse_position(down_m + moved_d - self.down.x, sample.variance_m2)
 
     def _refused_too_long(self) -> bool:
         since_s = self._refused_since_s

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from vwnav.sim.px4.modes import POSITION_STATES, STICK_STATES, NavState
+from vwnav.sim.px4.modes import ACCURATE_STATES, POSITION_STATES, STICK_STATES, NavState
 from vwnav.sim.px4.parameters import Px4Parameters
 
 CELLS = 4
@@ -69,6 +69,7 @@ class Px4Health:
 
     local_position_ok: bool
     global_position_ok: bool
+    position_accurate: bool
     heading_ok: bool
     position_stable: bool
     offboard_ok: bool
@@ -185,6 +186,8 @@ class Failsafe:
     def _reachable(self, state: NavState, health: Px4Health) -> NavState:
         """The state itself, or what PX4 falls back to without what the state needs."""
         if state is NavState.RETURN and not health.global_position_ok:
+            state = NavState.LAND
+        if state in ACCURATE_STATES and not health.position_accurate:
             state = NavState.LAND
         if state in POSITION_STATES and not health.local_position_ok:
             return NavState.ALTITUDE if state is NavState.POSITION else NavState.DESCEND

@@ -70,6 +70,8 @@ POSITION_STATES = frozenset(
         NavState.OFFBOARD,
     }
 )
+# In flight PX4 wants a position within COM_POS_FS_EPH for these; Land takes any, from 1.16 on.
+ACCURATE_STATES = frozenset({NavState.HOLD, NavState.RETURN})
 
 
 def state_of_custom_mode(main: int, sub: int) -> NavState | None:

@@ -76,6 +76,7 @@ _FLOATS: dict[str, float] = {
     "COM_DISARM_PRFLT": 10.0,
     "COM_FAIL_ACT_T": 5.0,
     "COM_OF_LOSS_T": 1.0,
+    "COM_POS_FS_EPH": 5.0,
     "COM_RC_LOSS_T": 1.0,
     "COM_RC_STICK_OV": 30.0,
     "COM_SPOOLUP_TIME": 1.0,
@@ -143,9 +144,9 @@ _FLOATS: dict[str, float] = {
     "SIM_BAT_DRAIN": 60.0,
     "SIM_BAT_MIN_PCT": 0.0,
 }
-# No GPS, vision for the horizontal position, barometer for the height.
+# No GPS, vision for the horizontal position and the velocity, barometer for the height.
 NO_GPS: tuple[tuple[str, float], ...] = (
-    ("EKF2_EV_CTRL", 1),
+    ("EKF2_EV_CTRL", 5),
     ("EKF2_GPS_CTRL", 0),
     ("EKF2_HGT_REF", 0),
     ("SENS_EN_GPSSIM", 0),

@@ -229,6 +229,7 @@ class SimulatedPx4:
             local_position_ok=position_ok,
             global_position_ok=position_ok and estimator.origin is not None,
             heading_ok=not settling,
+            position_accurate=self._is_accurate(),
             position_stable=not estimator.origin_broken,
             offboard_ok=fresh and position_ok,
             manual_ok=self.manual.available(t_s),
@@ -237,6 +238,13 @@ class SimulatedPx4:
             landed=self.landed,
             fence_breached=self._outside_fence(),
         )
+
+    def _is_accurate(self) -> bool:
+        """Within COM_POS_FS_EPH, 2.5 times that once it was; on the ground nobody asks here."""
+        if not self.commander.armed:
+            return True
+        limit_m = self.parameters["COM_POS_FS_EPH"] * (2.5 if self.health.position_accurate else 1)
+        return self.estimator.sigma_horizontal_m < limit_m
 
     def _outside_fence(self) -> bool:
         home, estimator = self.home, self.estimator

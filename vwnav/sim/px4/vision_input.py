@@ -19,9 +19,7 @@ def from_vision_position(
         return None
     return VisionSample(
         t_s=t_s,
-        north_m=message.x,
-        east_m=message.y,
-        down_m=message.z,
+        position_ned_m=(message.x, message.y, message.z),
         variance_m2=_variance(message.covariance, parameters["EKF2_EVP_NOISE"]),
         yaw_rad=message.yaw if math.isfinite(message.yaw) else None,
         velocity_ned_m_s=None,
@@ -33,18 +31,19 @@ def from_vision_position(
 
 def from_odometry(message: Any, t_s: float, parameters: Px4Parameters) -> VisionSample | None:
     """ODOMETRY in LOCAL_NED or LOCAL_FRD; other frames are dropped in silence, as PX4 does."""
-    finite = _plausible(_FARTHEST_M, message.x, message.y, message.z)
+    position = (message.x, message.y, message.z)
+    is_known = _plausible(_FARTHEST_M, *position)
+    velocity = _velocity(message)
     too_poor = 0 < message.quality < parameters["EKF2_EV_QMIN"] or message.quality < 0
-    if message.frame_id not in (_LOCAL_NED, _LOCAL_FRD) or not finite or too_poor:
+    is_empty = not is_known and velocity is None
+    if message.frame_id not in (_LOCAL_NED, _LOCAL_FRD) or is_empty or too_poor:
         return None
     return VisionSample(
         t_s=t_s,
-        north_m=message.x,
-        east_m=message.y,
-        down_m=message.z,
+        position_ned_m=position if is_known else None,
         variance_m2=_variance(message.pose_covariance, parameters["EKF2_EVP_NOISE"]),
         yaw_rad=_yaw(message.q),
-        velocity_ned_m_s=_velocity(message),
+        velocity_ned_m_s=velocity,
         velocity_variance=_variance(message.velocity_covariance, parameters["EKF2_EVV_NOISE"]),
         reset_counter=message.reset_counter,
         turned_frame=message.frame_id == _LOCAL_FRD,
