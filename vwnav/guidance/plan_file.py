@@ -120,6 +120,6 @@ def _height_m(altitude_m: float, frame: Any, home_amsl_m: float | None) -> float
         raise RouteError(f"altitude frame {str(frame)[:40]} cannot be flown; make it relative")
     if home_amsl_m is None:
         raise RouteError(
-            "altitude above sea level without a home (plannedHomePosition, item 0); make it relative"
+            "altitude above sea level without a home (plannedHomePosition); make it relative"
         )
     return altitude_m - home_amsl_m
