@@ -123,6 +123,9 @@ def test_what_is_no_video_or_not_there_says_so(tmp_path):
         open_source(str(tmp_path / "a.mp4"))
     with pytest.raises(SourceError, match="no pictures at"):
         open_source(str(tmp_path / "absent.mp4"))
+    (tmp_path / "junk.jpg").write_bytes(np.random.default_rng(1).bytes(5000))
+    with pytest.raises(SourceError, match=r"junk\.jpg holds no picture that can be read"):
+        open_source(str(tmp_path / "junk.jpg")).next_frame()
 
 
 def test_a_folder_is_read_in_natural_order_at_its_rate(tmp_path):

@@ -120,6 +120,56 @@ def test_senseless_plan_is_refused_in_one_line(write, content: object, message: 
     assert message in refused(write("route.plan", content))
 
 
+def wpl(*rows: str, home: str = "0 1 0 16 0 0 0 0 47.397742 8.545594 488.0 1") -> str:
+    items = ["\t".join(row.split()) for row in (home, *rows) if row]
+    return "\r\n".join(["QGC WPL 110", *items, ""])
+
+
+FLOWN = (
+    "1 0 3 22 0 0 0 0 0 0 30 1",
+    "2 0 3 16 0 0 0 0 47.398 8.546 50 1",
+    "3 0 3 178 1 5 0 0 0 0 0 1",
+    "4 0 0 16 0 0 0 0 47.399 8.546 538 1",
+    "5 0 3 20 0 0 0 0 0 0 0 1",
+)
+
+
+@pytest.mark.parametrize("name", ["r.waypoints", "r.txt"])
+def test_mission_text_is_flown_as_the_same_plan_would_be(write, name: str) -> None:
+    route = load_route(write(name, wpl(*FLOWN)))
+    assert route.home == (47.397742, 8.545594)
+    assert route.waypoints == (
+        GlobalWaypoint(47.398, 8.546, 50.0),
+        GlobalWaypoint(47.399, 8.546, 50.0),
+    )
+
+
+def test_mission_text_may_not_know_home(write) -> None:
+    nowhere = wpl(FLOWN[1], home="0 1 0 16 0 0 0 0 0 0 0 1")
+    assert load_route(write("r.waypoints", nowhere)).home is None
+    without = load_route(write("r.waypoints", wpl(FLOWN[1], home="")))
+    assert (without.home, len(without.waypoints)) == (None, 1)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "first line is not 'QGC WPL'"),
+        ("1,2,3,4", "first line is not 'QGC WPL'"),
+        (wpl("1 0 3 16 0 0 0 0 47.398 8.546 50"), "line 3: 11 fields, expected 12"),
+        (wpl("1 0 3 16 0 0 0 0 north 8.546 50 1"), "line 3: a field is 'north'"),
+        (wpl("1 0 3 16 0 0 0 0 nan 8.546 50 1"), "line 3: a field is nan"),
+        (wpl("1 0 3 16 0 0 0 0 147.398 8.546 50 1"), "mission item 1: latitude 147.398"),
+        (wpl("1 0 10 16 0 0 0 0 47.398 8.546 50 1"), "mission item 1: altitude frame 10"),
+        (wpl("1 0 0 16 0 0 0 0 47.398 8.546 50 1", home=FLOWN[0]), "without a home"),
+        (wpl(*FLOWN, "6 0 3 177 1 3 0 0 0 0 0 1"), "mission item 6: a jump back"),
+        (wpl(), "it holds no waypoints"),
+    ],
+)
+def test_senseless_mission_text_is_refused_in_one_line(write, content: str, message: str) -> None:
+    assert message in refused(write("r.waypoints", content))
+
+
 def test_line_string_gives_waypoints_lon_lat_height(write) -> None:
     coordinates = [[8.546, 47.398, 50.0], [8.547, 47.399]]
     for content in (
@@ -204,12 +254,15 @@ def test_other_kinds_missing_binary_and_huge_files_are_refused(write, tmp_path: 
     )
 
 
-@given(st.binary(max_size=200), st.sampled_from(["a.plan", "a.geojson", "a.json", "a.txt"]))
+@given(
+    st.binary(max_size=200),
+    st.sampled_from(["a.plan", "a.waypoints", "a.geojson", "a.json", "a.txt"]),
+)
 def test_any_bytes_give_a_route_or_one_clear_line(
     tmp_path_factory: pytest.TempPathFactory, content: bytes, name: str
 ) -> None:
     path = tmp_path_factory.mktemp("route") / name
-    path.write_bytes(content)
+    path.write_bytes((b"QGC WPL 110\n" if name == "a.waypoints" else b"") + content)
     with contextlib.suppress(RouteError):
         assert load_route(path).waypoints
 

@@ -7,6 +7,7 @@ import pytest
 
 from vwnav.clock import WallClock
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.pace import PacedClock
 from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.truth import TruthState
 
@@ -52,3 +53,28 @@ def test_an_image_waits_for_truth_of_its_exposure_and_not_for_ever(late_s, off_m
     camera.close()
     for frame in frames:
         assert truth.north_m(frame.t_s) - frame.image[0, 0] == pytest.approx(off_m, abs=0.3)
+
+
+class SilentTruth(LateTruth):
+    """Of a simulator that has ended."""
+
+    def __init__(self, clock):
+        super().__init__(0.0)
+        self.ended_s = clock()
+
+    def at(self, t_s):
+        return super().at(min(t_s, self.ended_s))
+
+
+def test_simulated_time_goes_on_when_the_simulator_has_ended():
+    clock = PacedClock.create()
+    camera = SimulatedCamera(Renderer(), SilentTruth(clock), HOME, clock, flown_m=50.0)
+    try:
+        began_s = clock()
+        clock.wait_until(began_s + 1.5)  # whom nothing is told any more is not waited for
+        gone_s, gone_wall_s = clock(), time.monotonic()
+        clock.wait_until(gone_s + 3.0)
+        assert time.monotonic() - gone_wall_s < 10.0
+    finally:
+        camera.close()
+        clock.remove()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -56,31 +57,48 @@ def test_a_taken_port_says_so() -> None:
             start_vehicle(make_config(truth_url=url))
 
 
-def test_ctrl_c_does_not_drop_the_vehicle() -> None:
-    with start_vehicle(make_config()) as vehicle:
-        assert vehicle.pid is not None
-        os.kill(vehicle.pid, signal.SIGINT)
-        time.sleep(0.3)
-        assert vehicle.is_alive()
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-def test_it_dies_with_its_parent(tmp_path: Path) -> None:
+@pytest.fixture
+def parent(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A program with a vehicle, as from a terminal; it prints the vehicle's process id."""
     script = tmp_path / "parent.py"
     script.write_text(
         textwrap.dedent(f"""
-        import sys, time
+        import signal, sys, time
         sys.path[:0] = [{str(ROOT)!r}, {str(TESTS)!r}]
         from px4_client import make_config
         from vwnav.sim.vehicle import start_vehicle
         if __name__ == "__main__":
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                signal.signal(number, lambda *_: None)
             print(start_vehicle(make_config()).pid, flush=True)
-            time.sleep(60)
+            while True:
+                time.sleep(60)
         """)
     )
-    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    yield process
+    process.kill()
+    process.wait()
+
+
+def vehicle_of(parent: subprocess.Popen[str]) -> int:
     assert parent.stdout is not None
-    pid = int(parent.stdout.readline())
+    return int(parent.stdout.readline())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_a_terminal_sends_to_all_does_not_drop_the_vehicle(parent, number) -> None:
+    pid = vehicle_of(parent)
+    os.killpg(parent.pid, number)
+    time.sleep(0.3)
+    assert is_running(pid)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_it_dies_with_its_parent(parent) -> None:
+    pid = vehicle_of(parent)
     parent.kill()
     parent.wait()
     end = time.monotonic() + 5.0

@@ -115,6 +115,20 @@ def test_doctor_and_map_info_speak_json(vwnav, place):
     assert {each["name"] for each in info["features"]} == {"learned", "sift"}
 
 
+def test_doctor_blames_the_file_that_is_wrong(vwnav, place, tmp_path):
+    (tmp_path / "bad.plan").write_text('{"fileType": "Plan"}')
+    (tmp_path / "bad.mbtiles").write_bytes(b"no pack")
+
+    def verdicts(pack):
+        run = vwnav("doctor", "--map", pack, "--route", tmp_path / "bad.plan", "--json")
+        assert run.code == 3
+        return {check["name"]: check["verdict"] for check in json.loads(run.out)["checks"]}
+
+    assert (verdicts(place.pack)["map"], verdicts(place.pack)["route"]) == ("PASS", "FAIL")
+    broken = verdicts(tmp_path / "bad.mbtiles")
+    assert (broken["map"], broken["route"]) == ("FAIL", "FAIL")
+
+
 def test_version_and_help_work_everywhere(vwnav):
     assert vwnav("--version").out.startswith("vwnav ")
     for command in ("fly", "replay", "localize", "map", "doctor"):

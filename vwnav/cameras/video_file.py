@@ -51,8 +51,8 @@ class VideoFile:
         """The next image, None after the last.
 
         Raises:
-            SourceError: the file ends in the middle of an image; every image before it has
-                been handed out.
+            SourceError: there is none at all, or the file ends in the middle of an image; every
+                image before it has been handed out.
         """
         wanted = 1 + (_HELD_BACK if self._cut_off else 0)
         while len(self._ahead) < wanted:
@@ -79,6 +79,8 @@ class VideoFile:
         return Frame(t_s, np.asarray(image, dtype=np.uint8), index)
 
     def _check_end(self) -> None:
+        if self._index == 0:
+            raise SourceError(f"{self._path} holds no picture that can be read")
         missing = self._expected - self._index
         if self._cut_off or missing > _COUNT_TOLERANCE:
             at = max(0, self._index - len(self._ahead))

@@ -27,10 +27,11 @@ def doctor(
     """Check machine, model, and whatever is named: map, route, camera, autopilot."""
     checks = list(_machine())
     checks.append(_learned_model())
-    if map_path:
-        checks.append(_guarded("map", lambda: _map(map_path, route)))
-    elif route:
+    if route:
         checks.append(_guarded("route", lambda: _route(route)))
+    flown = route if route and checks[-1].verdict == "PASS" else None
+    if map_path:
+        checks.append(_guarded("map", lambda: _map(map_path, flown)))
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
     if video:

@@ -22,7 +22,9 @@ def fly(
         None, help="learned, sift or orb; else as --config says, else learned."
     ),
     map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
-    route: Path | None = typer.Option(None, help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text."),
+    route: Path | None = typer.Option(
+        None, help="QGroundControl .plan, Mission Planner .waypoints, GeoJSON or ID,X,Y,Z text."
+    ),
     route_frame: str = typer.Option(
         "local", help="Text routes: local (north, east, height in m) or global (lat, lon, height)."
     ),

@@ -104,7 +104,12 @@ def info(
 @app.command()
 def check(
     pack: Annotated[Path, typer.Argument(metavar="PACK")],
-    route: Annotated[Path, typer.Option(help="QGroundControl .plan, GeoJSON or ID,X,Y,Z text.")],
+    route: Annotated[
+        Path,
+        typer.Option(
+            help="QGroundControl .plan, Mission Planner .waypoints, GeoJSON or ID,X,Y,Z text."
+        ),
+    ],
     route_frame: Annotated[
         str,
         typer.Option(help="Text routes: local (north, east, height in m) or global (lat, lon)."),

@@ -11,6 +11,7 @@ from vwnav.guidance.waypoints import GlobalWaypoint, RouteFields, number
 
 _WAYPOINT, _RETURN, _LAND, _TAKEOFF = 16, 20, 21, 22
 _FIRST_COMMAND_WITHOUT_PLACE = 112  # MAV_CMD_CONDITION_DELAY; DO commands come after it
+_JUMPS = (177, 601)  # MAV_CMD_DO_JUMP, DO_JUMP_TAG: without them another route would be flown
 _AMSL_FRAMES, _HOME_FRAMES = (0, 5), (3, 6)
 
 
@@ -30,8 +31,21 @@ def parse(content: Any) -> RouteFields:
     if not isinstance(mission, dict) or not isinstance(items, list):
         raise RouteError("a plan without mission items")
     home = _home(mission.get("plannedHomePosition"))
+    return route_of(_simple_items(items), home)
+
+
+def route_of(items: list[dict[str, Any]], home: tuple[float, float, float] | None) -> RouteFields:
+    """Waypoints of mission items.
+
+    Args:
+        items: "command", "frame" and seven "params" of each.
+        home: latitude, longitude in degrees, height above sea level in metres.
+
+    Raises:
+        RouteError: an item cannot be flown; its number, from 1, is named.
+    """
     waypoints: list[GlobalWaypoint] = []
-    for index, item in enumerate(_simple_items(items), start=1):
+    for index, item in enumerate(items, start=1):
         try:
             waypoint = _waypoint(item, home[2] if home else None, waypoints)
         except RouteError as error:
@@ -81,6 +95,8 @@ def _waypoint(
 ) -> GlobalWaypoint | None:
     """The place of an item, None when it has none."""
     command = number(item.get("command"), "command")
+    if command in _JUMPS:
+        raise RouteError("a jump back cannot be flown; write the waypoints out")
     if command in (_TAKEOFF, _RETURN) or command >= _FIRST_COMMAND_WITHOUT_PLACE:
         return None
     if command not in (_WAYPOINT, _LAND):
@@ -103,5 +119,7 @@ def _height_m(altitude_m: float, frame: Any, home_amsl_m: float | None) -> float
     if frame not in _AMSL_FRAMES:
         raise RouteError(f"altitude frame {str(frame)[:40]} cannot be flown; make it relative")
     if home_amsl_m is None:
-        raise RouteError("altitude above sea level without plannedHomePosition; make it relative")
+        raise RouteError(
+            "altitude above sea level without a home (plannedHomePosition); make it relative"
+        )
     return altitude_m - home_amsl_m

@@ -1,4 +1,4 @@
-"""Routes out of files: QGroundControl plans, GeoJSON, and the thesis' `ID,X,Y,Z` text.
+"""Routes out of files: QGroundControl plans, Mission Planner's missions, GeoJSON, `ID,X,Y,Z` text.
 
 Heights are above home. What a file says beyond the way to fly (camera triggers, holding times,
 speeds) is not flown; what cannot be flown is refused.
@@ -12,7 +12,7 @@ import numpy as np
 
 from vwnav.errors import RouteError
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.guidance import geojson, plan_file, route_text
+from vwnav.guidance import geojson, mission_text, plan_file, route_text
 from vwnav.guidance.waypoints import GlobalWaypoint, LocalWaypoint, RouteFields, load_json
 from vwnav.types import Array
 
@@ -55,7 +55,7 @@ class Route:
 
 
 def load_route(path: Path | str, frame: RouteFrame = "local") -> Route:
-    """The route of a `.plan`, `.geojson`, `.json`, `.txt` or `.csv` file.
+    """The route of a `.plan`, `.waypoints`, `.geojson`, `.json`, `.txt` or `.csv` file.
 
     Args:
         path: the file.
@@ -93,6 +93,10 @@ def _read(path: Path) -> str:
 
 def _parse(path: Path, text: str, frame: RouteFrame) -> RouteFields:
     match path.suffix.lower():
+        case ".waypoints":
+            return mission_text.parse(text)
+        case ".txt" if text.startswith(mission_text.HEADER):
+            return mission_text.parse(text)
         case ".txt" | ".csv":
             return route_text.parse(text, frame == "global")
         case ".plan":
@@ -104,4 +108,6 @@ def _parse(path: Path, text: str, frame: RouteFrame) -> RouteFields:
             is_plan = isinstance(content, dict) and content.get("fileType") == "Plan"
             return plan_file.parse(content) if is_plan else geojson.parse(content)
         case suffix:
-            raise RouteError(f"unknown kind of route {suffix!r}; use .plan, .geojson, .txt or .csv")
+            raise RouteError(
+                f"unknown kind of route {suffix!r}; use .plan, .waypoints, .geojson, .txt or .csv"
+            )

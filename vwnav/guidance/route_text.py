@@ -1,7 +1,7 @@
 """The thesis' route text: `ID,X,Y,Z` on each line, no header."""
 
 from vwnav.errors import RouteError
-from vwnav.guidance.waypoints import GlobalWaypoint, LocalWaypoint, RouteFields, number
+from vwnav.guidance.waypoints import GlobalWaypoint, LocalWaypoint, RouteFields, read_number
 
 
 def parse(text: str, is_global: bool) -> RouteFields:
@@ -35,13 +35,5 @@ def _split(line: str) -> tuple[str, float, float, float]:
     parts = [part.strip() for part in line.split(",")]
     if len(parts) != 4 or not parts[0]:
         raise RouteError("expected ID,X,Y,Z")
-    x, y, z = (_number(part, what) for part, what in zip(parts[1:], "XYZ", strict=True))
+    x, y, z = (read_number(part, what) for part, what in zip(parts[1:], "XYZ", strict=True))
     return parts[0], x, y, z
-
-
-def _number(part: str, what: str) -> float:
-    try:
-        value = float(part)
-    except ValueError:
-        raise RouteError(f"{what} is {part[:40]!r}, expected a number") from None
-    return number(value, what)

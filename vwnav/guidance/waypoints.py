@@ -69,6 +69,19 @@ def number(value: Any, what: str) -> float:
     return finite
 
 
+def read_number(text: str, what: str) -> float:
+    """A finite number that is written in a text.
+
+    Raises:
+        RouteError: it is none.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise RouteError(f"{what} is {text[:40]!r}, expected a number") from None
+    return number(value, what)
+
+
 def load_json(text: str) -> Any:
     """Content of a JSON file.
 

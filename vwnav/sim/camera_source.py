@@ -1,6 +1,7 @@
 """A simulated camera: images drawn from the ground truth that any simulator sends."""
 
 import threading
+import time
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from vwnav.types import Frame
 
 FRAME_HZ = 15.0
 _TRUTH_POLL_S = 0.002
+_TRUTH_PATIENCE_S = 1.0  # of the wall clock
+_TRUTH_GONE_S = 1.0  # a simulator that has told nothing for so long will tell nothing more
 FIRST_TRUTH_TIMEOUT_S = 20.0
 LONGEST_TRUTH_LAG_S = 0.1  # later than that the nearest state has to do
 TRUTH_LAG_S = 0.03  # an image shows a moment this old, so that truth around it can be interpolated
@@ -80,13 +83,17 @@ class SimulatedCamera:
         participant.leave()
 
     def _true_state(self, t_s: float) -> TruthState | None:
-        """At the exposure: what is told of the time about it may still be on its way."""
-        until_s = t_s + LONGEST_TRUTH_LAG_S
-        while (newest := self._truth.latest()) is not None and newest.t_s < t_s:
-            now_s = self._clock()
-            if now_s >= until_s:
+        """At the exposure: what is told of the time about it may still be on its way.
+
+        It waits by the wall: a simulated time stands while the camera is late. For a simulator
+        that tells nothing any more it does not wait.
+        """
+        gone_t_s, until_s = t_s - _TRUTH_GONE_S, time.monotonic() + _TRUTH_PATIENCE_S
+        while (newest := self._truth.latest()) is not None and gone_t_s <= newest.t_s < t_s:
+            late = self._clock() >= t_s + LONGEST_TRUTH_LAG_S
+            if late or time.monotonic() >= until_s:
                 break
-            self._clock.wait_until(now_s + _TRUTH_POLL_S)
+            time.sleep(_TRUTH_POLL_S)
         return self._truth.at(t_s)
 
     def _render(self, state: TruthState, t_s: float) -> np.ndarray:

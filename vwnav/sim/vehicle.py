@@ -131,8 +131,8 @@ def run_vehicle(config: VehicleConfig, ready: Callable[[], None]) -> None:
 
 
 def _child(config: VehicleConfig, pipe: Connection) -> None:
-    # Ctrl-C is for the navigator: it still has to land this vehicle
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Ctrl-C, a closed terminal and `timeout` are for the navigator: it has to land this vehicle.
+    os.setsid()
     try:
         run_vehicle(config, lambda: pipe.send(""))
     except VwnavError as error:
