@@ -53,14 +53,16 @@ class TrainConfig:
     agreement_weight: float = 1.0
     repeat_weight: float = 2.0
     reach_px: float = 1.0  # a keypoint this near to another counts 0.6 as its repetition
-    corner_weight: float = 0.3  # of the teacher's corners at the start
-    corners_until: float = 0.25  # share of the run over which the teacher falls silent
+    corner_weight: float = 0.3  # of Shi-Tomasi corners as peaks, at the start
+    corners_until: float = 0.25  # share of the run over which they cease to count
     reprojection_weight: float = 0.2
+    distil_from: str = ""  # checkpoint of a larger network, whose descriptors are imitated
+    distil_weight: float = 2.0
     score_weight: float = 0.5
     # machine
     threads: int = 2
     loader_processes: int = 2
-    bfloat16: bool = True  # convolutions only; twice as fast where processor or GPU has it
+    bfloat16: bool = True  # convolutions only, and where processor or GPU has it: twice as fast
     # talk
     log_every_steps: int = 50
     validate_every_minutes: float = 5.0

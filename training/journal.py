@@ -21,6 +21,7 @@ LOSSES = (
     "repeats",
     "repeated",
     "matched",
+    "unlike",
 )
 SCORES = ("inliers", "precision", "located", "error_px", "above_chance")
 

@@ -110,6 +110,24 @@ def cell_centres(cells: Tensor) -> Tensor:
     return centres.expand(cells.shape[0], -1, -1)
 
 
+def distillation_loss(student: Tensor, teacher: Tensor) -> Tensor:
+    """1 - mean cosine of two networks' dense descriptors, after the best turn of their axes.
+
+    Matching asks for angles between descriptors alone, so the student may choose its axes: the
+    cosines are those after orthogonal Procrustes (Schoenemann 1966), whose best value is the sum
+    of the singular values of student^T teacher. EdgePoint2 (Yao et al. 2025) distils like this.
+
+    Args:
+        student: (B, D, h, w), D at most the teacher's.
+        teacher: (B, E, h, w), of the same images.
+
+    Returns:
+        Scalar, 0 to 1.
+    """
+    own, aim = (F.normalize(x, dim=1).transpose(0, 1).flatten(1) for x in (student, teacher))
+    return 1.0 - torch.linalg.svdvals(own @ aim.T).sum() / own.shape[1]
+
+
 # --- peaks -----------------------------------------------------------------------------------
 
 

@@ -1,6 +1,7 @@
 """What a batch is worth: both views through the network, and every loss between them."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor, nn
@@ -43,13 +44,26 @@ class Looks:
     seen: list[Tensor]
 
 
+@cache
+def multiplies_bfloat16(device_type: str) -> bool:
+    """Is bfloat16 faster there? A processor that must convert it takes three times as long."""
+    able = torch.cpu.get_capabilities()
+    return device_type != "cpu" or able.get("avx512_bf16", False) or able.get("amx_bf16", False)
+
+
+def precision(device_type: str, config: TrainConfig) -> torch.autocast:
+    """Convolutions in bfloat16 where that was asked for and is faster."""
+    enabled = config.bfloat16 and multiplies_bfloat16(device_type)
+    return torch.autocast(device_type, torch.bfloat16, enabled=enabled)
+
+
 def look(
     network: nn.Module, batch: dict[str, Tensor], config: TrainConfig, progress: float
 ) -> Looks:
     """Run both views through the network at once."""
     pairs = len(batch["uv0"])
     images = torch.cat([batch["image0"], batch["image1"]]).to(memory_format=torch.channels_last)
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=config.bfloat16):
+    with precision(images.device.type, config):
         dense = network(images)
     cells, peak_logits, score_logits = (list(x.float().split(pairs)) for x in dense)
     found = [cell_peaks(logits) for logits in peak_logits]
@@ -90,8 +104,8 @@ def repetition(looks: Looks, config: TrainConfig) -> tuple[Tensor, Tensor]:
     return (expected * shared).sum() / count, (chance * shared).sum() / count
 
 
-def teacher_loss(looks: Looks) -> Tensor:
-    """Peaks are where a teacher sees corners: to start from."""
+def corner_loss(looks: Looks) -> Tensor:
+    """Peaks are where Shi and Tomasi's measure sees corners: to start from."""
     loss = looks.peak_logits[0].new_zeros(())
     for k, logits in enumerate(looks.peak_logits):
         loss = loss + losses.corner_loss(logits, looks.batch[f"corners{k}"], looks.batch["present"])
@@ -119,6 +133,15 @@ def descriptor_loss(looks: Looks, config: TrainConfig) -> Tensor:
     own_seen = torch.gather(looks.seen[0], 1, own)
     trusted = torch.cat([torch.ones_like(own_seen), own_seen], dim=1)
     return losses.robust_loss(log_probability * trusted, looks.robustness)
+
+
+def distilled(looks: Looks, teacher: nn.Module, config: TrainConfig) -> Tensor:
+    """Descriptors are like those that a larger network has of the same view, either of the two."""
+    k = int(torch.randint(2, ()))
+    images = looks.batch[f"image{k}"].to(memory_format=torch.channels_last)
+    with torch.no_grad(), precision(images.device.type, config):
+        aim = teacher(images).descriptors.float()
+    return losses.distillation_loss(looks.cells[k], aim)
 
 
 def keypoint_losses(looks: Looks, config: TrainConfig) -> dict[str, Tensor]:
@@ -153,9 +176,20 @@ def keypoint_losses(looks: Looks, config: TrainConfig) -> dict[str, Tensor]:
 
 
 def compute_losses(
-    network: nn.Module, batch: dict[str, Tensor], config: TrainConfig, progress: float
+    network: nn.Module,
+    batch: dict[str, Tensor],
+    config: TrainConfig,
+    progress: float,
+    teacher: nn.Module | None = None,
 ) -> dict[str, Tensor]:
     """Run both views through the network and compare.
+
+    Args:
+        network: what is trained.
+        batch: samples, as `training/sampling.py` makes them.
+        config: of the run.
+        progress: 0 to 1, share of the run.
+        teacher: a larger network, in evaluation mode, to imitate; None where there is none.
 
     Returns:
         Every loss and figure by name; "total" is the one to descend.
@@ -174,9 +208,14 @@ def compute_losses(
     )
     corner_weight = config.corner_weight * max(0.0, 1.0 - progress / config.corners_until)
     if corner_weight > 0.0:
-        total = total + corner_weight * teacher_loss(looks)
+        total = total + corner_weight * corner_loss(looks)
+    unlike = matching.new_zeros(())
+    if teacher is not None:
+        unlike = distilled(looks, teacher, config)
+        total = total + config.distil_weight * unlike
     return {
         "total": total,
+        "unlike": unlike,
         "matching": matching,
         "agreement": agreement,
         "repeats": repeating - by_chance,

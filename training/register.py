@@ -17,12 +17,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
-from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
-from training.config import load_checkpoint
+from models.network import SIZE_MULTIPLE_PX
 from training.data import (
     ROOT,
     WEAK_PAIRS,
@@ -34,7 +34,7 @@ from training.data import (
     single_images,
 )
 from training.photometric import to_grey
-from training.train import start_from
+from training.train import read_network
 from training.validate import Extract, learned, mutual_matches
 from training.warps import FloatArray, Image
 from vwnav.types import Features
@@ -154,9 +154,7 @@ def main(arguments: list[str] | None = None) -> None:
     folder = data_folder(given.data)
     if folder is None:
         raise SystemExit("no data folder: give --data, or set VWNAV_DATA")
-    network = FeatureNetwork(NetworkConfig(**load_checkpoint(given.weights)["config"]["network"]))
-    start_from(network, str(given.weights))
-    extract = learned(network, ALL)
+    extract = learned(read_network(str(given.weights), torch.device("cpu")), ALL)
     try:
         given.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -59,6 +59,13 @@ def start_from(network: FeatureNetwork, checkpoint: str) -> None:
     print(f"{len(fitting)} of {len(own)} tensors from {checkpoint}")
 
 
+def read_network(checkpoint: str, device: torch.device) -> FeatureNetwork:
+    """Build the network of a checkpoint, with its averaged weights, to be asked and not trained."""
+    network = FeatureNetwork(NetworkConfig(**load_checkpoint(checkpoint)["config"]["network"]))
+    start_from(network, checkpoint)
+    return network.to(device, memory_format=torch.channels_last).eval().requires_grad_(False)
+
+
 def main(
     config: TrainConfig,
     resume: str = "",
@@ -103,6 +110,7 @@ def main(
     network = build(config.network).to(device, memory_format=torch.channels_last)
     if config.init and not resume:
         start_from(network, config.init)
+    teacher = read_network(config.distil_from, device) if config.distil_from else None
     average_fn = get_ema_multi_avg_fn(config.average_decay)
     average = AveragedModel(network, multi_avg_fn=average_fn, use_buffers=True)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.weight_decay)
@@ -168,7 +176,7 @@ def main(
         for k in (0, 1):
             batch[f"image{k}"] = 255.0 * augment(batch[f"image{k}"].float() / 255.0)
         network.train()
-        figures = compute_losses(shared, batch, config, progress)
+        figures = compute_losses(shared, batch, config, progress, teacher)
         optimizer.zero_grad(set_to_none=True)
         figures["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), config.clip_norm)

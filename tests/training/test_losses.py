@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import scipy.linalg
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -224,3 +225,36 @@ def test_each_image_is_spread_by_its_own_gaussian():
     assert near[:, 0, 8, 8].tolist() == [1.0, 1.0]
     at_2_px = near[:, 0, 8, 10]
     np.testing.assert_allclose(at_2_px.numpy(), np.exp([-2.0, -0.5]), rtol=1e-5)
+
+
+def some_descriptors(dim, seed=0):
+    return torch.randn(2, dim, 6, 5, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("dim", [8, 16])
+def test_a_student_may_choose_its_axes_and_its_lengths(dim):
+    teacher = some_descriptors(dim)
+    turn = torch.linalg.qr(torch.randn(dim, dim, generator=torch.Generator().manual_seed(1))).Q
+    student = 3.0 * torch.einsum("de,behw->bdhw", turn, teacher)
+    assert losses.distillation_loss(student, teacher).item() == pytest.approx(0.0, abs=1e-5)
+
+
+def test_the_distillation_is_that_of_the_best_turn():
+    student, teacher = some_descriptors(8), some_descriptors(8, seed=2)
+    own, aim = (
+        F.normalize(x, dim=1).transpose(0, 1).flatten(1).T.numpy() for x in (student, teacher)
+    )
+    turn, _ = scipy.linalg.orthogonal_procrustes(own, aim)
+    expected = 1.0 - np.sum((own @ turn) * aim, axis=1).mean()
+    assert losses.distillation_loss(student, teacher).item() == pytest.approx(expected, abs=1e-5)
+
+
+def test_descending_the_distillation_makes_the_student_like_the_teacher():
+    teacher = some_descriptors(8)
+    student = some_descriptors(8, seed=2).requires_grad_()
+    before = losses.distillation_loss(student, teacher)
+    for _ in range(50):
+        loss = losses.distillation_loss(student, teacher)
+        (slope,) = torch.autograd.grad(loss, student)
+        student = (student - 20.0 * slope).detach().requires_grad_()
+    assert losses.distillation_loss(student, teacher) < 0.3 * before

@@ -113,6 +113,20 @@ def test_an_interrupted_run_resumes_to_the_same_weights(drawn_scenes, tmp_path, 
         torch.testing.assert_close(states[1][name], value, atol=1e-6, rtol=1e-5)
 
 
+def test_a_student_becomes_like_the_network_it_is_distilled_from(drawn_scenes, tmp_path):
+    teacher = train.main(
+        replace(SHORT, out=str(tmp_path / "teacher"), max_steps=1), scenes=(drawn_scenes, [])
+    )
+    config = replace(SHORT, max_steps=40, log_every_steps=5, seed=2, out=str(tmp_path))
+    train.main(
+        replace(config, distil_from=str(teacher), distil_weight=20.0), scenes=(drawn_scenes, [])
+    )
+    log = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True, usecols=range(12))
+    unlike = log["unlike"]
+    unlike = unlike[~np.isnan(unlike)]
+    assert 0.0 < unlike[-1] < 0.7 * unlike[0]
+
+
 def test_without_images_training_says_what_to_do(tmp_path):
     with pytest.raises(SystemExit, match="no training pictures"):
         train.main(replace(SHORT, out=str(tmp_path)), scenes=([], []))
@@ -125,7 +139,7 @@ def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(
     # One thread: two wait for each other when others work.
     config = replace(config, log_every_steps=25)
     path = train.main(config, scenes=(drawn_scenes, []))
-    log = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True, usecols=range(10))
+    log = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True, usecols=range(11))
     matching = log["matching"][
         ~np.isnan(log["matching"])
     ]  # the sharpness of peaks is raised on the way
