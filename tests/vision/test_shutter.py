@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from vwnav.geometry.camera import Camera
@@ -49,6 +49,8 @@ def px_apart(camera: Camera, rays: np.ndarray, uv: np.ndarray) -> float:
 
 
 @given(rate=rates, velocity=speeds, tilt=tilts)
+@example(rate=(0.046875, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), tilt=(0.0, 0.0, 0.0))
+@example(rate=(0.0, 0.03125, 0.0390625), velocity=(0.0, 0.0, 0.0), tilt=(0.0, 0.0, 0.0))
 def test_points_are_put_back_to_the_middle_rows_moment(rate, velocity, tilt):
     arm_m = np.array([0.4, -0.2, 0.1])
     mount = rotation_from_euler(0.1, -0.05, 0.4) @ LENS.R_body_camera

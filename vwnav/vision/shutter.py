@@ -39,9 +39,11 @@ def ray_flow(frame: Frame, camera: Camera, down_camera: Array, height_m: float) 
     velocity = camera.R_body_camera.T @ (frame.velocity_body_m_s + swung_m_s)
     turning = skew(camera.R_body_camera.T @ frame.rates_rad_s)
     A = turning + np.outer(velocity, down_camera) / height_m
-    edges = camera.bearings(_grid(camera, (3, 3)))
+    edges = camera.bearings(_first_and_last_row(camera))
     edges = edges / edges[:, 2:]
-    shift_px = 0.5 * camera.readout_s * camera.K[0, 0] * np.linalg.norm(edges @ A.T, axis=1)
+    moving = edges @ A.T
+    slopes = moving[:, :2] - edges[:, :2] * moving[:, 2:]  # of x / z and y / z, per second
+    shift_px = 0.5 * camera.readout_s * camera.K[0, 0] * np.abs(slopes)
     return A if shift_px.max() > LEAST_SHIFT_PX else None
 
 
@@ -70,8 +72,8 @@ def seen_by_rows(rays: Array, camera: Camera, flow: Array) -> Array:
     return seen
 
 
-def _grid(camera: Camera, grid_wh: tuple[int, int]) -> Array:
-    """Centres (n, 2) of the cells of a grid over the image, row by row."""
-    u = (np.arange(grid_wh[0]) + 0.5) * camera.width_px / grid_wh[0] - 0.5
-    v = (np.arange(grid_wh[1]) + 0.5) * camera.height_px / grid_wh[1] - 0.5
+def _first_and_last_row(camera: Camera) -> Array:
+    """Pixels (6, 2): their ends and middles, which a rolling shutter shifts most."""
+    u = np.linspace(0.0, camera.width_px - 1.0, 3)
+    v = np.array([0.0, camera.height_px - 1.0])
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
