@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 OTHER = """
 import sys
 from pathlib import Path
+from vwnav.pace import PacedClock
 clock = PacedClock(Path(sys.argv[1]))
 other = clock.join("other")
 for line in sys.stdin:

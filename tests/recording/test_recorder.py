@@ -88,6 +88,8 @@ def test_any_mcap_reader_opens_it_with_the_configuration(tmp_path):
 KILLED = """
 import sys, time, os
 from pathlib import Path
+from vwnav.cameras.sources import open_source
+from vwnav.recording.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), {})
 for i in range(60):
     recorder.event(i / 20, str(i))
@@ -120,6 +122,7 @@ def test_the_flight_never_waits_for_the_disk(tmp_path):
 FULL_DISK = """
 import resource, sys, time
 from pathlib import Path
+from vwnav.recording.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), {})
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 for i in range(260):

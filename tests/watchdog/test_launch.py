@@ -183,6 +183,7 @@ def test_a_hold_that_is_refused_becomes_a_landing(flown):
 
 NAVIGATOR = """
 import sys, time
+from vwnav.watchdog.launch import start_watchdog
 watchdog = start_watchdog(sys.argv[1])
 print(watchdog.process.pid, flush=True)
 while True:

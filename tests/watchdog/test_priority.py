@@ -13,6 +13,7 @@ from vwnav.watchdog.priority import NICER
 
 PROGRAM = """
 import os, resource, sys, threading
+from vwnav.watchdog.priority import go_first
 {before}
 raised, told = go_first(), []
 thread = threading.Thread(target=lambda: told.append(os.nice(0)))
