@@ -18,8 +18,9 @@ from vwnav.types import Array, Estimate
 from vwnav.vehicle import VelocitySetpoint
 
 _ON_TIME_S = 0.005  # an estimate may leave so much before its turn
-# From so wide a position PX4 finds no velocity within seconds: it is told that too.
-_WIDE_M = 5.0
+# From so wide a position, such as one that fixes have yet to prove, PX4 finds no velocity within
+# seconds: it is told that too.
+_WIDE_M = 30.0
 
 
 class Outputs:
