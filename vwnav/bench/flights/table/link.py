@@ -24,12 +24,16 @@ CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
 def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = None) -> Scenario:
     """A cut of 1 s and less is flown on after; a longer one ends in a landing.
 
-    Near by, where the map shows enough after the cut to say anew where it is. Else it comes down as
-    the wind has it, and only its speed is bounded: after 30 s it is too low for the map, and so it
-    is from the first second on where it was coming down already.
+    Short ones while it descends end on the ground at home, whether the autopilot's failsafe began
+    the landing or we did. Longer ones end near by, where the map shows enough after the cut to say
+    anew where it is. Else it comes down as the wind has it, and only its speed is bounded: after
+    30 s it is too low for the map, and so it is from the first second on where it was coming down
+    already.
     """
     short = seconds <= 1.0
-    blind = seconds > 10.0 or (start is DESCEND and phase is None)
+    descends = start is DESCEND and phase is None
+    blind = not short and (seconds > 10.0 or descends)
+    flown_on = short and not descends
     at_s = {Phase.ROUTE: BREAKS_AT_S, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
     return Scenario(
         name=f"link cut for {seconds:g} s {where}",
@@ -42,9 +46,9 @@ def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = 
                 for_s=seconds,
             ),
         ),
-        limit_s=24.0 + seconds if short else 90.0,
-        ending=Ending.FLIES_ON if short else Ending.LANDED,
-        lands_within_m=None if short or blind else 30.0,
+        limit_s=24.0 + seconds if flown_on else 90.0,
+        ending=Ending.FLIES_ON if flown_on else Ending.LANDED,
+        lands_within_m=None if flown_on or blind else 3.0 if short else 30.0,
     )
 
 
