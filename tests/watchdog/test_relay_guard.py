@@ -73,7 +73,7 @@ def feed_both(guard: RelayGuard, start_s: float, end_s: float, **told: float) ->
     steps = range(round(start_s / DT_S), round(end_s / DT_S))
     return [
         guard.admit_both(
-            at(t_s, 8.0 * t_s, 1, told.get("sigma_m", 40.0)),
+            at(t_s, 8.0 * t_s, int(told.get("counter", 1)), told.get("sigma_m", 40.0)),
             RelayedVelocity(t_s, (speed_m_s, 0.0, 0.0), sigma_m_s), t_s, armed=True,
         )
         for t_s in (i * DT_S for i in steps)
@@ -84,6 +84,20 @@ def test_after_a_sleep_a_new_one_whose_place_is_unsure_passes_with_a_velocity():
     passed = feed_both(flying(8.0), 21.0, 23.0)
     assert passed.index(True) * DT_S == pytest.approx(LIMITS.steady_s, abs=0.03)
     assert all(passed[passed.index(True) :])
+
+
+def test_what_passes_with_an_unsure_place_may_be_renewed_with_one_without_a_gap():
+    guard = flying(8.0)
+    feed_both(guard, 21.0, 23.0)
+    assert all(feed_both(guard, 23.0, 25.0, counter=2))
+    assert not any(feed_both(guard, 25.0, 25.2, counter=3, sigma_m_s=3.0))
+
+
+def test_one_whose_place_was_sure_is_not_renewed_with_an_unsure_one_at_once():
+    guard = flying(8.0)
+    now_s = 1.0
+    assert feed_both(guard, now_s, now_s + 0.2, counter=0, sigma_m=1.0)[-1]
+    assert not any(feed_both(guard, now_s + 0.2, now_s + 0.4))
 
 
 @pytest.mark.parametrize(

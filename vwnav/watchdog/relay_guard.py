@@ -151,7 +151,8 @@ class RelayGuard:
             if position.t_s - self._jumped_t_s < self._limits.steady_s:
                 return "the position jumps again and again"
             self._track.clear()
-            return self._unsure(position)
+            stays_wide = self._unsure(last) is not None and self._has_velocity(position)
+            return None if stays_wide else self._unsure(position)
         if self._track.jumped(*_place(position)):
             return "the position jumped"
         return None
@@ -163,15 +164,19 @@ class RelayGuard:
 
     def _is_wide(self, position: RelayedPosition, trial: Trial) -> bool:
         """Its place is unsure, but how it moves is not, and its positions move so."""
+        if not self._has_velocity(position):
+            return False
+        assert self._velocity is not None
+        off_m_s = math.dist(trial.track.velocity_m_s(), self._velocity.velocity_ned_m_s[:2])
+        return off_m_s <= self._limits.velocity_off_m_s
+
+    def _has_velocity(self, position: RelayedPosition) -> bool:
+        """How it moves is told, and sure, and its place not beyond all measure."""
         limits, velocity = self._limits, self._velocity
         if velocity is None or position.t_s - velocity.t_s > limits.steady_s:
             return False
-        off_m_s = math.dist(trial.track.velocity_m_s(), velocity.velocity_ned_m_s[:2])
-        return (
-            position.sigma_m <= limits.wide_position_sigma_m
-            and velocity.sigma_m_s <= limits.new_velocity_sigma_m_s
-            and off_m_s <= limits.velocity_off_m_s
-        )
+        is_sure = velocity.sigma_m_s <= limits.new_velocity_sigma_m_s
+        return is_sure and position.sigma_m <= limits.wide_position_sigma_m
 
     def _on_ground(self, position: RelayedPosition, fault: str | None) -> bool:
         self.lost_since_s, self._trial = None, None
