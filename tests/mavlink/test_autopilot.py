@@ -161,7 +161,7 @@ def test_the_estimate_waits_for_the_origin_and_is_sent_about_it(bench):
 
 def test_a_px4_is_told_the_velocity_too_where_the_place_is_unsure(bench):
     bench.has_origin()
-    unsure = np.diag([900.0, 400.0, 1.0, 0.25, 0.5, 0.1])
+    unsure = np.diag([1600.0, 400.0, 1.0, 0.25, 0.5, 0.1])
     bench.autopilot.send_estimate(replace(bench.estimate(), covariance=unsure))
     bench.run(0.05)
     message = bench.peer.of("ODOMETRY")[-1]
@@ -170,10 +170,19 @@ def test_a_px4_is_told_the_velocity_too_where_the_place_is_unsure(bench):
     assert (message.x, message.y, message.z) == (10.0, -20.0, -30.0)
     velocity = bench.estimate().velocity_ned_m_s
     assert (message.vx, message.vy, message.vz) == pytest.approx(tuple(velocity), abs=1e-6)
-    assert [message.pose_covariance[i] for i in (0, 6, 11)] == [900.0, 400.0, 1.0]
+    assert [message.pose_covariance[i] for i in (0, 6, 11)] == [1600.0, 400.0, 1.0]
     assert [message.velocity_covariance[i] for i in (0, 6, 11)] == pytest.approx([0.25, 0.5, 0.1])
     assert math.isnan(message.yawspeed)
     assert message.reset_counter == 2
+
+
+def test_a_px4_is_told_the_position_alone_before_a_first_fix(bench):
+    bench.has_origin()
+    fair = np.diag([28.0, 28.0, 1.0, 0.25, 0.5, 0.1])
+    bench.autopilot.send_estimate(replace(bench.estimate(), covariance=fair))
+    bench.run(0.05)
+    assert bench.peer.of("VISION_POSITION_ESTIMATE")
+    assert not bench.peer.of("ODOMETRY")
 
 
 def test_an_origin_that_is_there_already_is_kept(bench):

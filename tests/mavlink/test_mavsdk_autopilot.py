@@ -113,7 +113,7 @@ def test_a_velocity_leaves_with_a_place_that_is_unsure(px4):
     def send() -> list:
         estimate = Estimate(
             time.monotonic(), np.array([10.0, -20.0, -30.0]), np.array([4.0, 5.0, -6.0]),
-            np.diag([900.0, 400.0, 1.0, 0.25, 0.5, 0.1]), np.array([1.0, 0.0, 0.0, 0.0]),
+            np.diag([1600.0, 400.0, 1.0, 0.25, 0.5, 0.1]), np.array([1.0, 0.0, 0.0, 0.0]),
             0.1, 30.0, 1.0, 1.0, 258,
         )  # fmt: skip
         autopilot.send_estimate(estimate)
@@ -122,7 +122,7 @@ def test_a_velocity_leaves_with_a_place_that_is_unsure(px4):
     told = wait_for(send)[-1]
     assert (told.frame_id, told.child_frame_id, told.estimator_type, told.quality) == (1, 1, 2, 0)
     assert (told.vx, told.vy, told.vz, told.reset_counter) == (4.0, 5.0, -6.0, 2)
-    assert [told.pose_covariance[i] for i in (0, 6)] == [900.0, 400.0]
+    assert [told.pose_covariance[i] for i in (0, 6)] == [1600.0, 400.0]
     assert [told.velocity_covariance[i] for i in (0, 6)] == [0.25, 0.5]
     assert math.isnan(told.rollspeed)
 
