@@ -152,7 +152,7 @@ class FlightRuntime:
         """
         report = self._keep_alive.report
         if vehicle.armed and vehicle.silence_s > SILENT_S:
-            self._guard.lose("the autopilot is not heard", t_s)
+            self._guard.miss("the autopilot is not heard", t_s)
         if report is None or report.relays_estimates or self._guard.lost_since_s is not None:
             self._held_back_since_s = t_s
         elif vehicle.armed and t_s - self._held_back_since_s > HELD_BACK_S:

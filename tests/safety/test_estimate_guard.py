@@ -196,7 +196,7 @@ def feed_seeing(
 def after_a_gap() -> EstimateGuard:
     guard = flying(8.0)
     feed(guard, DT_S, 1.0, lambda t: at(t, 8.0 * t, 8.0))
-    guard.lose("the autopilot is not heard", 1.0)
+    guard.miss("the autopilot is not heard", 1.0)
     return guard
 
 
@@ -294,6 +294,14 @@ def test_what_was_wrong_with_it_is_no_gap():
     assert feed_seeing(guard, 1.02, 9.0, wide) == []
     guard = after_a_gap()
     assert guard.admit(at(9.98, 0.0, 50.0), 9.98) is None
+    assert feed_seeing(guard, 10.0, 19.0, wide) == []
+
+
+def test_what_the_watchdog_refuses_is_no_gap_and_a_gap_after_it_makes_it_none():
+    guard = flying(8.0)
+    feed(guard, DT_S, 1.0, lambda t: at(t, 8.0 * t, 8.0))
+    guard.lose("the watchdog does not hand it on", 1.0)
+    guard.miss("the autopilot is not heard", 2.0)
     assert feed_seeing(guard, 10.0, 19.0, wide) == []
 
 

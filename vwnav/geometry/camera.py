@@ -7,7 +7,7 @@ warp that removes tilt, heading and height from an image.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -123,7 +123,7 @@ class Camera:
         return replace(self, width_px=width_px, height_px=height_px, K=K)
 
     def undistorted(self) -> "Camera":
-        """The pinhole camera without distortion that `undistort_maps` makes images of."""
+        """The pinhole camera without distortion of the same K."""
         return replace(self, distortion=(), model="pinhole")
 
     def without_arm(self) -> "Camera":
@@ -157,17 +157,6 @@ class Camera:
             flat = cv2.undistortPoints(points, K, coefficients, criteria=_ITERATIONS)
         rays = np.column_stack([flat.reshape(-1, 2), np.ones(len(points))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
-
-    def undistort_maps(self, kind: int = cv2.CV_16SC2) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(map1, map2) for `cv2.remap`, fixed point, to the image of `undistorted()`."""
-        size_wh = (self.width_px, self.height_px)
-        make = (
-            cv2.fisheye.initUndistortRectifyMap
-            if self.model == "fisheye"
-            else (cv2.initUndistortRectifyMap)
-        )
-        maps = make(self.K, self._coefficients(), np.eye(3), self.K, size_wh, kind)
-        return cast("tuple[NDArray[Any], NDArray[Any]]", tuple(maps))
 
     def _coefficients(self) -> Array:
         return np.array(self.distortion if self.distortion else (0.0,) * 4)

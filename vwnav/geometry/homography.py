@@ -24,7 +24,8 @@ class RobustFit:
 
     Attributes:
         H: (3, 3), `H[2, 2] == 1`; the last row of a similarity is exactly 0 0 1.
-        inliers: (n,) bool, of the pairs that were handed in. count: how many they are.
+        inliers: (n,) bool, of the pairs that were handed in.
+        count: how many they are.
     """
 
     H: Array

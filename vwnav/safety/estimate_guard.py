@@ -129,13 +129,19 @@ class EstimateGuard:
         return self._try(estimate, fault, t_s, seen_s)
 
     def lose(self, reason: str, t_s: float) -> None:
-        """Send nothing more until a new estimate stands; for what only the caller knows.
+        """Send nothing more until fixes have shown a new estimate; for what only the caller knows.
 
-        A gap of telemetry, or a watchdog that does not hand the estimates on.
+        A watchdog that does not hand the estimates on has found something wrong with them.
         """
         if self.lost_since_s is None:
-            self.lost_since_s, self._only_missed = t_s, True
+            self.lost_since_s, self._only_missed = t_s, False
         self.reason, self._trial, self._may_resume = reason, None, False
+
+    def miss(self, reason: str, t_s: float) -> None:
+        """Likewise for a gap, which is all that is wrong: its velocity brings it back sooner."""
+        is_new = self.lost_since_s is None
+        self.lose(reason, t_s)
+        self._only_missed = self._only_missed or is_new
 
     def _is_of_now(self, estimate: Estimate, t_s: float) -> bool:
         """One that is late is left out; if that goes on, the gap makes it lost."""
@@ -147,7 +153,7 @@ class EstimateGuard:
         """None of now: lost, once it has lasted too long to go on as the same."""
         since_s = self._last.t_s if self._last is not None else -math.inf
         if armed and self.lost_since_s is None and t_s - since_s > self._limits.brief_gap_s:
-            self.lose("there is no estimate of now", t_s)
+            self.miss("there is no estimate of now", t_s)
 
     def _fault(self, estimate: Estimate) -> str | None:
         """What is wrong with it, by itself."""

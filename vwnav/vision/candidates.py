@@ -40,9 +40,7 @@ MAX_UPSAMPLING = 1.67  # a view much sharper than the image shows blur the map d
 COARSE_VIEW_PX = 300.0  # of the longer side of a coarse view
 COARSE_KEYPOINTS = 600
 THRIFTY_VIEW_AREA_PX = 130_000.0  # of a first look: decides, with the height, which level it is at
-WORTH_THRIFT_PX = (
-    32_000.0  # of an image on the map: less is cheap, and holds too little to lose any
-)
+WORTH_THRIFT_PX = 32_000.0  # of an image on the map: less is cheap, and has none to lose
 WINDOW_PX = 1280  # of a piece of map that is matched at once, and half more where it must be
 MAX_RIVALRY = 0.7  # of the best place's occupied cells for another place: neither is believed
 

@@ -65,6 +65,7 @@ WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that
 SURE_DECADES = 10.0  # so little chance that the rest need not be searched
 # Of such an image nothing is kept: all of it looks alike, or the best may not have been seen.
 SAID_NOTHING_OF = (RejectReason.AMBIGUOUS, RejectReason.GIVEN_UP)
+SETTLED = (RejectReason.AMBIGUOUS, RejectReason.GEOMETRY, RejectReason.PRIOR)  # of a place found
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
@@ -121,9 +122,10 @@ class Localizer:
         """
         self._given_up.clear()
         of_camera = self._arm.prior_of_camera(prior) if self._arm else prior
-        outcome = self._located(query := self._maker.query(frame, of_camera, seed))
-        if isinstance(outcome, MapFix):
-            outcome = self._arm.fix_of_body(outcome, prior) if self._arm else outcome
+        query = self._maker.query(frame, of_camera, seed)
+        outcome = self._located(query)
+        if isinstance(outcome, MapFix) and self._arm:
+            outcome = self._arm.fix_of_body(outcome, prior)
         stats = outcome.stats
         timed = MatchStats(
             keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
@@ -149,10 +151,10 @@ class Localizer:
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
-                held = self._verified(query, found)
-                outcome = held if isinstance(held, Rejected) else self._plausible(query, held)
-                settled = outcome is not held or outcome.reason is RejectReason.AMBIGUOUS
-                if isinstance(outcome, MapFix) or (settled and not candidate.thrifty):
+                outcome = self._weighed(query, self._verified(query, found))
+                if isinstance(outcome, MapFix):
+                    return outcome
+                if outcome.reason in SETTLED and not candidate.thrifty:
                     return outcome
                 found = outcome
             if candidate.thrifty:
@@ -162,17 +164,18 @@ class Localizer:
                 return refusal
         if candidates[0].coarse:
             best = best_of(query, coarse, len(candidates), partial(self._verified, query))
-            return (
-                best if isinstance(best, Rejected) else self._plausible(query, fix_of(query, best))
-            )
+            return self._weighed(query, best)
         first = next(each for each in candidates if not each.thrifty)
         accept, decades = self._acceptance(first), self._config.min_decades
         fix = fix_by_correlation(self._pack, self._maker, query, first, accept, decades)
         refusal = refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
-        return refusal if fix is None else self._plausible(query, fix)
+        return self._weighed(query, fix or refusal)
 
-    def _plausible(self, query: Query, found: Registration | MapFix) -> MapFix | Rejected:
-        fix = fix_of(query, found) if isinstance(found, Registration) else found
+    def _weighed(self, query: Query, held: Registration | MapFix | Rejected) -> MapFix | Rejected:
+        """The fix of what was verified, where the prior and its own sigma let it be."""
+        if isinstance(held, Rejected):
+            return held
+        fix = fix_of(query, held) if isinstance(held, Registration) else held
         return implausible(query, fix, self._config.max_sigma_m) or fix
 
     def _candidates(self, query: Query) -> list[Candidate] | Rejected:
@@ -254,10 +257,9 @@ class Localizer:
         """A refusal of what no features need to be made for."""
         if candidate.coarse:
             return None
-        if max(view.size_wh) < MIN_VIEW_PX:
-            detail = (
-                f"the picture covers {max(view.size_wh)} px of a map of {view.m_per_px:.2f} m/px"
-            )
+        side_px = max(view.size_wh)
+        if side_px < MIN_VIEW_PX:
+            detail = f"the picture covers {side_px} px of a map of {view.m_per_px:.2f} m/px"
             return query.rejected(RejectReason.TOO_LOW, detail)
         if 0 in window.clipped(self._pack.window(candidate.level.zoom)).shape:
             place = f"{candidate.lat_deg:.5f}, {candidate.lon_deg:.5f}"

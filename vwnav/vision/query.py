@@ -58,7 +58,8 @@ class Taken:
     """An image as it was taken, halved as often as was needed so far.
 
     Attributes:
-        K: (3, 3) of its camera. size_wh: width and height of the whole image.
+        K: (3, 3) of its camera.
+        size_wh: width and height of the whole image.
     """
 
     def __init__(self, gray: Gray, K: Array) -> None:
