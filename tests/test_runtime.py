@@ -1,5 +1,6 @@
 """The flight's steps and threads: what reaches the autopilot, and what must not end a flight."""
 
+import math
 import threading
 import time
 from dataclasses import dataclass, field, replace
@@ -98,12 +99,12 @@ class Path:
 
 
 class Images:
-    """A noisy camera; `failures` are raised first, one a call."""
+    """A noisy camera; `failures` are raised first, one a call, then times are off by `off_s`."""
 
-    def __init__(self, failures=(), frozen=False, size=(48, 64)):
+    def __init__(self, failures=(), frozen=False, size=(48, 64), off_s=()):
         self.closed = threading.Event()
         self.failures = list(failures)
-        self.frozen, self.size, self.count = frozen, size, 0
+        self.frozen, self.size, self.count, self.off_s = frozen, size, 0, list(off_s)
         self.rng = np.random.default_rng(1)
 
     def next_frame(self):
@@ -113,7 +114,8 @@ class Images:
         self.count += 1
         rng = np.random.default_rng(1) if self.frozen else self.rng
         image = rng.integers(0, 255, self.size, dtype=np.uint8)
-        return None if self.closed.is_set() else Frame(time.monotonic(), image, self.count)
+        off_s = self.off_s.pop() if self.off_s else 0.0
+        return None if self.closed.is_set() else Frame(time.monotonic() + off_s, image, self.count)
 
 
 @dataclass
@@ -194,6 +196,16 @@ def test_images_that_break_the_pipeline_never_switch_vision_off():
     assert flown.end.reason is None
     assert len(flown.path.seen) > 40
     assert sum("could not be used" in text for text in flown.record.events) == 1
+
+
+@pytest.mark.parametrize("off_s", [math.nan, 3600.0, -3600.0])
+def test_an_image_with_a_false_time_is_not_waited_for_nor_used_and_the_next_ones_are(off_s):
+    images = Images(off_s=[off_s, off_s])
+    flown = fly(images=images, mission=Mission(ticks=20))
+    assert len(flown.path.seen) > 20
+    assert min(index for index, _ in flown.path.seen) == 3
+    assert all(math.isfinite(step.t_s) for step in flown.record.frames)
+    assert sum("not of now" in text for text in flown.record.events) == 1
 
 
 def test_a_camera_that_fails_is_asked_again_and_the_flight_goes_on():

@@ -10,13 +10,14 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.flight import GONE_S, Flight
 from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import Pipeline
-from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.camera_watch import MOST_AHEAD_S, CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.stall import Stall
 from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, StepResult, Watcher
@@ -179,9 +180,11 @@ class FlightRuntime:
             self._failure = VwnavError("the loop of the mission hangs")
             self._event("the mission hangs: the watchdog lands the aircraft")
 
-    def step_vision(self, frame: Frame) -> None:
+    def step_vision(self, frame: Frame, t_s: float) -> None:
         """One image through the pipeline; one that breaks it is an image that told nothing."""
-        trouble = self._camera.look(frame)
+        trouble = self._camera.look(frame, t_s)
+        if trouble:
+            frame = replace(frame, t_s=t_s)  # its own may be the trouble
         try:
             step = self._without(frame, trouble) if trouble else self._pipeline.step(frame)
         except Exception as error:
@@ -200,9 +203,11 @@ class FlightRuntime:
                 self._seen_s = frame.t_s
         self._watch(lambda: self._watcher.saw_frame(frame, step))
 
-    def covers(self, frame: Frame) -> bool:
-        """Whether telemetry reaches to an image's exposure."""
-        return self._pipeline.covers(frame.t_s)
+    def awaits_telemetry(self, frame: Frame, t_s: float) -> bool:
+        """Whether telemetry may still come that reaches to an image's exposure."""
+        late_s = t_s - frame.t_s
+        may_come = -MOST_AHEAD_S <= late_s < ATTITUDE_WAIT_S  # nobody waits for a false time
+        return may_come and not self._pipeline.covers(frame.t_s)
 
     # ---- life
 
@@ -300,15 +305,11 @@ class FlightRuntime:
                 if not self._stop.is_set():
                     self._event("the camera has stopped: flying on without pictures")
                 return
-            self._await_telemetry(frame, clock)
+            while self.awaits_telemetry(frame, clock()) and not self._stop.is_set():
+                clock.wait_until(clock() + _ATTITUDE_POLL_S)
             vision.until(clock() + IMAGE_LATE_S)
-            self.step_vision(frame)
+            self.step_vision(frame, clock())
             vision.leave()
-
-    def _await_telemetry(self, frame: Frame, clock: Clock) -> None:
-        until_s = frame.t_s + ATTITUDE_WAIT_S
-        while not self.covers(frame) and clock() < until_s and not self._stop.is_set():
-            clock.wait_until(clock() + _ATTITUDE_POLL_S)
 
     def _beats(self, clock: Clock, name: str, rate_hz: float) -> Iterator[float]:
         """Times of a steady beat; after a stall it goes on from now instead of catching up."""

@@ -1,6 +1,7 @@
 """Whether images come, fit the calibration, and are not the same ones again and again."""
 
 import hashlib
+import math
 from collections import deque
 
 import numpy as np
@@ -10,6 +11,8 @@ from vwnav.types import Frame
 
 _COMPARED_EVERY_PX = 16
 _REMEMBERED = 300  # images: a buffer that is stuck holds no more
+OLDEST_S = 2.0  # of an exposure: the filter looks no further back
+MOST_AHEAD_S = 0.1  # a time offset that was calibrated may be longer than an image's way to us
 
 
 class CameraWatch:
@@ -19,21 +22,34 @@ class CameraWatch:
         width_px, height_px: of the images that the calibration is for.
 
     Attributes:
-        image_s: exposure of the newest image, None before the first.
+        image_s: when the newest image was looked at, None before the first.
         trouble: why that one cannot be used; empty when it can.
     """
 
     def __init__(self, width_px: int, height_px: int) -> None:
         self._size = (width_px, height_px)
         self._shown: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._exposed_s = -math.inf
         self.image_s: float | None = None
         self.trouble = ""
 
-    def look(self, frame: Frame) -> str:
-        """The trouble with an image, empty when there is none."""
-        self.trouble = self._trouble(frame.image)
-        self.image_s = frame.t_s
+    def look(self, frame: Frame, t_s: float) -> str:
+        """The trouble with an image that is there at `t_s`, empty when there is none."""
+        self.trouble = self._trouble_of_time(frame.t_s, t_s) or self._trouble(frame.image)
+        self.image_s = t_s
         return self.trouble
+
+    def _trouble_of_time(self, exposed_s: float, t_s: float) -> str:
+        """One that cannot be is no exposure's: what was seen then would be held to be now."""
+        if not -MOST_AHEAD_S <= t_s - exposed_s <= OLDEST_S:  # nor is what is not a number
+            return (
+                "the camera's times are not of now (more than "
+                f"{OLDEST_S:g} s old, ahead, or no numbers): see its driver's clock"
+            )
+        if exposed_s <= self._exposed_s:
+            return "the camera's times do not rise: see its driver's clock"
+        self._exposed_s = exposed_s
+        return ""
 
     def _trouble(self, image: NDArray[np.uint8]) -> str:
         size = (image.shape[1], image.shape[0])

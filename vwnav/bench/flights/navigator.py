@@ -25,7 +25,6 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
-from vwnav.seams import ATTITUDE_WAIT_S
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
@@ -111,6 +110,7 @@ class Navigator:
         self._workers: dict[str, Worker] = {}
         self._frame: Frame | None = None
         self._frame_done_s: float | None = None
+        self._frame_begun_s = 0.0
         self._camera_again_s = 0.0
         self._asleep_until_s = -np.inf
         self._hung: set[Loop] = set()
@@ -258,15 +258,14 @@ class Navigator:
         if self._frame_done_s is not None:
             if t_s >= self._frame_done_s:
                 assert self._frame is not None
-                self.runtime.step_vision(self._frame)
+                self.runtime.step_vision(self._frame, self._frame_begun_s)
                 self._frame = self._frame_done_s = None
             return
         if self._frame is None and "picture" not in self._hung:
             self._frame = self._take(t_s)
-        if self._frame is not None:
-            late = t_s >= self._frame.t_s + ATTITUDE_WAIT_S
-            if late or self.runtime.covers(self._frame):
-                self._frame_done_s = self._processor.end_of(t_s, self._costs.image)
+        if self._frame is not None and not self.runtime.awaits_telemetry(self._frame, t_s):
+            self._frame_begun_s = t_s
+            self._frame_done_s = self._processor.end_of(t_s, self._costs.image)
 
     def _take(self, t_s: float) -> Frame | None:
         if t_s < self._camera_again_s or not self._camera.arrived(t_s):
