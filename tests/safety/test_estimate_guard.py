@@ -289,6 +289,23 @@ def test_what_no_image_shows_is_made_up_and_does_not_come_back():
     assert [guard.admit(wide(t_s), t_s, True, 0.9) for t_s in (1.1, 1.2, 1.3)] == [None] * 3
 
 
+@pytest.mark.parametrize("seen_s", [None, 0.9])
+def test_a_velocity_that_was_unknown_and_is_sure_again_has_been_felt_if_not_seen(seen_s):
+    def admitted(start_s: float, end_s: float, sigma_m_s: float) -> list[Estimate]:
+        steps = [i * DT_S for i in range(round(start_s / DT_S), round(end_s / DT_S))]
+        sent = (guard.admit(wide(t_s, 5.0, sigma_m_s), t_s, True, seen_s) for t_s in steps)
+        return [e for e in sent if e is not None]
+
+    guard = after_a_gap()
+    assert admitted(10.0, 12.0, 5.0) == []
+    sent = admitted(12.0, 20.0, 1.0)
+    assert sent[0].t_s == pytest.approx(12.0 + LIMITS.unproven_s, abs=0.03)
+    assert sent[-1].t_s > 19.9
+    assert min(e.sigma_horizontal_m for e in sent) == pytest.approx(LIMITS.unproven_sigma_m)
+    guard.miss("the autopilot is not heard", 20.0)
+    assert admitted(22.0, 30.0, 1.0) == []
+
+
 def test_what_was_wrong_with_it_is_no_gap():
     guard = lost_at_1_s()
     assert feed_seeing(guard, 1.02, 9.0, wide) == []

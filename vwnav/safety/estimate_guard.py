@@ -44,8 +44,9 @@ class EstimateLimits:
         steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
         handed_on_s: a new one reaches the autopilot so much later: the watchdog looks at it first.
         new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
-        unproven_s: for how long one without those fixes has had a velocity, seen and sure, when it
-            comes back. An autopilot that is told neither comes down with the wind.
+        unproven_s: for how long one without those fixes has had a sure velocity, by images or, once
+            it had none, by the air that is felt, when it comes back. An autopilot that is told
+            neither comes down with the wind.
         unproven_sigma_m: its place is told with at least this, whatever a fix or two have made of
             it: a match at a wrong place lies in the region that was searched.
     """
@@ -92,7 +93,7 @@ class EstimateGuard:
         self._track = self._new_track()
         self._trial: Trial | None = None
         self._unproven: Trial | None = None
-        self._may_resume = self._only_missed = False
+        self._may_resume = self._only_missed = self._had_no_velocity = False
         self.lost_since_s: float | None = None
         self.reason = ""
 
@@ -126,6 +127,7 @@ class EstimateGuard:
             self._may_resume = gap_s > self._limits.max_gap_s or broken == _VELOCITY_LOST
             is_found = self._unproven is not None and broken == _RESTLESS  # by a first fix
             self._only_missed = self._may_resume or is_found
+            self._had_no_velocity = broken == _VELOCITY_LOST
         return self._try(estimate, fault, t_s, seen_s)
 
     def lose(self, reason: str, t_s: float) -> None:
@@ -134,7 +136,7 @@ class EstimateGuard:
         A watchdog that does not hand the estimates on has found something wrong with them.
         """
         if self.lost_since_s is None:
-            self.lost_since_s, self._only_missed = t_s, False
+            self.lost_since_s, self._only_missed, self._had_no_velocity = t_s, False, False
         self.reason, self._trial, self._may_resume = reason, None, False
 
     def miss(self, reason: str, t_s: float) -> None:
@@ -229,6 +231,7 @@ class EstimateGuard:
         """Watch a lost estimate; it comes back as a new one, or as the same after a brief gap."""
         if fault is not None:
             self._trial = None
+            self._had_no_velocity = self._had_no_velocity or fault == _VELOCITY_LOST
             self._only_missed = self._only_missed and fault == _VELOCITY_LOST
             self._may_resume = self._may_resume and fault == _VELOCITY_LOST
             return None
@@ -285,12 +288,17 @@ class EstimateGuard:
         return fixes_t_s[-1] - fixes_t_s[0] >= limits.new_fixes_s
 
     def _watch_velocity(self, trial: Trial, estimate: Estimate, seen_s: float | None) -> None:
-        """Since when it has been seen, sure, and the same from one to the next."""
+        """Since when it has been measured, sure, and the same from one to the next.
+
+        Seen by images since it was lost. One that was not known meanwhile, and is sure again, has
+        been measured too: by the air that the accelerometer feels.
+        """
         before, trial.before = trial.before, estimate
         jumped = before is not None and self._velocity_jumped(estimate, before)
         newest_s = -math.inf if seen_s is None else seen_s
-        is_seen = estimate.t_s - newest_s <= self._limits.max_gap_s
-        if not is_seen or newest_s < trial.fixes_from_s or self._unsure_velocity(estimate):
+        is_of_now = estimate.t_s - newest_s <= self._limits.max_gap_s
+        is_measured = self._had_no_velocity or (is_of_now and newest_s >= trial.fixes_from_s)
+        if not is_measured or self._unsure_velocity(estimate):
             trial.velocity_since_s = None
         elif trial.velocity_since_s is None or jumped:
             trial.velocity_since_s = estimate.t_s
