@@ -232,6 +232,61 @@ def test_after_a_cut_of_the_link_an_estimate_has_to_come_as_a_new_one():
     )
 
 
+def steering(kind: int):
+    """A navigator that flies on, and wants to land."""
+
+    def each(stand: Stand) -> None:
+        stand.send(setpoint(3.0))
+        stand.send(land(kind))
+
+    return each
+
+
+def steered(messages) -> list[str]:
+    return [n for n in names(messages) if n in ("SET_POSITION_TARGET_LOCAL_NED", "COMMAND_LONG")]
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+@pytest.mark.parametrize("cut_s", [1.4, 5.0])
+def test_after_a_cut_nobody_steers_until_the_mode_is_known_again(kind, cut_s):
+    stand = engaged(kind)
+    stand.speaks = False
+    stand.run(cut_s, steering(kind))
+    stand.mode = PX4_POSITION if kind == PX4 else 5  # Loiter: a person took it meanwhile
+    stand.say(mavlink.MAVLink_attitude_message(1, *[0.0] * 6))
+    assert steered(stand.run(0.4, steering(kind))) == []
+    stand.speaks = True
+
+    def sees_it(s: Stand) -> None:  # the navigator has heard it too, and takes a moment
+        if s.t_s < heard_s + 0.4:
+            steering(kind)(s)
+
+    heard_s = stand.t_s
+    assert steered(stand.run(3.0, sees_it)) == []
+    assert stand.mode in (PX4_POSITION, 5)
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+def test_after_a_cut_it_steers_on_in_the_mode_that_was_flown_before(kind):
+    stand = engaged(kind)
+    stand.speaks = False
+    stand.run(3.0, lambda s: s.send(setpoint(3.0)))
+    stand.speaks = True
+    assert steered(stand.run(0.2, lambda s: s.send(setpoint(3.0))))
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+def test_a_navigator_that_ends_in_a_cut_leaves_the_aircraft_to_the_person_who_took_it(kind):
+    stand = engaged(kind)
+    stand.speaks = stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(4.0)
+    taken = PX4_POSITION if kind == PX4 else 5
+    stand.mode, stand.speaks = taken, True
+    assert steered(stand.run(8.0)) == []
+    assert stand.mode == taken
+
+
 def test_an_observer_may_not_tell_the_autopilot_where_it_is():
     stand = engaged()
     for message in (estimate(stand.t_s), setpoint(9.0), land(PX4)):

@@ -40,12 +40,15 @@ class VehicleView:
     Attributes:
         position_ok: its filter has a horizontal position; None when it never said.
         landed: it says that it stands on the ground; False where it does not say.
+        mode_is_of_now: it was told since it was last silent. During a cut a person may have taken
+            the aircraft, so nobody steers by an older one.
     """
 
     mode: FlightMode = FlightMode.UNKNOWN
     armed: bool = False
     position_ok: bool | None = None
     landed: bool = False
+    mode_is_of_now: bool = True
 
 
 class DeadManAction(Enum):
@@ -187,7 +190,8 @@ class DeadMan:
             acting_s >= self.config.land_after_s or self.vehicle.position_ok is False
         ):
             self._enter(GuardState.LANDING, t_s)
-        if self._down or self.vehicle.landed or not self.vehicle.armed:
+        wants_nothing = self._down or self.vehicle.landed or not self.vehicle.armed
+        if wants_nothing or not self.vehicle.mode_is_of_now:
             return None
         return self._action(t_s)
 

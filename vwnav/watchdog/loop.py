@@ -19,14 +19,13 @@ from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
 from vwnav.watchdog.visitors import Guarding
-from vwnav.watchdog.voice import AutopilotEar, Origin, Voice
+from vwnav.watchdog.voice import CUT_S, AutopilotEar, Origin, Voice
 
 _log = logging.getLogger(__name__)
 _READS_IN_A_ROW = 32
 _CALL_PERIOD_S = 1.0
 _LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
 _SWITCHED_OFF_S = 60.0  # an autopilot that silent while nobody navigates
-_CUT_S = 1.2  # silence of the autopilot that estimates do not simply go on after
 _ENDED_TEXT = "vwnav hangs: ended, a second one gives estimates"
 
 
@@ -149,7 +148,8 @@ class Watchdog:
         self._answer_beats(t_s)
         self._guard.handle_vehicle(self._ear.vehicle(t_s))
         action = self._guard.step(t_s)
-        if self._guard.has_taken_over and not had_it:
+        blind = not self._ear.vehicle(t_s).mode_is_of_now
+        if blind or (self._guard.has_taken_over and not had_it):
             self._outbox.drop_handed_on()
         self._relay_navigator(t_s)
         self._relay_observer(t_s)
@@ -164,7 +164,7 @@ class Watchdog:
     def guarding(self, t_s: float) -> Guarding:
         """What it does, for who asks."""
         last = self._estimates.last
-        told = last is not None and t_s - last.t_s <= _CUT_S
+        told = last is not None and t_s - last.t_s <= CUT_S
         ended, armed = self._guard.navigator_ended, self._ear.vehicle(t_s).armed
         return Guarding(self._guard.state, ended, armed, told)
 
@@ -213,7 +213,7 @@ class Watchdog:
                     self._outbox.put(packet, t_s)
 
     def _passes(self, packet: Packet, t_s: float) -> bool:
-        if not may_pass(packet, self._rights(), self._ear.kind):
+        if not may_pass(packet, self._rights(t_s), self._ear.kind):
             return False
         if packet.message_id == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             self._ear.handle_origin_sent(packet)
@@ -221,9 +221,13 @@ class Watchdog:
             self._guard.handle_hold_asked(t_s)
         return packet.message_id not in ESTIMATES or self._is_good_estimate(packet, t_s)
 
-    def _rights(self) -> Rights:
-        """Of the navigator: a successor never flies, nor one whose aircraft somebody else has."""
-        if self._guard.navigator_ended or self._guard.state is GuardState.STOOD_DOWN:
+    def _rights(self, t_s: float) -> Rights:
+        """Of the navigator: a successor never flies, nor one whose aircraft somebody else has.
+
+        Nor does one whose aircraft somebody else may have: after a cut, until the mode is known.
+        """
+        others = self._guard.navigator_ended or self._guard.state is GuardState.STOOD_DOWN
+        if others or not self._ear.vehicle(t_s).mode_is_of_now:
             return Rights.ESTIMATES
         return Rights.GIVES_UP if self._guard.has_taken_over else Rights.FLIES
 
@@ -256,7 +260,7 @@ class Watchdog:
     def _notice_cut(self, t_s: float) -> None:
         """Before news are read: what was made while nothing came is not to be the first word."""
         silent_s = t_s - self._ear.heard_t_s
-        if not self._ear.vehicle(t_s).armed or silent_s <= _CUT_S:
+        if not self._ear.vehicle(t_s).armed or silent_s <= CUT_S:
             return
         if self._estimates.lost_since_s is None:
             _log.warning("estimates are held back: the autopilot is not heard")

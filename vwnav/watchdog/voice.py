@@ -28,6 +28,8 @@ _POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_
 # Ignore position, acceleration, yaw and yaw rate: velocity alone.
 _VELOCITY_ONLY = 0b110111000111
 _SILENT_HEARTBEAT_AGE_S = 1e6
+CUT_S = 1.2  # silence of the autopilot after which nothing simply goes on
+_SINKS_IN_S = 0.5  # until the navigator has seen that another mode is flown than before a cut
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,7 @@ class AutopilotEar:
         self.origin: Origin | None = None
         self._vehicle = VehicleView()
         self._landed_t_s = -math.inf
+        self._mode_awaited, self._mode_since_s = False, -math.inf
         self._framer = Framer()
         self._decoder = mavlink.MAVLink(None)
 
@@ -62,7 +65,13 @@ class AutopilotEar:
         """What is known of the autopilot."""
         if self._vehicle.landed and t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
             self._vehicle = replace(self._vehicle, landed=False)
+        if self.kind is not None and not self._knows_mode(t_s):
+            return replace(self._vehicle, mode_is_of_now=False)
         return self._vehicle
+
+    def _knows_mode(self, t_s: float) -> bool:
+        is_silent = t_s - self.heard_t_s > CUT_S
+        return not is_silent and not self._mode_awaited and t_s >= self._mode_since_s
 
     def heartbeat_age_s(self, t_s: float) -> float:
         """Time since the autopilot's last heartbeat."""
@@ -74,6 +83,8 @@ class AutopilotEar:
         for packet in self._framer.split(data):
             if not self._is_the_autopilots(packet):
                 continue
+            was_cut = CUT_S < t_s - self.heard_t_s < math.inf
+            self._mode_awaited = self._mode_awaited or was_cut
             self.heard_t_s = t_s
             message = self._decode(packet)
             if message is None:
@@ -116,6 +127,9 @@ class AutopilotEar:
         self.heartbeat_t_s = t_s
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         mode = flight_mode(self.kind, message.custom_mode)
+        if self._mode_awaited:
+            self._mode_awaited = False
+            self._mode_since_s = t_s + (_SINKS_IN_S if mode is not self._vehicle.mode else 0.0)
         self._vehicle = replace(self._vehicle, mode=mode, armed=armed)
 
     def _handle_estimator(self, message: Any) -> None:
