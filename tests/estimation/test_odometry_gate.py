@@ -110,7 +110,12 @@ def test_what_wrong_ways_have_taught_is_as_at_first_and_the_velocity_as_wrong_as
     root = rng.normal(size=(States.SIZE, States.SIZE))
     before = FilterState(8.0, rng.normal(size=States.SIZE), root @ root.T, True, True, 8.0, 8.0)
     after = apply_misled(before, Misled(8.0, 2.0), config)
-    for taught in (States.TILT, States.WIND_FORCE, States.ACCELEROMETER_BIAS_LEVEL):
+    for taught in (
+        States.TILT,
+        States.WIND_FORCE,
+        States.GUST_FORCE,
+        States.ACCELEROMETER_BIAS_LEVEL,
+    ):
         assert np.all(after.x[taught] == 0.0)
         known = np.diag(after.P)[taught]
         assert known == pytest.approx(first_variance(config)[taught])

@@ -33,7 +33,12 @@ class EkfConfig:
     drag_noise_m_s2: float = 0.1  # of the force across the thrust, averaged, beyond what is shaken
     drag_interval_s: float = 0.4  # between two
     wind_force_sigma_m_s2: float = 2.0  # at first
-    wind_walk_m_s: float = 0.3  # per root second: gusts of 1 m/s that last 30 s
+    wind_walk_m_s: float = 0.3  # per root second, with what it is less towards the ground
+    gust_sigma_m_s: float = 0.1  # at first
+    # Turbulence is a share of the wind (one sigma; MIL-F-8785C: 0.16 at 50 m, 0.19 at 10 m), and
+    # passes with it in waves of such a length
+    gust_share: float = 0.2
+    gust_length_m: float = 60.0
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it

@@ -41,6 +41,7 @@ _TAUGHT = np.r_[
     States.TILT,
     States.ACCELEROMETER_BIAS_LEVEL,
     States.WIND_FORCE,
+    States.GUST_FORCE,
     States.DRAG,
 ]
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity

@@ -33,6 +33,7 @@ from vwnav.types import Array
 _STEP_S = 0.1
 _MOST_STEPS = 20  # a long silence is crossed in longer steps; only the thrust is then coarser
 _MAP = np.r_[States.MAP, States.MAP_TURN, States.MAP_SCALE]
+_STORM_M_S = 20.0  # no wind that is flown in is stronger
 _LEVEL = np.eye(2)
 
 
@@ -154,6 +155,9 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     F[States.VELOCITY_NE, States.TILT] = dt_s * by_tilt
     white = config.imu_noise_m_s2**2 + imu.velocity_variance_m2_s2 / dt_s
     wind_walk_m_s2 = config.wind_walk_m_s * float(x[States.DRAG])
+    keep, gust_m_s2 = _gusts(x, dt_s, config)
+    moved[States.GUST_FORCE] *= keep
+    F[States.GUST_FORCE, States.GUST_FORCE] = keep * _LEVEL
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
     Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
     for states, walk in (
@@ -163,7 +167,20 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     ):
         Q[states, states] = walk**2 * dt_s * np.eye(states.stop - states.start)
     Q[States.DRAG, States.DRAG] = config.drag_walk_per_s**2 * dt_s
+    Q[States.GUST_FORCE, States.GUST_FORCE] = gust_m_s2**2 * (1.0 - keep**2) * _LEVEL
     return Transition(moved, F, Q)
+
+
+def _gusts(x: Array, dt_s: float, config: EkfConfig) -> tuple[float, float]:
+    """The share of the gusts that stays over `dt_s`, and one sigma of their force, m/s^2.
+
+    Turbulence as a Gauss-Markov process, whose sigma is a share of the wind W and which passes in
+    L / W seconds (MIL-F-8785C, Dryden's model at low altitude). What it is worth the drag says.
+    """
+    drag_per_s = float(x[States.DRAG])
+    wind_m_s = min(float(np.hypot(*x[States.WIND_FORCE])) / drag_per_s, _STORM_M_S)
+    keep = math.exp(-dt_s * wind_m_s / config.gust_length_m)
+    return keep, drag_per_s * config.gust_share * wind_m_s
 
 
 def _gravity_by_tilt(x: Array, quat_wxyz: Array) -> tuple[Array, Array]:

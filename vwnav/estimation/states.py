@@ -54,9 +54,10 @@ class States:
     EXPOSED_HEADING_BIAS = 33  # rad, the heading bias at its exposure
     EXPOSED_TILT = slice(34, 36)  # rad, the tilt error then
     EXPOSED_AGL = 36  # m, the height above ground then
-    WIND_FORCE = slice(37, 39)  # m/s^2, north and east, what the wind alone pushes by drag
+    WIND_FORCE = slice(37, 39)  # m/s^2, north and east, what the mean wind alone pushes by drag
     DRAG = 39  # 1/s, of a multirotor through air, across its thrust
-    SIZE = 40
+    GUST_FORCE = slice(40, 42)  # m/s^2, north and east, what the air pushes besides
+    SIZE = 42
 
 
 _HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
@@ -335,7 +336,7 @@ def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
 
 
 def wind_ne_m_s(state: FilterState) -> Array | None:
-    """(2,) the wind w = c / k, where it blows to; None until the drag is known to a third."""
+    """(2,) the mean wind w = c / k, where it blows to; None until the drag is known to a third."""
     drag = float(state.x[States.DRAG])
     if state.P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2:
         return None

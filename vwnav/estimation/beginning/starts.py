@@ -71,6 +71,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2
     variance[States.WIND_FORCE] = config.wind_force_sigma_m_s2**2
+    variance[States.GUST_FORCE] = (config.drag_per_s * config.gust_sigma_m_s) ** 2
     variance[States.DRAG] = config.drag_sigma_per_s**2
     variance[States.MAP] = config.map_sigma_m**2
     variance[States.MAP_TURN] = config.map_turn_rad**2

@@ -44,7 +44,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     through_m_s = across @ midway_m_s
     H = np.zeros((2, States.SIZE))
     H[:, States.VELOCITY] = -x[States.DRAG] * across
-    H[:, States.WIND_FORCE] = across[:, :2]
+    H[:, States.WIND_FORCE] = H[:, States.GUST_FORCE] = across[:, :2]
     H[:, States.DRAG] = -through_m_s
     H[:, States.ACCELEROMETER_BIAS] = np.eye(2, 3)
     drag = _drag_m_s2(x, across, through_m_s)
@@ -78,5 +78,6 @@ def _body_axes(x: Array, quat_wxyz: Array) -> Array:
 
 
 def _drag_m_s2(x: Array, across: Array, through_m_s: Array) -> Array:
-    drag: Array = across[:, :2] @ x[States.WIND_FORCE] - x[States.DRAG] * through_m_s
+    air_m_s2 = x[States.WIND_FORCE] + x[States.GUST_FORCE]
+    drag: Array = across[:, :2] @ air_m_s2 - x[States.DRAG] * through_m_s
     return drag
