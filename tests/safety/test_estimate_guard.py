@@ -289,6 +289,26 @@ def test_what_no_image_shows_is_made_up_and_does_not_come_back():
     assert [guard.admit(wide(t_s), t_s, True, 0.9) for t_s in (1.1, 1.2, 1.3)] == [None] * 3
 
 
+@pytest.mark.parametrize(
+    ("off_m", "fix_s", "goes_on"), [(5.0, 0.0, True), (25.0, 0.0, False), (5.0, 2.0, False)]
+)
+def test_a_blind_one_may_correct_itself_inside_of_what_it_said_and_no_fix_may_move_it_so(
+    off_m, fix_s, goes_on
+):
+    """Twenty metres unsure: what the air tells of its velocity moves its place by metres."""
+
+    def make(t_s: float) -> Estimate:
+        moved = t_s >= 2.0
+        place = np.array([8.0 * t_s, off_m * moved, -50.0])
+        fixed = {"reset_counter": int(moved), "t_last_fix_s": fix_s if moved else 0.0}
+        return replace(wide(t_s, 20.0, 1.0), position_ned_m=place, **fixed)
+
+    guard = flying(8.0)
+    sent = feed(guard, DT_S, 4.0, make)
+    assert (sent[-1].t_s > 3.9) is goes_on
+    assert {e.reset_counter for e in sent} == ({0, 1} if goes_on else {0})
+
+
 @pytest.mark.parametrize("seen_s", [None, 0.9])
 def test_a_velocity_that_was_unknown_and_is_sure_again_has_been_felt_if_not_seen(seen_s):
     def admitted(start_s: float, end_s: float, sigma_m_s: float) -> list[Estimate]:

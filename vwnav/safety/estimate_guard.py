@@ -197,13 +197,18 @@ class EstimateGuard:
             if estimate.t_s - self._jumped_t_s < self._limits.steady_s:
                 return _RESTLESS
             self._track.clear()
-            is_told = self._unproven is not None
-            return self._unsure_velocity(estimate) if is_told else self._unsure(estimate)
+            is_wide = self._unproven is not None or self._corrects_itself(estimate, self._last)
+            return self._unsure_velocity(estimate) if is_wide else self._unsure(estimate)
         if self._track.jumped(estimate.t_s, *_north_east(estimate)):
             return "the estimate jumped"
         if self._velocity_jumped(estimate, self._last):
             return "the estimate's velocity jumped"
         return None
+
+    def _corrects_itself(self, estimate: Estimate, before: Estimate) -> bool:
+        """No image told it another place, and it stays inside of what it had said."""
+        moved_m = float(np.hypot(*(estimate.position_ned_m - before.position_ned_m)[:2]))
+        return estimate.t_last_fix_s == before.t_last_fix_s and moved_m <= sigma(before, 0)
 
     def _velocity_jumped(self, estimate: Estimate, before: Estimate) -> bool:
         step_m_s = estimate.velocity_ned_m_s[:2] - before.velocity_ned_m_s[:2]
