@@ -201,6 +201,16 @@ def flies_on(
     )
 
 
+def again_and_again(
+    fault: Fault, every_s: float, for_s: float | None, times: int
+) -> tuple[Break, ...]:
+    """A loose contact: on the route it breaks, works again, and breaks."""
+    return tuple(
+        Break(fault=fault, at_s=BREAKS_AT_S + number * every_s, for_s=for_s)
+        for number in range(times)
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class FlightVerdict:
     """What was wrong with a flight; nothing when it was good."""

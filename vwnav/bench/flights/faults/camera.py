@@ -1,8 +1,10 @@
 """Faults of the camera: what becomes of its images, and when they come."""
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import cycle
 
 import cv2
 import numpy as np
@@ -20,6 +22,11 @@ _BLUR_PX = 4.0
 _BURST, _AFTER = 8, 12  # images lost, images that come
 _LOOP = 10  # images of a buffer that is shown again and again
 _PATCH_PX = 40
+_GEAR = ((0.08, 0.0, 0.09, 1.0), (0.84, 0.0, 0.09, 1.0), (0.0, 0.9, 1.0, 0.1))  # u, v, w, h: shares
+_DROPS, _DROP_PX, _DROP_BLUR_PX, _DROP_GREY = 25, (0.02, 0.06), 15.0, 110.0
+_DUSK, _DUSK_GREY, _DUSK_NOISE = 0.1, 4.0, 2.5  # of the light, and what the sensor adds
+_HUNTS = (0.4, 1.7)  # exposures by turns
+_FALSE_TIMES_S = (math.nan, 3600.0, -3600.0, math.inf)  # off by
 
 
 @dataclass(frozen=True)
@@ -172,6 +179,74 @@ def bursts_dropped() -> Trouble:
         return None if frame.index % (_BURST + _AFTER) < _BURST else frame
 
     return drop
+
+
+def landing_gear() -> Trouble:
+    """Two skids and a bar, which stand still while the ground passes: a quarter of the image."""
+    grain = np.random.default_rng(6).integers(0, 120, (2048, 2048), np.uint8)
+
+    def cover(image: Image) -> Image:
+        covered, (h, w) = image.copy(), image.shape[:2]
+        for u, v, wide, high in _GEAR:
+            part = covered[round(v * h) :, round(u * w) :][: round(high * h), : round(wide * w)]
+            part[:] = grain[: part.shape[0], : part.shape[1]]
+        return covered
+
+    return _each(cover)
+
+
+def drops() -> Trouble:
+    """Rain on the lens: blurred discs."""
+    rng = np.random.default_rng(6)
+    places, radii = rng.uniform(0.0, 1.0, (_DROPS, 2)), rng.uniform(*_DROP_PX, _DROPS)
+
+    def wet(image: Image) -> Image:
+        h, w = image.shape[:2]
+        drop = np.zeros((h, w), np.float32)
+        for (u, v), radius in zip(places.tolist(), radii.tolist(), strict=True):
+            cv2.circle(drop, (round(u * w), round(v * h)), round(radius * h), 1.0, -1)
+        drop = np.asarray(cv2.GaussianBlur(drop, (0, 0), 3.0))
+        seen = 0.4 * cv2.GaussianBlur(image, (0, 0), _DROP_BLUR_PX).astype(np.float32) + _DROP_GREY
+        return np.asarray((1.0 - drop) * image + drop * seen, np.uint8)
+
+    return _each(wet)
+
+
+def dusk() -> Trouble:
+    """A tenth of the light is left, and the sensor's noise."""
+    rng = np.random.default_rng(6)
+
+    def darken(image: Image) -> Image:
+        dark = _DUSK * image + rng.normal(_DUSK_GREY, _DUSK_NOISE, image.shape)
+        return np.clip(np.round(dark), 0, 255).astype(np.uint8)
+
+    return _each(darken)
+
+
+def exposure_hunting() -> Trouble:
+    """Too dark and too bright by turns."""
+    gains = cycle(_HUNTS)
+    return _each(lambda image: np.clip(next(gains) * image, 0, 255).astype(np.uint8))
+
+
+def each_twice() -> Trouble:
+    """Every other image is the one before, with a new time: 10 a second from a camera of 5."""
+    kept: list[Image] = []
+
+    def repeat(frame: Frame) -> Frame | None:
+        if frame.index % 2 == 0 or not kept:
+            kept[:] = [frame.image]
+        return replace(frame, image=kept[0])
+
+    return repeat
+
+
+def false_times() -> Trouble:
+    """Every third image tells a time that cannot be."""
+    off_s = cycle(_FALSE_TIMES_S)
+    return lambda frame: (
+        replace(frame, t_s=frame.t_s + next(off_s)) if frame.index % 3 == 0 else frame
+    )
 
 
 def _each(change: Callable[[Image], Image]) -> Trouble:

@@ -93,6 +93,27 @@ class Garbage:
 
 
 @dataclass(frozen=True)
+class PacketsLost:
+    """So large a share of the packets is lost, both ways."""
+
+    share: float
+    seed: int = 12
+
+    def begin(self, world: FlightStage) -> None:
+        """A bad radio."""
+        for number, line in enumerate(_lines(world)):
+            line.tap = self._tap(random.Random(self.seed + number))
+
+    def end(self, world: FlightStage) -> None:
+        """All come."""
+        for line in _lines(world):
+            line.tap = None
+
+    def _tap(self, rng: random.Random) -> Tap:
+        return lambda packet: () if rng.random() < self.share else ((0.0, packet),)
+
+
+@dataclass(frozen=True)
 class Replayed:
     """Every packet of the autopilot comes a second time, later."""
 

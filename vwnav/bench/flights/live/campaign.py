@@ -21,7 +21,7 @@ from vwnav.vehicle import FlightMode
 
 ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"
 _SPOILS_LINK = (
-    link.LinkCut, link.RoundTrip, link.SlowLine, link.Garbage, link.Replayed,
+    link.LinkCut, link.RoundTrip, link.SlowLine, link.Garbage, link.PacketsLost, link.Replayed,
     telemetry.Missing, telemetry.Doubled, telemetry.Altered, telemetry.TelemetryLate,
 )  # fmt: skip
 _INSIDE = (camera.CameraTrouble, computer.ModelRaises)

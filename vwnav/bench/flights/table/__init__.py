@@ -13,6 +13,7 @@ from vwnav.bench.flights.table.ground import MAP, MODEL
 from vwnav.bench.flights.table.images import IMAGES
 from vwnav.bench.flights.table.link import LINK
 from vwnav.bench.flights.table.telemetry import TELEMETRY
+from vwnav.bench.flights.table.together import TOGETHER
 from vwnav.bench.flights.table.whole import WHOLE, WIND
 
 FAMILIES: dict[str, list[Scenario]] = {
@@ -28,6 +29,7 @@ FAMILIES: dict[str, list[Scenario]] = {
     "processor": PROCESSOR,
     "navigator": NAVIGATOR,
     "disk and clock": DISK_AND_CLOCK,
+    "several at once": TOGETHER,
     "whole flights": WHOLE,
 }
 TABLE = [row for rows in FAMILIES.values() for row in rows]

@@ -42,6 +42,12 @@ POOR = [
         ("half covered", broken.half_covered),
         ("out of focus", broken.out_of_focus),
         ("dropped in bursts", broken.bursts_dropped),
+        ("with the landing gear in view", broken.landing_gear),
+        ("through drops on the lens", broken.drops),
+        ("at dusk", broken.dusk),
+        ("whose exposure hunts", broken.exposure_hunting),
+        ("of which each comes twice", broken.each_twice),
+        ("with times that cannot be", broken.false_times),
     )
 ]
 LATE = [

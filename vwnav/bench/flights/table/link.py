@@ -80,6 +80,7 @@ SLOW = [
 DIRTY = [
     flies_on("garbage between the packets for 10 s", link.Garbage(), 10.0),
     flies_on("packets replayed after 0.5 s for 10 s", link.Replayed(0.5), 10.0),
+    flies_on("half of the packets lost for 15 s", link.PacketsLost(0.5), 15.0),
 ]
 OTHERS = [
     Scenario(

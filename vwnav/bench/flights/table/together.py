@@ -1,0 +1,120 @@
+"""Bad days: several things at once, and what breaks again and again."""
+
+from vwnav.bench.flights.faults import aircraft, camera, computer, link
+from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
+    DESCEND,
+    HOME,
+    Break,
+    Ending,
+    Scenario,
+    again_and_again,
+    down,
+    phase,
+    setup,
+)
+from vwnav.bench.flights.stage import Fault
+from vwnav.mission.mission import Phase
+
+_STORM_M_S, _GUSTS_M_S = 12.0, 3.0
+_A_THIRD = computer.Starved(0.33, 1000.0)
+
+
+def _flown_through(name: str, breaks: tuple[Break, ...], wind_m_s: float = 4.0) -> Scenario:
+    gusts_m_s = _GUSTS_M_S if wind_m_s == _STORM_M_S else None
+    return Scenario(
+        name=name,
+        setup=setup(wind_m_s=wind_m_s, gust_m_s=gusts_m_s),
+        breaks=breaks,
+        limit_s=45.0,
+        ending=Ending.FLIES_ON,
+    )
+
+
+def _at_once(*faults: Fault, for_s: float | None = 20.0) -> tuple[Break, ...]:
+    return tuple(Break(fault=each, at_s=BREAKS_AT_S, for_s=for_s) for each in faults)
+
+
+LOOSE = [
+    _flown_through(
+        "a loose link: gone for 0.8 s of every 3 s", again_and_again(link.LinkCut(), 3.0, 0.8, 8)
+    ),
+    _flown_through(
+        "a loose camera: gone for 2 s of every 4 s",
+        again_and_again(camera.CameraTrouble(camera.no_images), 4.0, 2.0, 7),
+    ),
+    _flown_through(
+        "a model that raises for 1 s of every 2 s",
+        again_and_again(computer.ModelRaises(), 2.0, 1.0, 12),
+    ),
+    _flown_through(
+        "a navigator stopped for 0.4 s of every 2 s",
+        again_and_again(computer.NavigatorStopped(0.4), 2.0, None, 12),
+    ),
+    _flown_through(
+        "a watchdog killed three times", again_and_again(computer.WatchdogKilled(), 6.0, None, 3)
+    ),
+]
+STORM = [
+    _flown_through(
+        "a storm, pictures 0.5 s late, a fifth of the packets lost",
+        _at_once(camera.ImagesLate(0.5), link.PacketsLost(0.2)),
+        _STORM_M_S,
+    ),
+    _flown_through(
+        "a storm, the sun's glare, a third of the processor",
+        (
+            Break(fault=_A_THIRD, at_s=0.0),
+            *_at_once(camera.CameraTrouble(camera.sun_glare)),
+        ),
+        _STORM_M_S,
+    ),
+    _flown_through(
+        "a storm, pictures gone for 3 s, a round trip of 0.3 s",
+        (
+            Break(fault=link.RoundTrip(0.3), at_s=4.0),
+            *_at_once(camera.CameraTrouble(camera.no_images), for_s=3.0),
+        ),
+        _STORM_M_S,
+    ),
+]
+BOTH_HANDS = [
+    Scenario(
+        name=f"pilot takes over {while_what}",
+        setup=setup(rc_on=True),
+        breaks=(
+            Break(fault=fault, at_s=BREAKS_AT_S, for_s=for_s),
+            Break(fault=aircraft.PilotSwitches(), at_s=BREAKS_AT_S + 2.7),
+        ),
+        limit_s=35.0,
+        ending=Ending.PILOT,
+    )
+    for while_what, fault, for_s in (
+        ("while the link is cut", link.LinkCut(), 5.0),
+        ("while the lens is covered", camera.CameraTrouble(camera.black), None),
+        ("after the navigator was killed", computer.NavigatorKilled(), None),
+        ("while the watchdog hangs", computer.WatchdogHangs(), None),
+    )
+]
+BLIND = [
+    Scenario(
+        name="dust covers the lens as it lands",
+        setup=setup(DESCEND, wind_m_s=5.0),
+        breaks=(Break(fault=camera.CameraTrouble(camera.black), at_s=0.0, phase=Phase.LAND),),
+        limit_s=100.0,
+        lands_within_m=4.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="pictures black for good, and then the link cut for 2 s",
+        setup=setup(wind_m_s=5.0),
+        breaks=(
+            Break(fault=camera.CameraTrouble(camera.black), at_s=BREAKS_AT_S),
+            Break(fault=link.LinkCut(), at_s=BREAKS_AT_S + 2.0, for_s=2.0),
+        ),
+        limit_s=90.0,
+        follows=(phase(10.0, "landing"), down(60.0)),
+        lands_within_m=50.0,
+    ),
+]
+TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND]
