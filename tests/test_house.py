@@ -11,7 +11,7 @@ BOUNDS = {
     "step_files": 24,
     "step_functions": 212,
     "step_crossings": 170,
-    "import_chain": 13,
+    "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,
     "circles": 0,
