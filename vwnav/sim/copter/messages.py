@@ -13,7 +13,14 @@ from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode, base_mode
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.units import cm_s, int16, mm, ms, us
-from vwnav.sim.multirotor.sensors import FIELD_GAUSS, pressure_hpa
+from vwnav.sim.multirotor.messages import (
+    attitude,
+    attitude_quaternion,
+    distance_sensor,
+    field_gauss,
+    system_time,
+)
+from vwnav.sim.multirotor.sensors import pressure_hpa
 
 Builder = Callable[[SimulatedCopter], Any]
 
@@ -70,20 +77,6 @@ def ekf_status_report(v: SimulatedCopter) -> Any:
     return mavlink.MAVLink_ekf_status_report_message(v.estimator.flags, 0.1, 0.1, 0.005, 0.01, 0.0)
 
 
-def attitude(v: SimulatedCopter) -> Any:
-    """Euler angles and body rates of the estimator."""
-    filter_ = v.estimator.attitude
-    return mavlink.MAVLink_attitude_message(ms(v.t_s), *filter_.euler_rad, *filter_.rates)
-
-
-def attitude_quaternion(v: SimulatedCopter) -> Any:
-    """Quaternion and body rates of the estimator."""
-    filter_ = v.estimator.attitude
-    return mavlink.MAVLink_attitude_quaternion_message(
-        ms(v.t_s), *filter_.quat_wxyz, *filter_.rates, [0.0] * 4
-    )
-
-
 def local_position_ned(v: SimulatedCopter) -> Any:
     """Position and velocity of the estimator about its origin; nothing before the first."""
     e = v.estimator
@@ -115,7 +108,7 @@ def highres_imu(v: SimulatedCopter) -> Any:
     """Inertial sensors, magnetic field in the body, barometer."""
     imu = v.imu
     inertial = (imu.ax, imu.ay, imu.az, imu.p, imu.q, imu.r)
-    field_milligauss = [1e3 * axis for axis in _field_gauss(v)]
+    field_milligauss = [1e3 * axis for axis in field_gauss(v)]
     return mavlink.MAVLink_highres_imu_message(
         us(v.t_s), *inertial, *field_milligauss, _pressure_hpa(v), 0.0, 0.0, 25.0, 8191
     )
@@ -134,16 +127,6 @@ def scaled_imu(v: SimulatedCopter) -> Any:
 def scaled_pressure(v: SimulatedCopter) -> Any:
     """Barometer."""
     return mavlink.MAVLink_scaled_pressure_message(ms(v.t_s), _pressure_hpa(v), 0.0, 2695)
-
-
-def distance_sensor(v: SimulatedCopter) -> Any:
-    """Downward rangefinder, in cm."""
-    distance_m = v.sensors.range_m(v.body)
-    if distance_m is None or distance_m > 100.0:
-        return None
-    return mavlink.MAVLink_distance_sensor_message(
-        ms(v.t_s), 0, 10000, round(100.0 * distance_m), 0, 0, 25, 0, signal_quality=100
-    )
 
 
 def battery_status(v: SimulatedCopter) -> Any:
@@ -227,11 +210,6 @@ def vibration(v: SimulatedCopter) -> Any:
     return mavlink.MAVLink_vibration_message(us(v.t_s), 0.003, 0.003, 0.003, 0, 0, 0)
 
 
-def system_time(v: SimulatedCopter) -> Any:
-    """Time since boot; without GPS the time of day is not known."""
-    return mavlink.MAVLink_system_time_message(0, ms(v.t_s))
-
-
 def autopilot_version(v: SimulatedCopter) -> Any:
     """Capabilities and version, as the recorded ArduCopter reports itself."""
     nothing = [0] * 8
@@ -252,17 +230,11 @@ def sim_state(v: SimulatedCopter) -> Any:
     )  # fmt: skip
 
 
-def _field_gauss(v: SimulatedCopter) -> tuple[float, float, float]:
-    r00, r01, r02, _, _, _, r20, r21, r22 = v.body.rotation
-    flat, down = FIELD_GAUSS
-    return flat * r00 + down * r20, flat * r01 + down * r21, flat * r02 + down * r22
-
-
 def _scaled(v: SimulatedCopter) -> tuple[int, ...]:
     imu = v.imu
     force = (int16(_MILLI_G * axis) for axis in (imu.ax, imu.ay, imu.az))
     rates = (int16(1e3 * axis) for axis in (imu.p, imu.q, imu.r))
-    return (*force, *rates, *(int16(1e3 * axis) for axis in _field_gauss(v)))
+    return (*force, *rates, *(int16(1e3 * axis) for axis in field_gauss(v)))
 
 
 def _pressure_hpa(v: SimulatedCopter) -> float:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,7 +18,9 @@ from vwnav.sim.mavlink.conversation import (
     accept,
     arm,
     get_interval,
+    reboot,
     request_version,
+    set_home,
 )
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
@@ -188,26 +191,6 @@ def _request(command: VehicleCommand, context: CommandContext[SimulatedCopter]) 
     return Result.ACCEPTED
 
 
-def _set_home(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
-    v = context.vehicle
-    if command.p1 == 1.0:
-        done = v.set_home_here()
-    elif is_place(command.x, command.y, command.z):
-        done = v.set_home(command.x, command.y, command.z)
-    else:
-        return Result.DENIED
-    return Result.ACCEPTED if done else Result.FAILED
-
-
-def _reboot(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
-    if context.vehicle.commander.armed:
-        return Result.FAILED
-    if command.p1 != 1.0:
-        return Result.UNSUPPORTED
-    context.reboot = True
-    return Result.ACCEPTED
-
-
 _HANDLERS: dict[int, Handler] = {
     17: _mode(Mode.LOITER),  # NAV_LOITER_UNLIM
     20: _mode(Mode.RTL),
@@ -215,8 +198,8 @@ _HANDLERS: dict[int, Handler] = {
     22: _takeoff,
     176: _set_mode,
     178: accept,  # DO_CHANGE_SPEED
-    179: _set_home,
-    246: _reboot,
+    179: partial(set_home, Result.FAILED),
+    246: partial(reboot, (Result.FAILED, Result.UNSUPPORTED)),
     400: arm,
     GET_MESSAGE_INTERVAL: get_interval,
     511: _set_interval,

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.mavlink.command import FORCE_MAGIC, Result, VehicleCommand, message_id
+from vwnav.sim.mavlink.command import FORCE_MAGIC, Result, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 
@@ -204,6 +204,30 @@ def get_interval(command: VehicleCommand, context: CommandContext[Any]) -> Resul
     if message_id(command.p1) is None:
         return Result.DENIED
     context.send_now.append(MESSAGE_INTERVAL)
+    return Result.ACCEPTED
+
+
+def set_home(refusal: Result, command: VehicleCommand, context: CommandContext[Any]) -> Result:
+    """DO_SET_HOME; an autopilot has its own word for what it refuses."""
+    v = context.vehicle
+    if command.p1 == 1.0:
+        done = v.set_home_here()
+    elif is_place(command.x, command.y, command.z):
+        done = v.set_home(command.x, command.y, command.z)
+    else:
+        return Result.DENIED
+    return Result.ACCEPTED if done else refusal
+
+
+def reboot(
+    refusals: tuple[Result, Result], command: VehicleCommand, context: CommandContext[Any]
+) -> Result:
+    """PREFLIGHT_REBOOT_SHUTDOWN; refused when armed, and where something else than a reboot."""
+    if context.vehicle.commander.armed:
+        return refusals[0]
+    if command.p1 != 1.0:
+        return refusals[1]
+    context.reboot = True
     return Result.ACCEPTED
 
 

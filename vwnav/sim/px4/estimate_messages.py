@@ -10,24 +10,11 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.sim.mavlink.units import cm_s, mm, ms, us
+from vwnav.sim.multirotor.messages import attitude, attitude_quaternion
 from vwnav.sim.px4.px4 import SimulatedPx4
 
 _NAN = math.nan
 _ZERO4 = [0.0] * 4
-
-
-def attitude(v: SimulatedPx4) -> Any:
-    """Euler angles and body rates of the estimator."""
-    filter_ = v.estimator.attitude
-    return mavlink.MAVLink_attitude_message(ms(v.t_s), *filter_.euler_rad, *filter_.rates)
-
-
-def attitude_quaternion(v: SimulatedPx4) -> Any:
-    """Quaternion and body rates of the estimator."""
-    filter_ = v.estimator.attitude
-    return mavlink.MAVLink_attitude_quaternion_message(
-        ms(v.t_s), *filter_.quat_wxyz, *filter_.rates, _ZERO4
-    )
 
 
 def attitude_target(v: SimulatedPx4) -> Any:

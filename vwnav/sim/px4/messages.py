@@ -10,7 +10,8 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.sim.mavlink.units import cm_s, mm, ms, us
-from vwnav.sim.multirotor.sensors import FIELD_GAUSS, pressure_hpa
+from vwnav.sim.multirotor.messages import distance_sensor, field_gauss, system_time
+from vwnav.sim.multirotor.sensors import pressure_hpa
 from vwnav.sim.px4.px4 import SimulatedPx4
 
 _NAN = math.nan
@@ -77,14 +78,11 @@ def extended_sys_state(v: SimulatedPx4) -> Any:
 def highres_imu(v: SimulatedPx4) -> Any:
     """Inertial sensors, magnetic field in the body, barometer."""
     imu = v.imu
-    r00, r01, r02, _, _, _, r20, r21, r22 = v.body.rotation
-    flat, down = FIELD_GAUSS
-    field = (flat * r00 + down * r20, flat * r01 + down * r21, flat * r02 + down * r22)
     alt_m = v.config.home_alt_amsl_m + v.baro_height_m
     inertial = (imu.ax, imu.ay, imu.az, imu.p, imu.q, imu.r)
     pressure = pressure_hpa(alt_m)
     return mavlink.MAVLink_highres_imu_message(
-        us(v.t_s), *inertial, *field, pressure, 0.0, alt_m, 15.0, _UPDATED
+        us(v.t_s), *inertial, *field_gauss(v), pressure, 0.0, alt_m, 15.0, _UPDATED
     )
 
 
@@ -92,16 +90,6 @@ def scaled_pressure(v: SimulatedPx4) -> Any:
     """Barometer."""
     alt_m = v.config.home_alt_amsl_m + v.baro_height_m
     return mavlink.MAVLink_scaled_pressure_message(ms(v.t_s), pressure_hpa(alt_m), 0.0, 1474)
-
-
-def distance_sensor(v: SimulatedPx4) -> Any:
-    """Downward rangefinder, in cm."""
-    distance_m = v.sensors.range_m(v.body)
-    if distance_m is None or distance_m > 100.0:
-        return None
-    return mavlink.MAVLink_distance_sensor_message(
-        ms(v.t_s), 0, 10000, round(100.0 * distance_m), 0, 0, 25, 0, signal_quality=100
-    )
 
 
 def battery_status(v: SimulatedPx4) -> Any:
@@ -159,11 +147,6 @@ def autopilot_version(v: SimulatedPx4) -> Any:
 def ping(v: SimulatedPx4) -> Any:
     """A question whether anybody is there."""
     return mavlink.MAVLink_ping_message(us(v.t_s), int(v.t_s), 0, 0)
-
-
-def system_time(v: SimulatedPx4) -> Any:
-    """Time since boot; without GPS the time of day is not known."""
-    return mavlink.MAVLink_system_time_message(0, ms(v.t_s))
 
 
 def hil_state_quaternion(v: SimulatedPx4) -> Any:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
@@ -14,7 +15,9 @@ from vwnav.sim.mavlink.conversation import (
     accept,
     arm,
     get_interval,
+    reboot,
     request_version,
+    set_home,
 )
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
@@ -258,31 +261,11 @@ def _request(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> 
     return Result.ACCEPTED
 
 
-def _set_home(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
-    v = context.vehicle
-    if command.p1 == 1.0:
-        done = v.set_home_here()
-    elif is_place(command.x, command.y, command.z):
-        done = v.set_home(command.x, command.y, command.z)
-    else:
-        return Result.DENIED
-    return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
-
-
 def _set_origin(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
     if not is_place(command.x, command.y, command.z):
         return Result.DENIED
     context.vehicle.estimator.set_origin(command.x, command.y, command.z)
     context.send_now.append(49)
-    return Result.ACCEPTED
-
-
-def _reboot(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
-    if context.vehicle.commander.armed:
-        return Result.TEMPORARILY_REJECTED
-    if command.p1 != 1.0:
-        return Result.DENIED
-    context.reboot = True
     return Result.ACCEPTED
 
 
@@ -293,8 +276,8 @@ _HANDLERS: dict[int, Handler] = {
     22: _takeoff,
     176: _set_mode,
     178: accept,  # DO_CHANGE_SPEED
-    179: _set_home,
-    246: _reboot,
+    179: partial(set_home, Result.TEMPORARILY_REJECTED),
+    246: partial(reboot, (Result.TEMPORARILY_REJECTED, Result.DENIED)),
     400: arm,
     GET_MESSAGE_INTERVAL: get_interval,
     511: _set_interval,
