@@ -184,10 +184,9 @@ def one_step() -> Entered:
     """Fly until the step that counts, and listen to it."""
     import numpy as np
 
-    from vwnav.assemble import assemble_with
+    from vwnav.assemble import assemble
     from vwnav.bench.flights.setup import Setup
-    from vwnav.bench.flights.stage import Place
-    from vwnav.bench.flights.world import draw
+    from vwnav.bench.flights.world import Place, draw
     from vwnav.config import Config
     from vwnav.estimation.beginning.starts import Start
     from vwnav.geometry.geodesy import LocalFrame
@@ -206,11 +205,11 @@ def one_step() -> Entered:
     place, level = np.array([0.0, 0.0, -HEIGHT_M]), np.array([1.0, 0.0, 0.0, 0.0])
     velocity = np.array([SPEED_M_S, 0.0, 0.0])
     with MapPack.open(pack) as opened:
-        assembled = assemble_with(
+        assembled = assemble(
             sift, None, opened, camera, frame, Config(), InlineExecutor(), lambda _: None
         )
         assembled.ekf.initialise(Start(t_s=0.0, position_ned_m=place, agl_m=HEIGHT_M))
-        renderer = draw(site, Setup(), Place(site, pack, camera, sift, None))
+        renderer = draw(Setup(), Place(site, pack, camera, sift, None))
         found = 0
         for number in range(1, 200):
             t_s = number / FRAME_HZ

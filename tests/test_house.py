@@ -10,8 +10,8 @@ from tests.house import measure
 BOUNDS = {
     "step_files": 24,
     "step_functions": 212,
-    "step_crossings": 179,
-    "import_chain": 14,
+    "step_crossings": 170,
+    "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,
     "circles": 0,

@@ -126,7 +126,7 @@ def test_training_code_imports_only_geometry_and_sim_of_the_package():
 def test_help_does_not_load_opencv():
     script = (
         "import sys; sys.argv = ['vwnav', '--help']\n"
-        "from vwnav.cli.main import main\n"
+        "from vwnav.__main__ import main\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "sys.exit('cv2' in sys.modules or 'onnxruntime' in sys.modules)"
     )

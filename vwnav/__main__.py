@@ -1,5 +1,88 @@
-"""`python -m vwnav` is the command `vwnav`."""
+"""The command `vwnav`, also `python -m vwnav`: mounts the sub-commands.
 
-from vwnav.cli.main import main
+Errors become one line and an exit code.
+"""
 
-main()
+import sys
+
+import typer
+
+from vwnav import __version__
+from vwnav.cli import doctor, flighttest, fly, localize, replay
+from vwnav.cli import map as map_commands
+from vwnav.cli.bench.estimator import estimator
+from vwnav.cli.bench.features import drift, features
+from vwnav.cli.bench.flights import flights
+from vwnav.cli.bench.localizer import localizer
+from vwnav.cli.bench.shutter import shutter
+from vwnav.cli.bench.significance import significance
+from vwnav.cli.bench.speed import speed
+from vwnav.cli.bench.waypoints import waypoints
+from vwnav.cli.camera import calibrate, look
+from vwnav.errors import PreflightError, VwnavError
+
+EXIT_FAILED = 1
+EXIT_NOT_SAFE = 3
+EXIT_INTERRUPTED = 130
+
+app = typer.Typer(
+    name="vwnav",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Fly a drone without GPS: match its down-looking camera to a map loaded before.",
+    epilog="Start with: vwnav fly --sim",
+)
+app.command("fly", rich_help_panel="On the drone")(fly.fly)
+app.command("doctor", rich_help_panel="On the drone")(doctor.doctor)
+app.add_typer(map_commands.app, name="map", rich_help_panel="Before the flight")
+app.command("camera", rich_help_panel="On the drone")(look.camera)
+app.add_typer(calibrate.app, name="calibrate", rich_help_panel="Before the flight")
+app.command("replay", rich_help_panel="After the flight")(replay.replay)
+app.command("localize", rich_help_panel="After the flight")(localize.localize)
+app.add_typer(flighttest.app, name="flighttest", rich_help_panel="Before the flight")
+benches = typer.Typer(no_args_is_help=True, help="Measure the parts of the navigator.")
+for measure in (
+    estimator,
+    flights,
+    localizer,
+    shutter,
+    significance,
+    speed,
+    waypoints,
+    features,
+    drift,
+):
+    benches.command()(measure)
+app.add_typer(benches, name="bench", rich_help_panel="At the workstation")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"vwnav {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: bool = typer.Option(
+        False, "--version", is_eager=True, callback=_print_version, help="Print the version."
+    ),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command; known errors become one line on stderr and exit code 1 (3: not safe)."""
+    try:
+        app()
+    except VwnavError as wrong:
+        print(f"vwnav: {' '.join(str(wrong).split())}", file=sys.stderr)
+        sys.exit(EXIT_NOT_SAFE if isinstance(wrong, PreflightError) else EXIT_FAILED)
+    except KeyboardInterrupt:
+        print("vwnav: interrupted", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

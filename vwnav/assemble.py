@@ -57,26 +57,6 @@ def choose_features(
 
 
 def assemble(
-    pack: MapPack,
-    camera: Camera,
-    local_frame: LocalFrame,
-    config: Config,
-    executor: Executor,
-    say: Callable[[str], None],
-    make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
-) -> Assembled:
-    """Build the pipeline. `make_ekf` lets the benchmark listen to the filter.
-
-    Raises:
-        ModelError: the pack's features were made by another model.
-    """
-    primary, fallback = choose_features(config.features, say)
-    return assemble_with(
-        primary, fallback, pack, camera, local_frame, config, executor, say, make_ekf
-    )
-
-
-def assemble_with(
     primary: FeatureExtractor,
     fallback: FeatureExtractor | None,
     pack: MapPack,
@@ -87,7 +67,9 @@ def assemble_with(
     say: Callable[[str], None],
     make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
 ) -> Assembled:
-    """The same with extractors that are there already.
+    """Build the pipeline of extractors as `choose_features` gives them.
+
+    `make_ekf` lets the benchmark listen to the filter.
 
     Raises:
         ModelError: the pack's features were made by another model.

@@ -57,7 +57,7 @@ class Flight:
         self._phase_since_s: float | None = None
         self._offboard: Request | None = None
         self._landing: Landing | None = None
-        self._failsafe = FailsafeRecovery(autopilot, self._safety, self._steering, safety)
+        self._failsafe = FailsafeRecovery(autopilot, self._steering, safety)
         self._phase_before_release = Phase.GET_READY
         self._handed_back = False
         self._trouble: str | None = None
@@ -250,7 +250,8 @@ class Flight:
     def _yield(self, t_s: float, reason: str) -> None:
         """The autopilot flies a failsafe that may be ours to end, later."""
         self._autopilot.withdraw()
-        self._failsafe.begin(self.phase, t_s)
+        safety = self._safety
+        self._failsafe.begin(self.phase, safety.gap_s, safety.battery_is_enough, t_s)
         self._steering.stop()
         self._say(reason)
         self._enter(Phase.FAILSAFE, t_s)
@@ -323,7 +324,9 @@ class Flight:
         elif vehicle.silence_s > GONE_S:
             self._finish(f"{self._trouble}; the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
-            self._go_on(self._failsafe.step(vehicle, navigation, t_s), t_s, vehicle)
+            decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
+            ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
+            self._go_on(ended, t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._handed_back:
             self._resume(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:

@@ -183,10 +183,6 @@ class Autopilot(Protocol):
         """Land here in the autopilot's own mode."""
         ...
 
-    def return_home(self) -> Request:
-        """Return in the autopilot's own mode."""
-        ...
-
     def disarm(self) -> Request:
         """Stop the motors, on the ground."""
         ...

@@ -49,7 +49,7 @@ def flight(folder: str, model: str) -> dict[str, Any]:
     import cv2
     import numpy as np
 
-    from vwnav.assemble import assemble
+    from vwnav.assemble import assemble, choose_features
     from vwnav.cameras.video_file import VideoFile
     from vwnav.config import Config, with_features
     from vwnav.estimation.beginning.starts import Start
@@ -67,10 +67,11 @@ def flight(folder: str, model: str) -> dict[str, Any]:
     def status(outcome: MapFix | Rejected) -> str:
         return "fix" if isinstance(outcome, MapFix) else outcome.reason.name
 
+    config = with_features(Config(), "learned", Path(model))
     with MapPack.open(place / "map.mbtiles") as pack:
         assembled = assemble(
-            pack, load_camera(place / "camera.toml"), LocalFrame(*start["origin"]),
-            with_features(Config(), "learned", Path(model)), InlineExecutor(), print,
+            *choose_features(config.features, print), pack, load_camera(place / "camera.toml"),
+            LocalFrame(*start["origin"]), config, InlineExecutor(), print,
         )  # fmt: skip
         known = start["known"] | {"position_ned_m": np.array(start["known"]["position_ned_m"])}
         assembled.ekf.initialise(Start(t_s=0.0, **known))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bench_scenes import ground
 
+from vwnav.__main__ import main
 from vwnav.bench.features import methods, pair_scenes
 from vwnav.bench.features import run as features
-from vwnav.cli.main import main
 from vwnav.errors import ConfigError
 
 SCORE = {

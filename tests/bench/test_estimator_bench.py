@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
+from vwnav.__main__ import app
 from vwnav.bench.estimator.flown import Metric
 from vwnav.bench.estimator.record import load_stream, save_stream
 from vwnav.bench.estimator.run import play
@@ -15,7 +16,6 @@ from vwnav.bench.estimator.scenarios import SCENARIOS, FilterScenario, fly_scena
 from vwnav.bench.estimator.scores import chi_square_bounds, consistency
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
-from vwnav.cli.main import app
 from vwnav.estimation.config import EkfConfig
 
 SHORT = FilterWorld(seconds=40.0)

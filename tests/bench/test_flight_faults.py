@@ -99,7 +99,7 @@ def test_the_table_has_families_and_no_name_twice():
 
 
 def test_rows_of_a_pilot_are_flown_live_only_where_he_has_a_link():
-    alone, together = ({row.name for row in live_rows(p)} for p in (False, True))
+    alone, together = ({row.name for row in live_rows(TABLE, p)} for p in (False, True))
     assert "pilot takes over while on the route" in together - alone
     assert {"navigator killed", "link cut for 1 s on the route"} <= alone
     assert "processor starved for 1 s" not in together  # nothing of ours can do that

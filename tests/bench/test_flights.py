@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from vwnav.__main__ import app
 from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie, campaign_of
 from vwnav.bench.flights.folder import FLIGHTS, CampaignFolder, fly_campaign
 from vwnav.bench.flights.plots import save_plots
 from vwnav.bench.flights.score import distance_m
 from vwnav.bench.flights.summary import Figure, summarise, worst_first
 from vwnav.bench.resampling import interval
-from vwnav.cli.main import app
 from vwnav.errors import RouteError, VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.plan_files import load_route

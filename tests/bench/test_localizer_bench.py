@@ -10,12 +10,13 @@ import pytest
 from bench_scenes import ground
 from scipy import stats
 
+from vwnav.__main__ import main
 from vwnav.bench.localizer import boards, repeating, short_flights, unrelated
+from vwnav.bench.localizer.board_map import open_board
 from vwnav.bench.localizer.labels import UNCONFIRMED_PX, corrected
-from vwnav.bench.localizer.looks import CAMERA, LookCase, TruePose, open_board
+from vwnav.bench.localizer.looks import CAMERA, LookCase, TruePose
 from vwnav.bench.localizer.repeating import repeating_boards
 from vwnav.bench.localizer.scoring import judge, score, upper_bound
-from vwnav.cli.main import main
 from vwnav.errors import ModelError
 from vwnav.types import MapFix, Prior, Rejected, RejectReason
 from vwnav.vision.features.learned import (

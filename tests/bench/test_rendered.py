@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from vwnav.__main__ import app
 from vwnav.bench.estimator.benchmark import as_json
 from vwnav.bench.estimator.flown import NavigatedFlight, Run
 from vwnav.bench.estimator.rendered_errors import fix_errors, odometry_errors, parts, way_errors
@@ -16,7 +17,6 @@ from vwnav.bench.estimator.rendered_scenarios import judge_odometry, judge_rende
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
-from vwnav.cli.main import app
 from vwnav.estimation.events import NedFix
 from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M
 from vwnav.sim.renderer import default_camera

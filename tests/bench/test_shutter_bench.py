@@ -4,7 +4,7 @@ import json
 
 from typer.testing import CliRunner
 
-from vwnav.cli.main import app
+from vwnav.__main__ import app
 
 
 def test_rows_that_are_put_back_are_worth_a_global_shutter() -> None:

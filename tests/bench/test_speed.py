@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from vwnav.__main__ import main
 from vwnav.bench.speed import run
 from vwnav.bench.speed.accuracy import Accuracy, accuracy_of
 from vwnav.bench.speed.choice import chosen_of, ranking, try_in_real_time, words
@@ -21,7 +22,6 @@ from vwnav.bench.speed.settings import (
     settings,
     thread_counts,
 )
-from vwnav.cli.main import main
 from vwnav.config import load_config
 from vwnav.errors import ConfigError
 from vwnav.vision.features.learned import LearnedFeatures, released_model

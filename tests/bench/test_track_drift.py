@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vwnav.__main__ import main
 from vwnav.bench.track_drift import compare, drift
-from vwnav.cli.main import main
 from vwnav.errors import SourceError
 
 TRACK = np.array([[0.0, 0.0], [0.0, 100.0], [50.0, 200.0], [50.0, 300.0]])

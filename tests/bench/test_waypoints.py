@@ -6,8 +6,8 @@ import math
 import pytest
 from typer.testing import CliRunner
 
+from vwnav.__main__ import app
 from vwnav.bench.flights.waypoints import THESIS_M, Seen, plan, row_of
-from vwnav.cli.main import app
 
 
 def test_flights_are_the_same_for_every_feature_set_and_stay_at_their_height() -> None:

@@ -5,8 +5,8 @@ import json
 import pytest
 from typer.testing import CliRunner
 
+from vwnav.__main__ import app
 from vwnav.bench.flights.table import TABLE
-from vwnav.cli.main import app
 from vwnav.errors import ConfigError
 
 RUN = CliRunner()

@@ -280,7 +280,7 @@ def test_a_px4_flight_arms_takes_off_and_takes_control_on_any_link(round_trip_s)
         assert len(bench.peer.commands(number)) == 1  # nothing twice where nothing was lost
 
 
-@pytest.mark.parametrize("name", ["arm", "start_offboard", "hold", "land", "return_home", "disarm"])
+@pytest.mark.parametrize("name", ["arm", "start_offboard", "hold", "land", "disarm"])
 def test_no_request_waits_even_on_a_dead_link(bench, name):
     bench.up.cut = bench.down.cut = True
     before_s = bench.clock()
@@ -386,7 +386,6 @@ def test_modes_are_commanded_and_seen_at_once_though_heartbeats_lag(bench):
     for ask, mode in (
         (bench.autopilot.hold, FlightMode.HOLD),
         (bench.autopilot.land, FlightMode.LAND),
-        (bench.autopilot.return_home, FlightMode.RETURN),
     ):
         assert bench.finish(ask()) is None
         assert bench.autopilot.state().mode is mode

@@ -15,8 +15,8 @@ import pytest
 from typer.testing import CliRunner
 from vehicles import FLYING
 
+from vwnav.__main__ import app
 from vwnav.assemble import Assembled, about_run, ground_of
-from vwnav.cli.main import app
 from vwnav.clock import WallClock
 from vwnav.config import Config
 from vwnav.errors import MapError, SourceError

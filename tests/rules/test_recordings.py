@@ -6,7 +6,7 @@ import pytest
 from good_flight import good_flight
 from typer.testing import CliRunner
 
-from vwnav.cli.main import app
+from vwnav.__main__ import app
 from vwnav.errors import SourceError
 from vwnav.recording.recorded_flight_log import recorded_flight_log
 from vwnav.recording.recorder import Recorder

@@ -6,11 +6,12 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.copter.copter import STEP_S, SimulatedCopter
+from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.multirotor.simulated import STEP_S
 from vwnav.sim.processor import SimulatedClock
 from vwnav.vehicle import FlightMode
 

@@ -6,9 +6,10 @@ from typing import Any
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.mavlink.command import Result
 from vwnav.sim.multirotor.setpoint import Setpoint
+from vwnav.sim.multirotor.simulated import STEP_S
 from vwnav.sim.px4.estimator import VisionSample
 from vwnav.sim.px4.modes import NavState
-from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
+from vwnav.sim.px4.px4 import SimulatedPx4
 
 
 class Bench:

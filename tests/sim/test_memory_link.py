@@ -8,8 +8,8 @@ from vwnav.sim.config import VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.multirotor.simulated import STEP_S
 from vwnav.sim.processor import SimulatedClock
-from vwnav.sim.px4.px4 import STEP_S
 
 
 def link_of(latency_s: float = 0.0) -> tuple[SimulatedClock, MemoryLink]:

@@ -19,10 +19,10 @@ from mcap.reader import make_reader
 from px4_bench import Bench
 
 from vwnav.sim.mavlink.command import Result
+from vwnav.sim.multirotor.simulated import STEP_S
 from vwnav.sim.px4 import messages
 from vwnav.sim.px4.estimator import VisionSample
 from vwnav.sim.px4.modes import NavState
-from vwnav.sim.px4.px4 import STEP_S
 
 DATA = Path(os.environ.get("VWNAV_DATA", Path(__file__).parents[3] / "shared" / "data"))
 FLIGHTS = DATA / "mavlink" / "vwnav_flights"

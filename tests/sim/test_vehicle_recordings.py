@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from test_vehicle_session import Talk
 from tlogs import RECORDS, needs, packets, recorded
 
-from vwnav.sim.px4 import messages
+from vwnav.sim.px4 import estimate_messages, messages
 from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.streams import COMPANION_RATES
 
@@ -89,7 +89,7 @@ def test_the_version_is_the_recorded_one() -> None:
 
 
 def flags_of(bench: Bench) -> int:
-    return int(messages.estimator_status(bench.vehicle).flags)
+    return int(estimate_messages.estimator_status(bench.vehicle).flags)
 
 
 def gps_hoped_for() -> Bench:

@@ -10,11 +10,12 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.errors import ConfigError
 from vwnav.sim.config import VehicleConfig
+from vwnav.sim.core import PX4_BUILDERS
 from vwnav.sim.mavlink.link import parse_url
 from vwnav.sim.mavlink.timesync import TimesyncFilter
 from vwnav.sim.px4.px4 import SimulatedPx4
 from vwnav.sim.px4.session import Px4Session
-from vwnav.sim.px4.streams import BUILDERS, COMPANION_RATES, schedule_of
+from vwnav.sim.px4.streams import COMPANION_RATES, schedule_of
 
 FLOAT = st.floats(width=32) | st.sampled_from([0.0, 1.0, math.nan, math.inf, 3.4e38, -3.4e38])
 COMMANDS = [16, 17, 20, 21, 22, 176, 178, 179, 192, 246, 300, 400, 410, 510, 511, 512, 520, 611]
@@ -44,7 +45,7 @@ class Talk:
     def __init__(self, **config: Any) -> None:
         self.vehicle = SimulatedPx4(VehicleConfig(**config))
         self.link = FakeLink()
-        schedule = schedule_of(COMPANION_RATES)
+        schedule = schedule_of(COMPANION_RATES, PX4_BUILDERS)
         clock = self.now_s
         self.session = Px4Session(self.link, self.vehicle, schedule, clock, True)
         self._client = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
@@ -271,7 +272,7 @@ def test_no_message_can_bring_it_down(messages: list[Any]) -> None:
     for message in messages:
         talk.hear(message)
         talk.run(0.06)
-    for build in BUILDERS.values():
+    for build in PX4_BUILDERS.values():
         built = build(talk.vehicle)
         if built is not None:
             talk.link.send(built)

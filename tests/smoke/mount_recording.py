@@ -22,9 +22,8 @@ from vwnav.geometry.rotations import (
 from vwnav.recording.input_log import About, InputLog
 from vwnav.recording.recorder import Recorder
 from vwnav.sim.lens import RenderConfig
-from vwnav.sim.named_sites import parse_site
+from vwnav.sim.named_sites import parse_site, tiles_folder
 from vwnav.sim.renderer import CameraRenderer, default_camera
-from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Attitude, Frame, Range
 
 SECONDS, START_S, IMAGE_HZ = 110.0, 14.0, 1.5
@@ -80,7 +79,7 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
     renderer = CameraRenderer(
         parse_site("sim:default"), mounted.camera,
         RenderConfig(color=False, background=False, readout_s=mounted.readout_s), rng,
-        default_cache_dir(),
+        tiles_folder(parse_site("sim:default")),
     )  # fmt: skip
     lean = []
     with closing(Recorder(path, {}, image_rate_hz=10.0)) as recorder:

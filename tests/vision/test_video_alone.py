@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from vision_scenes import HOME, frame_at, ground_pack, texture
 
-from vwnav.assemble import assemble_with
+from vwnav.assemble import assemble
 from vwnav.config import Config
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
@@ -94,7 +94,7 @@ def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
     changed = {"ekf": config.ekf.without_telemetry()}
     changed["pipeline"] = replace(config.pipeline, most_fixes=most_fixes)
     config, rng = config.model_copy(update=changed), np.random.default_rng(1)
-    pipeline = assemble_with(
+    pipeline = assemble(
         sift, None, pack, CAMERA, HOME, config, InlineExecutor(), lambda _: None
     ).pipeline
     rows = []

@@ -74,8 +74,7 @@ def faults(
     if connection is not None:
         from vwnav.bench.flights.live.campaign import live_rows
 
-        possible = {row.name for row in live_rows(pilot is not None)}
-        rows = [row for row in rows if row.name in possible]
+        rows = live_rows(rows, pilot is not None)
     if not rows:
         raise ConfigError(f"no fault is named {' or '.join(only)}: see --list")
     if listed:
@@ -262,11 +261,13 @@ def fly_row(name: str, folder: Path, manners: "Manners") -> "RowResult":
 
 
 def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[RowResult]":
-    from vwnav.bench.flights.live.campaign import fly_live_rows
+    from vwnav.bench.flights.live.campaign import fly_live_row
     from vwnav.bench.flights.live.session import simulator_at
+    from vwnav.bench.flights.table import family_of
 
     with simulator_at(links) as simulator:
-        yield from fly_live_rows(rows, simulator, folder)
+        for number, row in enumerate(rows, 1):
+            yield fly_live_row(row, family_of(row), simulator, folder / f"{number:02d}")
 
 
 def _collect(

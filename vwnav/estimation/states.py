@@ -8,7 +8,7 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.integrals import Measured
-from vwnav.geometry.rotations import quat_from_rotation, rotation_from_quat, rotation_from_vector
+from vwnav.geometry.rotations import without_errors
 from vwnav.types import Array, Estimate
 
 # 99.9 % of chi-square by degrees of freedom (scipy.stats.chi2.ppf(0.999, dof)).
@@ -314,7 +314,7 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
         position_ned_m=x[States.POSITION].copy(),
         velocity_ned_m_s=x[States.VELOCITY].copy(),
         covariance=P[States.MOTION, States.MOTION].copy(),
-        quat_wxyz=_true_attitude(x, quat_measured_wxyz),
+        quat_wxyz=without_errors(quat_measured_wxyz, float(x[States.HEADING_BIAS]), x[States.TILT]),
         sigma_yaw_rad=min(math.sqrt(float(turn) + turned_rad**2), math.pi),
         agl_m=max(state.agl_m, 0.0),
         sigma_agl_m=math.sqrt(variance_agl),
@@ -322,17 +322,6 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
         reset_counter=state.reset_counter,
         wind_ne_m_s=wind_ne_m_s(state),
     )
-
-
-def _true_attitude(x: Array, quat_measured_wxyz: Array) -> Array:
-    """quat_wxyz (4,) with heading bias and tilt removed: R = Rz(-b) exp(-tilt) R_measured."""
-    R_measured = rotation_from_quat(quat_measured_wxyz)
-    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    forward, right = x[States.TILT]
-    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
-    unturn = rotation_from_vector([0.0, 0.0, -float(x[States.HEADING_BIAS])])
-    return quat_from_rotation(unturn @ untilt @ R_measured)
 
 
 def wind_ne_m_s(state: FilterState) -> Array | None:

@@ -138,6 +138,23 @@ def vector_from_quat(quat_wxyz: Array) -> Array:
     return (2.0 * sign * ratio) * np.array([x, y, z])
 
 
+def without_errors(quat_wxyz: Array, heading_rad: float, tilt_rad: Array) -> Array:
+    """quat_wxyz (4,) of an attitude less its errors: R = Rz(-heading) exp(-tilt) R_measured.
+
+    Args:
+        quat_wxyz: (4,) of R_ned_body as it was measured.
+        heading_rad: by how much its heading is off, clockwise.
+        tilt_rad: (2,) by how much it leans wrongly about its level forward and right.
+    """
+    R_measured = rotation_from_quat(quat_wxyz)
+    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    forward, right = tilt_rad
+    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
+    unturn = rotation_from_vector([0.0, 0.0, -heading_rad])
+    return quat_from_rotation(unturn @ untilt @ R_measured)
+
+
 def slerp(quat0_wxyz: Array, quat1_wxyz: Array, fraction: float) -> Array:
     """Rotation (4,) on the short way from `quat0` (fraction 0) to `quat1` (fraction 1), w >= 0."""
     R0 = rotation_from_quat(quat0_wxyz)

@@ -128,6 +128,12 @@ class MapPack:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def middle(self) -> tuple[float, float]:
+        """(lat_deg, lon_deg) of its middle: where a run without a home has its origin."""
+        south, west, north, east = self.bounds
+        return (south + north) / 2.0, (west + east) / 2.0
+
     def window(self, zoom: int) -> Window:
         """The rectangle of a level's tiles in its global pixels.
 

@@ -208,10 +208,6 @@ class LinkedAutopilot:
         """Land here."""
         return self._begin(self._procedures.set_mode(FlightMode.LAND))
 
-    def return_home(self) -> Request:
-        """The autopilot's own return; it needs a position and home."""
-        return self._begin(self._procedures.set_mode(FlightMode.RETURN))
-
     def disarm(self) -> Request:
         """Stop the motors; refused in the air."""
         return self._begin(self._procedures.disarm())

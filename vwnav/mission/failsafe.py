@@ -5,7 +5,6 @@ import math
 from vwnav.mission.mission import Next, Phase
 from vwnav.mission.steering import Steering
 from vwnav.safety.hierarchy import Action, Decision, Rank
-from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.recovery import Recovery, Wish
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vehicle import Autopilot, Navigation, VehicleState
@@ -23,11 +22,8 @@ _TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RE
 class FailsafeRecovery:
     """The autopilot's failsafe, one at a time, and whether the estimate was lost before it."""
 
-    def __init__(
-        self, autopilot: Autopilot, safety: SafetyMonitor, steering: Steering, config: SafetyConfig
-    ) -> None:
+    def __init__(self, autopilot: Autopilot, steering: Steering, config: SafetyConfig) -> None:
         self._autopilot = autopilot
-        self._safety = safety
         self._steering = steering
         self._config = config
         self._lost_s: float | None = None
@@ -39,21 +35,26 @@ class FailsafeRecovery:
         if navigation.estimate is None:
             self._lost_s = t_s
 
-    def begin(self, phase: Phase, t_s: float) -> None:
-        """It has begun, in that phase of the mission."""
-        missed = self._lost_lately(t_s) or self._safety.gap_s > 0.0
-        explained = self._safety.battery_is_enough and missed
-        self._recovery = Recovery(self._config, explained)
+    def begin(self, phase: Phase, gap_s: float, battery_is_enough: bool, t_s: float) -> None:
+        """It has begun, in that phase of the mission; `gap_s` as `SafetyMonitor` has it."""
+        missed = self._lost_lately(t_s) or gap_s > 0.0
+        self._recovery = Recovery(self._config, explained=battery_is_enough and missed)
         self._before = phase
 
-    def step(self, vehicle: VehicleState, navigation: Navigation, t_s: float) -> Next | None:
+    def step(
+        self,
+        decision: Decision,
+        gap_s: float,
+        vehicle: VehicleState,
+        navigation: Navigation,
+        t_s: float,
+    ) -> Next | None:
         """What follows when it has ended; what may be asked for until then is asked for."""
         assert self._recovery is not None
-        decision = self._safety.step(navigation, vehicle, t_s)
         if decision.action is Action.RELEASE and not self._recovery.has_asked:
             return Next(Phase.RELEASED, decision.reason)
         self.note(navigation, t_s)
-        gap_s = math.inf if self._lost_lately(t_s) else self._safety.gap_s
+        gap_s = math.inf if self._lost_lately(t_s) else gap_s
         match self._recovery.step(vehicle, navigation.estimate, gap_s, t_s):
             case Wish.GO_ON:
                 return Next(self._before)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 
-from vwnav.assemble import Assembled, about_run, assemble
+from vwnav.assemble import Assembled, about_run, assemble, choose_features
 from vwnav.cameras.sources import open_source
 from vwnav.config import load_config, save_config, with_features
 from vwnav.errors import SourceError, VwnavError
@@ -48,10 +48,11 @@ def replay_source(options: ReplayOptions) -> None:
             alone = not any(isinstance(seen, Attitude) for seen in told)
             height_px, width_px = first.image.shape[:2]
             camera = choose_camera(options.camera, options.hfov_deg, width_px, height_px)
-            local_frame = centre_of(pack)
+            local_frame = LocalFrame(*pack.middle, 0.0)
             if alone:
                 config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})
             assembled = assemble(
+                *choose_features(config.features, say),
                 pack,
                 camera,
                 local_frame,
@@ -89,12 +90,6 @@ def choose_camera(
             "positions do not depend on it, heights do"
         )
     return Camera.from_hfov(width_px, height_px, hfov_deg or DEFAULT_HFOV_DEG)
-
-
-def centre_of(pack: MapPack) -> LocalFrame:
-    """NED origin of a run that has no home: the middle of the map, at sea level."""
-    south, west, north, east = pack.bounds
-    return LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
 
 
 def _run(

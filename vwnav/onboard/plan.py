@@ -37,7 +37,7 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     if home is None and options.sim:
         site = parse_site(options.video or DEFAULT_SITE)
         home = (site.home_lat_deg, site.home_lon_deg)
-    home_lat, home_lon = home or _middle(pack)
+    home_lat, home_lon = home or pack.middle
     local_frame = LocalFrame(home_lat, home_lon, pack.elevation_m(home_lat, home_lon) or 0.0)
     route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M)
     about_home = isinstance(route.waypoints[0], LocalWaypoint)
@@ -55,8 +55,3 @@ def _map_path(options: FlyOptions, config: Config) -> Path:
         return Path(text)
     primary, fallback = choose_features(config.features, say)
     return map_pack_of(text, [primary, *([fallback] if fallback else [])])
-
-
-def _middle(pack: MapPack) -> tuple[float, float]:
-    south, west, north, east = pack.bounds
-    return (south + north) / 2.0, (west + east) / 2.0

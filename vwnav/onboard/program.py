@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.assemble import about_run, assemble
+from vwnav.assemble import about_run, assemble, choose_features
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
@@ -149,7 +149,10 @@ def _fly(
 ) -> None:
     pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
     executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
-    assembled = assemble(plan.pack, plan.camera, plan.local_frame, plan.config, executor, say)
+    assembled = assemble(
+        *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
+        plan.config, executor, say,
+    )  # fmt: skip
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, plan.config.features.name, "nadir")

@@ -1,6 +1,5 @@
 """The simulated side of `vwnav fly`: map, vehicle, camera. Nothing of it reaches the pipeline."""
 
-import os
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -16,12 +15,13 @@ from vwnav.sim.named_sites import (
     MAP_M_PER_PX,
     MAP_NORTH_M,
     MAP_SIGMA_M,
+    cache_folder,
     map_raster,
     parse_site,
+    tiles_folder,
 )
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import generator_fingerprint
-from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Array, FeatureExtractor
 
 DEFAULT_SITE = "sim:default"
@@ -39,7 +39,7 @@ def map_pack_of(text: str, extractors: list[FeatureExtractor]) -> Path:
     sets = "_".join(sorted(extractor.feature_set_id for extractor in extractors))
     place = f"{site.home_lat_deg:.6f}_{site.home_lon_deg:.6f}"
     drawn = f"v{generator_fingerprint()}_{MAP_NORTH_M:.0f}x{MAP_EAST_M:.0f}m_{MAP_M_PER_PX}"
-    path = _cache_folder() / f"site{site.seed}_{place}_{drawn}_{sets}.mbtiles"
+    path = cache_folder() / "maps" / f"site{site.seed}_{place}_{drawn}_{sets}.mbtiles"
     if not path.exists():
         say(f"drawing the map of {text}")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def draw_site(
     """
     site = parse_site(text)
     rng = np.random.default_rng(seed)
-    renderer = CameraRenderer(site, camera, RenderConfig(color=False), rng, default_cache_dir())
+    renderer = CameraRenderer(site, camera, RenderConfig(color=False), rng, tiles_folder(site))
     stack.callback(renderer.close)
     frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
     corners = frame.to_ned(route_lat_lon_deg[:, 0], route_lat_lon_deg[:, 1], height_m)
@@ -74,8 +74,3 @@ def draw_site(
     with progress_bar() as progress:
         renderer.prepare(corners, lambda share: progress("site", round(100 * share), 100))
     return renderer
-
-
-def _cache_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "vwnav" / "maps"

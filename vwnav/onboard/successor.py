@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vwnav.assemble import Assembled, about_run, assemble
+from vwnav.assemble import Assembled, about_run, assemble, choose_features
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
 from vwnav.estimation.beginning.starts import Start
@@ -94,7 +94,10 @@ def stand_by(options: FlyOptions) -> None:
     with ExitStack() as stack:
         plan = plan_flight(options, stack)
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
-        assembled = assemble(plan.pack, plan.camera, plan.local_frame, plan.config, executor, say)
+        assembled = assemble(
+            *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
+            plan.config, executor, say,
+        )  # fmt: skip
         _warm(assembled, plan.camera)
         renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()

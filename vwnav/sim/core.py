@@ -11,14 +11,17 @@ from vwnav.sim.copter import messages as copter_messages
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.session import CopterSession
 from vwnav.sim.mavlink.link import MavlinkLink
+from vwnav.sim.multirotor.simulated import STEP_S
+from vwnav.sim.px4 import estimate_messages, messages
 from vwnav.sim.px4 import streams as px4_streams
-from vwnav.sim.px4.px4 import STEP_S, SimulatedPx4
+from vwnav.sim.px4.px4 import SimulatedPx4
 from vwnav.sim.px4.session import Px4Session
 
 _log = logging.getLogger(__name__)
 
 Vehicle = SimulatedPx4 | SimulatedCopter
 Session = Px4Session | CopterSession
+PX4_BUILDERS = messages.BUILDERS | estimate_messages.BUILDERS
 
 
 class Role(Enum):
@@ -128,4 +131,5 @@ def _open(peer: Peer, vehicle: Vehicle, clock: Callable[[], float]) -> Session:
         Role.TRUTH: px4_streams.truth_rates(truth_hz),
     }[peer.role]
     asks_time = peer.role is Role.COMPANION
-    return Px4Session(peer.link, vehicle, px4_streams.schedule_of(rates_hz), clock, asks_time)
+    schedule = px4_streams.schedule_of(rates_hz, PX4_BUILDERS)
+    return Px4Session(peer.link, vehicle, schedule, clock, asks_time)

@@ -1,7 +1,9 @@
 """Sites by name, as commands take them (`sim:SITE`), and their map look as a raster."""
 
 import math
+import os
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -9,7 +11,7 @@ from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import LocalFrame, Window
 from vwnav.maps.build.raster import DrawnSource, local_georeference
 from vwnav.maps.image import MapImage
-from vwnav.sim.site import Site
+from vwnav.sim.site import Site, generator_fingerprint
 
 SITE_PREFIX = "sim:"
 DEFAULT_SEED = 1
@@ -81,3 +83,14 @@ def map_raster(site: Site) -> DrawnSource:
 
     georeference = local_georeference(frame, (north0_m, east0_m), MAP_M_PER_PX)
     return DrawnSource(f"sim:{site.seed}", size_wh, georeference, draw)
+
+
+def cache_folder() -> Path:
+    """The user's own for what is drawn once: `$XDG_CACHE_HOME/vwnav`, else `~/.cache/vwnav`."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    return (Path(root) if root else Path.home() / ".cache") / "vwnav"
+
+
+def tiles_folder(site: Site) -> Path:
+    """Where the tiles of a site are kept, until it is drawn otherwise."""
+    return cache_folder() / f"site-{site.seed}-{generator_fingerprint()}"

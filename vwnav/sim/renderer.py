@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.sim.lens import RenderConfig, Sensor
-from vwnav.sim.site import Site
-from vwnav.sim.tiles import LEVELS_M_PER_PX, TILE_PX, Key, Tile, TileStore, tile_span_m
+from vwnav.sim.tiles import (
+    LEVELS_M_PER_PX,
+    TILE_PX,
+    DrawnGround,
+    Key,
+    Tile,
+    TileStore,
+    tile_span_m,
+)
 from vwnav.types import Array
 
 _MIN_HEIGHT_M = 0.15
@@ -65,20 +72,20 @@ class CameraRenderer:
 
     def __init__(
         self,
-        site: Site,
+        site: DrawnGround,
         camera: Camera,
         config: RenderConfig,
         rng: np.random.Generator,
-        cache_dir: Path | None = None,
+        tiles_folder: Path | None = None,
     ) -> None:
-        """`cache_dir` keeps drawn tiles between runs (see `tiles.default_cache_dir`).
+        """`tiles_folder` keeps drawn tiles between runs (`named_sites.tiles_folder`).
 
         A calibration that knows its read-out has it; else it is that of `config`.
         """
         if camera.readout_s is not None:
             config = replace(config, readout_s=camera.readout_s)
         self._camera, self._config, self._rng = camera, config, rng
-        self._tiles = TileStore(site, cache_dir)
+        self._tiles = TileStore(site, tiles_folder)
         self._sensor = Sensor(camera, config, rng)
         grid = np.indices((camera.height_px, camera.width_px), np.float64)[::-1].reshape(2, -1).T
         rays = camera.bearings(grid)

@@ -1,4 +1,4 @@
-"""Tiles of a site's flight look: drawn once, kept in memory, and on disk where wanted."""
+"""Tiles of the ground: drawn once, kept in memory, and on disk where wanted."""
 
 import logging
 import os
@@ -7,12 +7,11 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-from vwnav.sim.site import Site, generator_fingerprint
 
 LEVELS_M_PER_PX = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)
 TILE_PX = 256
@@ -22,26 +21,33 @@ Tile = NDArray[np.uint8]
 Key = tuple[int, int, int]  # level, row towards south, column towards east
 
 
-def default_cache_dir() -> Path:
-    """The user's cache folder for drawn tiles: `$XDG_CACHE_HOME/vwnav`, else `~/.cache/vwnav`."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "vwnav"
-
-
 def tile_span_m(level: int) -> float:
     """Side of a tile on the ground."""
     return TILE_PX * LEVELS_M_PER_PX[level]
 
 
+class DrawnGround(Protocol):
+    """Ground that can be drawn: what is asked of a `vwnav.sim.site.Site`."""
+
+    def render(
+        self,
+        look: Literal["flight"],
+        north0_m: float,
+        east0_m: float,
+        size: tuple[int, int],
+        m_per_px: float,
+    ) -> NDArray[np.uint8]:
+        """Draw a north-up window (height, width, 3) of it."""
+        ...
+
+
 class TileStore:
     """The flight look as a pyramid of tiles; safe to use from several threads."""
 
-    def __init__(self, site: Site, cache_dir: Path | None = None) -> None:
-        """`cache_dir` None keeps tiles in memory only."""
+    def __init__(self, site: DrawnGround, folder: Path | None = None) -> None:
+        """`folder` keeps tiles of this ground alone; None: in memory only."""
         self._site = site
-        self._folder = None
-        if cache_dir is not None:
-            self._folder = cache_dir / f"site-{site.seed}-{generator_fingerprint()}"
+        self._folder = folder
         self._tiles: OrderedDict[Key, Tile] = OrderedDict()
         self._lock = threading.Lock()
         self._wanted: OrderedDict[Key, None] = OrderedDict()

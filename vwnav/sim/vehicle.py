@@ -12,7 +12,6 @@ import select
 import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Self
 
 from vwnav.clock import Clock
@@ -21,7 +20,7 @@ from vwnav.pace import clock_of
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.mavlink.link import VehicleUdpLink
-from vwnav.sim.px4.px4 import STEP_S
+from vwnav.sim.multirotor.simulated import STEP_S
 
 __all__ = ["PilotPlan", "VehicleConfig", "VehicleProcess", "run_vehicle", "start_vehicle"]
 
@@ -165,12 +164,7 @@ class VehicleProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 

@@ -17,9 +17,9 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
 from vwnav.sim.camera_source import FRAME_HZ
 from vwnav.sim.lens import RenderConfig
+from vwnav.sim.named_sites import tiles_folder
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
-from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Array, Attitude, Frame, Height, ImuSample
 
 RENDERED_S = 130.0
@@ -106,7 +106,7 @@ def exposures(truth: TrueTrajectory) -> NDArray[np.int64]:
 def images(flight: RenderedFlight, camera: Camera) -> Iterator[Frame]:
     """What the camera sees, drawn from the truth image by image."""
     config = RenderConfig(color=False, background=False)
-    renderer = CameraRenderer(flight.site, camera, config, flight.noise, default_cache_dir())
+    renderer = CameraRenderer(flight.site, camera, config, flight.noise, tiles_folder(flight.site))
     truth = flight.truth
     for number, i in enumerate(exposures(truth).tolist()):
         R_ned_body = rotation_from_quat(truth.quat_wxyz[i])

@@ -141,8 +141,8 @@ def fly_rendered(
     extractors = [primary, *([fallback] if fallback else [])]
     with MapPack.open(map_pack_of(f"sim:{flight.site.seed}", extractors)) as pack:
         assembled = assemble(
-            pack, default_camera(), local_frame, config, _executor(flight, clock), say,
-            partial(HeardEkf, clock=clock),
+            primary, fallback, pack, default_camera(), local_frame, config,
+            _executor(flight, clock), say, partial(HeardEkf, clock=clock),
         )  # fmt: skip
         ekf = assembled.ekf
         assert isinstance(ekf, HeardEkf)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.assemble import assemble
+from vwnav.assemble import assemble, choose_features
 from vwnav.bench.features.scenes import generator
 from vwnav.cameras.video_file import VideoFile
 from vwnav.config import Config, with_features
@@ -194,12 +194,13 @@ def _run(
     name: str, film: _Film, chosen: NDArray[np.int64], pack: MapPack, model: Path | None
 ) -> SequenceScore:
     h, w = film.gray[0].shape
-    south, west, north, east = pack.bounds
-    frame = LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
+    frame = LocalFrame(*pack.middle, 0.0)
     config = with_features(Config(), "learned", model)
     config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})
     camera = Camera.from_hfov(w, h, HFOV_DEG)
-    assembled = assemble(pack, camera, frame, config, InlineExecutor(), lambda _: None)
+    features = choose_features(config.features, lambda _: None)
+    executor = InlineExecutor()
+    assembled = assemble(*features, pack, camera, frame, config, executor, lambda _: None)
     t_s = np.abs(film.t_s[chosen] - film.t_s[chosen[0]])
     dark = (t_s >= t_s[-1] / 2.0) & (t_s < t_s[-1] / 2.0 + BLACK_S)
     at, errors_m, sigmas_m, fixed_s, fix_errors_m = [], [], [], [], []

@@ -14,8 +14,7 @@ from vwnav.bench.flights.faults.aircraft import (
 from vwnav.bench.flights.faults.camera import CameraTrouble
 from vwnav.bench.flights.faults.computer import DiskFull, ModelRaises
 from vwnav.bench.flights.scenario import Break, Flown, Scenario
-from vwnav.bench.flights.stage import Place
-from vwnav.bench.flights.world import World
+from vwnav.bench.flights.world import Place, World
 from vwnav.rules.temporal import Span
 
 # Through these all that is sent must stay as steady as ever.

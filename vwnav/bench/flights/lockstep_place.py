@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 
-from vwnav.bench.flights.stage import Place
+from vwnav.bench.flights.world import Place
 from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
 from vwnav.sim.named_sites import parse_site
 from vwnav.sim.renderer import default_camera

@@ -6,19 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from vwnav.assemble import about_run, assemble_with
 from vwnav.bench.flights.noted_link import LockstepWatcher
-from vwnav.bench.flights.stage import Loop, Place
+from vwnav.bench.flights.stage import Loop
 from vwnav.config import Config
 from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.ekf import Ekf
 from vwnav.flight import Flight
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.maps.pack import MapPack
 from vwnav.mavlink.autopilot import LinkedAutopilot
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.mission.mission import Crew, Mission, Phase
 from vwnav.onboard.succession import last_place, start_after
+from vwnav.pipeline import Pipeline
 from vwnav.recording.flight_recorder import FlightRecorder
+from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
@@ -28,7 +29,7 @@ from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
-from vwnav.types import Estimate, FeatureExtractor, Frame, Prior
+from vwnav.types import Estimate, Frame
 from vwnav.vehicle import Navigation, VehicleState
 from vwnav.watchdog.keepalive import KeepAlive
 from vwnav.watchdog.loop import Resume
@@ -43,14 +44,21 @@ class Equipped:
     """What the navigator is built from besides its links.
 
     Attributes:
-        primary: the extractor of images and map, broken or not.
+        watch: over the camera's images.
+        executor: of the pipeline's matching.
+        record: takes every line said.
+        about: the run, in writing.
     """
 
-    place: Place
-    primary: FeatureExtractor
     mission: Mission
     local_frame: LocalFrame
     config: Config
+    watch: CameraWatch
+    pipeline: Pipeline
+    ekf: Ekf
+    executor: LateExecutor
+    record: LockstepWatcher
+    about: About
 
 
 class Navigator:
@@ -58,7 +66,6 @@ class Navigator:
 
     Args:
         link: to the watchdog; `channel` carries the beats.
-        note: takes every line said.
         first_counter: of resets, where it goes on for another one.
     """
 
@@ -71,29 +78,21 @@ class Navigator:
         clock: SimulatedClock,
         processor: Processor,
         costs: Costs,
-        note: Callable[[str], None],
         first_counter: int = 0,
     ) -> None:
-        place, config = equipped.place, equipped.config
+        config = equipped.config
         self._clock = clock
         self._processor = processor
         self._costs = costs
         self._camera = camera
-        self.record = LockstepWatcher(note, clock)
+        self.record, self.executor = equipped.record, equipped.executor
         self.port = PymavlinkPort(link, clock)
         self.autopilot = LinkedAutopilot(
             self.port, clock, ground_station_ids=config.flight.ground_station_ids
         )
         self.keep_alive = KeepAlive(channel, clock)
-        self.executor = LateExecutor(clock, processor, self._cost_of_matching)
-        self.pack = MapPack.open(place.pack)
-        assembled = assemble_with(
-            equipped.primary, place.fallback, self.pack, place.camera, equipped.local_frame,
-            config, self.executor, self.record.event,
-        )  # fmt: skip
-        self.pipeline, self.ekf = assembled.pipeline, assembled.ekf
-        self._about = about_run(assembled, equipped.primary.name, "nadir")
-        self._watch = CameraWatch(place.camera.width_px, place.camera.height_px)
+        self.pipeline, self.ekf = equipped.pipeline, equipped.ekf
+        self._about, self._watch = equipped.about, equipped.watch
         crew = Crew(self.record.event, self._checks)
         self.flight = Flight(
             self.autopilot, equipped.mission, self.keep_alive, crew, config.flight, config.limits,
@@ -276,9 +275,6 @@ class Navigator:
             self._camera_again_s = t_s + _CAMERA_AGAIN_S
             self.record.event(f"the camera fails: {error}")
             return None
-
-    def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
-        return self._costs.search if prior.lat_deg is None else self._costs.match
 
     def _checks(
         self, vehicle: VehicleState, navigation: Navigation, t_s: float

@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from vwnav.bench.flights.track import FlightTrace
+from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.rules.flight_log import (
     CommandAck,
     Heartbeat,
@@ -77,32 +78,6 @@ class NotedLink(ByteLink):
                 heard.beats.append(Heartbeat(t_s, component, m.type))
 
 
-class Recording(Protocol):
-    """What is written while it flies: `vwnav.recording.flight_recorder.FlightRecorder`."""
-
-    def event(self, t_s: float, text: str) -> None:
-        """A line."""
-        ...
-
-    def image(self, step: StepResult, setpoint: VelocitySetpoint | None) -> None:
-        """What an image brought."""
-        ...
-
-    def tick(
-        self,
-        t_s: float,
-        estimate: Estimate | None,
-        vehicle: VehicleState,
-        setpoint: VelocitySetpoint | None,
-    ) -> bool:
-        """The mission ticked."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file."""
-        ...
-
-
 class LockstepWatcher:
     """A `vwnav.seams.Watcher`; a full disk makes it raise.
 
@@ -119,7 +94,7 @@ class LockstepWatcher:
         self._clock = clock
         self.disk_full = False
         self.steps: list[StepResult] = []
-        self.recorder: Recording | None = None
+        self.recorder: FlightRecorder | None = None
         self.setpoint: Callable[[], VelocitySetpoint | None] = lambda: None
 
     def event(self, text: str) -> None:

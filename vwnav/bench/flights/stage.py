@@ -1,23 +1,20 @@
-"""Where a flight in lockstep takes place, what of it may break, and what a fault is.
+"""What of a flight in lockstep may break, and what a fault is.
 
 `bench.flights.world.World` is such a stage, `bench.flights.navigator.Navigator` such a program.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
 from vwnav.bench.flights.setup import Setup
-from vwnav.geometry.camera import Camera
 from vwnav.mavlink.ports.pymavlink_port import PymavlinkPort
 from vwnav.recording.recorder import Recorder
-from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.multirotor.simulated import SimulatedMultirotor
 from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock
-from vwnav.sim.px4.px4 import SimulatedPx4
-from vwnav.sim.site import Site
+from vwnav.sim.tiles import DrawnGround
 from vwnav.types import FeatureExtractor, Features, Gray
 from vwnav.watchdog.keepalive import KeepAlive
 
@@ -79,7 +76,10 @@ class Program(Protocol):
 class Aircraft(Protocol):
     """The simulated vehicle with whoever talks to it (`vwnav.sim.core.VehicleCore`)."""
 
-    vehicle: SimulatedPx4 | SimulatedCopter
+    @property
+    def vehicle(self) -> SimulatedMultirotor:
+        """Another one after a reboot."""
+        ...
 
     def reboot(self) -> None:
         """Start again with the parameters as they are."""
@@ -109,8 +109,8 @@ class FlightStage(Protocol):
         ...
 
     @property
-    def site(self) -> Site:
-        """What the map is of."""
+    def site_seed(self) -> int:
+        """Of the site that the map is of."""
         ...
 
     @property
@@ -123,8 +123,8 @@ class FlightStage(Protocol):
         """Since the mission began."""
         ...
 
-    def show(self, site: Site, kept: bool = True) -> None:
-        """The camera sees this from now on; `kept` keeps its tiles on disk, for other runs."""
+    def show(self, ground: DrawnGround, tiles: Path | None = None) -> None:
+        """The camera sees this from now on; its tiles are kept in that folder, for other runs."""
         ...
 
     def lose_watchdog(self, silent_s: float = 0.0) -> None:
@@ -153,19 +153,3 @@ class Lasting:
 
     def end(self, world: FlightStage) -> None:
         """It stays as it is by now."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """What many flights may share.
-
-    Attributes:
-        pack: path of the map.
-        primary, fallback: extractors, as `vwnav.assemble.choose_features` gives them.
-    """
-
-    site: Site
-    pack: Path
-    camera: Camera
-    primary: FeatureExtractor
-    fallback: FeatureExtractor | None

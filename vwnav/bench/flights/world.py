@@ -5,33 +5,38 @@ import random
 import shutil
 import time
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from vwnav.assemble import about_run, assemble
 from vwnav.bench.flights.navigator import Equipped, LockstepSuccessor, Navigator
-from vwnav.bench.flights.noted_link import NotedLink
+from vwnav.bench.flights.noted_link import LockstepWatcher, NotedLink
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
-from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures, Place
+from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
 from vwnav.estimation.beginning.starts import Start
+from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import Mission, Phase
 from vwnav.rules.flight_log import At
+from vwnav.safety.camera_watch import CameraWatch
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
 from vwnav.sim.lens import RenderConfig
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryLink
 from vwnav.sim.multirotor.setpoint import Setpoint
-from vwnav.sim.processor import Costs, Processor, SimulatedClock
-from vwnav.sim.px4.px4 import STEP_S
+from vwnav.sim.multirotor.simulated import STEP_S
+from vwnav.sim.named_sites import tiles_folder
+from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site
-from vwnav.sim.tiles import default_cache_dir
-from vwnav.types import Array, Estimate
+from vwnav.sim.tiles import DrawnGround
+from vwnav.types import Array, Estimate, FeatureExtractor, Frame, Prior
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 
 _NOTED_EVERY = 5  # steps: 50 Hz
@@ -41,6 +46,22 @@ _LOOKS_S = 3.0  # for the first images to be matched, where they can be
 _AIR_SIGMA_M, _AIR_SIGMA_M_S = 0.5, 0.5
 _SPARE_S = 0.3  # until a waiting watchdog has the link: measured on a busy machine
 _CAMERA_LATENCY_S = 0.04
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """What many flights may share.
+
+    Attributes:
+        pack: path of the map.
+        primary, fallback: extractors, as `vwnav.assemble.choose_features` gives them.
+    """
+
+    site: Site
+    pack: Path
+    camera: Camera
+    primary: FeatureExtractor
+    fallback: FeatureExtractor | None
 
 
 class World:
@@ -113,32 +134,44 @@ class World:
         return Watchdog(links, WatchdogConfig(), self.successor, self.navigator)
 
     def _camera(self, place: Place) -> LockstepCamera:
-        renderer = draw(place.site, self.setup, place)
+        renderer = draw(self.setup, place)
         period_s = 1.0 / self.setup.image_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
     def _navigator(self, place: Place, first_counter: int) -> Navigator:
-        setup = self.setup
-        route = np.array(setup.route_ned_m)
-        mission = Mission(
-            route,
-            about_home=not setup.home_known,
-            home_ne_m=np.array(setup.stands_ne_m) if setup.home_known else None,
-        )
-        equipped = Equipped(place, self.features, mission, self.local_frame, setup.config)
         return Navigator(
-            equipped, self._navigator_link.b, self._beats.b, self.camera, self.clock,
-            self.processor, self.costs, self.note, first_counter,
+            self._equipped(place), self._navigator_link.b, self._beats.b, self.camera, self.clock,
+            self.processor, self.costs, first_counter,
         )  # fmt: skip
 
-    @property
-    def site(self) -> Site:
-        """What the map is of."""
-        return self.place.site
+    def _equipped(self, place: Place) -> Equipped:
+        setup, camera = self.setup, place.camera
+        home_ne_m = np.array(setup.stands_ne_m) if setup.home_known else None
+        route = np.array(setup.route_ned_m)
+        mission = Mission(route, about_home=not setup.home_known, home_ne_m=home_ne_m)
+        record = LockstepWatcher(self.note, self.clock)
+        executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
+        assembled = assemble(
+            self.features, place.fallback, MapPack.open(place.pack), camera, self.local_frame,
+            setup.config, executor, record.event,
+        )  # fmt: skip
+        return Equipped(
+            mission, self.local_frame, setup.config, CameraWatch(camera.width_px, camera.height_px),
+            assembled.pipeline, assembled.ekf, executor, record,
+            about_run(assembled, self.features.name, "nadir"),
+        )  # fmt: skip
 
-    def show(self, site: Site, kept: bool = True) -> None:
-        """The camera sees this from now on; `kept` keeps its tiles on disk, for other runs."""
-        self.camera.renderer = draw(site, self.setup, self.place, kept)
+    def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
+        return self.costs.search if prior.lat_deg is None else self.costs.match
+
+    @property
+    def site_seed(self) -> int:
+        """Of the site that the map is of."""
+        return self.place.site.seed
+
+    def show(self, ground: DrawnGround, tiles: Path | None = None) -> None:
+        """The camera sees this from now on; its tiles are kept in that folder, for other runs."""
+        self.camera.renderer = _draw(ground, tiles, self.setup, self.place.camera)
 
     @property
     def own_map(self) -> Path:
@@ -306,8 +339,11 @@ class World:
             track.phases.append(LogLine(self.t_s, phase))
 
 
-def draw(site: Site, setup: Setup, place: Place, kept: bool = True) -> CameraRenderer:
-    """What the camera sees of a site; `kept` keeps its tiles on disk, for other runs."""
+def draw(setup: Setup, place: Place) -> CameraRenderer:
+    """What the camera sees of the place."""
+    return _draw(place.site, tiles_folder(place.site), setup, place.camera)
+
+
+def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, camera: Camera) -> CameraRenderer:
     rng = np.random.default_rng(setup.seed)
-    config = RenderConfig(color=False, background=False)
-    return CameraRenderer(site, place.camera, config, rng, default_cache_dir() if kept else None)
+    return CameraRenderer(ground, camera, RenderConfig(color=False, background=False), rng, tiles)

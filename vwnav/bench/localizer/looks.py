@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -18,10 +17,8 @@ from vwnav.geometry.geodesy import (
     mercator_px_per_m,
 )
 from vwnav.geometry.rotations import rotation_from_euler, wrap_pi
-from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import RasterSource
-from vwnav.maps.pack import MapPack
-from vwnav.types import Array, FeatureExtractor, Frame, Gray, Prior
+from vwnav.types import Array, Frame, Gray, Prior
 
 # Kinds of looks: at the right place with a rough prior, or with the whole map to search; and at a
 # map that does not show the place at all, likewise.
@@ -227,11 +224,3 @@ def without_place(prior: Prior) -> Prior:
         roll_rad=prior.roll_rad,
         pitch_rad=prior.pitch_rad,
     )
-
-
-def open_board(board: Board, extractor: FeatureExtractor, folder: str) -> MapPack:
-    """The map of a board as a pack in a folder."""
-    path = Path(folder) / "board.mbtiles"
-    options = BuildOptions(levels=board.levels, georeference_sigma_m=0.0)
-    build_pack(board.sources, path, [extractor], options)
-    return MapPack.open(path)

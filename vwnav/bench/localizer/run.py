@@ -11,9 +11,10 @@ from typing import Literal
 import cv2
 
 import vwnav
+from vwnav.bench.localizer.board_map import open_board
 from vwnav.bench.localizer.boards import boards
 from vwnav.bench.localizer.flown import flown_boards
-from vwnav.bench.localizer.looks import Board, open_board
+from vwnav.bench.localizer.looks import Board
 from vwnav.bench.localizer.repeating import repeating_boards
 from vwnav.bench.localizer.scoring import ALL, LocalizerReport, Outcome, judge
 from vwnav.bench.localizer.short_flights import FlownBoard, drawn_boards, flight_boards
@@ -26,7 +27,6 @@ from vwnav.vision.localizer import Localizer
 
 SceneSet = Literal["own", "judge", "repeats"]
 SCENE_SETS: tuple[SceneSet, ...] = ("own", "judge", "repeats")
-FEATURES = ("default", "nano", "default_open", "sift")
 Progress = Callable[[str], None]
 
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import cv2
 
+from vwnav.bench.localizer.board_map import open_board
 from vwnav.bench.localizer.looks import (
     CAMERA,
     ORIGIN_LAT_DEG,
     ORIGIN_LON_DEG,
     Board,
-    open_board,
 )
 from vwnav.bench.localizer.scoring import ShortFlightOutcome, judge
 from vwnav.bench.localizer.short_flights import FlownBoard, ShortFlight

@@ -17,9 +17,9 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler, rotation_from_vector
 from vwnav.maps.image import MapReader
 from vwnav.sim.lens import RenderConfig
+from vwnav.sim.named_sites import tiles_folder
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.site import Site
-from vwnav.sim.tiles import default_cache_dir
 from vwnav.types import Array, FeatureExtractor, Frame, MapFix, OdometryMotion, Prior
 from vwnav.vision.config import LocalizerConfig, OdometryConfig
 from vwnav.vision.localizer import Localizer
@@ -133,7 +133,7 @@ def _drawn(
     """Two images of each moment, 0.1 s apart, with what is told of the motion."""
     config = RenderConfig(color=False, background=False, readout_s=readout_s, vibration_rad=0.0)
     rng = np.random.default_rng([seed, 62])
-    renderer = CameraRenderer(site, camera, config, rng, default_cache_dir())
+    renderer = CameraRenderer(site, camera, config, rng, tiles_folder(site))
     for number, moment in enumerate(moments):
         pair = []
         for i, each in enumerate((moment, moment.later(_STEP_S))):

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.bench.features.scenes import generator
+from vwnav.bench.localizer.board_map import open_board
 from vwnav.bench.localizer.boards import cut_of
 from vwnav.bench.localizer.images import (
     LEAST_SIDE_PX,
@@ -32,7 +33,6 @@ from vwnav.bench.localizer.looks import (
     Board,
     TruePose,
     map_pixel,
-    open_board,
     rough_prior,
 )
 from vwnav.cameras.image_folder import read_image

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vwnav.assemble import assemble_with
+from vwnav.assemble import assemble
 from vwnav.bench.speed.ground import TrialGround
 from vwnav.bench.speed.results import Latency
 from vwnav.bench.speed.settings import CAMERA_HZ, Setting
@@ -62,7 +62,7 @@ def measure_latency(
     config = Config(**setting.as_config(target_hz))  # type: ignore[arg-type]
     clock, over = WallClock(), threading.Event()
     with ThreadPoolExecutor(1, "map matching") as pool:
-        assembled = assemble_with(
+        assembled = assemble(
             extractor, None, pack, ground.camera, ground.local_frame, config, pool, _say_nothing
         )
         assembled.ekf.initialise(_in_the_air(clock(), agl_m))

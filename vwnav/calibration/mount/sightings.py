@@ -62,8 +62,7 @@ class Spotter:
         self._localizer = Localizer(pack, extractor, camera, config)
         self._maker = QueryMaker(camera, extractor, time.perf_counter)
         self._flight, self._history, self._offset_s = flight, history, offset_s
-        south, west, north, east = pack.bounds
-        self.frame = LocalFrame((south + north) / 2.0, (west + east) / 2.0, 0.0)
+        self.frame = LocalFrame(*pack.middle, 0.0)
         self._last: MapFix | None = None
 
     def spot(self, image: Frame) -> Sighting | None:

@@ -15,8 +15,8 @@ from vwnav.errors import VwnavError
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie
-    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.summary import Figure
+    from vwnav.bench.flights.world import Place
     from vwnav.sim.config import Manners
 
 _DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
@@ -102,7 +102,7 @@ def fly_one(campaign: "Campaign", sortie: "Sortie", recording: Path) -> "FlightS
 def _place(site: str) -> "Place":
     """One of each site in a process."""
     from vwnav.assemble import choose_features
-    from vwnav.bench.flights.stage import Place
+    from vwnav.bench.flights.world import Place
     from vwnav.onboard.simulation import map_pack_of
     from vwnav.screen import say
     from vwnav.sim.named_sites import parse_site

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from vwnav.bench.flights.stage import Place
     from vwnav.bench.flights.waypoints import Errors, WaypointsRow
+    from vwnav.bench.flights.world import Place
     from vwnav.types import FeatureName
 
 _WIDTH = 146  # of a file, which has none of its own
@@ -89,7 +89,7 @@ def _place(site: str, features: "FeatureName") -> "Place":
     import cv2
 
     from vwnav.assemble import choose_features
-    from vwnav.bench.flights.stage import Place
+    from vwnav.bench.flights.world import Place
     from vwnav.errors import ModelError
     from vwnav.onboard.simulation import map_pack_of
     from vwnav.screen import say

@@ -1,10 +1,7 @@
 """The simulated ArduCopter as a whole: one `step` is 4 ms of airframe, sensors and control."""
 
 import math
-import random
-from collections import deque
 
-from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.copter.commander import CopterCommander
 from vwnav.sim.copter.estimator import CopterEstimator
@@ -15,18 +12,13 @@ from vwnav.sim.copter.parameters import NO_GPS, CopterParameters
 from vwnav.sim.copter.radio import SETUP, SWITCH_US, Radio
 from vwnav.sim.home import HomePosition
 from vwnav.sim.mavlink.command import Landed, Result, Severity
-from vwnav.sim.multirotor.airframe import Airframe
-from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
-from vwnav.sim.multirotor.sensors import Imu, Sensors
+from vwnav.sim.multirotor.controller import Controller, Gains
 from vwnav.sim.multirotor.setpoint import Setpoint
-from vwnav.sim.multirotor.wind import Wind
+from vwnav.sim.multirotor.simulated import SimulatedMultirotor
 from vwnav.sim.scripted_pilot import ScriptedPilot
 from vwnav.vehicle import FlightMode
 
-STEP_S = 0.004
-_SLOW_EVERY = 5  # 50 Hz: modes, failsafes, barometer, compass, wind
 _TEXTS = 64
-_AGES_S = 1e4  # after which gusts are what they are, whatever they were
 _DRAG_PER_S = 0.384  # recorded: 7 degrees of tilt carry it at 3 m/s
 _LANDED_AFTER_S, _DISARMED_AFTER_S = 1.6, 0.4  # of touch-down, of landing
 _SETTLED_S = 12.0  # after the origin until it may be armed
@@ -48,54 +40,32 @@ _GAINS = Gains(
 )  # fmt: skip
 
 
-class SimulatedCopter:
+class SimulatedCopter(SimulatedMultirotor):
     """State of the vehicle; `step` advances it, MAVLink reads and commands it.
 
     Args:
         config: where it stands and what goes wrong.
         parameters: kept over a reboot, fresh ones when None.
-
-    Attributes:
-        refuses: numbers of commands that it does not take, whatever the reason.
-        gcs_heard_s: when a ground station was, None before.
     """
 
+    estimator: CopterEstimator
+    battery: CopterBattery
+
     def __init__(self, config: VehicleConfig, parameters: CopterParameters | None = None) -> None:
-        self.config = config
+        super().__init__(config, _DRAG_PER_S, _TEXTS)
         self.parameters = parameters or _parameters(config)
-        rng = random.Random(config.seed)
-        heading_rad = math.radians(config.heading_deg)
-        bias_rad = math.radians(config.heading_bias_deg)
-        self.t_s = 0.0
-        self.start_frame = LocalFrame(
-            config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
-        )
-        self.body = Airframe(heading_rad, _DRAG_PER_S)
-        self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
-        self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
-        self.estimator = CopterEstimator(
-            heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters
-        )
-        self.controller = Controller(_GAINS, heading_rad + bias_rad)
+        heading_rad = self._compass_heading_rad
+        self.estimator = CopterEstimator(heading_rad, config.home_alt_amsl_m, self.parameters)
+        self.controller = Controller(_GAINS, heading_rad)
         self.battery = CopterBattery(config.battery_start, config.battery_drain_s, self.parameters)
-        self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
-        self._texts_said = 0
         self.commander = CopterCommander(self.parameters, self.say)
         self.failsafes = Failsafes(self.parameters, self.battery, self.say)
         self.modes = FlightModes(self.parameters)
         self.radio = Radio(self.parameters)
         self.pilot = ScriptedPilot(config.pilot, self.radio, SWITCH_US)
-        self.home: HomePosition | None = None
-        self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
-        self.baro_height_m = 0.0
-        self.landed = True
-        self.gcs_heard_s: float | None = None
-        self.refuses: set[int] = set()
-        self._contact_s = _LANDED_AFTER_S
         self._landed_s = 0.0
         self._changes = 0
         self._boot_texts = list(_BOOT_TEXTS)
-        self._count = 0
 
     @property
     def flight_mode(self) -> FlightMode:
@@ -116,54 +86,23 @@ class SimulatedCopter:
 
         The origin is the start place when none was set.
         """
-        body, estimator, wind, start = self.body, self.estimator, self.wind, self.start_frame
+        estimator, start = self.estimator, self.start_frame
         estimator.set_origin(start.lat_deg, start.lon_deg, start.alt_amsl_m)
         estimator.origin_t_s = min(estimator.origin_t_s, self.t_s - _SETTLED_S)
-        wind.step(-place_ned_m[2], math.hypot(*velocity_ned_m_s), _AGES_S)
-        vn, ve, vd = velocity_ned_m_s
-        lift = body.hover_force(vn - wind.n_m_s, ve - wind.e_m_s, vd - wind.d_m_s)
-        quat_wxyz = attitude_of_force(*lift, heading_rad)
-        body.fly_at(place_ned_m, velocity_ned_m_s, quat_wxyz, math.hypot(*lift))
-        believed = attitude_of_force(
-            *lift, heading_rad + math.radians(self.config.heading_bias_deg)
-        )
-        estimator.align(place_ned_m, velocity_ned_m_s, believed, self.sensors.gyro_bias_rad_s)
-        self.landed, self._contact_s = False, 0.0
+        self._fly_at(place_ned_m, velocity_ned_m_s, heading_rad)
         self._boot_texts.clear()
         self._place_home_at((0.0, 0.0, 0.0))
         self.commander.begin_in_flight(MODE_OF[mode], self.t_s)
         self._enter_mode(0.0)
         self.controller.reset()
-        yaw_rad = estimator.attitude.yaw_rad
+        (vn, ve, vd), yaw_rad = velocity_ned_m_s, estimator.attitude.yaw_rad
         self.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT."""
-        self._texts_said += 1
-        self.texts.append((self._texts_said, severity, text))
+    @property
+    def _motors_turn(self) -> bool:
+        return self.commander.armed
 
-    def step(self) -> None:
-        """Advance by STEP_S."""
-        self.t_s = self._count * STEP_S
-        self._count += 1
-        if self._count % _SLOW_EVERY == 0:
-            self._slow(STEP_S * _SLOW_EVERY)
-        if self._count % 2 == 0:
-            self.controller.step_position(self.estimator, 2.0 * STEP_S, self.landed)
-        commands = self.controller.step_attitude(self.estimator, STEP_S)
-        if not self.commander.armed:
-            commands = (0.0, 0.0, 0.0, 0.0)
-        wind = self.wind
-        self.body.step(commands, (wind.n_m_s, wind.e_m_s, wind.d_m_s), STEP_S)
-        self.imu = self.sensors.imu(self.body)
-        self.estimator.propagate(self.imu, self.t_s, STEP_S, self.landed)
-
-    def _slow(self, dt_s: float) -> None:
-        body, estimator, wind = self.body, self.estimator, self.wind
-        wind.step(-body.d, math.hypot(body.vn - wind.n_m_s, body.ve - wind.e_m_s), dt_s)
-        self.baro_height_m = self.sensors.baro_height_m(body, dt_s)
-        estimator.handle_baro(self.baro_height_m)
-        estimator.handle_compass(self.sensors.compass_rad(body), dt_s)
+    def _decide_all(self, dt_s: float) -> None:
         self._say_boot_texts()
         self._detect_landing(dt_s)
         self._hear_pilot()
@@ -261,13 +200,7 @@ class SimulatedCopter:
 
     def _detect_landing(self, dt_s: float) -> None:
         """Landed after a while on the ground without a push to leave."""
-        controller = self.controller
-        leaving = not controller.setpoint.idle and controller.velocity_sp[2] < -0.1
-        if not self.body.on_ground:
-            self._contact_s = 0.0
-        elif not leaving:
-            self._contact_s += dt_s
-        landed = self.body.on_ground and self._contact_s >= _LANDED_AFTER_S
+        landed = self._stands(dt_s, _LANDED_AFTER_S)
         if landed and not self.landed:
             self._landed_s = self.t_s
         self.landed = landed

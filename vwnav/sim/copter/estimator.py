@@ -98,10 +98,6 @@ class CopterEstimator(InertialFilter):
         down_m = self.alt_amsl_m - self.start_alt_amsl_m - height_m
         self.down.fuse_position(down_m - self.down.x, _variance(self._parameters["EK3_ALT_M_NSE"]))
 
-    def handle_compass(self, heading_rad: float, dt_s: float) -> None:
-        """Fuse a compass heading: vision's yaw is not asked for."""
-        self.attitude.correct_heading(heading_rad, False, dt_s)
-
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> bool:
         """Place the local frame on the earth; False when it has its place already."""
         if self.origin is not None:

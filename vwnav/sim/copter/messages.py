@@ -12,7 +12,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode, base_mode
 from vwnav.sim.mavlink.schedule import Schedule
-from vwnav.sim.multirotor.sensors import FIELD_GAUSS, pressure_hpa
+from vwnav.sim.mavlink.units import cm_s, int16, mm, ms, us
+from vwnav.sim.multirotor.messages import (
+    attitude,
+    attitude_quaternion,
+    distance_sensor,
+    field_gauss,
+    system_time,
+)
+from vwnav.sim.multirotor.sensors import pressure_hpa
 
 Builder = Callable[[SimulatedCopter], Any]
 
@@ -69,27 +77,13 @@ def ekf_status_report(v: SimulatedCopter) -> Any:
     return mavlink.MAVLink_ekf_status_report_message(v.estimator.flags, 0.1, 0.1, 0.005, 0.01, 0.0)
 
 
-def attitude(v: SimulatedCopter) -> Any:
-    """Euler angles and body rates of the estimator."""
-    filter_ = v.estimator.attitude
-    return mavlink.MAVLink_attitude_message(_ms(v), *filter_.euler_rad, *filter_.rates)
-
-
-def attitude_quaternion(v: SimulatedCopter) -> Any:
-    """Quaternion and body rates of the estimator."""
-    filter_ = v.estimator.attitude
-    return mavlink.MAVLink_attitude_quaternion_message(
-        _ms(v), *filter_.quat_wxyz, *filter_.rates, [0.0] * 4
-    )
-
-
 def local_position_ned(v: SimulatedCopter) -> Any:
     """Position and velocity of the estimator about its origin; nothing before the first."""
     e = v.estimator
     if not e.ever_aided:
         return None
     return mavlink.MAVLink_local_position_ned_message(
-        _ms(v), e.north.x, e.east.x, e.down.x, e.north.v, e.east.v, e.down.v
+        ms(v.t_s), e.north.x, e.east.x, e.down.x, e.north.v, e.east.v, e.down.v
     )
 
 
@@ -100,13 +94,13 @@ def global_position_int(v: SimulatedCopter) -> Any:
     place = e.geodetic()
     if place is None:
         return mavlink.MAVLink_global_position_int_message(
-            _ms(v), 0, 0, 0, 0, 0, 0, 0, heading_cdeg
+            ms(v.t_s), 0, 0, 0, 0, 0, 0, 0, heading_cdeg
         )
     lat, lon, alt = place
     above_m = alt - (v.home.alt_amsl_m if v.home is not None else e.start_alt_amsl_m)
-    speed = (_cm_s(e.north.v), _cm_s(e.east.v), _cm_s(e.down.v))
+    speed = (cm_s(e.north.v), cm_s(e.east.v), cm_s(e.down.v))
     return mavlink.MAVLink_global_position_int_message(
-        _ms(v), round(lat * 1e7), round(lon * 1e7), _mm(alt), _mm(above_m), *speed, heading_cdeg
+        ms(v.t_s), round(lat * 1e7), round(lon * 1e7), mm(alt), mm(above_m), *speed, heading_cdeg
     )
 
 
@@ -114,35 +108,25 @@ def highres_imu(v: SimulatedCopter) -> Any:
     """Inertial sensors, magnetic field in the body, barometer."""
     imu = v.imu
     inertial = (imu.ax, imu.ay, imu.az, imu.p, imu.q, imu.r)
-    field_milligauss = [1e3 * axis for axis in _field_gauss(v)]
+    field_milligauss = [1e3 * axis for axis in field_gauss(v)]
     return mavlink.MAVLink_highres_imu_message(
-        _us(v), *inertial, *field_milligauss, _pressure_hpa(v), 0.0, 0.0, 25.0, 8191
+        us(v.t_s), *inertial, *field_milligauss, _pressure_hpa(v), 0.0, 0.0, 25.0, 8191
     )
 
 
 def raw_imu(v: SimulatedCopter) -> Any:
     """The same in milli-g, milliradians a second and milligauss."""
-    return mavlink.MAVLink_raw_imu_message(_us(v), *_scaled(v), 0, 2500)
+    return mavlink.MAVLink_raw_imu_message(us(v.t_s), *_scaled(v), 0, 2500)
 
 
 def scaled_imu(v: SimulatedCopter) -> Any:
     """The same, with another stamp."""
-    return mavlink.MAVLink_scaled_imu_message(_ms(v), *_scaled(v), 2500)
+    return mavlink.MAVLink_scaled_imu_message(ms(v.t_s), *_scaled(v), 2500)
 
 
 def scaled_pressure(v: SimulatedCopter) -> Any:
     """Barometer."""
-    return mavlink.MAVLink_scaled_pressure_message(_ms(v), _pressure_hpa(v), 0.0, 2695)
-
-
-def distance_sensor(v: SimulatedCopter) -> Any:
-    """Downward rangefinder, in cm."""
-    distance_m = v.sensors.range_m(v.body)
-    if distance_m is None or distance_m > 100.0:
-        return None
-    return mavlink.MAVLink_distance_sensor_message(
-        _ms(v), 0, 10000, round(100.0 * distance_m), 0, 0, 25, 0, signal_quality=100
-    )
+    return mavlink.MAVLink_scaled_pressure_message(ms(v.t_s), _pressure_hpa(v), 0.0, 2695)
 
 
 def battery_status(v: SimulatedCopter) -> Any:
@@ -160,7 +144,7 @@ def home_position(v: SimulatedCopter) -> Any:
     home = v.home
     if home is None:
         return None
-    place = (round(home.lat_deg * 1e7), round(home.lon_deg * 1e7), _mm(home.alt_amsl_m))
+    place = (round(home.lat_deg * 1e7), round(home.lon_deg * 1e7), mm(home.alt_amsl_m))
     return mavlink.MAVLink_home_position_message(
         *place, *home.local_m, _NO_QUATERNION, 0.0, 0.0, 0.0, round(home.t_s * 1e6)
     )
@@ -171,8 +155,8 @@ def gps_global_origin(v: SimulatedCopter) -> Any:
     origin = v.estimator.origin
     if origin is None:
         return None
-    place = (round(origin.lat_deg * 1e7), round(origin.lon_deg * 1e7), _mm(origin.alt_amsl_m))
-    return mavlink.MAVLink_gps_global_origin_message(*place, _us(v))
+    place = (round(origin.lat_deg * 1e7), round(origin.lon_deg * 1e7), mm(origin.alt_amsl_m))
+    return mavlink.MAVLink_gps_global_origin_message(*place, us(v.t_s))
 
 
 def gps_raw_int(v: SimulatedCopter) -> Any:
@@ -201,14 +185,14 @@ def nav_controller_output(v: SimulatedCopter) -> Any:
 def servo_output_raw(v: SimulatedCopter) -> Any:
     """Rotor commands in microseconds."""
     rotors = [round(1000 + 1000 * f) for f in v.body.rotors]
-    return mavlink.MAVLink_servo_output_raw_message(_us(v) % 2**32, 0, *rotors, *([0] * 12))
+    return mavlink.MAVLink_servo_output_raw_message(us(v.t_s) % 2**32, 0, *rotors, *([0] * 12))
 
 
 def rc_channels(v: SimulatedCopter) -> Any:
     """The radio's channels."""
     heard = v.radio.channels_us
     channels = [*heard, *([0] * (18 - len(heard)))]
-    return mavlink.MAVLink_rc_channels_message(_ms(v), len(heard), *channels, 255)
+    return mavlink.MAVLink_rc_channels_message(ms(v.t_s), len(heard), *channels, 255)
 
 
 def mission_current(v: SimulatedCopter) -> Any:
@@ -223,12 +207,7 @@ def power_status(v: SimulatedCopter) -> Any:
 
 def vibration(v: SimulatedCopter) -> Any:
     """A quiet airframe."""
-    return mavlink.MAVLink_vibration_message(_us(v), 0.003, 0.003, 0.003, 0, 0, 0)
-
-
-def system_time(v: SimulatedCopter) -> Any:
-    """Time since boot; without GPS the time of day is not known."""
-    return mavlink.MAVLink_system_time_message(0, _ms(v))
+    return mavlink.MAVLink_vibration_message(us(v.t_s), 0.003, 0.003, 0.003, 0, 0, 0)
 
 
 def autopilot_version(v: SimulatedCopter) -> Any:
@@ -251,17 +230,11 @@ def sim_state(v: SimulatedCopter) -> Any:
     )  # fmt: skip
 
 
-def _field_gauss(v: SimulatedCopter) -> tuple[float, float, float]:
-    r00, r01, r02, _, _, _, r20, r21, r22 = v.body.rotation
-    flat, down = FIELD_GAUSS
-    return flat * r00 + down * r20, flat * r01 + down * r21, flat * r02 + down * r22
-
-
 def _scaled(v: SimulatedCopter) -> tuple[int, ...]:
     imu = v.imu
-    force = (_int16(_MILLI_G * axis) for axis in (imu.ax, imu.ay, imu.az))
-    rates = (_int16(1e3 * axis) for axis in (imu.p, imu.q, imu.r))
-    return (*force, *rates, *(_int16(1e3 * axis) for axis in _field_gauss(v)))
+    force = (int16(_MILLI_G * axis) for axis in (imu.ax, imu.ay, imu.az))
+    rates = (int16(1e3 * axis) for axis in (imu.p, imu.q, imu.r))
+    return (*force, *rates, *(int16(1e3 * axis) for axis in field_gauss(v)))
 
 
 def _pressure_hpa(v: SimulatedCopter) -> float:
@@ -270,26 +243,6 @@ def _pressure_hpa(v: SimulatedCopter) -> float:
 
 def _current_ca(v: SimulatedCopter) -> int:
     return 0 if v.landed else _CURRENT_CA
-
-
-def _int16(value: float) -> int:
-    return max(-32768, min(32767, round(value)))
-
-
-def _cm_s(speed_m_s: float) -> int:
-    return _int16(100.0 * speed_m_s)
-
-
-def _mm(height_m: float) -> int:
-    return max(-(2**31), min(2**31 - 1, round(1000.0 * height_m)))
-
-
-def _ms(v: SimulatedCopter) -> int:
-    return int(1000.0 * v.t_s)
-
-
-def _us(v: SimulatedCopter) -> int:
-    return int(1e6 * v.t_s)
 
 
 BUILDERS: dict[int, Builder] = {

@@ -1,22 +1,37 @@
-"""What the simulated ArduCopter hears and says on one link."""
+"""What the simulated ArduCopter hears and says on one link, and does when it is commanded."""
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.sim.copter import vision_input
-from vwnav.sim.copter.commands import CopterCommandContext, execute
 from vwnav.sim.copter.copter import SimulatedCopter
-from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place
-from vwnav.sim.mavlink.conversation import Conversation
+from vwnav.sim.copter.modes import Mode
+from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place, message_id
+from vwnav.sim.mavlink.conversation import (
+    GET_MESSAGE_INTERVAL,
+    CommandContext,
+    Conversation,
+    accept,
+    arm,
+    get_interval,
+    reboot,
+    request_version,
+    set_home,
+)
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages
 from vwnav.sim.mavlink.velocity_target import setpoint_of
 
 _ORIGIN = 49
+
+
+_CUSTOM_MODE_ENABLED = 1
+_SHORTEST_US = 3125.0  # a shorter interval is denied
 
 
 class CopterSession(Conversation[SimulatedCopter]):
@@ -66,7 +81,7 @@ class CopterSession(Conversation[SimulatedCopter]):
                     self._send(message)
 
     def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
-        context = CopterCommandContext(self._vehicle, self._schedule, [])
+        context = CommandContext(self._vehicle, self._schedule, [])
         result = execute(command, context)
         return result, context.send_now, context.reboot
 
@@ -124,3 +139,70 @@ class CopterSession(Conversation[SimulatedCopter]):
         if m.tc1 == 0:
             now_ns = round(self._clock() * 1e9)
             self._answer(mavlink.MAVLink_timesync_message(now_ns, m.ts1))
+
+
+Handler = Callable[[VehicleCommand, CommandContext[SimulatedCopter]], Result]
+
+
+def execute(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+    """Do a command and say how it went, in ArduCopter's result codes."""
+    handler = _HANDLERS.get(command.number)
+    if command.number in context.vehicle.refuses:
+        return Result.FAILED
+    return Result.UNSUPPORTED if handler is None else handler(command, context)
+
+
+def _takeoff(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+    return context.vehicle.take_off(command.z) if math.isfinite(command.z) else Result.FAILED
+
+
+def _mode(wanted: Mode) -> Handler:
+    return lambda _, context: context.vehicle.ask(wanted)
+
+
+def _set_mode(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+    if not all(map(math.isfinite, (command.p1, command.p2))):
+        return Result.FAILED
+    if not int(command.p1) & _CUSTOM_MODE_ENABLED:
+        return Result.UNSUPPORTED
+    wanted = next((mode for mode in Mode if mode == int(command.p2)), None)
+    return Result.FAILED if wanted is None else context.vehicle.ask(wanted)
+
+
+def _set_interval(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+    number, interval_us = message_id(command.p1), command.p2
+    if number is None or math.isnan(interval_us):
+        return Result.DENIED
+    if number not in context.schedule.builders:
+        text = f"No ap_message for mavlink id ({number})"
+        context.vehicle.say(Severity.INFO, text)
+        return Result.DENIED
+    if 0.0 < interval_us < _SHORTEST_US:
+        return Result.DENIED
+    context.schedule.set_interval(number, interval_us, context.vehicle.t_s)
+    return Result.ACCEPTED
+
+
+def _request(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+    number = message_id(command.p1)
+    if number is None or number not in context.schedule.builders:
+        return Result.FAILED
+    context.send_now.append(number)
+    return Result.ACCEPTED
+
+
+_HANDLERS: dict[int, Handler] = {
+    17: _mode(Mode.LOITER),  # NAV_LOITER_UNLIM
+    20: _mode(Mode.RTL),
+    21: _mode(Mode.LAND),
+    22: _takeoff,
+    176: _set_mode,
+    178: accept,  # DO_CHANGE_SPEED
+    179: partial(set_home, Result.FAILED),
+    246: partial(reboot, (Result.FAILED, Result.UNSUPPORTED)),
+    400: arm,
+    GET_MESSAGE_INTERVAL: get_interval,
+    511: _set_interval,
+    512: _request,
+    520: request_version,
+}

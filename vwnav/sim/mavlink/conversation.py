@@ -3,16 +3,18 @@
 import heapq
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.sim.config import VehicleConfig
-from vwnav.sim.mavlink.command import Result, VehicleCommand
+from vwnav.sim.mavlink.command import FORCE_MAGIC, Result, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 
-MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 244, 510, 512
+AUTOPILOT_VERSION, MESSAGE_INTERVAL = 148, 244
+GET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 512
 _PARAMETERS_AT_ONCE = 4
 
 
@@ -89,8 +91,8 @@ class Conversation(ABC, Generic[VehicleT]):
     def say(self) -> None:
         """Send what is due."""
         t_s = self._vehicle.t_s
-        for message_id in self._schedule.due(t_s):
-            self._send(self._schedule.builders[message_id](self._vehicle))
+        for number in self._schedule.due(t_s):
+            self._send(self._schedule.builders[number](self._vehicle))
         for answer in self._answers.due(t_s):
             self._send(answer)
         if t_s >= self._timesync_due_s:
@@ -130,12 +132,12 @@ class Conversation(ABC, Generic[VehicleT]):
                 self._answer(built)
         self._reboot_wanted = self._reboot_wanted or reboot
 
-    def _requested(self, message_id: int, command: VehicleCommand) -> Any:
-        if message_id == MESSAGE_INTERVAL and command.number == GET_MESSAGE_INTERVAL:
+    def _requested(self, number: int, command: VehicleCommand) -> Any:
+        if number == MESSAGE_INTERVAL and command.number == GET_MESSAGE_INTERVAL:
             asked = int(command.p1)
             interval_us = self._schedule.interval_us(asked)
             return mavlink.MAVLink_message_interval_message(asked, interval_us)
-        builder = self._schedule.builders.get(message_id)
+        builder = self._schedule.builders.get(number)
         return None if builder is None else builder(self._vehicle)
 
     def _mission_list(self, m: Any) -> None:
@@ -165,3 +167,70 @@ class Answers:
         while self._waiting and self._waiting[0][0] <= t_s:
             found.append(heapq.heappop(self._waiting)[2])
         return found
+
+
+@dataclass(slots=True)
+class CommandContext(Generic[VehicleT]):
+    """What a command may touch besides the vehicle: its link's streams, and a message to send."""
+
+    vehicle: VehicleT
+    schedule: Schedule
+    send_now: list[int]
+    reboot: bool = False
+
+
+def arm(command: VehicleCommand, context: CommandContext[Any]) -> Result:
+    """COMPONENT_ARM_DISARM; where it is armed is home."""
+    v = context.vehicle
+    forced = command.p2 == FORCE_MAGIC
+    result: Result = Result.UNSUPPORTED
+    if command.p1 == 1.0:
+        result = v.commander.arm(v.health, forced, v.t_s)
+        if result is Result.ACCEPTED:
+            v.set_home_here()
+    elif command.p1 == 0.0:
+        result = v.commander.disarm(v.health, forced)
+    return result
+
+
+def request_version(_: VehicleCommand, context: CommandContext[Any]) -> Result:
+    """REQUEST_AUTOPILOT_CAPABILITIES."""
+    context.send_now.append(AUTOPILOT_VERSION)
+    return Result.ACCEPTED
+
+
+def get_interval(command: VehicleCommand, context: CommandContext[Any]) -> Result:
+    """How often a message is sent."""
+    if message_id(command.p1) is None:
+        return Result.DENIED
+    context.send_now.append(MESSAGE_INTERVAL)
+    return Result.ACCEPTED
+
+
+def set_home(refusal: Result, command: VehicleCommand, context: CommandContext[Any]) -> Result:
+    """DO_SET_HOME; an autopilot has its own word for what it refuses."""
+    v = context.vehicle
+    if command.p1 == 1.0:
+        done = v.set_home_here()
+    elif is_place(command.x, command.y, command.z):
+        done = v.set_home(command.x, command.y, command.z)
+    else:
+        return Result.DENIED
+    return Result.ACCEPTED if done else refusal
+
+
+def reboot(
+    refusals: tuple[Result, Result], command: VehicleCommand, context: CommandContext[Any]
+) -> Result:
+    """PREFLIGHT_REBOOT_SHUTDOWN; refused when armed, and where something else than a reboot."""
+    if context.vehicle.commander.armed:
+        return refusals[0]
+    if command.p1 != 1.0:
+        return refusals[1]
+    context.reboot = True
+    return Result.ACCEPTED
+
+
+def accept(_: VehicleCommand, __: CommandContext[Any]) -> Result:
+    """Nothing comes of it."""
+    return Result.ACCEPTED

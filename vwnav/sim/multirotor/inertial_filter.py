@@ -1,6 +1,7 @@
 """What every autopilot's estimator does alike: dead reckoning by IMU, barometer and compass."""
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 
@@ -22,7 +23,7 @@ _ERROR_NOISE = 0.03  # m/s^2 per sqrt(s): how fast tilt and bias errors wander
 _ERROR_LIMIT_M_S2 = 1.5
 
 
-class InertialFilter:
+class InertialFilter(ABC):
     """Position, velocity and attitude as the vehicle believes them, NED about its origin.
 
     An autopilot's own estimator adds `_maintain` and what aids it.
@@ -83,6 +84,15 @@ class InertialFilter:
             self._maintain(self._slow_s, on_ground)
             self._slow_s = 0.0
 
+    @abstractmethod
+    def handle_baro(self, height_m: float) -> None:
+        """Fuse a barometric height over the start place."""
+
+    def handle_compass(self, heading_rad: float, dt_s: float) -> None:
+        """Fuse a compass heading."""
+        self.attitude.correct_heading(heading_rad, False, dt_s)
+
+    @abstractmethod
     def _maintain(self, dt_s: float, on_ground: bool) -> None:
         """What is known without a measurement, every 20 ms."""
 

@@ -134,7 +134,7 @@ class Px4Estimator(InertialFilter):
     def handle_compass(self, heading_rad: float, dt_s: float) -> None:
         """Fuse a compass heading, unless vision gives one."""
         if self.t_s - self._last_vision_yaw_s > 1.0:
-            self.attitude.correct_heading(heading_rad, False, dt_s)
+            super().handle_compass(heading_rad, dt_s)
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
         """Place the local frame on the earth; too late, while vision is fused, it goes wrong."""

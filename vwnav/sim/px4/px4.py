@@ -1,18 +1,13 @@
 """The simulated PX4 as a whole: one `step` is 4 ms of airframe, sensors, estimator and control."""
 
 import math
-import random
-from collections import deque
 
-from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.home import HomePosition
 from vwnav.sim.mavlink.command import Severity
-from vwnav.sim.multirotor.airframe import Airframe
-from vwnav.sim.multirotor.controller import Controller, Gains, attitude_of_force
-from vwnav.sim.multirotor.sensors import Imu, Sensors
+from vwnav.sim.multirotor.controller import Controller, Gains
 from vwnav.sim.multirotor.setpoint import Setpoint
-from vwnav.sim.multirotor.wind import Wind
+from vwnav.sim.multirotor.simulated import SimulatedMultirotor
 from vwnav.sim.px4.commander import Px4Commander
 from vwnav.sim.px4.estimator import Px4Estimator
 from vwnav.sim.px4.failsafe import Px4Battery, Px4Health
@@ -23,66 +18,42 @@ from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
 from vwnav.sim.scripted_pilot import ScriptedPilot
 from vwnav.vehicle import FlightMode
 
-STEP_S = 0.004
-_SLOW_EVERY = 5  # 50 Hz: commander, flight tasks, barometer, compass, wind
 _LANDED_AFTER_S = 1.0
 _PROBATION_S = 1.0  # of a position that came back: Offboard returns 1 to 2 s after the vision
 _TEXTS = 32
 # Recorded on PX4's own simulated quadrotor: levelled at 41 m/s it slows down by 0.18 of its speed
 # per second, and 45 degrees of tilt carry it to 63 m/s. 6 m/s of wind are held with 5.9 degrees.
 _DRAG_PER_S = 0.17
-_AGES_S = 1e4  # after which gusts are what they are, whatever they were
 # After an origin the declination is looked up and the heading settles (recorded on PX4 1.18: the
 # prearm bit is set 5 s after the origin, gone 2 s later, and steady 13 s after it).
 _HEADING_UNSETTLED_S = ((0.0, 5.0), (7.0, 13.0))
 
 
-class SimulatedPx4:
+class SimulatedPx4(SimulatedMultirotor):
     """State of the vehicle; `step` advances it, MAVLink reads and commands it.
 
     Args:
         config: where it stands and what goes wrong.
         parameters: kept over a reboot, fresh ones when None.
-
-    Attributes:
-        refuses: numbers of commands that it does not take, whatever the reason.
     """
 
+    estimator: Px4Estimator
+    battery: Px4Battery
+
     def __init__(self, config: VehicleConfig, parameters: Px4Parameters | None = None) -> None:
-        self.config = config
+        super().__init__(config, _DRAG_PER_S, _TEXTS)
         self.parameters = parameters or _parameters(config)
-        rng = random.Random(config.seed)
-        heading_rad = math.radians(config.heading_deg)
-        bias_rad = math.radians(config.heading_bias_deg)
-        self.t_s = 0.0
-        self.start_frame = LocalFrame(
-            config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
-        )
-        self.body = Airframe(heading_rad, _DRAG_PER_S)
-        self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
-        self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
-        self.estimator = Px4Estimator(
-            heading_rad + bias_rad, config.home_alt_amsl_m, self.parameters
-        )
-        self.controller = Controller(gains_of(self.parameters), heading_rad + bias_rad)
+        heading_rad = self._compass_heading_rad
+        self.estimator = Px4Estimator(heading_rad, config.home_alt_amsl_m, self.parameters)
+        self.controller = Controller(gains_of(self.parameters), heading_rad)
         self.battery = Px4Battery(config.battery_start, self.parameters)
         self.tasks = FlightTasks(self.parameters)
-        self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=_TEXTS)
-        self._texts_said = 0
         self.commander = Px4Commander(self.parameters, self.say)
         self.manual = ManualInput(self.parameters)
         self.pilot = ScriptedPilot(config.pilot, self.manual, SWITCH_US)
-        self.home: HomePosition | None = None
-        self.imu = Imu(0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
-        self.baro_height_m = 0.0
-        self.landed = True
         self.offboard: Setpoint | None = None
         self.offboard_s = -math.inf
-        self.gcs_heard_s: float | None = None
-        self.refuses: set[int] = set()
-        self._contact_s = _LANDED_AFTER_S
         self._position_lost_s = 0.0
-        self._count = 0
         self._state = NavState.HOLD
         self.health = self._health()
 
@@ -104,21 +75,12 @@ class SimulatedPx4:
         The origin is the start place when none was set. What it is asked to do lasts as long as
         any setpoint.
         """
-        body, estimator, wind = self.body, self.estimator, self.wind
+        estimator = self.estimator
         if estimator.origin is None:
             frame = self.start_frame
             estimator.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
         estimator.origin_t_s = min(estimator.origin_t_s, self.t_s - _HEADING_UNSETTLED_S[-1][1])
-        wind.step(-place_ned_m[2], math.hypot(*velocity_ned_m_s), _AGES_S)
-        vn, ve, vd = velocity_ned_m_s
-        lift = body.hover_force(vn - wind.n_m_s, ve - wind.e_m_s, vd - wind.d_m_s)
-        quat_wxyz = attitude_of_force(*lift, heading_rad)
-        body.fly_at(place_ned_m, velocity_ned_m_s, quat_wxyz, math.hypot(*lift))
-        believed = attitude_of_force(
-            *lift, heading_rad + math.radians(self.config.heading_bias_deg)
-        )
-        estimator.align(place_ned_m, velocity_ned_m_s, believed, self.sensors.gyro_bias_rad_s)
-        self.landed, self._contact_s = False, 0.0
+        self._fly_at(place_ned_m, velocity_ned_m_s, heading_rad)
         self._position_lost_s = self.t_s - _PROBATION_S
         home = self.start_frame
         self.set_home(home.lat_deg, home.lon_deg, home.alt_amsl_m)
@@ -127,38 +89,15 @@ class SimulatedPx4:
         self._state = state
         self.tasks.enter(state, estimator)
         self.controller.reset()
-        yaw_rad = estimator.attitude.yaw_rad
+        (vn, ve, vd), yaw_rad = velocity_ned_m_s, estimator.attitude.yaw_rad
         self.set_target(Setpoint(vn_m_s=vn, ve_m_s=ve, vd_m_s=vd, yaw_rad=yaw_rad))
         self.look()
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT for the ground stations."""
-        self._texts_said += 1
-        self.texts.append((self._texts_said, severity, text))
+    @property
+    def _motors_turn(self) -> bool:
+        return self.commander.armed
 
-    def step(self) -> None:
-        """Advance by STEP_S."""
-        self.t_s = self._count * STEP_S
-        self._count += 1
-        if self._count % _SLOW_EVERY == 0:
-            self._slow(STEP_S * _SLOW_EVERY)
-        if self._count % 2 == 0:
-            self.controller.step_position(self.estimator, 2.0 * STEP_S, self.landed)
-        commands = self.controller.step_attitude(self.estimator, STEP_S)
-        if not self.commander.armed:
-            commands = (0.0, 0.0, 0.0, 0.0)
-        wind = self.wind
-        self.body.step(commands, (wind.n_m_s, wind.e_m_s, wind.d_m_s), STEP_S)
-        self.imu = self.sensors.imu(self.body)
-        self.estimator.propagate(self.imu, self.t_s, STEP_S, self.landed)
-
-    def _slow(self, dt_s: float) -> None:
-        body, estimator = self.body, self.estimator
-        wind = self.wind
-        wind.step(-body.d, math.hypot(body.vn - wind.n_m_s, body.ve - wind.e_m_s), dt_s)
-        self.baro_height_m = self.sensors.baro_height_m(body, dt_s)
-        estimator.handle_baro(self.baro_height_m)
-        estimator.handle_compass(self.sensors.compass_rad(body), dt_s)
+    def _decide_all(self, dt_s: float) -> None:
         self.battery.step(self.commander.armed, dt_s)
         self.pilot.step(self.t_s)
         self._detect_landing(dt_s)
@@ -261,15 +200,10 @@ class SimulatedPx4:
         As PX4's land detector: a velocity that it believes in keeps it armed on the ground
         (recorded: 8 s, while estimates of 60 m/s came).
         """
-        controller, estimator = self.controller, self.estimator
-        leaving = not controller.setpoint.idle and controller.velocity_sp[2] < -0.1
+        estimator = self.estimator
         speed_m_s = math.hypot(estimator.north.v, estimator.east.v)
         moving = estimator.local_position_ok and speed_m_s > self.parameters["LNDMC_XY_VEL_MAX"]
-        if not self.body.on_ground or moving:
-            self._contact_s = 0.0
-        elif not leaving:
-            self._contact_s += dt_s
-        landed = self.body.on_ground and self._contact_s >= _LANDED_AFTER_S
+        landed = self._stands(dt_s, _LANDED_AFTER_S, moving)
         if landed and not self.landed:
             self.say(Severity.INFO, "Landing detected\t")
         self.landed = landed

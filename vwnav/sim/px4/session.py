@@ -1,23 +1,35 @@
-"""What the simulated PX4 hears and says on one link."""
+"""What the simulated PX4 hears and says on one link, and does when it is commanded."""
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place
-from vwnav.sim.mavlink.conversation import Conversation
+from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place, message_id
+from vwnav.sim.mavlink.conversation import (
+    GET_MESSAGE_INTERVAL,
+    CommandContext,
+    Conversation,
+    accept,
+    arm,
+    get_interval,
+    reboot,
+    request_version,
+    set_home,
+)
 from vwnav.sim.mavlink.link import MavlinkLink
 from vwnav.sim.mavlink.schedule import Schedule
 from vwnav.sim.mavlink.texts import text_messages
 from vwnav.sim.mavlink.timesync import TimesyncFilter
 from vwnav.sim.mavlink.velocity_target import setpoint_of
 from vwnav.sim.px4 import vision_input
-from vwnav.sim.px4.commands import Px4CommandContext, execute
+from vwnav.sim.px4.modes import NavState, state_of_custom_mode
 from vwnav.sim.px4.parameters import HASH_CHECK
 from vwnav.sim.px4.px4 import SimulatedPx4
 
+_CUSTOM_MODE_ENABLED = 1
 _GCS_SILENT_S = 5.0
 # PX4 takes these for its own system id only (mavlink_receiver.cpp, mavlink_parameters.cpp).
 _NEVER_BROADCAST = frozenset(
@@ -99,7 +111,7 @@ class Px4Session(Conversation[SimulatedPx4]):
             self._send(message)
 
     def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
-        context = Px4CommandContext(self._vehicle, self._schedule, [])
+        context = CommandContext(self._vehicle, self._schedule, [])
         result = execute(command, context)
         return result, context.send_now, context.reboot
 
@@ -190,3 +202,86 @@ class Px4Session(Conversation[SimulatedPx4]):
         if m.target_system == 0:
             source = (m.get_srcSystem(), m.get_srcComponent())
             self._send(mavlink.MAVLink_ping_message(m.time_usec, m.seq, *source))
+
+
+Handler = Callable[[VehicleCommand, CommandContext[SimulatedPx4]], Result]
+
+
+def execute(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    """Do a command and say how it went, in PX4's result codes."""
+    handler = _HANDLERS.get(command.number)
+    context.vehicle.look()
+    if command.number in context.vehicle.refuses:
+        return Result.TEMPORARILY_REJECTED
+    return Result.UNSUPPORTED if handler is None else handler(command, context)
+
+
+def _takeoff(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    v = context.vehicle
+    result = v.commander.ask(NavState.TAKEOFF, v.health)
+    if result is Result.ACCEPTED:
+        v.plan_takeoff(command.z if math.isfinite(command.z) and command.z != 0.0 else None)
+    return result
+
+
+def _state(wanted: NavState) -> Handler:
+    def ask(_: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+        return context.vehicle.commander.ask(wanted, context.vehicle.health)
+
+    return ask
+
+
+def _set_mode(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    if not all(map(math.isfinite, (command.p1, command.p2))):
+        return Result.DENIED
+    if not int(command.p1) & _CUSTOM_MODE_ENABLED:
+        return Result.UNSUPPORTED
+    sub = int(command.p3) if math.isfinite(command.p3) else 0
+    wanted = state_of_custom_mode(int(command.p2), sub)
+    if wanted is None:
+        return Result.TEMPORARILY_REJECTED
+    if wanted is NavState.TAKEOFF:
+        return _takeoff(command, context)
+    return context.vehicle.commander.ask(wanted, context.vehicle.health)
+
+
+def _set_interval(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    number = message_id(command.p1)
+    known = number is not None and context.schedule.set_interval(
+        number, command.p2, context.vehicle.t_s
+    )
+    return Result.ACCEPTED if known else Result.FAILED
+
+
+def _request(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    number = message_id(command.p1)
+    if number is None:
+        return Result.DENIED
+    context.send_now.append(number)
+    return Result.ACCEPTED
+
+
+def _set_origin(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    if not is_place(command.x, command.y, command.z):
+        return Result.DENIED
+    context.vehicle.estimator.set_origin(command.x, command.y, command.z)
+    context.send_now.append(49)
+    return Result.ACCEPTED
+
+
+_HANDLERS: dict[int, Handler] = {
+    17: _state(NavState.HOLD),  # NAV_LOITER_UNLIM
+    20: _state(NavState.RETURN),
+    21: _state(NavState.LAND),
+    22: _takeoff,
+    176: _set_mode,
+    178: accept,  # DO_CHANGE_SPEED
+    179: partial(set_home, Result.TEMPORARILY_REJECTED),
+    246: partial(reboot, (Result.TEMPORARILY_REJECTED, Result.DENIED)),
+    400: arm,
+    GET_MESSAGE_INTERVAL: get_interval,
+    511: _set_interval,
+    512: _request,
+    520: request_version,
+    611: _set_origin,
+}

@@ -1,46 +1,15 @@
 """Which messages PX4 sends on a link, and how often by default."""
 
 import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from vwnav.sim.mavlink.schedule import Schedule
-from vwnav.sim.px4 import messages as make
-from vwnav.sim.px4.messages import Builder
-from vwnav.sim.px4.px4 import STEP_S
+from vwnav.sim.multirotor.simulated import STEP_S
 
 _FASTEST_S = STEP_S
 _DIVIDED_BELOW_S = 0.008  # shorter intervals are whole steps: 5 ms gives 125 Hz
 
-BUILDERS: dict[int, Builder] = {
-    0: make.heartbeat,
-    1: make.sys_status,
-    2: make.system_time,
-    4: make.ping,
-    24: make.gps_raw_int,
-    29: make.scaled_pressure,
-    30: make.attitude,
-    31: make.attitude_quaternion,
-    32: make.local_position_ned,
-    33: make.global_position_int,
-    36: make.servo_output_raw,
-    42: make.mission_current,
-    49: make.gps_global_origin,
-    65: make.rc_channels,
-    74: make.vfr_hud,
-    83: make.attitude_target,
-    85: make.position_target_local_ned,
-    105: make.highres_imu,
-    115: make.hil_state_quaternion,
-    132: make.distance_sensor,
-    141: make.altitude,
-    147: make.battery_status,
-    148: make.autopilot_version,
-    230: make.estimator_status,
-    241: make.vibration,
-    242: make.home_position,
-    245: make.extended_sys_state,
-    331: make.odometry,
-    436: make.current_mode,
-}
 # Hz, as recorded on the companion link of PX4 1.18 (DISTANCE_SENSOR only when asked for)
 COMPANION_RATES: dict[int, float] = {
     0: 1.0,
@@ -98,9 +67,11 @@ def truth_rates(rate_hz: float) -> dict[int, float]:
     return {0: 1.0, 115: rate_hz}
 
 
-def schedule_of(rates_hz: dict[int, float]) -> Schedule:
-    """A link's schedule; PX4 divides fast rates from its own."""
-    return Schedule(rates_hz, BUILDERS, _reachable)
+def schedule_of(
+    rates_hz: dict[int, float], builders: Mapping[int, Callable[[Any], Any]]
+) -> Schedule:
+    """A link's schedule of the messages that there are; PX4 divides fast rates from its own."""
+    return Schedule(rates_hz, builders, _reachable)
 
 
 def _reachable(interval_s: float) -> float:

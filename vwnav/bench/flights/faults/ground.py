@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vwnav.bench.flights.stage import FlightStage, Lasting
-from vwnav.sim.named_sites import UNRELATED_HOME_NE_M, parse_site
+from vwnav.sim.named_sites import UNRELATED_HOME_NE_M, parse_site, tiles_folder
 from vwnav.sim.scenery.looks import Season
 from vwnav.sim.site import Site
 
@@ -33,7 +33,8 @@ class MapOfElsewhere(Lasting):
 
     def begin(self, world: FlightStage) -> None:
         """Among the fields of another site."""
-        world.show(parse_site("sim:unrelated"))
+        site = parse_site("sim:unrelated")
+        world.show(site, tiles_folder(site))
         away = np.array([*UNRELATED_HOME_NE_M, 0.0])
         world.camera.home_ned_m = world.camera.home_ned_m - away
 
@@ -46,7 +47,7 @@ class OtherSeason(Lasting):
 
     def begin(self, world: FlightStage) -> None:
         """Drawn anew: kept in memory, as the files of drawn tiles are of the site as it is."""
-        site = Site(world.site.seed)
+        site = Site(world.site_seed)
         look = site.looks["flight"]
         site.looks["flight"] = replace(
             look,
@@ -55,4 +56,4 @@ class OtherSeason(Lasting):
             sun_azimuth_rad=look.sun_azimuth_rad - 0.5 * np.pi,
             sun_elevation_rad=_LOW_SUN_RAD,
         )
-        world.show(site, kept=False)
+        world.show(site)

@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Ending, Scenario
 from vwnav.bench.flights.stage import Fault
-from vwnav.bench.flights.table import TABLE, family_of
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode
 
@@ -31,12 +30,12 @@ _ROUTE_S, _SPEED_S, _DOWN_S = 150.0, 30.0, 100.0
 _AT_SPEED_M_S = 4.0
 
 
-def live_rows(has_pilot: bool) -> list[Scenario]:
-    """Rows of the route that are broken from our side; those of a pilot need his link."""
+def live_rows(rows: Iterable[Scenario], has_pilot: bool) -> list[Scenario]:
+    """Those of the route that are broken from our side; those of a pilot need his link."""
     kinds = (*_SPOILS_LINK, *_INSIDE, *_SIGNALS, *(_PILOTS if has_pilot else ()))
     return [
         row
-        for row in TABLE
+        for row in rows
         if len(row.breaks) == 1
         and isinstance(row.breaks[0].fault, kinds)
         and row.setup.start is not None
@@ -44,16 +43,15 @@ def live_rows(has_pilot: bool) -> list[Scenario]:
     ]
 
 
-def fly_live_rows(
-    rows: Sequence[Scenario], simulator: Simulator, folder: Path
-) -> Iterator[RowResult]:
-    """Fly them against the same simulated autopilot, each from where the last one came down."""
-    for number, row in enumerate(rows):
-        yield fly_live_row(row, simulator, folder / f"{number + 1:02d}")
+def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path) -> RowResult:
+    """Fly to the route from where the last one came down, break it there, see what becomes of it.
 
-
-def fly_live_row(row: Scenario, simulator: Simulator, folder: Path) -> RowResult:
-    """Fly to the route, break it there, and see what becomes of it."""
+    Args:
+        row: of `live_rows`.
+        family: which the table has it in.
+        simulator: the simulated autopilot.
+        folder: for the flight's files.
+    """
     plan = row.breaks[0]
     began_s = time.process_time()
     with live_flight(simulator, folder, ROUTE_TEXT, _inside(plan.fault)) as flight:
@@ -71,7 +69,7 @@ def fly_live_row(row: Scenario, simulator: Simulator, folder: Path) -> RowResult
     last = track.truth[-1]
     off_m = float(np.hypot(*(last.position_ned_m - broke_at)[:2])) if last.on_ground else None
     return RowResult(
-        name=row.name, family=family_of(row), expected=row.expected, where=row.where, when=row.when,
+        name=row.name, family=family, expected=row.expected, where=row.where, when=row.when,
         wrong=tuple(wrong), broke_s=broke_s, landed_off_m=off_m,
         fastest_m_s=_fastest(flight, broke_s), worst_sigmas=None, flown_s=flight.t_s,
         cost_s=time.process_time() - began_s,
