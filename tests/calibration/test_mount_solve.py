@@ -144,6 +144,7 @@ def test_straight_and_level_tells_neither_the_time_offset_nor_the_focal_length()
     assert why["time offset, this flight's"] == "the aircraft hardly turned"
     assert why["focal length"].startswith("no rangefinder or GPS height, and no turn")
     assert "look alike" in why["mount: yaw"]
+    assert "GPS of a flight with turns in hover" in why["lever arm"]
     assert verdict.camera.K[0, 0] == F
     assert verdict.camera.time_offset_s == 0.0
 
