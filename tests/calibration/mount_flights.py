@@ -52,6 +52,7 @@ class Truth:
     images: int = 120
     seconds: float = 120.0
     sigma_px: float = 0.8
+    carried: bool = False  # the level's error turns with the nose
 
 
 @dataclass
@@ -86,6 +87,10 @@ def fly(truth: Truth, seed: int) -> MountFlight:
     heading = np.radians(3.0) * rng.normal() + np.cumsum(
         rng.normal(0, np.radians(0.05) * np.sqrt(DT_S), n)
     )
+    if truth.carried:
+        c, s = np.cos(yaw), np.sin(yaw)
+        north, east = drift.T
+        drift = np.stack([c * north - s * east, s * north + c * east], 1)
     told = euler(drift[:, 0], drift[:, 1], heading) @ R
     attitudes = [Attitude(float(s), q) for s, q in zip(t[::3], quats(told[::3]), strict=True)]
     ranges = []

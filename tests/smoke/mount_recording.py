@@ -54,7 +54,7 @@ class Mounted:
 
 
 def flown(seed: int):
-    """The true way and the autopilot's attitude (n, 4) of a flight about the place."""
+    """The true way, the autopilot's attitude (n, 4) and its heading's errors (n,) of a flight."""
     rng = np.random.default_rng([5, seed])
     heading, legs = float(rng.uniform(-180, 180)), []
     for number in range(int((SECONDS - START_S) / LEG_S) + 1):
@@ -65,15 +65,15 @@ def flown(seed: int):
         wind_m_s=4.0, tilt_bias_deg=0.0, headings_deg=((0.0, legs[0][1]), *legs),
     )  # fmt: skip
     truth = fly(world, [rng])[0]
-    quats = _AttitudeErrors(world, truth, rng).quats
+    errors = _AttitudeErrors(world, truth, rng)
     # The autopilot's board is not level in the aircraft: that belongs to the body.
     crooked = quat_from_vector(np.radians([*rng.normal(0.0, 1.9, 2), 0.0]))
-    return truth, np.array([quat_multiply(quat, crooked) for quat in quats])
+    return truth, np.array([quat_multiply(quat, crooked) for quat in errors.quats]), errors.yaw
 
 
 def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
     """Write the recording; the true mount, against what the autopilot called level on average."""
-    truth, quats = flown(seed)
+    truth, quats, headings_rad = flown(seed)
     rng = np.random.default_rng([6, seed])
     about = About("learned", "", "nadir", frame, None)
     renderer = CameraRenderer(
@@ -92,10 +92,11 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
         for number, stamp in enumerate(stamps):
             i = round((stamp + mounted.offset_s) / DT_S)
             R = rotation_from_quat(truth.quat_wxyz[i])
-            after = rotation_from_quat(truth.quat_wxyz[i + 1])
+            # The rate at the image's own time: one of 5 ms later looks like 0.3 ms of lateness.
+            before, after = (rotation_from_quat(truth.quat_wxyz[k]) for k in (i - 1, i + 1))
             image = renderer.render(
                 truth.position_ned_m[i], R, float(truth.t_s[i]), truth.velocity_ned_m_s[i],
-                vector_from_rotation(R.T @ after) / DT_S,
+                vector_from_rotation(before.T @ after) / (2.0 * DT_S),
             )  # fmt: skip
             recorder.frame(Frame(truth.t_s[i] - mounted.offset_s, image, number))
             if number == 0:
@@ -105,9 +106,7 @@ def record(path: Path, mounted: Mounted, frame, seed: int = 0) -> np.ndarray:
                     sigma_yaw_rad=None, agl_m=HEIGHT_M, sigma_agl_m=1.0,
                 ))  # fmt: skip
             told = rotation_from_quat(quats[i])
-            turn = told @ R.T  # heading is the compass's own affair: taken out
-            yaw = np.arctan2(turn[1, 0], turn[0, 0])
-            unturned = rotation_from_euler(0.0, 0.0, -yaw) @ told
+            unturned = rotation_from_euler(0.0, 0.0, -headings_rad[i]) @ told
             lean.append(vector_from_rotation(unturned.T @ R))
             time.sleep(0.02)  # the writer drops images that come faster than it encodes
     renderer.close()

@@ -1,5 +1,7 @@
 """`vwnav calibrate mount` by the real command, over rendered flights; what it refuses."""
 
+from contextlib import closing
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,10 @@ from mount_recording import Mounted, record
 
 from vwnav.geometry.calibration import load_camera, load_findings, save_camera
 from vwnav.geometry.rotations import vector_from_rotation
+from vwnav.recording.input_log import About, InputLog
+from vwnav.recording.recorder import Recorder
 from vwnav.sim.renderer import default_camera
+from vwnav.types import Attitude
 
 
 @pytest.fixture
@@ -52,6 +57,29 @@ def test_what_tells_nothing_is_refused_in_one_line(mount, place, tmp_path):
     done, _ = mount(place.video, "--telemetry", heights)
     assert "tells no attitude" in done.complaint
     assert not out.exists()
+
+
+def test_broken_files_and_a_missing_folder_are_told_in_one_line(vwnav, mount, place, tmp_path):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(bytes(range(256)))
+    done, out = mount(broken)
+    assert done.code == 1
+    assert "not an MCAP file, or it is damaged" in done.complaint
+    blind = tmp_path / "blind.mcap"
+    with closing(Recorder(blind, {}, image_rate_hz=1.0)) as recorder:
+        log = InputLog(recorder, About("learned", "", "nadir", place.frame, None))
+        for t_s in (0.0, 0.1, 0.2):
+            log.input(Attitude(t_s, np.array([1.0, 0.0, 0.0, 0.0])))
+    done, _ = mount(blind)
+    assert done.code == 1
+    assert "blind.mcap holds no picture" in done.complaint
+    assert not out.exists()
+    done = vwnav(
+        "calibrate", "mount", broken, "--map", place.pack, "--camera", place.camera,
+        "-o", tmp_path / "none" / "mounted.toml", blocked=False,
+    )  # fmt: skip
+    assert done.code == 1
+    assert "no folder" in done.complaint
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ from vwnav.calibration.mount.problem import Sighting
 from vwnav.calibration.mount.sightings import Spotter, spot_all
 from vwnav.calibration.mount.solve import MountFit, fit_mount
 from vwnav.calibration.mount.verdict import MountVerdict, judge
-from vwnav.errors import CalibrationError
+from vwnav.errors import CalibrationError, SourceError
 from vwnav.geometry.calibration import load_camera, load_findings, save_camera
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler
@@ -48,6 +48,8 @@ def calibrate_mount(options: MountOptions) -> None:
     """
     if options.output.exists():
         raise CalibrationError(f"{options.output} is there already; give another file with -o")
+    if not options.output.parent.is_dir():
+        raise CalibrationError(f"no folder {options.output.parent} to write {options.output} to")
     cv2.setNumThreads(1)
     flown = load_camera(options.camera)
     flight = read_flight(options.source, options.telemetry)
@@ -76,8 +78,9 @@ class _MountSession:
         self._flight, self._pack, self._extractor = flight, pack, extractor
         self.history = FlownAttitudes(flight.attitudes)
         stamps = np.array([frame.t_s for frame in images_of(options.source)])
-        known = self.history.at(stamps).known if len(stamps) else np.zeros(0, bool)
-        self.stamps = stamps[known]
+        if len(stamps) == 0:
+            raise SourceError(f"{options.source} holds no picture")
+        self.stamps = stamps[self.history.at(stamps).known]
         if len(self.stamps) < LEAST_IMAGES:
             raise CalibrationError(
                 f"{len(self.stamps)} of {len(stamps)} pictures have an attitude; "

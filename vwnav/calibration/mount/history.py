@@ -27,7 +27,10 @@ class Turned:
 
 
 class FlownAttitudes:
-    """All attitudes of a flight, turning evenly between two neighbours."""
+    """All attitudes of a flight, joined by cubics whose rates agree where two meet.
+
+    Turning evenly between attitudes of 30 Hz cuts the corners of brisk turns: 0.3 ms of lateness.
+    """
 
     def __init__(self, attitudes: Sequence[Attitude]) -> None:
         kept = [attitudes[0]]
@@ -38,16 +41,25 @@ class FlownAttitudes:
         self._R = np.stack([rotation_from_quat(each.quat_wxyz) for each in kept])
         steps = [vector_from_rotation(a.T @ b) for a, b in zip(self._R, self._R[1:], strict=False)]
         spans = np.diff(self._t_s)
-        self._rates = np.array(steps) / spans[:, None]
+        self._steps, self._spans = np.array(steps), spans
+        even = self._steps / spans[:, None]
+        ahead = (spans[:-1] / (spans[:-1] + spans[1:]))[:, None]
+        between = even[:-1] + ahead * (even[1:] - even[:-1])
+        self._rates = np.concatenate([even[:1], between, even[-1:]])
         self._near = spans <= MAX_GAP_S
 
     def at(self, t_s: Array) -> Turned:
         """The attitude at times (k,)."""
-        i = np.clip(np.searchsorted(self._t_s, t_s, side="right") - 1, 0, len(self._rates) - 1)
-        since_s = t_s - self._t_s[i]
+        i = np.clip(np.searchsorted(self._t_s, t_s, side="right") - 1, 0, len(self._steps) - 1)
         inside = (t_s >= self._t_s[0]) & (t_s <= self._t_s[-1]) & self._near[i]
-        rates = self._rates[i]
-        return Turned(self._R[i] @ rotations_from_vectors(rates * since_s[:, None]), rates, inside)
+        span_s = self._spans[i, None]
+        u = (t_s - self._t_s[i])[:, None] / span_s
+        step, first, last = self._steps[i], span_s * self._rates[i], span_s * self._rates[i + 1]
+        # Hermite's cubic from 0 to the step, with the rates at both ends.
+        square, cube = 3.0 * step - 2.0 * first - last, first + last - 2.0 * step
+        turned = u * (first + u * (square + u * cube))
+        rates = (first + u * (2.0 * square + 3.0 * u * cube)) / span_s
+        return Turned(self._R[i] @ rotations_from_vectors(turned), rates, inside)
 
 
 def heights_at(ranges: Sequence[Range], history: FlownAttitudes, t_s: Array) -> Array:

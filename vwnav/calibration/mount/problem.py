@@ -32,6 +32,7 @@ SHARED: Final = 7
 # Weak knowledge, so that what a flight does not tell has a large sigma instead of none.
 PRIOR_SIGMAS = np.array([1.0, 1.0, 1.0, 1.0, 0.1, 0.3, 0.1])  # rad, s, s, log, m of the height
 SIGMA_TILT_RAD, TILT_S = np.radians(0.6), 20.0  # of the autopilot's level, wandering
+CARRIED = 0.5  # of its variance: what belongs to the sensors and turns with the nose
 SIGMA_HEADING_RAD = np.radians(10.0)  # of its compass, for good
 HEADING_WALK_RAD = np.radians(0.08)  # of its compass, per root second
 SIGMA_JITTER_RAD = np.radians(0.07)  # of an image's own: vibration
@@ -127,7 +128,8 @@ class MountProblem:
         self._share = share[self._of]
         self._heights = np.array([s.height_m for s in sightings])
         R = history.at(self._t_s + start.offset_s).R_ned_body
-        self._cos_turns = (np.einsum("kij,kij->k", R[1:], R[:-1]) - 1.0) / 2.0
+        headings_rad = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+        self._tilt_information = np.linalg.inv(tilt_covariance(self._t_s, headings_rad))
         rays = camera.bearings(self._uv)
         self._seen_px = camera.K[0, 0] * rays[:, :2] / rays[:, 2:]  # without distortion
 
@@ -155,6 +157,10 @@ class MountProblem:
             information[np.ix_(where, where)] += J.T @ (w[:, None] * J)
             gradient[where] -= J.T @ (w * errors_px[rows].ravel())
         cost = float(np.sum(weight[:, None] * errors_px**2))
+        tilts, known = slice(SHARED, SHARED + 3 * n), self._tilt_information
+        information[tilts, tilts] += known
+        gradient[tilts] -= known @ at.tilts_rad.ravel()
+        cost += float(at.tilts_rad.ravel() @ known @ at.tilts_rad.ravel())
         for rows_, residual in self._known(at):
             columns, values = rows_
             information[np.ix_(columns, columns)] += np.outer(values, values)
@@ -221,11 +227,6 @@ class MountProblem:
             ((np.array([k]), np.array([1.0 / PRIOR_SIGMAS[k]])), float(shared[k] / PRIOR_SIGMAS[k]))
             for k in range(3, SHARED)
         ]
-        for axis in range(3):
-            sigma = SIGMA_HEADING_RAD if axis == 2 else SIGMA_TILT_RAD
-            first = np.array([SHARED + axis])
-            found.append(((first, np.array([1.0 / sigma])), float(at.tilts_rad[0, axis] / sigma)))
-            found += self._wandering(at, axis)
         for i in np.flatnonzero(np.isfinite(self._heights)):
             height_m = float(self._heights[i])
             sigma_m = np.hypot(SIGMA_HEIGHT_M, SIGMA_HEIGHT_RATIO * height_m)
@@ -234,23 +235,24 @@ class MountProblem:
             found.append(((columns, np.full(2, 1.0 / sigma_m)), float(residual)))
         return found
 
-    def _wandering(self, at: Unknowns, axis: int) -> list[Known]:
-        """From image to image: tilt forgets itself, a heading walks; both jitter.
 
-        An error of the level may belong to the world or to the sensors, which turn with the
-        aircraft: over a turn it may be carried along or not.
-        """
-        found = []
-        for i in range(1, len(self.sightings)):
-            span_s = self._t_s[i] - self._t_s[i - 1]
-            keep = 1.0 if axis == 2 else float(np.exp(-span_s / TILT_S))
-            fades = 1.0 - keep**2 + 2.0 * (1.0 - self._cos_turns[i - 1])
-            drift = HEADING_WALK_RAD**2 * span_s if axis == 2 else SIGMA_TILT_RAD**2 * fades
-            sigma = float(np.sqrt(drift + SIGMA_JITTER_RAD**2))
-            columns = np.array([SHARED + 3 * i + axis, SHARED + 3 * (i - 1) + axis])
-            residual = float(at.tilts_rad[i, axis] - keep * at.tilts_rad[i - 1, axis]) / sigma
-            found.append(((columns, np.array([1.0, -keep]) / sigma), residual))
-        return found
+def tilt_covariance(t_s: Array, headings_rad: Array) -> Array:
+    """(3 n, 3 n) of the attitude's errors about north, east and down in n images.
+
+    An error of the level may belong to the world or to the sensors: over a turn it stays or is
+    carried along, which no step from one image to the next can say of both. A heading errs for
+    good, and walks. Both jitter.
+    """
+    n = len(t_s)
+    turned = headings_rad[:, None] - headings_rad
+    c, s = np.cos(turned), np.sin(turned)
+    kept = SIGMA_TILT_RAD**2 * np.exp(-np.abs(t_s[:, None] - t_s) / TILT_S)
+    found = np.zeros((n, 3, n, 3))
+    found[:, 0, :, 0] = found[:, 1, :, 1] = kept * (1.0 - CARRIED + CARRIED * c)
+    found[:, 0, :, 1], found[:, 1, :, 0] = -kept * CARRIED * s, kept * CARRIED * s
+    walked_s = np.minimum(t_s[:, None], t_s) - t_s.min()
+    found[:, 2, :, 2] = SIGMA_HEADING_RAD**2 + HEADING_WALK_RAD**2 * walked_s
+    return np.asarray(found.reshape(3 * n, 3 * n) + SIGMA_JITTER_RAD**2 * np.eye(3 * n))
 
 
 def cauchy(sigmas: Array) -> Array:

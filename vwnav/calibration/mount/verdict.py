@@ -58,7 +58,10 @@ def judge(
     told = [_mount(fit), _yaw(fit), _offset(fit), _readout(fit)]
     if focal:
         told.append(_focal(flown, fit, heights, most_bank_rad))
-    why = "the flight tells no place of the aircraft but the camera's own"
+    why = (
+        "nothing that is read here tells a place of the aircraft but the camera itself; it would "
+        "take the GPS of a flight with turns in hover, which is not read: measure it with a ruler"
+    )
     told.append(ToldNumber("lever arm", "", why))
     refused = {each.name for each in told if each.refused}
     return MountVerdict(_camera(flown, fit, refused, focal), tuple(told), _findings(fit, refused))
