@@ -222,10 +222,7 @@ class Watchdog:
         return packet.message_id not in ESTIMATES or self._is_good_estimate(packet, t_s)
 
     def _rights(self, t_s: float) -> Rights:
-        """Of the navigator: a successor never flies, nor one whose aircraft somebody else has.
-
-        Nor does one whose aircraft somebody else may have: after a cut, until the mode is known.
-        """
+        """Of the navigator: no successor flies, nor one whose aircraft others have, or may have."""
         others = self._guard.navigator_ended or self._guard.state is GuardState.STOOD_DOWN
         if others or not self._ear.vehicle(t_s).mode_is_of_now:
             return Rights.ESTIMATES
