@@ -23,9 +23,9 @@ SEEN_S, BLIND_S = 60.0, 40.0
 RECORDINGS = Path(__file__).resolve().parents[3] / "shared" / "data" / "mavlink"
 
 
-def goes_blind(seed: int, imu_hz: float = 100.0) -> tuple[FilterWorld, Run]:
+def goes_blind(seed: int, imu_hz: float = 100.0, **windy: float) -> tuple[FilterWorld, Run]:
     """A minute of flight with images, then without, in wind with gusts."""
-    world = FilterWorld(seconds=SEEN_S + BLIND_S, imu_hz=imu_hz, hover_share=0.3)
+    world = FilterWorld(seconds=SEEN_S + BLIND_S, imu_hz=imu_hz, hover_share=0.3, **windy)
     rng = np.random.default_rng(seed)
     stream = sense(world, fly(world, [rng])[0], rng)
     events = [
@@ -46,6 +46,15 @@ def test_without_images_the_velocity_stays_known_and_the_truth_within_5_sigma(se
     sigma_m_s = math.sqrt(np.linalg.norm(run.estimates[-1].covariance[3:5, 3:5], 2))
     assert sigma_m_s < 2.0  # by counting accelerations alone it would be 4 and more
     assert np.hypot(*run.rows.error_ne_m[-1]) < 3.0 * 30.0
+
+
+@pytest.mark.parametrize(("seed", "drag_per_s"), [(1, 0.16), (2, 0.16), (1, 0.4)])
+def test_in_a_storm_it_does_not_take_a_gust_for_its_own_motion(seed, drag_per_s):
+    """As long as wind was one slow state, 4.7, 6.1 and 7.2 sigmas."""
+    _, run = goes_blind(seed, wind_m_s=12.0, gust_m_s=3.0, drag_per_s=drag_per_s)
+    blind = run.rows.t_s > SEEN_S
+    for error_m_s, P in zip(run.rows.error_v_m_s[blind, :2], run.rows.P[blind], strict=True):
+        assert math.sqrt(error_m_s @ np.linalg.solve(P[3:5, 3:5], error_m_s)) < 4.5
 
 
 def test_without_an_imu_nothing_is_known_of_the_air():
