@@ -431,6 +431,19 @@ def test_a_landing_that_was_not_heard_is_asked_for_again_and_the_beat_is_held_un
     assert not scene.vehicle.vehicle.armed
 
 
+def test_a_landing_that_an_autopilot_out_of_earshot_does_not_answer_is_not_called_refused():
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["no answer"] * 3}
+    scene.vehicle.be(silence_s=1.5)
+    scene.flight.abort("interrupted by the operator")
+    scene.run(lambda s: s.vehicle.refuse["land"] == [])
+    scene.go_on(0.5)
+    scene.vehicle.be(silence_s=0.1)
+    scene.run()
+    assert not [line for line in scene.said if "refused" in line]
+    assert scene.flight.end.reason == "interrupted by the operator"
+
+
 def test_it_is_not_left_while_it_stands_armed_and_land_is_not_asked_for_again():
     scene = on_route()
     scene.vehicle.stays_armed = True

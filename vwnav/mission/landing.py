@@ -10,6 +10,7 @@ _ASK_AGAIN_S = 1.0
 _TAKEN_AFTER_S = 3.0  # modes told late are not somebody's choice yet
 _DISARM_AFTER_S = 10.0  # on the ground; autopilots do it by themselves after 2 to 3 s
 _SLOW_S = 120.0
+_HEARD_S = 1.0  # after so long a silence an answer may have been lost with the rest
 
 
 class LandingState(Enum):
@@ -43,7 +44,7 @@ class Landing:
         self._request: Request | None = None
         self._asked_s = t_s
         self._stands_since_s: float | None = None
-        self._said_slow = False
+        self._said_slow = self._was_silent = False
         self.refused: str | None = None
         if not self._comes_down:
             self._request = autopilot.land()
@@ -74,13 +75,16 @@ class Landing:
         if vehicle.mode is FlightMode.OFFBOARD:
             self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
         request = self._request
+        self._was_silent = self._was_silent or vehicle.silence_s > _HEARD_S
         if request is None or not request.done:
             return
-        if request.refused is not None and self.refused is None:  # once: it is asked every second
+        # Once, though it is asked every second; who was not heard has not refused.
+        if request.refused is not None and self.refused is None and not self._was_silent:
             self.refused = f"the autopilot refused to land: {request.refused}"
             self._say(self.refused)
         if t_s - self._asked_s >= _ASK_AGAIN_S:
             self._asked_s, self._request = t_s, self._autopilot.land()
+            self._was_silent = False
 
     def _stands(self, t_s: float) -> LandingState:
         """On the ground with running motors."""

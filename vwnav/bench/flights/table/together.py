@@ -106,7 +106,7 @@ BLIND = [
         lands_at_ne_m=HOME,
     ),
     Scenario(
-        name="pictures black for good, and then the link cut for 2 s",
+        name="lens covered for good, and then the link cut for 2 s",
         setup=setup(wind_m_s=5.0),
         breaks=(
             Break(fault=camera.CameraTrouble(camera.black), at_s=BREAKS_AT_S),
