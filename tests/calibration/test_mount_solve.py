@@ -75,7 +75,7 @@ def test_the_truth_lies_within_three_sigmas_in_nineteen_of_twenty(trials):
 @pytest.mark.long
 @pytest.mark.parametrize("carried", [True, False])
 def test_the_time_offset_is_as_sure_as_it_says_whether_the_level_turns_with_the_nose(carried):
-    """Where the level errs with the nose, a turn looked like lateness: 1.4 of its sigmas."""
+    """Where the level errs with the nose, a turn looked like lateness (six others: 1.4 sigmas)."""
     found = [fit(Truth(carried=carried, sigma_px=2.0), seed)[1:] for seed in range(SEEDS)]
     sigmas = np.array([errors[3] / sigma[3] for errors, sigma in found])
     assert np.sqrt(np.mean(sigmas**2)) < 1.3

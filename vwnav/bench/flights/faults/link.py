@@ -64,14 +64,13 @@ class SlowLine:
             line.baud = None
 
 
-@dataclass(frozen=True)
-class Garbage:
-    """Between the packets come bytes that are none, and some packets are cut off."""
+class _Spoils:
+    """Both lines are spoilt, each by a chance of its own."""
 
-    seed: int = 11
+    seed: int
 
     def begin(self, world: FlightStage) -> None:
-        """Noise on both lines."""
+        """Spoilt."""
         for number, line in enumerate(_lines(world)):
             line.tap = self._tap(random.Random(self.seed + number))
 
@@ -79,6 +78,16 @@ class Garbage:
         """Clean."""
         for line in _lines(world):
             line.tap = None
+
+    def _tap(self, rng: random.Random) -> Tap:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Garbage(_Spoils):
+    """Between the packets come bytes that are none, and some packets are cut off."""
+
+    seed: int = 11
 
     def _tap(self, rng: random.Random) -> Tap:
         def soil(packet: bytes) -> Iterable[tuple[float, bytes]]:
@@ -93,21 +102,11 @@ class Garbage:
 
 
 @dataclass(frozen=True)
-class PacketsLost:
+class PacketsLost(_Spoils):
     """So large a share of the packets is lost, both ways."""
 
     share: float
     seed: int = 12
-
-    def begin(self, world: FlightStage) -> None:
-        """A bad radio."""
-        for number, line in enumerate(_lines(world)):
-            line.tap = self._tap(random.Random(self.seed + number))
-
-    def end(self, world: FlightStage) -> None:
-        """All come."""
-        for line in _lines(world):
-            line.tap = None
 
     def _tap(self, rng: random.Random) -> Tap:
         return lambda packet: () if rng.random() < self.share else ((0.0, packet),)
