@@ -47,6 +47,7 @@ QUICK = {
     "model raises in flight",
     "pilot takes over while on the route",
     "take-off refused",
+    "lens covered for good, and then the link cut for 2 s",
 }
 
 
