@@ -29,6 +29,7 @@ _T, _PHI, _SLOPE = slice(0, 3), slice(3, 6), slice(6, 8)
 _ITERATIONS = 5
 _TUKEY = 4.685  # 95 % efficiency for normal errors
 _RANSAC_STEPS = 300
+_REGIONS = 4  # along each side of the image: tracks of one may hang together
 Points = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 _WINDOW_PX = 15
@@ -114,10 +115,13 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         parameters = parameters + step
     residuals, J = _linearise(seen, parameters)
     inliers = np.hypot(residuals[:, 0], residuals[:, 1]) < _TUKEY * scale_px
-    information, _ = _normal(residuals, J, inliers / scale_px**2, parameters, prior)
+    weights = inliers / scale_px**2
+    information, _ = _normal(residuals, J, weights, parameters, prior)
     if not np.all(np.isfinite(information)) or np.count_nonzero(inliers) < 4:
         return None
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
+    covariance *= _hanging_together(seen.rays1[:, :2], scores, covariance)
     return Motion(
         parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px
     )
@@ -197,6 +201,22 @@ def _normal(
     information = flat.T @ (flat * twice[:, None]) + np.diag(known)
     gradient = flat.T @ (twice * residuals.ravel()) - known * parameters
     return information, gradient
+
+
+def _hanging_together(places: Array, scores: Array, covariance: Array) -> float:
+    """By how much the way is less sure than so many independent tracks would have it, at least 1.
+
+    Neighbours in a blurred image are off to the same side, each of them hardly. So the scores
+    (n, 8) of the tracks at `places` (n, 2) in the image are summed by region before they are
+    squared (cluster-robust covariance, Liang and Zeger 1986, eq. 5).
+    """
+    lowest, highest = places.min(axis=0), places.max(axis=0)
+    cells = (places - lowest) / np.maximum(highest - lowest, 1e-9) * _REGIONS
+    column, row = np.minimum(cells.astype(np.intp), _REGIONS - 1).T
+    by_region = np.zeros((_REGIONS**2, scores.shape[1]))
+    np.add.at(by_region, row * _REGIONS + column, scores)
+    way = by_region @ covariance[:, _T]
+    return max(1.0, float(np.sum(way**2) / np.trace(covariance[_T, _T])))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,53 @@
+"""How sure the way from tracks is: tracks that are wrong together count as one."""
+
+import numpy as np
+import pytest
+
+from vwnav.vision.odometry.ground_motion import Motion, MotionPrior, Sightings, fit_motion
+
+LOOKS_DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # upper edge north
+WAY = np.array([0.08, -0.03, 0.01])
+FOCAL_PX = 380.0
+PRIOR = MotionPrior(tilt_increment_rad=0.003, slope=0.02, pixel=0.55)
+
+
+def moved(rng: np.random.Generator, noise_px: np.ndarray) -> Motion:
+    """A grid of points seen before and after `WAY`, each off by its noise (12, 12, 2)."""
+    v, u = np.meshgrid(np.linspace(-0.6, 0.6, 12), np.linspace(-0.8, 0.8, 12), indexing="ij")
+    rays = np.dstack([u, v, np.ones_like(u)]).reshape(-1, 3)
+    rays0 = rays @ LOOKS_DOWN.T
+    rays1 = (rays0 - WAY) @ LOOKS_DOWN
+    rays1 = rays1 / rays1[:, 2:]
+    rays1[:, :2] += noise_px.reshape(-1, 2) / FOCAL_PX
+    motion = fit_motion(Sightings(rays0, rays1, LOOKS_DOWN, FOCAL_PX), PRIOR, 3.0)
+    assert motion is not None
+    return motion
+
+
+def mean_nees(together: bool) -> float:
+    """Of the way (3 degrees of freedom), noise of 0.8 pixels: each track's, or a region's."""
+    squares = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        noise_px = 0.8 * rng.normal(size=(4, 4, 2) if together else (12, 12, 2))
+        if together:
+            noise_px = noise_px.repeat(3, axis=0).repeat(3, axis=1)
+        motion = moved(rng, noise_px)
+        error = motion.way - WAY
+        squares.append(error @ np.linalg.solve(motion.covariance[:3, :3], error))
+    return float(np.mean(squares))
+
+
+def test_independent_tracks_tell_the_way_as_surely_as_they_say():
+    assert 1.5 < mean_nees(together=False) < 4.5
+
+
+def test_tracks_that_are_off_together_do_not_make_it_surer():
+    """Counted as independent, nine tracks a region, the NEES was 36."""
+    assert mean_nees(together=True) < 6.0
+
+
+def test_exact_tracks_stay_as_sure_as_their_least_noise():
+    motion = moved(np.random.default_rng(0), np.zeros((12, 12, 2)))
+    assert motion.way == pytest.approx(WAY, abs=1e-5)
+    assert motion.sigma_px == PRIOR.pixel
