@@ -15,8 +15,9 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scenarios import SCENARIOS, FilterScenario, fly_scenario, judge_outage
 from vwnav.bench.estimator.scores import chi_square_bounds, consistency
 from vwnav.bench.estimator.streams import sense
-from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.bench.estimator.world import G_M_S2, FilterWorld, fly
 from vwnav.estimation.config import EkfConfig
+from vwnav.geometry.rotations import rotation_from_quat
 
 SHORT = FilterWorld(seconds=40.0)
 
@@ -108,3 +109,17 @@ def test_the_command_prints_one_json_object():
 def test_an_unknown_scenario_is_wrong_usage():
     done = CliRunner().invoke(app, ["bench", "estimator", "--scenario", "nothing"])
     assert done.exit_code == 2
+
+
+def test_the_world_feels_nothing_across_its_thrust_but_the_air():
+    """In a climb in wind it leant as if it only hovered, and learned a drag that is too small."""
+    world = replace(SHORT, gust_m_s=0.0, drag_per_s=1.0)
+    truth = fly(world, [np.random.default_rng(1)])[0]
+    acceleration = np.gradient(truth.velocity_ned_m_s, truth.t_s, axis=0)
+    at = truth.index(5.0)  # climbing
+    R_ned_body = rotation_from_quat(truth.quat_wxyz[at])
+    felt = R_ned_body.T @ (acceleration[at] - [0.0, 0.0, G_M_S2])
+    angle_rad = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi)  # what a flight draws first
+    wind = world.wind_m_s * np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
+    drag = -world.drag_per_s * R_ned_body.T @ (truth.velocity_ned_m_s[at] - wind)
+    assert felt[:2] == pytest.approx(drag[:2], abs=0.05)

@@ -188,12 +188,13 @@ def _commands(world: FilterWorld, n: int, rngs: list[np.random.Generator]) -> tu
 
 
 def _attitudes(thrust_m_s2: Array, yaw_rad: Array) -> Array:
-    """quat_wxyz (n, 4) of the attitudes whose thrust gives these horizontal accelerations."""
+    """quat_wxyz (n, 4) of the attitudes whose body axis such thrust is along, gravity carried."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     forward = c * thrust_m_s2[:, 0] + s * thrust_m_s2[:, 1]
     right = -s * thrust_m_s2[:, 0] + c * thrust_m_s2[:, 1]
-    pitch = -np.arctan2(forward, G_M_S2)
-    roll = np.arctan2(right * np.cos(pitch), G_M_S2)
+    up = G_M_S2 - thrust_m_s2[:, 2]
+    pitch = -np.arctan2(forward, up)
+    roll = np.arctan2(right * np.cos(pitch), up)
     half = np.zeros((3, len(yaw_rad)))
     half[0], half[1], half[2] = roll / 2.0, pitch / 2.0, yaw_rad / 2.0
     (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
