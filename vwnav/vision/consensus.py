@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
+from vwnav.geometry.homography import grown_homography, jacobian_at, transform_points
 from vwnav.types import Array
 from vwnav.vision.matching import log10_nfa, occupied_cells
 
@@ -113,7 +113,7 @@ def find_consensus(
     places = vote(uv_view, uv_map, middle, bounds, threshold_px, seed)
     if not places:
         return None
-    H, inliers = _fit(uv_view, uv_map, places[0], size_wh, threshold_px, max_stretch, seed)
+    H, inliers = _fit(uv_view, uv_map, places[0], size_wh, threshold_px, max_stretch)
     rival_cells = 0
     for place in places[1:]:
         rival_cells = max(rival_cells, occupied_cells(uv_view[place.near]))
@@ -136,7 +136,6 @@ def _fit(
     size_wh: tuple[int, int],
     threshold_px: float,
     max_stretch: float,
-    seed: int,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The better of the similarity and a homography about it, and its inliers."""
     error = np.linalg.norm(transform_points(place.H_map_view, uv_view) - uv_map, axis=1)
@@ -144,7 +143,7 @@ def _fit(
     # With all of them it must explain so many.
     if len(around) < max(MIN_FOR_HOMOGRAPHY, HOMOGRAPHY_GAIN * place.count):
         return place.H_map_view, place.near
-    fit = estimate_homography(uv_view[around], uv_map[around], threshold_px, seed)
+    fit = grown_homography(uv_view[around], uv_map[around], place.H_map_view, threshold_px)
     if (
         fit is None
         or fit.count < HOMOGRAPHY_GAIN * place.count
