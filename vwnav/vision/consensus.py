@@ -272,12 +272,15 @@ def _starts(a: Complex, centers: Complex) -> Complex:
         # As wide as the corners of the 3 x 3 cells, so that no peak is without votes.
         away = centers - peak
         close = np.flatnonzero(away.real**2 + away.imag**2 <= (2.2 * CELL_PX) ** 2)
-        parts = np.stack([a[close], centers[close]]).view(np.float64).reshape(2, len(close), 2)
-        # The medians, sorted, which is faster than np.median.
-        ranked = np.sort(parts, axis=1)
-        middle = (ranked[:, (len(close) - 1) // 2] + ranked[:, len(close) // 2]) / 2.0
-        starts.append(middle @ [1.0, 1.0j])
-    return np.array(starts)
+        votes, places = a[close], centers[close]
+        parts = np.array([votes.real, votes.imag, places.real, places.imag])
+        # The medians; np.median takes twice as long.
+        middle, odd = divmod(len(close), 2)
+        ranked = np.partition(parts, middle, axis=1)
+        upper = ranked[:, middle]
+        lower = upper if odd else ranked[:, :middle].max(axis=1)
+        starts.append((lower + upper) / 2.0)
+    return np.array(starts).reshape(-1, 4).view(np.complex128)
 
 
 def _refine(

@@ -236,12 +236,13 @@ class QueryMaker:
                 source, H_view_source, made.size_wh, flags=cv2.INTER_LINEAR, borderMode=replicate
             )
         else:
-            places = (self.places(query, made, scale) + 0.5) / H_frame_source[0, 0] - 0.5
-            u, v = np.moveaxis(places, -1, 0).astype(np.float32)
+            shrunk = np.float32(1.0 / H_frame_source[0, 0])
+            places = (self.places(query, made, scale) + np.float32(0.5)) * shrunk - np.float32(0.5)
+            u, v = cv2.split(places)
             view = cv2.remap(source, u, v, cv2.INTER_LINEAR, borderMode=replicate)
         return np.asarray(view, np.uint8)
 
-    def places(self, query: Query, made: Rectification, scale: float) -> NDArray[np.float64]:
+    def places(self, query: Query, made: Rectification, scale: float) -> NDArray[np.float32]:
         """Pixels (h, w, 2) of the image as it was taken that the view's pixels show.
 
         They bend smoothly: they are computed on a grid that reaches a cell past the view.
@@ -259,7 +260,7 @@ class QueryMaker:
         flow = query.flow
         grid = camera.project(rays) if flow is None else seen_by_rows(rays, camera, flow)
         fine = cv2.resize(
-            grid.reshape(rows, columns, 2),
+            grid.reshape(rows, columns, 2).astype(np.float32),
             (GRID_PX * columns, GRID_PX * rows),
             interpolation=cv2.INTER_LINEAR,
         )
