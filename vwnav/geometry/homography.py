@@ -101,9 +101,11 @@ def grown_homography(uv0: Array, uv1: Array, H_1_0: Array, threshold_px: float) 
             h = np.linalg.solve(normal[:8, :8], -normal[:8, 8])
         except np.linalg.LinAlgError:
             return None
-        H = np.linalg.solve(unit1, np.append(h, 1.0).reshape(3, 3) @ unit0)
+        H = np.asarray(np.linalg.solve(unit1, np.append(h, 1.0).reshape(3, 3) @ unit0))
     inliers = _inliers(H, uv0, uv1, threshold_px)
-    return None if inliers is None else RobustFit(H / H[2, 2], inliers, np.count_nonzero(inliers))
+    if inliers is None:
+        return None
+    return RobustFit(H / H[2, 2], inliers, int(np.count_nonzero(inliers)))
 
 
 def _to_unit(uv: Array) -> Array:
