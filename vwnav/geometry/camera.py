@@ -157,16 +157,13 @@ class Camera:
         points = np.asarray(uv, dtype=np.float64).reshape(-1, 1, 2)
         if len(points) == 0:
             return np.zeros((0, 3))
-        K, coefficients = self.K, self._coefficients()
+        K, coefficients = self.K, np.array(self.distortion or (0.0,) * 4)
         if self.model == "fisheye":
             flat = cv2.fisheye.undistortPoints(points, K, coefficients, criteria=_ITERATIONS)
         else:
             flat = cv2.undistortPoints(points, K, coefficients, criteria=_ITERATIONS)
         rays = np.column_stack([flat.reshape(-1, 2), np.ones(len(points))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
-
-    def _coefficients(self) -> Array:
-        return np.array(self.distortion if self.distortion else (0.0,) * 4)
 
 
 def check_fits(camera: Camera, width_px: int, height_px: int) -> None:

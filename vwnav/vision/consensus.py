@@ -213,7 +213,10 @@ def vote(
     for i in best_first[right]:
         if np.all(np.abs(centers - b[i]) > CELL_PX):
             centers = np.append(centers, b[i])
-            found.append(_similarity(a[i], b[i], near[i], reference_uv))
+            center_uv = np.array([b[i].real, b[i].imag])
+            H = np.array([[a[i].real, -a[i].imag, 0.0], [a[i].imag, a[i].real, 0.0], [0, 0, 1.0]])
+            H[:2, 2] = center_uv - H[:2, :2] @ reference_uv
+            found.append(Similarity(H, near[i], int(counts[i]), center_uv))
     return found
 
 
@@ -315,12 +318,3 @@ def _near(z0: Complex, z1: Complex, a: Complex, b: Complex, within_px: float) ->
     """Which points (m,) each of k similarities puts within a distance of their partners (k, m)."""
     off = a[:, None] * z0 + b[:, None] - z1
     return np.asarray(off.real**2 + off.imag**2 <= within_px**2)
-
-
-def _similarity(a: complex, b: complex, near: NDArray[np.bool_], reference_uv: Array) -> Similarity:
-    center_uv = np.array([b.real, b.imag])
-    linear = np.array([[a.real, -a.imag], [a.imag, a.real]])
-    H = np.eye(3)
-    H[:2, :2] = linear
-    H[:2, 2] = center_uv - linear @ reference_uv
-    return Similarity(H, near, int(np.count_nonzero(near)), center_uv)
