@@ -297,11 +297,12 @@ def seen(query: Query, made: Rectification) -> NDArray[np.bool_]:
 def _inside(uv: Array, H_rect_frame: Array, size_wh: Array, center_uv: Array) -> NDArray[np.bool_]:
     """Which view pixels show the image's inside, `EDGE_PX` of the view away from its edge."""
     H_frame_rect = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
-    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center_uv))))
+    depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
+    at_center = center_uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
+    # The area of the surroundings of a point grows by det(H) / depth^3.
+    margin = EDGE_PX * np.sqrt(abs(np.linalg.det(H_frame_rect) / at_center**3))
     frame_uv = transform_points(H_frame_rect, uv)
-    margin = EDGE_PX * frame_px_per_px
     low, high = margin, size_wh - 1.0 - margin
     # Behind the horizon the third coordinate changes its sign.
-    depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
-    ahead = depth * (center_uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
+    ahead = depth * at_center > 0.0
     return np.asarray(ahead & np.all((frame_uv >= low) & (frame_uv <= high), axis=1))
