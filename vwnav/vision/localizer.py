@@ -57,8 +57,7 @@ from vwnav.vision.registration import (
 from vwnav.vision.rivals import best_of
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
-CUT_MULTIPLE_PX = 32  # the models work on whole multiples
-MAX_CUT_PX = 50_000.0  # of a first look
+CUT_MULTIPLE_PX, MAX_CUT_PX = 32, 50_000.0  # of a first look; models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
 WEAK_LOG10_NFA = 2.0  # less is not even held against the image
 WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
