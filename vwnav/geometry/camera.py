@@ -272,20 +272,18 @@ def _window(ground_en_px: Array, max_size_px: int) -> tuple[tuple[int, int], Arr
 
 
 def cut_to_image(
-    view: Rectification, frame_size_wh: tuple[int, int], multiple_px: int, max_area_px: float
+    view: Rectification, frame_size_wh: tuple[int, int], multiple_px: int
 ) -> Rectification:
     """The part of a view that is worth its pixels.
 
     An image that is turned fills half of a north-up view. Of all rectangles the one is taken whose
     pixels that show the image, less `_WORTH_SHARE` of all its pixels, are the most; what is lost
-    are corners of the image, about which the view shows little else of it. What is larger than
-    wanted loses its edges.
+    are corners of the image, about which the view shows little else of it.
 
     Args:
         view: of the whole image.
         frame_size_wh: (width, height) of the image.
         multiple_px: the sides are made the nearest multiple of it, and may reach past the view.
-        max_area_px: of the part; one multiple squared at least.
     """
     top, bottom = np.triu_indices(_CUT_CELLS + 1, 1)
     filled = np.zeros((_CUT_CELLS + 1, _CUT_CELLS))
@@ -299,14 +297,7 @@ def cut_to_image(
     first = int(np.argmin(sums[band, : last + 1]))
     corners = np.array([[first, top[band]], [last + 1, bottom[band]]])
     low_px, high_px = corners * np.array(view.size_wh) / _CUT_CELLS
-    multiples = np.maximum(np.round((high_px - low_px) / multiple_px), 1.0)
-    if (most := max_area_px / multiple_px**2) < multiples.prod():
-        # The shorter side as near to its share as multiples allow, the longer what that leaves.
-        shorter = int(np.argmin(multiples))
-        scale = math.sqrt(most / multiples.prod())
-        multiples[shorter] = max(1.0, round(scale * multiples[shorter]))
-        multiples[1 - shorter] = max(1.0, most // multiples[shorter])
-    size_px = multiples * multiple_px
+    size_px = np.maximum(np.round((high_px - low_px) / multiple_px), 1.0) * multiple_px
     corner_px = np.round((low_px + high_px - size_px) / 2.0)
     shift = np.eye(3)
     shift[:2, 2] = -corner_px

@@ -57,7 +57,7 @@ from vwnav.vision.registration import (
 from vwnav.vision.rivals import best_of
 
 MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
-CUT_MULTIPLE_PX, MAX_CUT_PX = 32, 50_000.0  # of a first look; models work on whole multiples
+CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
 WEAK_LOG10_NFA = 2.0  # less is not even held against the image
 WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
@@ -240,7 +240,7 @@ class Localizer:
         if made is None:
             return query.rejected(RejectReason.TILTED, "the camera does not look down")
         if candidate.thrifty:
-            made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX, MAX_CUT_PX)
+            made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX)
         window = candidate.window(made)
         if (refusal := self._hopeless(query, candidate, made, window)) is not None:
             return refusal
