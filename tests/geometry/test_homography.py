@@ -4,7 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from vwnav.geometry.homography import estimate_homography, jacobian_at, transform_points
+from vwnav.geometry.homography import (
+    estimate_homography,
+    grown_homography,
+    jacobian_at,
+    transform_points,
+)
 from vwnav.geometry.similarity import estimate_similarity
 
 SIZE_PX = 600.0
@@ -59,6 +64,19 @@ def test_noisy_homography_is_as_good_as_its_points(seed: int) -> None:
     assert fit is not None
     assert worst_px(fit.H, H) < 2.5
     assert fit.count > 90
+
+
+@given(seeds)
+def test_a_homography_grown_out_of_a_similarity_is_as_good_as_a_sampled_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    near = similarity(rng)
+    H = near @ np.array([[1, 0, 0], [0, 1, 0], [*rng.uniform(-5e-5, 5e-5, 2), 1]])
+    uv0, uv1 = pairs(rng, H, 160, 120)
+    grown, sampled = grown_homography(uv0, uv1, near, 3.0), estimate_homography(uv0, uv1, 3.0, seed)
+    assert grown is not None
+    assert sampled is not None
+    assert worst_px(grown.H, H) < 1.5 * worst_px(sampled.H, H) + 0.5
+    assert grown.count > 110
 
 
 @pytest.mark.parametrize("inliers", [5, 7, 10])

@@ -68,6 +68,54 @@ def estimate_homography(uv0: Array, uv1: Array, threshold_px: float, seed: int) 
     return None if H is None else problem.fit(H, threshold_px, minimum=4)
 
 
+def grown_homography(uv0: Array, uv1: Array, H_1_0: Array, threshold_px: float) -> RobustFit | None:
+    """Homography of pixel pairs (n, 2) that grows out of a fit to some of them.
+
+    The normalised linear fit (Hartley and Zisserman, 2nd edition, algorithm 4.2) over shrinking
+    neighbourhoods. What is fitted is not far from a similarity: the weights that would make its
+    algebraic errors those of the pixels are all near one.
+
+    Args:
+        uv0: finite pixels of image 0.
+        uv1: their partners in image 1, same length.
+        H_1_0: (3, 3) to begin with, good to some thresholds.
+        threshold_px: largest error in image 1 of an inlier.
+    """
+    unit0, unit1 = _to_unit(uv0), _to_unit(uv1)
+    x = np.column_stack([uv0, np.ones(len(uv0))]) @ unit0.T
+    u, v = transform_points(unit1, uv1).T
+    # With rows h of H, u (h3.x) = h1.x and v (h3.x) = h2.x: all that the normal equations need
+    # are sums of x x^T times 1, u, v and their squares.
+    products = (x[:, :, None] * x[:, None, :]).reshape(-1, 9)
+    weights = np.stack([np.ones(len(u)), u, v, u**2 + v**2])
+    H, normal = H_1_0, np.zeros((9, 9))
+    for factor in (3.0, 1.5, 1.0):
+        error2 = np.sum((transform_points(H, uv0) - uv1) ** 2, axis=1)
+        sums = (weights * (error2 <= (factor * threshold_px) ** 2)) @ products
+        one, of_u, of_v, squares = sums.reshape(4, 3, 3)
+        normal[:3, :3] = normal[3:6, 3:6] = one
+        normal[:3, 6:] = normal[6:, :3] = -of_u
+        normal[3:6, 6:] = normal[6:, 3:6] = -of_v
+        normal[6:, 6:] = squares
+        try:
+            h = np.linalg.solve(normal[:8, :8], -normal[:8, 8])
+        except np.linalg.LinAlgError:
+            return None
+        H = np.asarray(np.linalg.solve(unit1, np.append(h, 1.0).reshape(3, 3) @ unit0))
+    inliers = _inliers(H, uv0, uv1, threshold_px)
+    if inliers is None:
+        return None
+    return RobustFit(H / H[2, 2], inliers, int(np.count_nonzero(inliers)))
+
+
+def _to_unit(uv: Array) -> Array:
+    """Similarity (3, 3) that centres points (n, 2) and brings them to unit size."""
+    centre = uv.mean(axis=0)
+    size = max(float(np.sqrt(np.mean((uv - centre) ** 2))), 1e-9)
+    scale = 1.0 / size
+    return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1.0]])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CentredPairs:
     """The pairs about their medians: float32 inside OpenCV then loses nothing far from 0, 0."""

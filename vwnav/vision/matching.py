@@ -64,12 +64,9 @@ def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> N
     if 0 in (len(frame.descriptors), len(map_.descriptors)):
         return np.zeros((0, 2), np.int64)
     binary = frame.descriptors.dtype == np.uint8
-    nearest = _nearest_bits if binary else _nearest_cosine
-    chosen, similarity = nearest(frame.descriptors, map_.descriptors)
-    # Back from the map's side: only the chosen map features have to be asked.
-    back, _ = nearest(map_.descriptors[chosen], frame.descriptors)
-    mutual = np.flatnonzero(back == np.arange(len(back)))
-    mutual = mutual[similarity[mutual] >= min_similarity]
+    mutual_nearest = _mutual_bits if binary else _mutual_cosine
+    chosen, similarity, is_mutual = mutual_nearest(frame.descriptors, map_.descriptors)
+    mutual = np.flatnonzero(is_mutual & (similarity >= min_similarity))
     best_first = mutual[np.argsort(-similarity[mutual], kind="stable")]
     return np.stack([best_first, chosen[best_first]], axis=1)
 
@@ -93,13 +90,14 @@ def paired_similarity(queries: Descriptors, references: Descriptors) -> NDArray[
     return np.asarray(1.0 - 2.0 * differing.mean(axis=1), np.float32)
 
 
-def _nearest_cosine(
+def _mutual_cosine(
     queries: Descriptors, references: Descriptors
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The most similar reference of each query, and how similar it is."""
+) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.bool_]]:
+    """The most similar reference of each query, how similar it is, and to no query more so."""
     rows = np.arange(len(queries))
     nearest = np.zeros(len(queries), np.int64)
     similarity = np.full(len(queries), -np.inf, np.float32)
+    mutual = np.zeros(len(queries), np.bool_)
     for start in range(0, len(references), CHUNK):
         table = queries @ references[start : start + CHUNK].T
         candidate = np.argmax(table, axis=1)
@@ -107,17 +105,23 @@ def _nearest_cosine(
         better = value > similarity
         nearest[better] = candidate[better] + start
         similarity[better] = value[better]
-    return nearest, similarity
+        # Of the same product: another one could round otherwise.
+        mutual[better] = (value == table.max(axis=0)[candidate])[better]
+    return nearest, similarity, mutual
 
 
-def _nearest_bits(
+def _mutual_bits(
     queries: Descriptors, references: Descriptors
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """As `_nearest_cosine`, for binary descriptors."""
-    found = cv2.BFMatcher(cv2.NORM_HAMMING).match(queries, references)
+) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.bool_]]:
+    """As `_mutual_cosine`, for binary descriptors."""
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    found = matcher.match(queries, references)
     nearest = np.array([pair.trainIdx for pair in found], np.int64)
     distance = np.array([pair.distance for pair in found], np.float32)
-    return nearest, 1.0 - 2.0 * distance / np.float32(BITS_PER_BYTE * queries.shape[1])
+    # Back from the map's side: only the chosen map features have to be asked.
+    back = [pair.trainIdx for pair in matcher.match(references[nearest], queries)]
+    similarity = 1.0 - 2.0 * distance / np.float32(BITS_PER_BYTE * queries.shape[1])
+    return nearest, similarity, np.array(back) == np.arange(len(back))
 
 
 def log10_nfa(

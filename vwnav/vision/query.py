@@ -236,12 +236,13 @@ class QueryMaker:
                 source, H_view_source, made.size_wh, flags=cv2.INTER_LINEAR, borderMode=replicate
             )
         else:
-            places = (self.places(query, made, scale) + 0.5) / H_frame_source[0, 0] - 0.5
-            u, v = np.moveaxis(places, -1, 0).astype(np.float32)
+            shrunk = np.float32(1.0 / H_frame_source[0, 0])
+            places = (self.places(query, made, scale) + np.float32(0.5)) * shrunk - np.float32(0.5)
+            u, v = cv2.split(places)
             view = cv2.remap(source, u, v, cv2.INTER_LINEAR, borderMode=replicate)
         return np.asarray(view, np.uint8)
 
-    def places(self, query: Query, made: Rectification, scale: float) -> NDArray[np.float64]:
+    def places(self, query: Query, made: Rectification, scale: float) -> NDArray[np.float32]:
         """Pixels (h, w, 2) of the image as it was taken that the view's pixels show.
 
         They bend smoothly: they are computed on a grid that reaches a cell past the view.
@@ -259,7 +260,7 @@ class QueryMaker:
         flow = query.flow
         grid = camera.project(rays) if flow is None else seen_by_rows(rays, camera, flow)
         fine = cv2.resize(
-            grid.reshape(rows, columns, 2),
+            grid.reshape(rows, columns, 2).astype(np.float32),
             (GRID_PX * columns, GRID_PX * rows),
             interpolation=cv2.INTER_LINEAR,
         )
@@ -296,11 +297,12 @@ def seen(query: Query, made: Rectification) -> NDArray[np.bool_]:
 def _inside(uv: Array, H_rect_frame: Array, size_wh: Array, center_uv: Array) -> NDArray[np.bool_]:
     """Which view pixels show the image's inside, `EDGE_PX` of the view away from its edge."""
     H_frame_rect = np.asarray(np.linalg.inv(H_rect_frame), np.float64)
-    frame_px_per_px = np.sqrt(abs(np.linalg.det(jacobian_at(H_frame_rect, center_uv))))
+    depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
+    at_center = center_uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
+    # The area of the surroundings of a point grows by det(H) / depth^3.
+    margin = EDGE_PX * np.sqrt(abs(np.linalg.det(H_frame_rect) / at_center**3))
     frame_uv = transform_points(H_frame_rect, uv)
-    margin = EDGE_PX * frame_px_per_px
     low, high = margin, size_wh - 1.0 - margin
     # Behind the horizon the third coordinate changes its sign.
-    depth = uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]
-    ahead = depth * (center_uv @ H_frame_rect[2, :2] + H_frame_rect[2, 2]) > 0.0
+    ahead = depth * at_center > 0.0
     return np.asarray(ahead & np.all((frame_uv >= low) & (frame_uv <= high), axis=1))

@@ -170,22 +170,17 @@ def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array]:
 
     dq = np.empty((len(q), 3, 8))
     dq[:, :, _T] = -R_camera1_ned
-    # A further turn d of the rotation moves q by R (away x d).
-    dq[:, :, _PHI] = R_camera1_ned @ _cross_matrices(away)
+    # A further turn d of the rotation moves q by R (away x d): the matrices of that product.
+    cross = np.zeros((len(q), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2] = -away[:, 2], away[:, 1]
+    cross[:, 1, 0], cross[:, 1, 2] = away[:, 2], -away[:, 0]
+    cross[:, 2, 0], cross[:, 2, 1] = -away[:, 1], away[:, 0]
+    dq[:, :, _PHI] = R_camera1_ned @ cross
     per_slope = -(G @ R_camera1_ned.T) / depth[:, None]
     dq[:, :, 6] = per_slope * x[:, None]
     dq[:, :, 7] = per_slope * y[:, None]
     J = seen.focal_px * (dq[:, :2] - predicted[:, :, None] * dq[:, 2:]) / q[:, 2, None, None]
     return residuals, J
-
-
-def _cross_matrices(v: Array) -> Array:
-    """(n, 3, 3) with [i] @ d == cross(v[i], d)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2] = -v[:, 2], v[:, 1]
-    out[:, 1, 0], out[:, 1, 2] = v[:, 2], -v[:, 0]
-    out[:, 2, 0], out[:, 2, 1] = -v[:, 1], v[:, 0]
-    return out
 
 
 def _normal(
