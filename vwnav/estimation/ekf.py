@@ -75,7 +75,7 @@ class Ekf:
         if self.counts_heading or self._attitudes.newest_s >= t_s:
             return True
         gyro_s = self._attitudes.gyro.newest_s
-        return gyro_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.knows(t_s)
+        return gyro_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.held(t_s).known
 
     def attitude_at(self, t_s: float) -> Attitude | None:
         """The autopilot's attitude at an exposure; None where telemetry does not reach."""
@@ -186,9 +186,9 @@ class Ekf:
         assert self._timeline is not None
         if verdict is Verdict.FUSED:
             self._imu_gate.saw_drag(self._insert(Drag(t_s)))
-        elif self._imu_gate.lost and self._attitudes.knows(t_s):
-            state, quat_wxyz = self._timeline.newest, self._attitudes.quat_at(t_s)
-            self._imu_gate.compare(*explained_m_s2(state, quat_wxyz), t_s)
+        elif self._imu_gate.lost and (held := self._attitudes.held(t_s)).known:
+            explained = explained_m_s2(self._timeline.newest, held.quat_wxyz)
+            self._imu_gate.compare(*explained, t_s)
 
     def _imu_changed(self) -> None:
         """What was felt until now is not believed any more, or what comes is again."""
@@ -273,7 +273,8 @@ class Ekf:
         state = self._timeline.newest
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
-        return estimate_of(state, *self._attitudes.held_at(state.t_s))
+        held = self._attitudes.held(state.t_s)
+        return estimate_of(state, held.quat_wxyz, held.open_rad)
 
     def _note(self, seen: Input) -> None:
         if self._input_log is not None:
