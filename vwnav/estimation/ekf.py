@@ -8,6 +8,8 @@ says), `timeline.py` (which of them it is, and late ones).
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
@@ -20,7 +22,7 @@ from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import FilterState, Innovation, Verdict, estimate_of, outside
+from vwnav.estimation.states import FilterState, Innovation, States, Verdict, estimate_of
 from vwnav.estimation.timeline import Timeline, sensible
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
@@ -304,3 +306,19 @@ class Ekf:
             return None if isinstance(seen, Attitude | ImuSample) else Verdict.NOT_STARTED
         newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
         return Verdict.AHEAD if seen.t_s > newest_s + self._config.ahead_s else None
+
+
+def outside(state: FilterState, config: EkfConfig) -> str | None:
+    """Why a state cannot be that of an aircraft; None while it can."""
+    x, variances = state.x, np.diag(state.P)
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
+        return "it is not finite"
+    north, east, down = x[States.VELOCITY].tolist()
+    if math.hypot(north, east) > config.most_speed_m_s:
+        return f"{math.hypot(north, east):.0f} m/s"
+    if abs(down) > config.most_climb_m_s:
+        return f"{-down:.0f} m/s of climb"
+    tilt_rad = float(np.linalg.norm(x[States.TILT]))
+    if tilt_rad > config.most_tilt_rad:
+        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
+    return None
