@@ -77,7 +77,7 @@ class Ekf:
         if self.counts_heading or self._attitudes.newest_s >= t_s:
             return True
         gyro_s = self._attitudes.gyro.newest_s
-        return gyro_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.held(t_s).known
+        return gyro_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.knows(t_s)
 
     def attitude_at(self, t_s: float) -> Attitude | None:
         """The autopilot's attitude at an exposure; None where telemetry does not reach."""

@@ -78,22 +78,23 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     span_s = t_s - state.t_s
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
-    x, P = state.x, state.P
-    held = context.attitudes.held(state.t_s)
-    one = state.measured or _measured(held, state.t_s, context)
+    x, P, attitudes = state.x, state.P, context.attitudes
+    one = state.measured or _measured(attitudes.held(state.t_s), state.t_s, context)
+    known = attitudes.knows(state.t_s)
     for i in range(count):
         end_s = state.t_s + (i + 1) * dt_s
-        held0, held = held, context.attitudes.held(end_s)
+        held = attitudes.held(end_s)
         zero, one = one, _measured(held, end_s, context)
-        known = held0.known and held.known
-        imu = preintegrated(zero.felt, one.felt) if known else None
+        known0, known = known, held.known
+        imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
-        step = TimeStep(dt_s, zero.quat_wxyz, one.quat_wxyz, known, carried_rad, imu)
+        step = TimeStep(dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu)
         x, P = _propagate(x, P, step, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
 
 
 def _measured(held: Held, t_s: float, context: Context) -> Measured:
+    """What the autopilot tells of a time, by what has come of it until now."""
     return Measured(held.quat_wxyz, context.imu.until(t_s), held.carried_rad)
 
 

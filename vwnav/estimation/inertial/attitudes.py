@@ -178,6 +178,15 @@ class AttitudeHistory:
         i = bisect.bisect_left(self._times_s, t_s)
         return i < len(self._times_s) and self._times_s[i] == t_s
 
+    def knows(self, t_s: float) -> bool:
+        """`Held.known` alone: every prediction asks it of its beginning, whose attitude it has."""
+        after = bisect.bisect_right(self._times_s, t_s)
+        if after == 0:
+            return False
+        later_s = self._times_s[after] if after < len(self._times_s) else t_s
+        near = later_s - self._times_s[after - 1] <= self._max_gap_s
+        return near or self._carried(after - 1, t_s) is not None
+
     def forget_after(self, t_s: float) -> None:
         """Drop attitudes later than a time."""
         i = bisect.bisect_right(self._times_s, t_s)
