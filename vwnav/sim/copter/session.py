@@ -77,12 +77,14 @@ class CopterSession(Conversation[SimulatedCopter]):
                     self._send(message)
 
     def _do(self, command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+        """In ArduCopter's result codes."""
         handler = _HANDLERS.get(command.number)
         if command.number in context.vehicle.refuses:
             return Result.FAILED
         return Result.UNSUPPORTED if handler is None else handler(command, context)
 
     def _set_mode(self, m: Any) -> None:
+        """As the command does it, but nothing is acknowledged."""
         nothing = [math.nan] * 5
         command = VehicleCommand(176, float(m.base_mode), float(m.custom_mode), *nothing)
         self._do(command, CommandContext(self._vehicle, self._schedule, []))

@@ -107,6 +107,7 @@ class Px4Session(Conversation[SimulatedPx4]):
             self._send(message)
 
     def _do(self, command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+        """In PX4's result codes."""
         handler = _HANDLERS.get(command.number)
         context.vehicle.look()
         if command.number in context.vehicle.refuses:
@@ -114,6 +115,7 @@ class Px4Session(Conversation[SimulatedPx4]):
         return Result.UNSUPPORTED if handler is None else handler(command, context)
 
     def _set_mode(self, m: Any) -> None:
+        """As the command does it, but nothing is acknowledged."""
         main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
         nothing = [math.nan] * 4
         command = VehicleCommand(176, float(m.base_mode), float(main), float(sub), *nothing)
