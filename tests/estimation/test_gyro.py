@@ -25,24 +25,26 @@ def turning(until_s: float, gyro_until_s: float) -> AttitudeHistory:
 
 
 def off_rad(attitudes: AttitudeHistory, t_s: float) -> float:
-    return 2.0 * math.acos(min(1.0, abs(attitudes.quat_at(t_s) @ quat_from_vector(t_s * RATE))))
+    return 2.0 * math.acos(
+        min(1.0, abs(attitudes.held(t_s).quat_wxyz @ quat_from_vector(t_s * RATE)))
+    )
 
 
 @pytest.mark.parametrize("t_s", [1.05, 1.5, 3.0])
 def test_beyond_the_newest_attitude_it_turns_as_the_gyro_says(t_s):
     attitudes = turning(1.0, 3.0)
-    assert attitudes.knows(t_s)
+    assert attitudes.held(t_s).known
     turned_rad = yaw_of(quat_from_vector(t_s * RATE)) - yaw_of(quat_from_vector(RATE))
-    assert attitudes.carried_rad(t_s) == pytest.approx(turned_rad, abs=1e-3)
+    assert attitudes.held(t_s).carried_rad == pytest.approx(turned_rad, abs=1e-3)
     assert off_rad(attitudes, t_s) < 1e-3
 
 
 def test_without_the_gyro_nobody_tells():
     attitudes = turning(1.0, 1.0)
-    assert not attitudes.knows(1.5)
+    assert not attitudes.held(1.5).known
     assert attitudes.at(1.5) is None
-    assert attitudes.carried_rad(1.5) == 0.0
+    assert attitudes.held(1.5).carried_rad == 0.0
 
 
 def test_it_is_not_carried_on_for_ever():
-    assert not turning(1.0, 7.0).knows(6.5)
+    assert not turning(1.0, 7.0).held(6.5).known

@@ -92,52 +92,37 @@ def faults(
         raise VwnavError(f"{len(failed)} of {len(results)} faults failed: {named}")
 
 
-@app.command()
-def hover(
-    manners: str = typer.Option("px4", help=_MANNERS),
-    connection: str | None = typer.Option(None, help=_CONNECTION),
-    pilot: str | None = typer.Option(None, help=_PILOT),
-    truth: str | None = typer.Option(None, help=_TRUTH),
-    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
-    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
-) -> None:
-    """Arm, climb, hold for 30 s, land: the thesis' hover test, figures 6.3 to 6.5.
+def _thesis_test(name: str, what: str, example: str) -> None:
+    """One of the thesis' flight tests as a command: `what` it flies, the words of an `example`."""
 
-    Example: vwnav flighttest hover -o hover
-    """
-    _run_test("hover", manners_of(manners), _links(connection, truth, pilot), as_json, output)
+    def test(
+        manners: str = typer.Option("px4", help=_MANNERS),
+        connection: str | None = typer.Option(None, help=_CONNECTION),
+        pilot: str | None = typer.Option(None, help=_PILOT),
+        truth: str | None = typer.Option(None, help=_TRUTH),
+        as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
+        output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
+    ) -> None:
+        _run_test(name, manners_of(manners), _links(connection, truth, pilot), as_json, output)
 
-
-@app.command()
-def waypoints(
-    manners: str = typer.Option("px4", help=_MANNERS),
-    connection: str | None = typer.Option(None, help=_CONNECTION),
-    pilot: str | None = typer.Option(None, help=_PILOT),
-    truth: str | None = typer.Option(None, help=_TRUTH),
-    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
-    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
-) -> None:
-    """Fly a route and come home: the thesis' waypoint test, figures 6.6 to 6.8.
-
-    Example: vwnav flighttest waypoints -o waypoints
-    """
-    _run_test("waypoints", manners_of(manners), _links(connection, truth, pilot), as_json, output)
+    app.command(name, help=f"{what}\n\nExample: vwnav flighttest {name} {example}")(test)
 
 
-@app.command()
-def failsafe(
-    manners: str = typer.Option("px4", help=_MANNERS),
-    connection: str | None = typer.Option(None, help=_CONNECTION),
-    pilot: str | None = typer.Option(None, help=_PILOT),
-    truth: str | None = typer.Option(None, help=_TRUTH),
-    as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
-    output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
-) -> None:
-    """Fly a route; a pilot takes over and hands back, then his radio fails: figures 6.9 to 6.11.
-
-    Example: vwnav flighttest failsafe --manners copter -o failsafe
-    """
-    _run_test("failsafe", manners_of(manners), _links(connection, truth, pilot), as_json, output)
+_thesis_test(
+    "hover",
+    "Arm, climb, hold for 30 s, land: the thesis' hover test, figures 6.3 to 6.5.",
+    "-o hover",
+)
+_thesis_test(
+    "waypoints",
+    "Fly a route and come home: the thesis' waypoint test, figures 6.6 to 6.8.",
+    "-o waypoints",
+)
+_thesis_test(
+    "failsafe",
+    "Fly a route; a pilot takes over and hands back, then his radio fails: figures 6.9 to 6.11.",
+    "--manners copter -o failsafe",
+)
 
 
 def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Links | None":

@@ -8,6 +8,8 @@ says), `timeline.py` (which of them it is, and late ones).
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
@@ -20,7 +22,7 @@ from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import FilterState, Innovation, Verdict, estimate_of, outside
+from vwnav.estimation.states import FilterState, Innovation, States, Verdict, estimate_of
 from vwnav.estimation.timeline import Timeline, sensible
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
@@ -186,9 +188,9 @@ class Ekf:
         assert self._timeline is not None
         if verdict is Verdict.FUSED:
             self._imu_gate.saw_drag(self._insert(Drag(t_s)))
-        elif self._imu_gate.lost and self._attitudes.knows(t_s):
-            state, quat_wxyz = self._timeline.newest, self._attitudes.quat_at(t_s)
-            self._imu_gate.compare(*explained_m_s2(state, quat_wxyz), t_s)
+        elif self._imu_gate.lost and (held := self._attitudes.held(t_s)).known:
+            explained = explained_m_s2(self._timeline.newest, held.quat_wxyz)
+            self._imu_gate.compare(*explained, t_s)
 
     def _imu_changed(self) -> None:
         """What was felt until now is not believed any more, or what comes is again."""
@@ -273,7 +275,8 @@ class Ekf:
         state = self._timeline.newest
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
-        return estimate_of(state, *self._attitudes.held_at(state.t_s))
+        held = self._attitudes.held(state.t_s)
+        return estimate_of(state, held.quat_wxyz, held.open_rad)
 
     def _note(self, seen: Input) -> None:
         if self._input_log is not None:
@@ -303,3 +306,19 @@ class Ekf:
             return None if isinstance(seen, Attitude | ImuSample) else Verdict.NOT_STARTED
         newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
         return Verdict.AHEAD if seen.t_s > newest_s + self._config.ahead_s else None
+
+
+def outside(state: FilterState, config: EkfConfig) -> str | None:
+    """Why a state cannot be that of an aircraft; None while it can."""
+    x, variances = state.x, np.diag(state.P)
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
+        return "it is not finite"
+    north, east, down = x[States.VELOCITY].tolist()
+    if math.hypot(north, east) > config.most_speed_m_s:
+        return f"{math.hypot(north, east):.0f} m/s"
+    if abs(down) > config.most_climb_m_s:
+        return f"{-down:.0f} m/s of climb"
+    tilt_rad = float(np.linalg.norm(x[States.TILT]))
+    if tilt_rad > config.most_tilt_rad:
+        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
+    return None

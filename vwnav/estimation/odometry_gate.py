@@ -108,8 +108,10 @@ class OdometryGate:
 
         `event` is the `displacement` of `motion`.
         """
-        if not possible(motion, timeline.newest, self._config):
-            return Verdict.IMPOSSIBLE
+        scale = max(timeline.newest.agl_m, 0.0) / motion.agl_m
+        way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
+        if not way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s):
+            return Verdict.IMPOSSIBLE  # no aircraft flies so far, at the height that is believed
         before, self._newest = self._newest, motion
         known = timeline.keyframe_known(motion.t0_s)
         if not known and motion.t0_s < timeline.oldest.t_s:
@@ -218,13 +220,6 @@ def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
         yaw_increment_rad=wrap_pi(after.yaw_increment_rad - before.yaw_increment_rad),
         sigma_yaw_rad=math.hypot(after.sigma_yaw_rad, before.sigma_yaw_rad),
     )
-
-
-def possible(motion: OdometryMotion, state: FilterState, config: EkfConfig) -> bool:
-    """Whether an aircraft flies that far in that time, at the height that is believed."""
-    scale = max(state.agl_m, 0.0) / motion.agl_m
-    way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
-    return way_m < _NOISE_M + config.most_speed_m_s * (motion.t1_s - motion.t0_s)
 
 
 def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:

@@ -14,6 +14,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import (
     GRAVITY_M_S2,
+    Held,
     level_axes,
     thrust_acceleration,
     true_from_autopilot,
@@ -78,12 +79,13 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
     x, P, attitudes = state.x, state.P, context.attitudes
-    one = state.measured or _measured(state.t_s, context)
+    one = state.measured or _measured(attitudes.held(state.t_s), state.t_s, context)
     known = attitudes.knows(state.t_s)
     for i in range(count):
         end_s = state.t_s + (i + 1) * dt_s
-        zero, one = one, _measured(end_s, context)
-        known0, known = known, attitudes.knows(end_s)
+        held = attitudes.held(end_s)
+        zero, one = one, _measured(held, end_s, context)
+        known0, known = known, held.known
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
         step = TimeStep(dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu)
@@ -91,9 +93,9 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
 
 
-def _measured(t_s: float, context: Context) -> Measured:
-    attitudes = context.attitudes
-    return Measured(attitudes.quat_at(t_s), context.imu.until(t_s), attitudes.carried_rad(t_s))
+def _measured(held: Held, t_s: float, context: Context) -> Measured:
+    """What the autopilot tells of a time, by what has come of it until now."""
+    return Measured(held.quat_wxyz, context.imu.until(t_s), held.carried_rad)
 
 
 def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Array, Array]:

@@ -6,7 +6,6 @@ from enum import Enum
 
 import numpy as np
 
-from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.integrals import Measured
 from vwnav.geometry.rotations import without_errors
 from vwnav.types import Array, Estimate
@@ -276,22 +275,6 @@ def tells_heading(P: Array) -> bool:
     return bool(P[States.HEADING_BIAS, States.HEADING_BIAS] < _MOST_HEADING_SIGMA_RAD**2)
 
 
-def outside(state: FilterState, config: EkfConfig) -> str | None:
-    """Why a state cannot be that of an aircraft; None while it can."""
-    x, variances = state.x, np.diag(state.P)
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
-        return "it is not finite"
-    north, east, down = x[States.VELOCITY].tolist()
-    if math.hypot(north, east) > config.most_speed_m_s:
-        return f"{math.hypot(north, east):.0f} m/s"
-    if abs(down) > config.most_climb_m_s:
-        return f"{-down:.0f} m/s of climb"
-    tilt_rad = float(np.linalg.norm(x[States.TILT]))
-    if tilt_rad > config.most_tilt_rad:
-        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
-    return None
-
-
 def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
     """What a state says of the aircraft.
 
@@ -309,6 +292,9 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
     tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
     yaw, forward = States.HEADING_BIAS, States.TILT.start
     turn = P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward]
+    # The mean wind is w = c / k, told once the drag k is known to a third.
+    drag = float(x[States.DRAG])
+    windless = P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2
     return Estimate(
         t_s=state.t_s,
         position_ned_m=x[States.POSITION].copy(),
@@ -320,16 +306,8 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
-        wind_ne_m_s=wind_ne_m_s(state),
+        wind_ne_m_s=None if windless else x[States.WIND_FORCE] / drag,
     )
-
-
-def wind_ne_m_s(state: FilterState) -> Array | None:
-    """(2,) the mean wind w = c / k, where it blows to; None until the drag is known to a third."""
-    drag = float(state.x[States.DRAG])
-    if state.P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2:
-        return None
-    return np.asarray(state.x[States.WIND_FORCE] / drag)
 
 
 def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:

@@ -39,31 +39,6 @@ def ecef_from_geodetic(lat_deg: ArrayLike, lon_deg: ArrayLike, alt_m: ArrayLike)
     return np.stack([radial_m * np.cos(lon), radial_m * np.sin(lon), z_m], axis=-1)
 
 
-def geodetic_from_ecef(ecef_m: Array) -> tuple[Array, Array, Array]:
-    """(lat_deg, lon_deg, alt_m) of points (…, 3), longitude within [-180, 180].
-
-    Bowring (1976) for the start and two fixed-point steps, each of which shrinks the error by e^2:
-    below 1e-9 m wherever an aircraft flies, poles included.
-    """
-    x, y, z = np.moveaxis(np.asarray(ecef_m, dtype=np.float64), -1, 0)
-    radial_m = np.hypot(x, y)
-    reduced = np.arctan2(z * WGS84_A_M, radial_m * _B_M)
-    lat = np.arctan2(
-        z + _EP2 * _B_M * np.sin(reduced) ** 3,
-        radial_m - WGS84_E2 * WGS84_A_M * np.cos(reduced) ** 3,
-    )
-    for _ in range(2):
-        prime_m = WGS84_A_M / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
-        lat = np.arctan2(z + WGS84_E2 * prime_m * np.sin(lat), radial_m)
-    # This form of the height holds at the poles, where radial / cos(lat) does not.
-    alt_m = (
-        radial_m * np.cos(lat)
-        + z * np.sin(lat)
-        - WGS84_A_M * np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
-    )
-    return np.degrees(lat), np.degrees(np.arctan2(y, x)), alt_m
-
-
 class LocalFrame:
     """North-east-down coordinates about an origin, exact on WGS84 (by way of ECEF).
 
@@ -99,9 +74,27 @@ class LocalFrame:
         return np.asarray(offset_m @ self._R_ned_ecef.T)
 
     def to_geodetic(self, ned_m: ArrayLike) -> tuple[Array, Array, Array]:
-        """(lat_deg, lon_deg, alt_amsl_m), each (…), of points (…, 3); scalars for one point."""
+        """(lat_deg, lon_deg, alt_amsl_m), each (…), of points (…, 3); scalars for one point.
+
+        Longitude is within [-180, 180]. Bowring (1976) for the start and two fixed-point steps,
+        each of which shrinks the error by e^2: below 1e-9 m wherever an aircraft flies, poles
+        included.
+        """
         offset_m = np.asarray(ned_m, dtype=np.float64) @ self._R_ned_ecef
-        return geodetic_from_ecef(self._origin_ecef_m + offset_m)
+        x, y, z = np.moveaxis(self._origin_ecef_m + offset_m, -1, 0)
+        radial_m = np.hypot(x, y)
+        reduced = np.arctan2(z * WGS84_A_M, radial_m * _B_M)
+        lat = np.arctan2(
+            z + _EP2 * _B_M * np.sin(reduced) ** 3,
+            radial_m - WGS84_E2 * WGS84_A_M * np.cos(reduced) ** 3,
+        )
+        for _ in range(2):
+            prime_m = WGS84_A_M / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
+            lat = np.arctan2(z + WGS84_E2 * prime_m * np.sin(lat), radial_m)
+        # This form of the height holds at the poles, where radial / cos(lat) does not.
+        own_m = WGS84_A_M * np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
+        alt_m = radial_m * np.cos(lat) + z * np.sin(lat) - own_m
+        return np.degrees(lat), np.degrees(np.arctan2(y, x)), alt_m
 
 
 @overload

@@ -85,8 +85,10 @@ def pose_from_rectified(
     homography = bool(np.any(H_map_rect[2, :2]))
     fit = linearised(uv_rect, uv_map, H_map_rect, view.nadir_uv, homography=homography)
     covariance_px2 = None if fit is None else scatter_covariance(fit, errors.sigma_px)
-    turn_of = _turn_of_homography if homography else _turn_of_similarity
-    turn = turn_of(H_map_rect, view, uv_rect, uv_map, px_per_m, errors)
+    if homography:
+        turn = _turn_of_homography(H_map_rect, view, uv_rect, uv_map, px_per_m, errors)
+    else:
+        turn = _turn_of_similarity(H_map_rect, view, uv_rect, px_per_m, errors)
     nadir_px = transform_points(H_map_rect, view.nadir_uv)[0]
     if fit is None or covariance_px2 is None or turn is None or not np.all(np.isfinite(nadir_px)):
         return None
@@ -120,7 +122,6 @@ def _turn_of_similarity(
     H_map_rect: Array,
     view: Rectification,
     uv_rect: Array,
-    _uv_map: Array,
     px_per_m: tuple[float, float],
     errors: PoseErrors,
 ) -> _Turn | None:

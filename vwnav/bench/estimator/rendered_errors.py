@@ -87,7 +87,7 @@ class _Told:
         The attitude is Rz(heading error) exp(tilt) R_true.
         """
         R_true = rotation_from_quat(self._truth.quat_wxyz[self._truth.index(t_s)])
-        wrong = rotation_from_quat(self._said.quat_at(t_s)) @ R_true.T
+        wrong = rotation_from_quat(self._said.held(t_s).quat_wxyz) @ R_true.T
         yaw_rad = math.atan2(wrong[1, 0] - wrong[0, 1], wrong[0, 0] + wrong[1, 1])
         untilted = rotation_from_vector([0.0, 0.0, -yaw_rad]) @ wrong
         map_yaw_rad = euler_from_rotation(untilted @ R_true)[2]

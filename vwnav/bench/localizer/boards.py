@@ -1,6 +1,7 @@
 """Maps of registered images, and frames cut from their other dates to be found on them."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,6 @@ from vwnav.bench.localizer.looks import (
     Board,
     Cut,
     LookCase,
-    LookKind,
     SeenGround,
     TruePose,
     cut_frame,
@@ -36,7 +36,7 @@ from vwnav.bench.localizer.looks import (
 from vwnav.cameras.image_folder import read_image
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
 from vwnav.maps.build.raster import DrawnSource, array_source, level_georeference
-from vwnav.types import Array, Gray, Prior
+from vwnav.types import Array, Gray
 
 ELSEWHERE = "elsewhere"
 LOOKS_AN_IMAGE = 4  # with a prior
@@ -134,21 +134,21 @@ def pair_looks(
         pose = pose_of(cut, corner_px)
         m_per_px = ground_resolution_m_per_px(pose.lat_deg, ZOOM)
         prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
-        asked: list[tuple[LookKind, Prior]] = [("prior", prior)]
-        asked += [("search", without_place(prior))] if number < searches else []
-        for kind, known in asked:
-            yield LookCase(
-                group=group,
-                name=f"{name}.{number}",
-                kind=kind,
-                image=cut.image,
-                camera=CAMERA,
-                prior=known,
-                seed=number,
-                truth=pose,
-                unit_m=m_per_px,
-                label_m=label_px * m_per_px,
-            )
+        look = LookCase(
+            group=group,
+            name=f"{name}.{number}",
+            kind="prior",
+            image=cut.image,
+            camera=CAMERA,
+            prior=prior,
+            seed=number,
+            truth=pose,
+            unit_m=m_per_px,
+            label_m=label_px * m_per_px,
+        )
+        yield look
+        if number < searches:
+            yield replace(look, kind="search", prior=without_place(prior))
 
 
 def pose_of(cut: Cut, corner_px: tuple[int, int]) -> TruePose:
@@ -181,21 +181,21 @@ def wrong_looks(
 ) -> Iterator[LookCase]:
     """A frame that the map does not show, with a rough prior and without place."""
     prior = rough_prior(pose, cut.rpy_rad[:2], PRIOR_PX * m_per_px, rng)
-    asked: list[tuple[LookKind, Prior]] = [("wrong", prior)]
-    asked += [("wrong_search", without_place(prior))] if seed % LOOKS_AN_IMAGE == 0 else []
-    for kind, known in asked:
-        yield LookCase(
-            group=ELSEWHERE,
-            name=f"{name}.{seed}",
-            kind=kind,
-            image=cut.image,
-            camera=CAMERA,
-            prior=known,
-            seed=seed,
-            truth=None,
-            unit_m=m_per_px,
-            label_m=0.0,
-        )
+    look = LookCase(
+        group=ELSEWHERE,
+        name=f"{name}.{seed}",
+        kind="wrong",
+        image=cut.image,
+        camera=CAMERA,
+        prior=prior,
+        seed=seed,
+        truth=None,
+        unit_m=m_per_px,
+        label_m=0.0,
+    )
+    yield look
+    if seed % LOOKS_AN_IMAGE == 0:
+        yield replace(look, kind="wrong_search", prior=without_place(prior))
 
 
 def stranger(photos: list[Photo], rng: np.random.Generator) -> tuple[Photo, Cut] | None:

@@ -2,6 +2,7 @@
 
 import bisect
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -98,6 +99,29 @@ class GyroHistory:
         return self._series[i], turned / math.sqrt(turned @ turned)
 
 
+class Held(NamedTuple):
+    """The attitude at a time, as well as it is known.
+
+    Attributes:
+        quat_wxyz: (4,).
+        known: whether it is known how the aircraft leans: the newest is held as long as a gap.
+        open_rad: how far it may have turned with neither attitude nor gyro to tell.
+        from_wxyz: (4,) the autopilot's last one, where the gyro has turned it on to this.
+    """
+
+    quat_wxyz: Array
+    known: bool
+    open_rad: float = 0.0
+    from_wxyz: Array | None = None
+
+    @property
+    def carried_rad(self) -> float:
+        """By how much the gyro has turned the heading on."""
+        if self.from_wxyz is None:
+            return 0.0
+        return wrap_pi(yaw_of(self.quat_wxyz) - yaw_of(self.from_wxyz))
+
+
 class AttitudeHistory:
     """Attitudes in order of time, looked up by time.
 
@@ -144,34 +168,24 @@ class AttitudeHistory:
         if i < len(self._times_s) and self._times_s[i] == t_s:
             return Attitude(t_s, self._quats[i])
         ahead_s = _KNOWN_AHEAD_S if math.isfinite(self._max_gap_s) else math.inf
-        if i == 0:
+        is_late = i == len(self._times_s) and t_s > self.newest_s + ahead_s
+        if i == 0 or (is_late and self._carried(i - 1, t_s) is None):
             return None
-        if i < len(self._times_s):
-            near = self._times_s[i] - self._times_s[i - 1] <= self._max_gap_s
-        else:
-            near = t_s <= self._times_s[-1] + ahead_s
-        if not near and self._carried(i - 1, t_s) is None:
-            return None
-        return Attitude(t_s, self.quat_at(t_s))
+        held = self.held(t_s)
+        return Attitude(t_s, held.quat_wxyz) if held.known else None
 
     def __contains__(self, t_s: float) -> bool:
         i = bisect.bisect_left(self._times_s, t_s)
         return i < len(self._times_s) and self._times_s[i] == t_s
 
-    def held_at(self, t_s: float) -> tuple[Array, float]:
-        """`quat_at`, and how far it may have turned with neither attitude nor gyro to tell, rad."""
-        if not self._times_s or self.knows(t_s):
-            return self.quat_at(t_s), 0.0
-        return self.quat_at(t_s), TURNING_RAD_S * max(t_s - self.newest_s - MAX_GAP_S, 0.0)
-
     def knows(self, t_s: float) -> bool:
-        """Whether it is known how the aircraft leans then: the newest is held as long as a gap."""
-        i = bisect.bisect_right(self._times_s, t_s)
-        if i == 0:
+        """`Held.known` alone: every prediction asks it of its beginning, whose attitude it has."""
+        after = bisect.bisect_right(self._times_s, t_s)
+        if after == 0:
             return False
-        later_s = self._times_s[i] if i < len(self._times_s) else t_s
-        near = later_s - self._times_s[i - 1] <= self._max_gap_s
-        return near or self._carried(i - 1, t_s) is not None
+        later_s = self._times_s[after] if after < len(self._times_s) else t_s
+        near = later_s - self._times_s[after - 1] <= self._max_gap_s
+        return near or self._carried(after - 1, t_s) is not None
 
     def forget_after(self, t_s: float) -> None:
         """Drop attitudes later than a time."""
@@ -180,21 +194,34 @@ class AttitudeHistory:
         del self._quats[i:]
         self.newest_s = self._times_s[-1] if self._times_s else -math.inf
 
-    def quat_at(self, t_s: float) -> Array:
-        """quat_wxyz (4,) at a time: interpolated, held before the first one.
+    def held(self, t_s: float) -> Held:
+        """The attitude at a time, or what comes nearest to it.
 
-        After the last one, and in a gap, it turns as the gyro says. Where none tells it turns on
-        at the last rate for a tenth of a second, then holds: in a turn of 90 deg/s an attitude
-        30 ms old is 3 degrees wrong. Level and facing north when no attitude ever came. Neighbours
-        are some 20 ms apart, where normalised linear interpolation differs from slerp by less than
-        1e-5 rad.
+        Held before the first one. After the last one, and in a gap, it turns as the gyro says.
+        Level and facing north when no attitude ever came.
         """
-        if not self._times_s:
-            return np.array([1.0, 0.0, 0.0, 0.0])
-        carried = self._carried_over(t_s)
+        after = bisect.bisect_right(self._times_s, t_s)
+        if after == 0:
+            quat = self._quats[0] if self._quats else np.array([1.0, 0.0, 0.0, 0.0])
+            return Held(quat, known=False)
+        before_s = self._times_s[after - 1]
+        is_last = after == len(self._times_s)
+        near = (t_s if is_last else self._times_s[after]) - before_s <= self._max_gap_s
+        is_open = self.gyro.newest_s > before_s and t_s > before_s if is_last else not near
+        carried = self._carried(after - 1, t_s) if is_open else None
         if carried is not None:
-            return carried[1]
-        i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
+            return Held(carried, known=True, from_wxyz=self._quats[after - 1])
+        unheard_s = 0.0 if near else max(t_s - self.newest_s - MAX_GAP_S, 0.0)
+        return Held(self._interpolated(t_s, after), near, TURNING_RAD_S * unheard_s)
+
+    def _interpolated(self, t_s: float, after: int) -> Array:
+        """(4,) between the attitude before `after` and that one; beyond the last it turns on.
+
+        At the last rate for a tenth of a second, then it holds: in a turn of 90 deg/s an attitude
+        30 ms old is 3 degrees wrong. Neighbours are some 20 ms apart, where normalised linear
+        interpolation differs from slerp by less than 1e-5 rad.
+        """
+        i = min(after, len(self._times_s) - 1)
         if i == 0:
             return self._quats[0]
         t0_s, t1_s = self._times_s[i - 1], self._times_s[i]
@@ -207,24 +234,6 @@ class AttitudeHistory:
         quat = (1.0 - fraction) * quat0 + fraction * quat1
         return np.asarray(quat / math.sqrt(quat @ quat))
 
-    def carried_rad(self, t_s: float) -> float:
-        """By how much the gyro has turned the heading of `quat_at` on from the autopilot's last."""
-        carried = self._carried_over(t_s)
-        return 0.0 if carried is None else wrap_pi(yaw_of(carried[1]) - yaw_of(carried[0]))
-
-    def _carried_over(self, t_s: float) -> tuple[Array, Array] | None:
-        """The last attitude, and that turned on, beyond the newest one and in a gap."""
-        after = bisect.bisect_right(self._times_s, t_s)
-        if after == 0:
-            return None
-        before_s = self._times_s[after - 1]
-        if after == len(self._times_s):
-            is_open = self.gyro.newest_s > before_s and t_s > before_s
-        else:
-            is_open = self._times_s[after] - before_s > self._max_gap_s
-        carried = self._carried(after - 1, t_s) if is_open else None
-        return None if carried is None else (self._quats[after - 1], carried)
-
     def _carried(self, i: int, t_s: float) -> Array | None:
         """The i-th attitude, turned on to `t_s` by the gyro."""
         if t_s - self._times_s[i] > _CARRIED_S:
@@ -234,7 +243,7 @@ class AttitudeHistory:
 
     def yaw_at(self, t_s: float) -> tuple[float, bool]:
         """Heading as the autopilot has it, radians, and whether telemetry reaches there (`at`)."""
-        return yaw_of(self.quat_at(t_s)), self.at(t_s) is not None
+        return yaw_of(self.held(t_s).quat_wxyz), self.at(t_s) is not None
 
 
 def yaw_of(quat_wxyz: Array) -> float:

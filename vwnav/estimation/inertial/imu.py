@@ -83,10 +83,11 @@ class ImuHistory:
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
         span_s = self._span_s(sample)
         self._turn(sample.t_s, values[3:], span_s)
-        R = rotation_from_quat(self._attitudes.quat_at(sample.t_s))
+        held = self._attitudes.held(sample.t_s)
+        R = rotation_from_quat(held.quat_wxyz)
         force = sample.specific_force_m_s2
         now = np.column_stack([R, R @ force, force])
-        self._felt.append(self._next(sample.t_s, span_s, now, values))
+        self._felt.append(self._next(span_s, held.known, now, values))
         self._times_s.append(sample.t_s)
         self._newest = now, values
         old = bisect.bisect_left(self._times_s, sample.t_s - self._length_s) - 1
@@ -143,13 +144,13 @@ class ImuHistory:
         else:
             self._gyro.turn(t_s, (0.5 * span_s) * (self._newest[1][3:] + rates_rad_s))
 
-    def _next(self, t_s: float, span_s: float | None, now: Array, values: Array) -> ImuIntegrals:
-        """Add a sample to the integrals, by the trapezoidal rule."""
+    def _next(self, span_s: float | None, leans: bool, now: Array, values: Array) -> ImuIntegrals:
+        """Add a sample to the integrals, by the trapezoidal rule; `leans`: it is known how."""
         turned = self._gyro.newest
         if not self._felt:
             return ImuIntegrals(self._series, 0.0, np.zeros((3, 5)), turned, np.zeros(2))
         zero, (integrand, before) = self._felt[-1], self._newest
-        if span_s is None or not self._attitudes.knows(t_s):
+        if span_s is None or not leans:
             return ImuIntegrals(
                 zero.series + 1, zero.span_s, zero.integrals, turned, zero.variances
             )

@@ -87,9 +87,9 @@ class ImuGate:
         """Put a sample into the history, or say why not; what was believed before goes with it."""
         if not self._imu.believes(sample):
             return Verdict.GATED
-        t_s = sample.t_s
-        if self._attitudes.knows(t_s):
-            changed = self._learn(sample, self._attitudes.quat_at(t_s))
+        held = self._attitudes.held(sample.t_s)
+        if held.known:
+            changed = self._learn(sample, held.quat_wxyz)
             if changed and self.lost:
                 self._imu.forget()
         if self.lost:

@@ -12,14 +12,10 @@ from vwnav.sim.copter.copter import SimulatedCopter
 from vwnav.sim.copter.modes import Mode
 from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.conversation import (
-    GET_MESSAGE_INTERVAL,
+    COMMON_COMMANDS,
     CommandContext,
     Conversation,
-    accept,
-    arm,
-    get_interval,
     reboot,
-    request_version,
     set_home,
 )
 from vwnav.sim.mavlink.link import MavlinkLink
@@ -80,14 +76,18 @@ class CopterSession(Conversation[SimulatedCopter]):
                 for message in text_messages(severity, text, number % 65536):
                     self._send(message)
 
-    def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
-        context = CommandContext(self._vehicle, self._schedule, [])
-        result = execute(command, context)
-        return result, context.send_now, context.reboot
+    def _do(self, command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
+        """In ArduCopter's result codes."""
+        handler = _HANDLERS.get(command.number)
+        if command.number in context.vehicle.refuses:
+            return Result.FAILED
+        return Result.UNSUPPORTED if handler is None else handler(command, context)
 
     def _set_mode(self, m: Any) -> None:
+        """As the command does it, but nothing is acknowledged."""
         nothing = [math.nan] * 5
-        self._perform(VehicleCommand(176, float(m.base_mode), float(m.custom_mode), *nothing))
+        command = VehicleCommand(176, float(m.base_mode), float(m.custom_mode), *nothing)
+        self._do(command, CommandContext(self._vehicle, self._schedule, []))
 
     def _setpoint(self, m: Any) -> None:
         setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)
@@ -144,14 +144,6 @@ class CopterSession(Conversation[SimulatedCopter]):
 Handler = Callable[[VehicleCommand, CommandContext[SimulatedCopter]], Result]
 
 
-def execute(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
-    """Do a command and say how it went, in ArduCopter's result codes."""
-    handler = _HANDLERS.get(command.number)
-    if command.number in context.vehicle.refuses:
-        return Result.FAILED
-    return Result.UNSUPPORTED if handler is None else handler(command, context)
-
-
 def _takeoff(command: VehicleCommand, context: CommandContext[SimulatedCopter]) -> Result:
     return context.vehicle.take_off(command.z) if math.isfinite(command.z) else Result.FAILED
 
@@ -192,17 +184,14 @@ def _request(command: VehicleCommand, context: CommandContext[SimulatedCopter]) 
 
 
 _HANDLERS: dict[int, Handler] = {
+    **COMMON_COMMANDS,
     17: _mode(Mode.LOITER),  # NAV_LOITER_UNLIM
     20: _mode(Mode.RTL),
     21: _mode(Mode.LAND),
     22: _takeoff,
     176: _set_mode,
-    178: accept,  # DO_CHANGE_SPEED
     179: partial(set_home, Result.FAILED),
     246: partial(reboot, (Result.FAILED, Result.UNSUPPORTED)),
-    400: arm,
-    GET_MESSAGE_INTERVAL: get_interval,
     511: _set_interval,
     512: _request,
-    520: request_version,
 }

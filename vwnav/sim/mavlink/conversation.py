@@ -67,8 +67,8 @@ class Conversation(ABC, Generic[VehicleT]):
     def _is_for_us(self, message: Any) -> bool: ...
 
     @abstractmethod
-    def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
-        """The result, numbers of messages to send, and whether a reboot is wanted."""
+    def _do(self, command: VehicleCommand, context: "CommandContext[VehicleT]") -> Result:
+        """Do a command and say how it went, in this autopilot's result codes."""
 
     @abstractmethod
     def _send_parameter(self, index: int) -> None: ...
@@ -121,8 +121,9 @@ class Conversation(ABC, Generic[VehicleT]):
         self._execute(m, VehicleCommand(m.command, m.param1, m.param2, m.param3, m.param4, *place))
 
     def _execute(self, message: Any, command: VehicleCommand) -> None:
-        result, numbers, reboot = self._perform(command)
-        wanted = [self._requested(number, command) for number in numbers]
+        context = CommandContext(self._vehicle, self._schedule, [])
+        result = self._do(command, context)
+        wanted = [self._requested(number, command) for number in context.send_now]
         if None in wanted and command.number == REQUEST_MESSAGE:
             result = self.UNKNOWN_MESSAGE
         source = (message.get_srcSystem(), message.get_srcComponent())
@@ -130,7 +131,7 @@ class Conversation(ABC, Generic[VehicleT]):
         for built in wanted:
             if built is not None:
                 self._answer(built)
-        self._reboot_wanted = self._reboot_wanted or reboot
+        self._reboot_wanted = self._reboot_wanted or context.reboot
 
     def _requested(self, number: int, command: VehicleCommand) -> Any:
         if number == MESSAGE_INTERVAL and command.number == GET_MESSAGE_INTERVAL:
@@ -234,3 +235,12 @@ def reboot(
 def accept(_: VehicleCommand, __: CommandContext[Any]) -> Result:
     """Nothing comes of it."""
     return Result.ACCEPTED
+
+
+# Those that both autopilots do alike.
+COMMON_COMMANDS: dict[int, Callable[[VehicleCommand, CommandContext[Any]], Result]] = {
+    178: accept,  # DO_CHANGE_SPEED
+    400: arm,
+    GET_MESSAGE_INTERVAL: get_interval,
+    520: request_version,
+}

@@ -102,7 +102,7 @@ class Px4Commander:
         if wanted in (NavState.LAND, NavState.TAKEOFF) and self.intended is not wanted:
             self._before = self.intended
         self.intended = wanted
-        self.failsafe.override(health)
+        self.failsafe.override()
         return Result.ACCEPTED
 
     def _may(self, wanted: NavState, health: Px4Health) -> bool:
@@ -124,7 +124,7 @@ class Px4Commander:
             return
         wanted = NavState.POSITION if health.local_position_ok else NavState.ALTITUDE
         self.intended = wanted
-        self.failsafe.override(health)
+        self.failsafe.override()
         self._say(Severity.INFO, "Pilot took over using sticks\t")
 
     def finish_takeoff(self) -> None:

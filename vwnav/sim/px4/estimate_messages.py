@@ -14,7 +14,6 @@ from vwnav.sim.multirotor.messages import attitude, attitude_quaternion
 from vwnav.sim.px4.px4 import SimulatedPx4
 
 _NAN = math.nan
-_ZERO4 = [0.0] * 4
 
 
 def attitude_target(v: SimulatedPx4) -> Any:

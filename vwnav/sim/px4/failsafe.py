@@ -100,7 +100,7 @@ class Failsafe:
         self._overridden.clear()
         self.active = False
 
-    def override(self, health: Px4Health) -> None:
+    def override(self) -> None:
         """The user chose a mode: what lasts until then is over, and is not raised again."""
         self._overridden |= {cause for cause in self._since_s if cause in _LATCHED}
         for cause in _LATCHED:

@@ -19,7 +19,6 @@ _UNUSED_CELLS = [65535] * (10 - 1)
 _UINT16_MAX = 65535
 _UPDATED = 63  # accelerometer, gyroscope, magnetometer
 _ARMED = 128
-_ZERO4 = [0.0] * 4
 _VERSION = 0x01080080  # 1.8.0, type 128: what the PX4 1.18-era simulation says of itself
 _CAPABILITIES = 0xE8FF
 _GIT_HASH = [0, 0, 0, 211, 36, 228, 74, 13]

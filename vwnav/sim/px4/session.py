@@ -9,14 +9,10 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.sim.mavlink.command import Result, Severity, VehicleCommand, is_place, message_id
 from vwnav.sim.mavlink.conversation import (
-    GET_MESSAGE_INTERVAL,
+    COMMON_COMMANDS,
     CommandContext,
     Conversation,
-    accept,
-    arm,
-    get_interval,
     reboot,
-    request_version,
     set_home,
 )
 from vwnav.sim.mavlink.link import MavlinkLink
@@ -110,17 +106,20 @@ class Px4Session(Conversation[SimulatedPx4]):
         for message in text_messages(severity, text, self._chunk_id):
             self._send(message)
 
-    def _perform(self, command: VehicleCommand) -> tuple[Result, list[int], bool]:
-        context = CommandContext(self._vehicle, self._schedule, [])
-        result = execute(command, context)
-        return result, context.send_now, context.reboot
+    def _do(self, command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+        """In PX4's result codes."""
+        handler = _HANDLERS.get(command.number)
+        context.vehicle.look()
+        if command.number in context.vehicle.refuses:
+            return Result.TEMPORARILY_REJECTED
+        return Result.UNSUPPORTED if handler is None else handler(command, context)
 
     def _set_mode(self, m: Any) -> None:
+        """As the command does it, but nothing is acknowledged."""
         main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
-        nothing = (math.nan, math.nan, math.nan)
-        self._perform(
-            VehicleCommand(176, float(m.base_mode), float(main), float(sub), math.nan, *nothing)
-        )
+        nothing = [math.nan] * 4
+        command = VehicleCommand(176, float(m.base_mode), float(main), float(sub), *nothing)
+        self._do(command, CommandContext(self._vehicle, self._schedule, []))
 
     def _setpoint(self, m: Any) -> None:
         setpoint = setpoint_of(m, self._vehicle.estimator.attitude.yaw_rad)
@@ -207,15 +206,6 @@ class Px4Session(Conversation[SimulatedPx4]):
 Handler = Callable[[VehicleCommand, CommandContext[SimulatedPx4]], Result]
 
 
-def execute(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
-    """Do a command and say how it went, in PX4's result codes."""
-    handler = _HANDLERS.get(command.number)
-    context.vehicle.look()
-    if command.number in context.vehicle.refuses:
-        return Result.TEMPORARILY_REJECTED
-    return Result.UNSUPPORTED if handler is None else handler(command, context)
-
-
 def _takeoff(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
     v = context.vehicle
     result = v.commander.ask(NavState.TAKEOFF, v.health)
@@ -270,18 +260,15 @@ def _set_origin(command: VehicleCommand, context: CommandContext[SimulatedPx4]) 
 
 
 _HANDLERS: dict[int, Handler] = {
+    **COMMON_COMMANDS,
     17: _state(NavState.HOLD),  # NAV_LOITER_UNLIM
     20: _state(NavState.RETURN),
     21: _state(NavState.LAND),
     22: _takeoff,
     176: _set_mode,
-    178: accept,  # DO_CHANGE_SPEED
     179: partial(set_home, Result.TEMPORARILY_REJECTED),
     246: partial(reboot, (Result.TEMPORARILY_REJECTED, Result.DENIED)),
-    400: arm,
-    GET_MESSAGE_INTERVAL: get_interval,
     511: _set_interval,
     512: _request,
-    520: request_version,
     611: _set_origin,
 }

@@ -54,7 +54,7 @@ def _cell(canvas: Canvas, cell: Cell, look: Look, turf: NDArray[np.float32]) -> 
         case "yard":
             _yard(canvas, cell, look)
         case "garden":
-            _garden(canvas, cell, look, turf)
+            _garden(canvas, cell, turf)
         case "pond":
             _pond(canvas, cell, look)
         case "pasture":
@@ -121,7 +121,7 @@ def _yard(canvas: Canvas, cell: Cell, look: Look) -> None:
     canvas.scale(Patch(patch.rows, patch.cols, patch.alpha * dark), 0.6)
 
 
-def _garden(canvas: Canvas, cell: Cell, look: Look, turf: NDArray[np.float32]) -> None:
+def _garden(canvas: Canvas, cell: Cell, turf: NDArray[np.float32]) -> None:
     rng = np.random.default_rng([cell.seed, 7])
     patch = canvas.polygon(cell.polygon)
     if patch is None:

@@ -50,7 +50,7 @@ def paint_objects(canvas: Canvas, standing: Standing, look: Look) -> None:
     """Shadows on the ground, then the things themselves from low to high."""
     _shadows(canvas, standing, look)
     for vehicle in standing.vehicles:
-        _vehicle(canvas, vehicle, look)
+        _vehicle(canvas, vehicle)
     for building in sorted(standing.buildings, key=lambda b: b.ridge_m):
         paint_building(canvas, building, look)
     for plant in sorted(standing.plants, key=lambda p: p.height_m):
@@ -139,7 +139,7 @@ def _aircraft(v: ParkedVehicle) -> list[Array]:
     return [to_ne(whole, v.centre_ne, v.azimuth_rad) for whole in wholes]
 
 
-def _vehicle(canvas: Canvas, v: ParkedVehicle, look: Look) -> None:
+def _vehicle(canvas: Canvas, v: ParkedVehicle) -> None:
     rng = np.random.default_rng(v.seed)
     paint = np.array(_CARS[int(rng.integers(len(_CARS)))], np.float32)[::-1]
     length, width, _ = _vehicle_size(v)

@@ -14,6 +14,7 @@ from vwnav.sim.scenery.landscape import (
     Roof,
     Species,
     Strip,
+    Surface,
     rectangle,
     spot,
     to_ne,
@@ -146,7 +147,7 @@ def _plot(
     dims = (float(rng.uniform(9.5, 14.5)), float(rng.uniform(7.5, 9.5)))
     turn = heading_rad + (np.pi / 2 if rng.uniform() < 0.3 else 0.0) + rng.normal(0.0, 0.02)
     roof: Roof = "gable" if rng.uniform() < 0.6 else ("hip" if rng.uniform() < 0.7 else "flat")
-    _drive(draft, house, centre, heading_rad, (width, depth), side)
+    _drive(draft, centre, heading_rad, (width, depth), side)
     _building(draft, house, dims, turn, (3.2, 6.8), roof, 0.06)
     if rng.uniform() < 0.4:  # a wing makes it L-shaped
         wing = spot(house, heading_rad, dims[0] * 0.28, side * dims[1] * 0.6)
@@ -162,12 +163,7 @@ def _plot(
 
 
 def _drive(
-    draft: Draft,
-    house: Array,
-    centre: Array,
-    heading_rad: float,
-    size: tuple[float, float],
-    side: float,
+    draft: Draft, centre: Array, heading_rad: float, size: tuple[float, float], side: float
 ) -> None:
     """A drive from the street to beside the house, with a car on it in some looks."""
     rng = draft.rng
@@ -175,10 +171,8 @@ def _drive(
     ends = np.array([[along, -side * (size[1] / 2 + 3.0)], [along, -side * size[1] / 2 * 0.35]])
     start, end = to_ne(ends, centre, heading_rad)
     line = np.linspace(start, end, 4)
-    surface = "gravel" if rng.uniform() < 0.5 else "asphalt"
-    draft.strips.append(
-        Strip(line, 3.2, "gravel" if surface == "gravel" else "asphalt", int(rng.integers(2**31)))
-    )
+    surface: Surface = "gravel" if rng.uniform() < 0.5 else "asphalt"
+    draft.strips.append(Strip(line, 3.2, surface, int(rng.integers(2**31))))
     draft.ground.take_line(line, 3.5)
     for look in BOTH:
         if rng.uniform() < 0.55:
