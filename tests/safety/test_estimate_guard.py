@@ -290,12 +290,17 @@ def test_what_no_image_shows_is_made_up_and_does_not_come_back():
 
 
 @pytest.mark.parametrize(
-    ("off_m", "fix_s", "goes_on"), [(5.0, 0.0, True), (25.0, 0.0, False), (5.0, 2.0, False)]
+    ("off_m", "fix_s", "told_m"),
+    [(5.0, 0.0, 20.0), (25.0, 0.0, None), (5.0, 2.0, LIMITS.unproven_sigma_m), (25.0, 2.0, None)],
 )
-def test_a_blind_one_may_correct_itself_inside_of_what_it_said_and_no_fix_may_move_it_so(
-    off_m, fix_s, goes_on
+def test_a_blind_one_may_correct_itself_inside_of_what_it_said_and_by_a_fix_as_unproven(
+    off_m, fix_s, told_m
 ):
-    """Twenty metres unsure: what the air tells of its velocity moves its place by metres."""
+    """Twenty metres unsure: what the air tells of its velocity moves its place by metres.
+
+    So does a first fix after a while. As long as that ended what was sent, an aircraft that landed
+    blind was told nothing from its first fix on, and came down 202 m off.
+    """
 
     def make(t_s: float) -> Estimate:
         moved = t_s >= 2.0
@@ -305,8 +310,10 @@ def test_a_blind_one_may_correct_itself_inside_of_what_it_said_and_no_fix_may_mo
 
     guard = flying(8.0)
     sent = feed(guard, DT_S, 4.0, make)
-    assert (sent[-1].t_s > 3.9) is goes_on
-    assert {e.reset_counter for e in sent} == ({0, 1} if goes_on else {0})
+    assert (sent[-1].t_s > 3.9) is (told_m is not None)
+    assert {e.reset_counter for e in sent} == ({0} if told_m is None else {0, 1})
+    if told_m is not None:
+        assert sent[-1].sigma_horizontal_m == pytest.approx(told_m)
 
 
 @pytest.mark.parametrize("seen_s", [None, 0.9])

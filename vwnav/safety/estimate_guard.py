@@ -197,18 +197,24 @@ class EstimateGuard:
             if estimate.t_s - self._jumped_t_s < self._limits.steady_s:
                 return _RESTLESS
             self._track.clear()
-            is_wide = self._unproven is not None or self._corrects_itself(estimate, self._last)
-            return self._unsure_velocity(estimate) if is_wide else self._unsure(estimate)
+            return self._unsure_after_jump(estimate, self._last)
         if self._track.jumped(estimate.t_s, *_north_east(estimate)):
             return "the estimate jumped"
         if self._velocity_jumped(estimate, self._last):
             return "the estimate's velocity jumped"
         return None
 
-    def _corrects_itself(self, estimate: Estimate, before: Estimate) -> bool:
-        """No image told it another place, and it stays inside of what it had said."""
+    def _unsure_after_jump(self, estimate: Estimate, before: Estimate) -> str | None:
+        """A wide one may correct itself inside of what it had said; by a fix, as unproven."""
         moved_m = float(np.hypot(*(estimate.position_ned_m - before.position_ned_m)[:2]))
-        return estimate.t_last_fix_s == before.t_last_fix_s and moved_m <= sigma(before, 0)
+        is_wide = self._unproven is not None or moved_m <= sigma(before, 0)
+        unsure = self._unsure(estimate)
+        if unsure is None or not is_wide:
+            return unsure
+        if self._unproven is None and estimate.t_last_fix_s != before.t_last_fix_s:
+            t_s, counter = estimate.t_s, estimate.reset_counter
+            self._unproven = Trial(t_s, counter, self._new_track(), False, fixes_from_s=t_s)
+        return self._unsure_velocity(estimate)
 
     def _velocity_jumped(self, estimate: Estimate, before: Estimate) -> bool:
         step_m_s = estimate.velocity_ned_m_s[:2] - before.velocity_ned_m_s[:2]
@@ -243,7 +249,9 @@ class EstimateGuard:
         place = (estimate.t_s, *_north_east(estimate))
         trial = self._trial
         if trial is None or estimate.reset_counter != trial.counter or trial.track.jumped(*place):
-            resume = trial is None and self._may_resume and self._is_brief(estimate)
+            last_s = self._last.t_s if self._last is not None else -math.inf
+            is_brief = estimate.t_s - last_s <= self._limits.brief_gap_s
+            resume = trial is None and self._may_resume and is_brief
             assert self.lost_since_s is not None
             counter = estimate.reset_counter
             trial = Trial(t_s, counter, self._new_track(), resume, self.lost_since_s)
@@ -315,11 +323,6 @@ class EstimateGuard:
             return False
         is_steady = estimate.t_s - since_s >= self._limits.unproven_s
         return is_steady and sigma(estimate, 0) < self._limits.max_position_sigma_m
-
-    def _is_brief(self, estimate: Estimate) -> bool:
-        """Whether little time has passed since the last one that was sent."""
-        last = self._last
-        return last is not None and estimate.t_s - last.t_s <= self._limits.brief_gap_s
 
     def _goes_on(self, trial: Trial, estimate: Estimate, t_s: float) -> bool:
         """After a brief stall: steady again, and where it would be by now. Asked once."""
