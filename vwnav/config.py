@@ -87,6 +87,12 @@ def with_features(config: Config, name: str | None, model: Path | None) -> Confi
     return config.model_copy(update={"features": chosen})
 
 
+def with_mount(config: Config, sigma_rad: float) -> Config:
+    """The settings with how well the camera's mount is known, as its calibration says."""
+    ekf = replace(config.ekf, mount_sigma_rad=sigma_rad)
+    return config.model_copy(update={"ekf": ekf})
+
+
 def save_config(config: Config, path: Path) -> None:
     """Write every setting as TOML that `load_config` reads."""
     settings = tomli_w.dumps(config.model_dump())

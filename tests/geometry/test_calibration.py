@@ -1,4 +1,5 @@
 import json
+import math
 from pathlib import Path
 
 import cv2
@@ -146,6 +147,8 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"model": "magic"}, "pinhole or fisheye"),
         ({"model": ["pinhole"]}, "not a usable"),
         ({"mount_rpy_deg": [0, 0]}, "3 numbers"),
+        ({"calibrated": {"sigma_mount_rpy_deg": [0.1]}}, "not a usable"),
+        ({"calibrated": {"sigma_mount_rpy_deg": [0.0, 0.0, 0.1]}}, "sigma of the mount"),
         ({"focal": 3}, "unknown key focal"),
     ],
 )
@@ -155,6 +158,14 @@ def test_senseless_values_are_refused_in_one_line(
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(OURS | change))
     assert message in refused(path)
+
+
+def test_how_sure_the_mount_is_comes_from_its_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(OURS))
+    assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(1.5))
+    save_camera(load_camera(path), path, {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0]})
+    assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(0.3))
 
 
 def test_missing_value_is_named(tmp_path: Path) -> None:

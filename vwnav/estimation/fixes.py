@@ -120,6 +120,8 @@ def _position(
 ) -> Measurement:
     """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
 
+    Of the attitude or of the camera's mount; an IMU tells the one from the other.
+
     With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
     AGL (-d_e, d_n) from the true one.
     """
@@ -129,7 +131,7 @@ def _position(
     lever = agl_m * np.array([[-s, -c], [c, -s]])  # R2(yaw) @ [[0, -1], [1, 0]]
     H = np.zeros((2, States.SIZE))
     H[:, pose.ne] = np.eye(2)
-    H[:, pose.tilt] = lever
+    H[:, pose.tilt] = H[:, States.CAMERA_TILT] = lever
     H[:, States.MAP] = np.eye(2)
     residual = fix.position_ne_m - H @ state.x
     # With the height that the fix itself was computed with: the tilt's share is most of the whole.

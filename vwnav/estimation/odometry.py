@@ -39,6 +39,7 @@ _QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north sh
 _TAUGHT = np.r_[
     States.ACCELERATION,
     States.TILT,
+    States.CAMERA_TILT,
     States.ACCELEROMETER_BIAS_LEVEL,
     States.WIND_FORCE,
     States.GUST_FORCE,
@@ -234,8 +235,10 @@ def _displacement(
     by_tilt1[:2] = motion.tilt_share * agl_m * _QUARTER_TURN @ level1
     by_tilt0[:2] -= motion.tilt_share * agl_m * _QUARTER_TURN @ level0
     H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
+    H[:, States.CAMERA_TILT] = by_tilt0 + by_tilt1  # the same at both ends, about the body
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
+    residual -= H[:, States.CAMERA_TILT] @ x[States.CAMERA_TILT]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     R[2, 2] += (config.zoom_share * down_m) ** 2

@@ -56,7 +56,8 @@ class States:
     WIND_FORCE = slice(37, 39)  # m/s^2, north and east, what the mean wind alone pushes by drag
     DRAG = 39  # 1/s, of a multirotor through air, across its thrust
     GUST_FORCE = slice(40, 42)  # m/s^2, north and east, what the air pushes besides
-    SIZE = 42
+    CAMERA_TILT = slice(42, 44)  # rad, error of the camera's mount about the same axes as TILT
+    SIZE = 44
 
 
 _HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]

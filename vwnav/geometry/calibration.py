@@ -150,7 +150,16 @@ def _from_dict(values: Any) -> Camera:
         t_body_camera_m=np.array(_numbers(values, "lever_arm_m", (0.0,) * 3)),
         readout_s=_number(values["readout_s"], "readout_s") if "readout_s" in values else None,
         time_offset_s=_number(values.get("time_offset_s", 0.0), "time_offset_s"),
+        **_mount_sigma(values.get("calibrated", {})),
     )
+
+
+def _mount_sigma(calibrated: dict[str, Any]) -> dict[str, float]:
+    """Of roll and pitch, the larger, where a flight has told it."""
+    if "sigma_mount_rpy_deg" not in calibrated:
+        return {}
+    roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", ())
+    return {"sigma_mount_rad": math.radians(max(roll, pitch))}
 
 
 def _to_dict(camera: Camera) -> dict[str, Any]:

@@ -22,6 +22,7 @@ R_BODY_CAMERA_DOWN: Array = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0
 _DISTORTION_LENGTHS: dict[str, tuple[int, ...]] = {"pinhole": (0, 4, 5), "fisheye": (4,)}
 MAX_TIME_OFFSET_S = 2.0
 MAX_READOUT_S = 0.2
+MAX_MOUNT_SIGMA_RAD = math.radians(30.0)
 MAX_ARM_M = 1.5
 _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
@@ -45,6 +46,7 @@ class Camera:
             global one; None where it is not known.
         time_offset_s: what to add to the time that the source says for an image, so that it is
             that of the centre row's exposure on the autopilot's clock.
+        sigma_mount_rad: one sigma of the mount's roll and pitch, each.
 
     Raises:
         ValueError: from the constructor, when a field makes no camera.
@@ -59,6 +61,7 @@ class Camera:
     t_body_camera_m: Array = field(default_factory=lambda: np.zeros(3))
     readout_s: float | None = None
     time_offset_s: float = 0.0
+    sigma_mount_rad: float = math.radians(1.5)  # of one that nobody measured
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R_body_camera", (3, 3)), ("t_body_camera_m", (3,))):
@@ -88,6 +91,10 @@ class Camera:
             raise ValueError(f"expected finite distortion coefficients, got {self.distortion}")
         if not -MAX_TIME_OFFSET_S <= self.time_offset_s <= MAX_TIME_OFFSET_S:
             raise ValueError(f"expected a time offset within 2 s, got {self.time_offset_s}")
+        if not 0.0 < self.sigma_mount_rad < MAX_MOUNT_SIGMA_RAD:
+            raise ValueError(
+                f"expected a sigma of the mount of 0 to 30 degrees, got {self.sigma_mount_rad} rad"
+            )
         if self.readout_s is not None and not 0.0 <= self.readout_s <= MAX_READOUT_S:
             raise ValueError(f"expected a read-out of 0 to 0.2 s, got {self.readout_s}")
         if np.linalg.norm(self.t_body_camera_m) > MAX_ARM_M:

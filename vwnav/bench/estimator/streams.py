@@ -88,7 +88,10 @@ def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -
 
 
 class _AttitudeErrors:
-    """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true; tilt turns with the body."""
+    """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true; tilt turns with the body.
+
+    What the camera sees is off by its mount besides, which no gyro and no accelerometer feels.
+    """
 
     def __init__(self, world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -> None:
         n = len(truth.t_s)
@@ -100,10 +103,8 @@ class _AttitudeErrors:
         # Correlated over some 20 ms, as a filter's output is.
         white = (white + np.roll(white, 1, 0) + np.roll(white, 2, 0)) / math.sqrt(3.0)
         body = bias + walk + white
-        c, s = np.cos(truth.yaw_rad), np.sin(truth.yaw_rad)
-        self.tilt_ne = np.stack(
-            [c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1]], axis=1
-        )
+        self.tilt_ne = _in_ned(body, truth)
+        self.seen_ne = _in_ned(body + np.radians(world.mount_off_deg), truth)
         steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
         self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)
         self.yaw = self.yaw + math.radians(world.yaw_step_deg) * (truth.t_s >= world.yaw_step_s)
@@ -117,7 +118,13 @@ class _AttitudeErrors:
     @property
     def nadir_shift(self) -> Array:
         """(n, 2) where the ground point that seems to be below lies, per AGL."""
-        return np.stack([-self.tilt_ne[:, 1], self.tilt_ne[:, 0]], axis=1)
+        return np.stack([-self.seen_ne[:, 1], self.seen_ne[:, 0]], axis=1)
+
+
+def _in_ned(body: Array, truth: TrueTrajectory) -> Array:
+    """(n, 2) about north and east, of turns (n, 2) about the body's level forward and right."""
+    c, s = np.cos(truth.yaw_rad), np.sin(truth.yaw_rad)
+    return np.stack([c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1]], axis=1)
 
 
 def _first_order(keep: float, drive: Array) -> Array:
@@ -225,7 +232,7 @@ def _odometry(
         key, key_noise = i, sigma * rng.normal(size=3)
         key_yaw = world.odometry_yaw_rad * float(rng.normal())
         turn = rotation_from_vector([0.0, 0.0, errors.yaw[key]])
-        key_turn = turn @ rotation_from_vector([*errors.tilt_ne[key], 0.0])
+        key_turn = turn @ rotation_from_vector([*errors.seen_ne[key], 0.0])
     return events
 
 

@@ -47,6 +47,7 @@ class FilterWorld:
     tilt_bias_deg: float = 1.9  # per axis; with the drift 2.0
     tilt_drift_deg: float = 0.6  # Gauss-Markov, 20 s
     tilt_noise_deg: float = 0.03
+    mount_off_deg: tuple[float, float] = (0.0, 0.0)  # of the camera, about forward and right
     yaw_bias_deg: float = 5.0
     yaw_walk_deg: float = 0.05  # per root second
     yaw_step_deg: float = 0.0  # of the compass, at yaw_step_s

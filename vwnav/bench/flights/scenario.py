@@ -184,7 +184,7 @@ def down(within_s: float) -> Follows:
 
 def setup(start: AirStart | None = ROUTE, **changes: object) -> Setup:
     """A flight that begins there; None: on the ground."""
-    return Setup(start=start, config=CONFIG, **changes)  # type: ignore[arg-type]
+    return Setup(**({"start": start, "config": CONFIG} | changes))  # type: ignore[arg-type]
 
 
 def flies_on(

@@ -1,8 +1,11 @@
 """What a flight in lockstep begins with."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 from vwnav.config import Config
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
 from vwnav.vehicle import FlightMode
@@ -51,6 +54,8 @@ class Setup:
         vehicle_rate: seconds of the vehicle's clock per second.
         battery_drain_s: time in flight from full to empty.
         arm_m: where the camera sits in the body: forward, right, down.
+        mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
+        lens_ratio: its true focal length over the calibrated one.
         copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
@@ -72,6 +77,15 @@ class Setup:
     battery_drain_s: float = 1500.0
     image_hz: float = 10.0
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lens_ratio: float = 1.0
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)
+
+    def true_camera(self, told: Camera) -> Camera:
+        """The camera that flies, by what its calibration says of it."""
+        off = rotation_from_euler(*map(math.radians, self.mount_off_deg))
+        K = told.K.copy()
+        K[0, 0], K[1, 1] = self.lens_ratio * K[0, 0], self.lens_ratio * K[1, 1]
+        return replace(told, K=K, R_body_camera=off @ told.R_body_camera)

@@ -344,6 +344,6 @@ def draw(setup: Setup, place: Place) -> CameraRenderer:
     return _draw(place.site, tiles_folder(place.site), setup, place.camera)
 
 
-def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, camera: Camera) -> CameraRenderer:
-    rng = np.random.default_rng(setup.seed)
+def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, told: Camera) -> CameraRenderer:
+    camera, rng = setup.true_camera(told), np.random.default_rng(setup.seed)
     return CameraRenderer(ground, camera, RenderConfig(color=False, background=False), rng, tiles)

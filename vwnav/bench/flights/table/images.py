@@ -3,6 +3,7 @@
 from vwnav.bench.flights.faults import camera as broken
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
+    CONFIG,
     HOME,
     RETURN,
     Break,
@@ -14,7 +15,10 @@ from vwnav.bench.flights.scenario import (
     said,
     setup,
 )
+from vwnav.config import with_mount
+from vwnav.geometry.camera import Camera
 
+BY_HAND = with_mount(CONFIG, Camera.from_hfov(640, 480, 80.0).sigma_mount_rad)
 USELESS = [
     Scenario(
         name=f"pictures {name} for good at 50 m",
@@ -70,6 +74,31 @@ MOUNTED = [
         limit_s=140.0,
         follows=(said(40.0, "contradicts the IMU"), down(80.0)),
         lands_within_m=20.0,
+    ),
+    Scenario(
+        name="camera turned by 90 degrees",
+        setup=setup(None, mount_off_deg=(0.0, 0.0, 90.0)),
+        breaks=(),
+        limit_s=140.0,
+        follows=(said(40.0, "contradicts the IMU"), down(80.0)),
+        lands_within_m=20.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="camera hung 3 degrees nose up by hand",
+        setup=setup(None, mount_off_deg=(0.0, 3.0, 0.0), config=BY_HAND),
+        breaks=(),
+        limit_s=260.0,
+        lands_within_m=2.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="a lens a fifth wider than calibrated",
+        setup=setup(None, lens_ratio=0.8),
+        breaks=(),
+        limit_s=160.0,
+        lands_within_m=50.0,
+        lands_at_ne_m=HOME,
     ),
     Scenario(
         name="camera 1 m ahead of the autopilot, 0.8 m to its left, 0.2 m below",

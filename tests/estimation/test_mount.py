@@ -1,0 +1,53 @@
+"""A camera that hangs otherwise than was told is no attitude error: an IMU tells them apart."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vwnav.bench.estimator.flown import Run
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.states import States
+
+OFF_DEG = (-2.0, 5.0)
+BY_HAND_DEG = 1.5
+
+
+def flown(seed: int, sigma_deg: float, off_deg: tuple[float, float] = OFF_DEG) -> Run:
+    """Two minutes in wind, with turns, an IMU and fixes."""
+    world = FilterWorld(seconds=120.0, imu_hz=50.0, mount_off_deg=off_deg)
+    rng = np.random.default_rng(seed)
+    config = EkfConfig(mount_sigma_rad=math.radians(sigma_deg))
+    return play(sense(world, fly(world, [rng])[0], rng), config)
+
+
+def worst_sigmas(run: Run) -> float:
+    return max(
+        math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
+        for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_mount_that_nobody_measured_is_learned_and_the_place_stays_within_its_sigmas(seed):
+    run = flown(seed, BY_HAND_DEG)
+    assert worst_sigmas(run) < 4.5
+    off_rad = run.last.x[States.CAMERA_TILT] - np.radians(OFF_DEG)
+    sigmas = np.sqrt(np.diag(run.last.P)[States.CAMERA_TILT])
+    assert np.all(np.abs(off_rad) < 4.0 * sigmas)
+    assert np.all(np.degrees(sigmas) < 0.5 * BY_HAND_DEG)
+
+
+def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
+    """What a filter without these states did with every mount."""
+    assert worst_sigmas(flown(1, 0.01)) > 5.0
+
+
+def test_one_that_hangs_as_told_costs_little():
+    exact, by_hand = (flown(1, sigma, (0.0, 0.0)) for sigma in (0.2, BY_HAND_DEG))
+    late = exact.rows.t_s > 60.0
+    mean_m = [float(np.hypot(*run.rows.error_ne_m[late].T).mean()) for run in (exact, by_hand)]
+    assert mean_m[1] < mean_m[0] + 0.2
