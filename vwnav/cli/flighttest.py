@@ -249,8 +249,12 @@ def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[Row
     from vwnav.bench.flights.live.campaign import fly_live_row
     from vwnav.bench.flights.live.session import simulator_at
     from vwnav.bench.flights.table import family_of
+    from vwnav.onboard.simulation import map_pack_of
+    from vwnav.vision.features.load import load_features
 
     with simulator_at(links) as simulator:
+        # Here, not in the first flight, which would spend its time to reach the route on it.
+        map_pack_of(simulator.site, [load_features("learned"), load_features("sift")])
         for number, row in enumerate(rows, 1):
             yield fly_live_row(row, family_of(row), simulator, folder / f"{number:02d}")
 
