@@ -2,8 +2,8 @@
 
 import tracemalloc
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.states import EkfConfig
 
 
 def test_the_ground_of_a_way_of_100_km_is_not_kept_whole():
