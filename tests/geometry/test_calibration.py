@@ -147,7 +147,7 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"model": "magic"}, "pinhole or fisheye"),
         ({"model": ["pinhole"]}, "not a usable"),
         ({"mount_rpy_deg": [0, 0]}, "3 numbers"),
-        ({"calibrated": {"sigma_mount_rpy_deg": [0.1]}}, "not a usable"),
+        ({"calibrated": {"sigma_mount_rpy_deg": [0.1]}}, "3 numbers"),
         ({"calibrated": {"sigma_mount_rpy_deg": [0.0, 0.0, 0.1]}}, "sigma of the mount"),
         ({"focal": 3}, "unknown key focal"),
     ],

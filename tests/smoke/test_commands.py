@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from smoke_place import FRAMES, read_run
 
+from vwnav.geometry.calibration import load_camera, save_camera
 from vwnav.geometry.geodesy import horizontal_distance_m
 from vwnav.recording.run_folder import COLUMNS
 
@@ -113,6 +114,22 @@ def test_doctor_and_map_info_speak_json(vwnav, place):
     assert {"PASS", "WARN"} >= {check["verdict"] for check in checks}
     info = json.loads(vwnav("map", "info", place.pack, "--json").out)
     assert {each["name"] for each in info["features"]} == {"learned", "sift"}
+
+
+def test_doctor_says_whether_anybody_measured_how_the_camera_hangs(vwnav, place, tmp_path):
+    def detail_of(camera):
+        checks = json.loads(vwnav("doctor", "--camera", camera, "--json").out)["checks"]
+        return next(check["detail"] for check in checks if check["name"] == "calibration")
+
+    bare = tmp_path / "bare.json"
+    save_camera(load_camera(place.camera), bare)
+    assert "1.5 degrees, 1.3 m" in detail_of(bare)
+    assert "vwnav calibrate mount" in detail_of(bare)
+    found = {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0]}
+    save_camera(load_camera(bare), tmp_path / "mounted.json", found)
+    measured = detail_of(tmp_path / "mounted.json")
+    assert "0.3 degrees, 0.3 m" in measured
+    assert "calibrate" not in measured
 
 
 def test_doctor_blames_the_file_that_is_wrong(vwnav, place, tmp_path):

@@ -115,12 +115,19 @@ def _route(path: Path) -> Check:
 def _calibration(path: Path) -> Check:
     import math
 
-    from vwnav.geometry.calibration import load_camera
+    from vwnav.geometry.calibration import load_camera, load_findings
 
     camera = load_camera(path)
     hfov_deg = math.degrees(2.0 * math.atan(camera.width_px / 2.0 / float(camera.K[0, 0])))
     plausible = 20.0 <= hfov_deg <= 150.0
-    detail = f"{camera.model}, {camera.width_px}x{camera.height_px}, {hfov_deg:.0f} degrees wide"
+    mount_deg = math.degrees(camera.sigma_mount_rad)
+    off_m = 50.0 * math.tan(camera.sigma_mount_rad)
+    detail = (
+        f"{camera.model}, {camera.width_px}x{camera.height_px}, {hfov_deg:.0f} degrees wide; "
+        f"mount taken as known to {mount_deg:.1f} degrees, {off_m:.1f} m on the ground from 50 m"
+    )
+    if "sigma_mount_rpy_deg" not in load_findings(path):
+        detail += ": nobody measured it (vwnav calibrate mount)"
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 

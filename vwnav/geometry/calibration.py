@@ -158,7 +158,7 @@ def _mount_sigma(calibrated: dict[str, Any]) -> dict[str, float]:
     """Of roll and pitch, the larger, where a flight has told it."""
     if "sigma_mount_rpy_deg" not in calibrated:
         return {}
-    roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", ())
+    roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
     return {"sigma_mount_rad": math.radians(max(roll, pitch))}
 
 
