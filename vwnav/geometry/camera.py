@@ -23,6 +23,7 @@ _DISTORTION_LENGTHS: dict[str, tuple[int, ...]] = {"pinhole": (0, 4, 5), "fishey
 MAX_TIME_OFFSET_S = 2.0
 MAX_READOUT_S = 0.2
 MAX_MOUNT_SIGMA_RAD = math.radians(30.0)
+UNMEASURED_MOUNT_RAD = math.radians(1.5)  # one sigma of a camera that was put on by hand
 MAX_ARM_M = 1.5
 _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
@@ -61,7 +62,7 @@ class Camera:
     t_body_camera_m: Array = field(default_factory=lambda: np.zeros(3))
     readout_s: float | None = None
     time_offset_s: float = 0.0
-    sigma_mount_rad: float = math.radians(1.5)  # of one that nobody measured
+    sigma_mount_rad: float = UNMEASURED_MOUNT_RAD
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R_body_camera", (3, 3)), ("t_body_camera_m", (3,))):

@@ -16,9 +16,9 @@ from vwnav.bench.flights.scenario import (
     setup,
 )
 from vwnav.config import with_mount
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.camera import UNMEASURED_MOUNT_RAD
 
-BY_HAND = with_mount(CONFIG, Camera.from_hfov(640, 480, 80.0).sigma_mount_rad)
+BY_HAND = with_mount(CONFIG, UNMEASURED_MOUNT_RAD)
 USELESS = [
     Scenario(
         name=f"pictures {name} for good at 50 m",
