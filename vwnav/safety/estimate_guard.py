@@ -197,24 +197,25 @@ class EstimateGuard:
             if estimate.t_s - self._jumped_t_s < self._limits.steady_s:
                 return _RESTLESS
             self._track.clear()
-            return self._unsure_after_jump(estimate, self._last)
+            return self._take_jump(estimate, self._last)
         if self._track.jumped(estimate.t_s, *_north_east(estimate)):
             return "the estimate jumped"
         if self._velocity_jumped(estimate, self._last):
             return "the estimate's velocity jumped"
         return None
 
-    def _unsure_after_jump(self, estimate: Estimate, before: Estimate) -> str | None:
-        """A wide one may correct itself inside of what it had said; by a fix, as unproven."""
+    def _take_jump(self, estimate: Estimate, before: Estimate) -> str | None:
+        """Why it is lost by one; wide, it may move in what it had said, by a fix as unproven."""
         moved_m = float(np.hypot(*(estimate.position_ned_m - before.position_ned_m)[:2]))
         is_wide = self._unproven is not None or moved_m <= sigma(before, 0)
         unsure = self._unsure(estimate)
         if unsure is None or not is_wide:
             return unsure
-        if self._unproven is None and estimate.t_last_fix_s != before.t_last_fix_s:
+        unsure, by_fix = self._unsure_velocity(estimate), estimate.t_last_fix_s
+        if unsure is None and self._unproven is None and by_fix != before.t_last_fix_s:
             t_s, counter = estimate.t_s, estimate.reset_counter
             self._unproven = Trial(t_s, counter, self._new_track(), False, fixes_from_s=t_s)
-        return self._unsure_velocity(estimate)
+        return unsure
 
     def _velocity_jumped(self, estimate: Estimate, before: Estimate) -> bool:
         step_m_s = estimate.velocity_ned_m_s[:2] - before.velocity_ned_m_s[:2]

@@ -1,6 +1,7 @@
 """Faults of the link between autopilot and watchdog."""
 
 import random
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -64,7 +65,7 @@ class SlowLine:
             line.baud = None
 
 
-class _Spoils:
+class _Spoils(ABC):
     """Both lines are spoilt, each by a chance of its own."""
 
     seed: int
@@ -79,8 +80,8 @@ class _Spoils:
         for line in _lines(world):
             line.tap = None
 
-    def _tap(self, rng: random.Random) -> Tap:
-        raise NotImplementedError
+    @abstractmethod
+    def _tap(self, rng: random.Random) -> Tap: ...
 
 
 @dataclass(frozen=True)
