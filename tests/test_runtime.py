@@ -159,10 +159,20 @@ class Record:
         self.events.append(text)
 
 
-def fly(path=None, mission=None, images=None, link=None, record=None):
+@dataclass
+class Handle:
+    """To the watchdog; remembers when it was told that the navigator ends."""
+
+    report = None
+    left_s: list = field(default_factory=list)
+
+    def leave(self):
+        self.left_s.append(time.monotonic())
+
+
+def fly(path=None, mission=None, images=None, link=None, record=None, handle=None):
     path, mission, link = path or Path(), mission or Mission(), link or Link()
-    images, record = images or Images(), record or Record()
-    handle = SimpleNamespace(report=None)
+    images, record, handle = images or Images(), record or Record(), handle or Handle()
     runtime = FlightRuntime(
         path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48), record
     )
@@ -284,11 +294,16 @@ def test_a_mission_that_hangs_is_one_that_broke():
     assert link.steps > 120  # estimates went on
 
 
-def test_a_link_that_hangs_breaks_the_mission_so_that_the_watchdog_acts():
-    mission = Mission(ticks=10_000)
-    with pytest.raises(LinkError, match="the loop of the link hangs"):
-        fly(mission=mission, link=Link(hangs=True))
-    assert 30 < len(mission.navigation) < 50
+@pytest.mark.parametrize(
+    ("link", "error"), [(Link(hangs=True), LinkError), (Link(broken_steps=10_000), OSError)]
+)
+def test_a_link_that_hangs_or_fails_on_and_on_ends_the_program_at_once(link, error):
+    """The watchdog is told first, so that the second navigator begins meanwhile."""
+    mission, handle = Mission(ticks=10_000), Handle()
+    with pytest.raises(error):
+        fly(Path(stall_s=5.0), mission, link=link, handle=handle)
+    assert 15 < len(mission.navigation) < 50
+    assert time.monotonic() - handle.left_s[0] < 1.0
 
 
 def test_a_mission_that_breaks_beside_an_autopilot_that_is_gone_ends_too():

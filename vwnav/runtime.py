@@ -21,13 +21,7 @@ from vwnav.safety.camera_watch import MOST_AHEAD_S, CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.stall import Stall
 from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, StepResult, Watcher
-from vwnav.types import (
-    Frame,
-    MapFix,
-    OdometryMotion,
-    Rejected,
-    RejectReason,
-)
+from vwnav.types import Frame, MapFix, OdometryMotion, Rejected, RejectReason
 from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
 log = logging.getLogger(__name__)
@@ -37,6 +31,8 @@ TICK_HZ = 20.0
 HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
 _LINK_FAILS_S = 1.0
 _HANGS_S = 2.0  # of one loop's turns while another one does not come round
+_LEAVES_S = 2.0  # for a loop to end its turn
+_LEAVES_AT_ONCE_S = 0.2  # the same where somebody waits to take over
 SILENT_S = 1.1  # of telemetry: a gap of a second is bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
 _CAMERA_AGAIN_S = 1.0
@@ -51,10 +47,13 @@ class FlightRuntime:
     Whatever breaks, the aircraft is not left: a watcher that fails (a full disk) is left out, an
     image or a camera that fails is a missing image, a link step that fails is tried again, and
     when the mission itself breaks, it falls silent, so that the watchdog lands the aircraft, while
-    estimates go on until the motors stop. Where the link's steps fail on and on, no estimate goes
-    out: the program ends, the watchdog lands the aircraft, and its successor gives estimates. Where
-    they hang, the mission breaks: the watchdog ends who neither beats nor tells a place. A mission
-    that hangs is one that broke.
+    estimates go on until the motors stop. Where the link's steps fail on and on, or hang, no
+    estimate goes out: the program ends at once, the watchdog lands the aircraft, and its successor
+    gives estimates. A mission that hangs is one that broke.
+
+    Attributes:
+        failure: what broke the mission or the link.
+        link_broke: nothing reaches the autopilot any more: the process is to end at once.
     """
 
     def __init__(
@@ -81,13 +80,13 @@ class FlightRuntime:
         self._heard_s: float | None = None
         self._held_back_since_s = -math.inf
         self._link_fails_since_s: float | None = None
-        self._link_broke = False
+        self.link_broke = False
         self._turns, self._ticks = 0, 0
         self._link_stall = Stall(round(_HANGS_S * TICK_HZ))
         self._mission_stall = Stall(round(_HANGS_S * LINK_HZ))
         self._said: set[str] = set()
         self._stop = threading.Event()
-        self._failure: Exception | None = None
+        self.failure: Exception | None = None
 
     @property
     def navigation(self) -> Navigation:
@@ -100,10 +99,7 @@ class FlightRuntime:
     def step_link(self, t_s: float) -> None:
         """Telemetry into the pipeline, the guarded estimate out to the autopilot.
 
-        A step that fails is left out.
-
-        Raises:
-            Exception: what broke it, once no step has worked for a second.
+        A step that fails is left out; once none has worked for a second, the link is broken.
         """
         self._turns += 1
         self._notice_hung_mission()
@@ -115,7 +111,7 @@ class FlightRuntime:
             if self._link_fails_since_s is None:
                 self._link_fails_since_s = t_s
             if t_s - self._link_fails_since_s > _LINK_FAILS_S:
-                raise
+                self._break_link(error)
         else:
             self._link_fails_since_s = None
 
@@ -159,25 +155,36 @@ class FlightRuntime:
         elif vehicle.armed and t_s - self._held_back_since_s > HELD_BACK_S:
             self._guard.lose("the watchdog does not hand it on", t_s)
 
-    def step_control(self, t_s: float) -> None:
-        """One tick of the mission.
+    def _break_link(self, error: Exception) -> None:
+        """Nobody is told a place from here on: whoever takes over shall begin now."""
+        self.failure, self.link_broke = error, True
+        self._event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
+        self._keep_alive.leave()
 
-        Raises:
-            LinkError: the link's loop hangs: what there is to fly on is old.
-        """
+    def step_control(self, t_s: float) -> None:
+        """One tick of the mission, none after one that failed; what there is to fly on is fresh."""
+        if self.failure is not None:
+            return
         self._ticks += 1
         if self._link_stall.look(self._turns):
-            raise LinkError("the loop of the link hangs")
+            self._break_link(LinkError("the loop of the link hangs"))
+            return
         navigation = self.navigation
-        self._flight.tick(t_s, navigation)
+        try:
+            self._flight.tick(t_s, navigation)
+        except Exception as error:
+            log.exception("the mission broke")
+            self.failure = error
+            self._event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
+            return
         vehicle = self._autopilot.state()
         self._watch(lambda: self._watcher.saw_tick(t_s, navigation.estimate, vehicle))
 
     def _notice_hung_mission(self) -> None:
         """One that waits for good is a broken one: told, and left when the motors have stopped."""
         hangs = self._ticks > 0 and self._mission_stall.look(self._ticks)
-        if hangs and self._failure is None:
-            self._failure = VwnavError("the loop of the mission hangs")
+        if hangs and self.failure is None:
+            self.failure = VwnavError("the loop of the mission hangs")
             self._event("the mission hangs: the watchdog lands the aircraft")
 
     def step_vision(self, frame: Frame, t_s: float) -> None:
@@ -236,9 +243,9 @@ class FlightRuntime:
         finally:
             self._stop.set()
             for thread in loops:
-                thread.join(timeout=2.0)
-        if self._failure is not None:
-            raise self._failure
+                thread.join(_LEAVES_AT_ONCE_S if self.link_broke else _LEAVES_S)
+        if self.failure is not None:
+            raise self.failure
         assert self._flight.end is not None
         return self._flight.end
 
@@ -246,7 +253,7 @@ class FlightRuntime:
         """Until the flight has ended. An interrupt lands; one who does not steer cannot."""
         while True:
             try:
-                over = self._link_broke or self._is_down_after_failure()
+                over = self.link_broke or self._is_down_after_failure()
                 if over or self._flight.end is not None:
                     return
                 time.sleep(0.1)
@@ -265,16 +272,13 @@ class FlightRuntime:
     def _is_down_after_failure(self) -> bool:
         vehicle = self._autopilot.state()
         over = not vehicle.armed or vehicle.silence_s > GONE_S
-        return self._failure is not None and over
+        return self.failure is not None and over
 
     def _link_loop(self, clock: Clock) -> None:
         telemetry, heard_s = clock.join("telemetry"), self._heard_s
         for t_s in self._beats(clock, "link", LINK_HZ):
-            try:
-                self.step_link(t_s)
-            except Exception as error:
-                self._failure, self._link_broke = error, True
-                self._event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
+            self.step_link(t_s)
+            if self.link_broke:
                 break
             if self._heard_s is not None and self._heard_s != heard_s:
                 heard_s = self._heard_s
@@ -283,12 +287,8 @@ class FlightRuntime:
 
     def _mission_loop(self, clock: Clock) -> None:
         for t_s in self._beats(clock, "mission", TICK_HZ):
-            try:
-                self.step_control(t_s)
-            except Exception as error:
-                log.exception("the mission broke")
-                self._failure = error
-                self._event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
+            self.step_control(t_s)
+            if self.failure is not None:
                 return
 
     def _vision_loop(self, source: FrameSource, clock: Clock) -> None:

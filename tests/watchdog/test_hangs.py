@@ -137,3 +137,23 @@ def test_silence_is_counted_awake():
     assert silence.waking_s == pytest.approx(0.5)
     silence.end()
     assert silence.waking_s == 0.0
+
+
+def test_one_that_says_that_it_ends_and_stays_is_ended_after_a_second():
+    """It has the camera. The second one has been woken by then."""
+    stand, process = flying()
+    stand.keepalive.leave()
+    hang(stand, 0.9)
+    assert not process.ended
+    hang(stand, 0.2)
+    assert process.ended
+
+
+def test_one_that_ends_as_it_says_is_not_ended_by_others():
+    stand, process = flying()
+    stand.keepalive.leave()
+    hang(stand, 0.5)
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    told = hang(stand, 5.0)
+    assert not process.ended
+    assert "STATUSTEXT" not in names(told)

@@ -66,6 +66,10 @@ class DeadMansHandle(Protocol):
         """Take the aircraft back from a watchdog that acts."""
         ...
 
+    def leave(self) -> None:
+        """Say that the navigator ends: whoever can take its place may begin."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mission:

@@ -76,6 +76,10 @@ class ServiceHandle:
         """Take the aircraft back from a watchdog that acts."""
         self._handle.rejoin()
 
+    def leave(self) -> None:
+        """Say that the navigator ends."""
+        self._handle.leave()
+
     def end(self) -> None:
         """The control loop has ended; finishing the files may take its time."""
         self._manager.end()

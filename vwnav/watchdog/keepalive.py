@@ -224,10 +224,14 @@ class KeepAlive:
             return 0.0
         return self._clock() - since_s
 
-    def close(self) -> None:
+    def leave(self) -> None:
         """Say that the navigator ends. A watchdog that hears the aircraft fly acts at once."""
         self._sequence += 1
         self._channel.send(Beat(False, self._sequence, self._epoch, "ended", ended=True).pack())
+
+    def close(self) -> None:
+        """Say the same, and give the channel back."""
+        self.leave()
         self._channel.close()
 
     def _read_reports(self) -> None:

@@ -13,11 +13,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
-from vwnav.watchdog.dead_man import DeadMan, DeadManConfig, Silence
+from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
 from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
 from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
+from vwnav.watchdog.useless import UselessConfig, UselessNavigator
 from vwnav.watchdog.visitors import Guarding
 from vwnav.watchdog.voice import CUT_S, AutopilotEar, Origin, Voice
 
@@ -36,14 +37,12 @@ class WatchdogConfig:
     Attributes:
         calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
-        end_after_s: in flight, neither a beat nor an estimate to hand on for so long: the navigator
-            is ended. It gets the aircraft back no more then, and 5 s later the successor tells the
-            place: before ArduCopter gives its own up, 8 s after the last estimate (measured).
+        useless: when the navigator is ended.
     """
 
     calls_first: bool = False
     limit_s: float = 900.0
-    end_after_s: float = 3.0
+    useless: UselessConfig = field(default_factory=UselessConfig)
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
 
 
@@ -121,7 +120,7 @@ class Watchdog:
         self._config = config
         self._successor = successor
         self._navigator = navigator
-        self._silence = Silence()
+        self._useless = UselessNavigator(config.useless)
         self._from_navigator, self._from_observer = Framer(), Framer()
         self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
@@ -142,7 +141,7 @@ class Watchdog:
     def step(self, t_s: float) -> None:
         """Hand on, watch and act; call it at 50 Hz or more until `finished`."""
         before, had_it = self._guard.state, self._guard.has_taken_over
-        self._silence.listen(t_s)
+        self._useless.listen(t_s)
         self._notice_cut(t_s)
         self._relay_autopilot(t_s)
         self._answer_beats(t_s)
@@ -170,10 +169,8 @@ class Watchdog:
 
     def handle_navigator_end(self, t_s: float) -> None:
         """The navigator's process has ended, in whatever way."""
-        if not self._guard.navigator_ended:
-            _log.warning("the navigator has ended")
-            self._guard.handle_end()
-            self._ended_t_s = t_s
+        self._useless.has_ended()
+        self._follow_end(t_s)
 
     def close(self) -> None:
         """Give the ways back, and end the successor."""
@@ -182,6 +179,12 @@ class Watchdog:
         for link in (self._links.autopilot, self._links.navigator, self._links.observer):
             link.close()
         self._links.beats.close()
+
+    def _follow_end(self, t_s: float) -> None:
+        if not self._guard.navigator_ended:
+            _log.warning("the navigator has ended")
+            self._guard.handle_end()
+            self._ended_t_s = t_s
 
     def _relay_autopilot(self, t_s: float) -> None:
         for _ in range(_READS_IN_A_ROW):
@@ -235,7 +238,7 @@ class Watchdog:
         was_good = self._estimates.lost_since_s is None
         good = self._admits(message, t_s)
         if good:
-            self._silence.end()
+            self._useless.heard()
         if was_good != (is_good := self._estimates.lost_since_s is None):
             _log.warning(
                 "estimates are %s",
@@ -269,9 +272,10 @@ class Watchdog:
             if beat is None:
                 continue
             if beat.ended:
-                self.handle_navigator_end(t_s)
+                self._useless.says_it_ends(t_s)
+                self._follow_end(t_s)
                 continue
-            self._silence.end()
+            self._useless.heard()
             if self._guard.navigator_ended and self._successor is not None:
                 self._successor.handle_beat()
             self._guard.handle_beat(beat, t_s)
@@ -288,18 +292,13 @@ class Watchdog:
             self._outbox.put_own(self._voice.heartbeat(), t_s)
 
     def _end_what_hangs(self, t_s: float) -> None:
-        """A navigator that lives and is of no use any more, where a second one would be."""
-        if self._navigator is None or self._guard.navigator_ended or self._guard.last_beat is None:
+        """A navigator that lives and is of no use any more, where there is a second one."""
+        begun = self._guard.last_beat is not None and self._flies(t_s)
+        if self._navigator is None or self._successor is None or not begun:
             return
-        if self._silence.waking_s < self._config.end_after_s or not self._flies(t_s):
-            return
-        self._silence.end()
-        if self._successor is not None and self._successor.stands_by:
-            _log.warning(
-                "the navigator has neither beaten nor told a place for %.0f s: it is ended, and a "
-                "second one gives the estimates",
-                self._config.end_after_s,
-            )
+        why = self._useless.reason_to_end(t_s)
+        if why and (self._successor.stands_by or self._guard.navigator_ended):
+            _log.warning("the navigator %s: it is ended, and a second one gives the estimates", why)
             self._navigator.end()
             self._outbox.put(self._voice.text(_ENDED_TEXT, self._ear), t_s)
 

@@ -22,7 +22,7 @@ _MOST_STARTS = 5
 _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
-_SILENT_S = 3.0  # as long as a navigator may be (`WatchdogConfig.end_after_s`)
+_SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
 _NICER = 5  # one that loads goes behind one that serves
 
 

@@ -113,7 +113,6 @@ class Navigator:
         self._camera_again_s = 0.0
         self._asleep_until_s = -np.inf
         self._hung: set[Loop] = set()
-        self.broken: Exception | None = None
         self.ended = False
 
     def keep_at(self, path: Path) -> None:
@@ -152,7 +151,7 @@ class Navigator:
             case "link":
                 return self.autopilot, "step"
             case "mission":
-                return self.runtime, "step_control"
+                return self.flight, "tick"
             case "picture":
                 return self.pipeline, "step"
 
@@ -211,23 +210,13 @@ class Navigator:
             return
         self.port.poll()
         if "link" not in self._hung and self._workers["link"].due(t_s):
-            self._talk(t_s)
-        steers = self.broken is None and "mission" not in self._hung
-        if steers and self._workers["mission"].due(t_s):
-            try:
-                self.runtime.step_control(t_s)
-            except Exception as error:
-                self.broken = error
-                self.record.event(f"the mission broke: {error!r}")
-        self._see(t_s)
-
-    def _talk(self, t_s: float) -> None:
-        """The process ends when the link breaks, as with `FlightRuntime.run`."""
-        try:
             self.runtime.step_link(t_s)
-        except Exception as error:
-            self.record.event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
+        if "mission" not in self._hung and self._workers["mission"].due(t_s):
+            self.runtime.step_control(t_s)
+        if self.runtime.link_broke:
             self.end()
+        else:
+            self._see(t_s)
 
     def hang(self, loop: Loop) -> None:
         """One of its loops never comes round again; the others go on."""
@@ -245,7 +234,7 @@ class Navigator:
     @property
     def over(self) -> bool:
         """It has nothing more to do: the mission has ended, or the process."""
-        steers = self.broken is None and "mission" not in self._hung
+        steers = self.runtime.failure is None and "mission" not in self._hung
         return self.ended or not steers or self.flight.end is not None
 
     def end(self) -> None:
