@@ -87,9 +87,9 @@ def with_features(config: Config, name: str | None, model: Path | None) -> Confi
     return config.model_copy(update={"features": chosen})
 
 
-def with_mount(config: Config, sigma_rad: float) -> Config:
-    """The settings with how well the camera's mount is known, as its calibration says."""
-    ekf = replace(config.ekf, mount_sigma_rad=sigma_rad)
+def with_camera(config: Config, mount_sigma_rad: float, focal_sigma_ratio: float) -> Config:
+    """The settings with how well mount and focal length are known, as the camera's file says."""
+    ekf = replace(config.ekf, mount_sigma_rad=mount_sigma_rad, focal_sigma_ratio=focal_sigma_ratio)
     return config.model_copy(update={"ekf": ekf})
 
 

@@ -149,6 +149,8 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"mount_rpy_deg": [0, 0]}, "3 numbers"),
         ({"calibrated": {"sigma_mount_rpy_deg": [0.1]}}, "3 numbers"),
         ({"calibrated": {"sigma_mount_rpy_deg": [0.0, 0.0, 0.1]}}, "sigma of the mount"),
+        ({"calibrated": {"sigma_fx_px": "small"}}, "finite number"),
+        ({"calibrated": {"sigma_focal_ratio": 3.0}}, "sigma of the focal length"),
         ({"focal": 3}, "unknown key focal"),
     ],
 )
@@ -166,6 +168,24 @@ def test_how_sure_the_mount_is_comes_from_its_calibration(tmp_path: Path) -> Non
     assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(1.5))
     save_camera(load_camera(path), path, {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0]})
     assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(0.3))
+
+
+@pytest.mark.parametrize(
+    ("found", "sigma"),
+    [
+        ({}, 0.015),  # as data sheets go
+        ({"sigma_fx_px": 0.01 * OURS["fx_px"]}, 0.01),
+        ({"sigma_fx_px": 0.01 * OURS["fx_px"], "sigma_focal_ratio": 0.004}, 0.004),
+        ({"sigma_fx_px": 1e-9}, 0.001),  # it warms, and is focused
+    ],
+)
+def test_how_sure_the_focal_length_is_comes_from_its_calibrations(
+    tmp_path: Path, found: dict[str, float], sigma: float
+) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(OURS))
+    save_camera(load_camera(path), path, found)
+    assert load_camera(path).sigma_focal_ratio == pytest.approx(sigma)
 
 
 def test_missing_value_is_named(tmp_path: Path) -> None:

@@ -126,8 +126,12 @@ def _calibration(path: Path) -> Check:
         f"{camera.model}, {camera.width_px}x{camera.height_px}, {hfov_deg:.0f} degrees wide; "
         f"mount taken as known to {mount_deg:.1f} degrees, {off_m:.1f} m on the ground from 50 m"
     )
-    if "sigma_mount_rpy_deg" not in load_findings(path):
+    found = load_findings(path)
+    if "sigma_mount_rpy_deg" not in found:
         detail += ": nobody measured it (vwnav calibrate mount)"
+    detail += f"; focal length to {100.0 * camera.sigma_focal_ratio:.1f} %"
+    if not {"sigma_fx_px", "sigma_focal_ratio"} & set(found):
+        detail += ": nobody measured it (vwnav calibrate camera)"
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 

@@ -17,8 +17,9 @@ class EkfConfig:
     heading_slew_rad: float = math.radians(0.3)  # the same while a gyro tells: filters realign
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
-    # Of the camera's mount, per axis, for good; `vwnav fly` takes it from the camera's file
-    mount_sigma_rad: float = math.radians(0.2)
+    # Of the camera, for good; `vwnav fly` takes them from its file
+    mount_sigma_rad: float = math.radians(0.2)  # per axis
+    focal_sigma_ratio: float = 0.001
     baro_walk_m: float = 0.13  # per root second: 3.2 m in 10 minutes, as weather and warming do
     baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
@@ -110,6 +111,7 @@ class EkfConfig:
             heading_walk_rad=math.radians(0.5),
             tilt_sigma_rad=math.radians(0.01),
             mount_sigma_rad=math.radians(0.01),
+            focal_sigma_ratio=1e-4,
             heading_sigma_rad=math.pi,
             thrust_aided=False,
             odometry_turns_attitude=True,

@@ -10,9 +10,9 @@ from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import agreeing, convinces, freed, remember
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.estimation.states import (
     CHI_SQUARE_GATE,
-    Exposure,
     FilterState,
     Innovation,
     Measurement,
@@ -56,16 +56,16 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
     attitudes, config = context.attitudes, context.config
     # Against an attitude that is only held, a heading would take a turn for the compass' error.
-    yaw_rad, told = attitudes.yaw_at(fix.t_s)
-    position = _position(state, fix, yaw_rad, _NOW)
-    if not told:
+    exposure = attitudes.exposure(fix.t_s)
+    position = _position(state, fix, exposure, _NOW)
+    if not exposure.told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
     parts = []
-    if told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
-        bias_rad = wrap_pi(yaw_rad - fix.yaw_rad)
+    if exposure.told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
+        bias_rad = wrap_pi(exposure.yaw_rad - fix.yaw_rad)
         state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _NOW.yaw)
         parts.append(part)
     if fix.agl_m is not None and fix.sigma_agl_m is not None:
@@ -76,8 +76,8 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
 
 def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
     """Copy what a fix of this moment's image will tell: place, attitude error, height."""
-    yaw_rad, told = attitudes.yaw_at(state.t_s)
-    if not told:
+    exposure = attitudes.exposure(state.t_s)
+    if not exposure.told:
         return replace(state, exposure=None)  # nobody knows how it was turned
     G = np.eye(States.SIZE)
     G[States.EXPOSED_POSITION] = G[States.POSITION_NE]
@@ -86,7 +86,7 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
     P = G @ state.P @ G.T
     P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
-    return replace(state, x=G @ state.x, P=P, exposure=Exposure(state.t_s, yaw_rad))
+    return replace(state, x=G @ state.x, P=P, exposure=exposure)
 
 
 def apply_late_fix(
@@ -99,7 +99,7 @@ def apply_late_fix(
     config, exposure = context.config, state.exposure
     if exposure is None or exposure.t_s != fix.t_s:
         return state, Innovation(Verdict.TOO_LATE)
-    position = _position(state, fix, exposure.yaw_rad, _THEN)
+    position = _position(state, fix, exposure, _THEN)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
@@ -109,23 +109,25 @@ def apply_late_fix(
         state, _ = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _THEN.yaw)
     if fix.agl_m is not None and fix.sigma_agl_m is not None:
         H = np.zeros((1, States.SIZE))
-        H[0, _THEN.agl], H[0, States.MAP_SCALE] = 1.0, float(state.x[_THEN.agl])
+        H[0, _THEN.agl] = 1.0
+        H[0, [States.MAP_SCALE, States.FOCAL]] = float(state.x[_THEN.agl])
         R = np.array([[fix.sigma_agl_m**2]])
         state, _ = fuse(state, Measurement(fix.agl_m - H @ state.x, H, R))
     return state, innovation
 
 
 def _position(
-    state: FilterState, fix: NedFix, measured_yaw_rad: float, pose: _PoseSlices
+    state: FilterState, fix: NedFix, exposure: Exposure, pose: _PoseSlices
 ) -> Measurement:
     """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
 
     Of the attitude or of the camera's mount; an IMU tells the one from the other.
 
     With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
-    AGL (-d_e, d_n) from the true one.
+    AGL (-d_e, d_n) from the true one. A focal length taken for too long by a share f finds it by
+    that share too far from the optical axis, which leans by a: -f AGL a from the true one.
     """
-    yaw_rad = measured_yaw_rad - float(state.x[pose.yaw])
+    yaw_rad = exposure.yaw_rad - float(state.x[pose.yaw])
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     agl_m = state.agl_m if pose.agl is None else float(state.x[pose.agl])
     lever = agl_m * np.array([[-s, -c], [c, -s]])  # R2(yaw) @ [[0, -1], [1, 0]]
@@ -133,6 +135,7 @@ def _position(
     H[:, pose.ne] = np.eye(2)
     H[:, pose.tilt] = H[:, States.CAMERA_TILT] = lever
     H[:, States.MAP] = np.eye(2)
+    H[:, States.FOCAL] = -agl_m * np.array([[c, -s], [s, c]]) @ exposure.lean
     residual = fix.position_ne_m - H @ state.x
     # With the height that the fix itself was computed with: the tilt's share is most of the whole.
     agl_m = agl_m if fix.agl_m is None else fix.agl_m
@@ -177,7 +180,10 @@ def _fused_or_relocated(
         found = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
         return found, replace(innovation, verdict=Verdict.RELOCATED)
     agrees = innovation.verdict is Verdict.FUSED
-    if agrees and not _sudden(measurement, config):
+    # A long pull, however wide the gate has become: one wrong fix must not do it.
+    r, short = measurement.residual, measurement.R + config.sudden_sigma_m**2 * np.eye(2)
+    sudden = float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
+    if agrees and not sudden:
         return fused, innovation
     rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
     drift = config.relocation_drift_m_s
@@ -201,13 +207,6 @@ def _leaning(state: FilterState, measurement: Measurement, config: EkfConfig) ->
     """
     doubted = measurement.R + config.lone_fix_sigma_m**2 * np.eye(2)
     return correct(state, replace(measurement, R=doubted))
-
-
-def _sudden(measurement: Measurement, config: EkfConfig) -> bool:
-    """Whether the pull is long, however wide the gate has become: one wrong fix must not do it."""
-    r = measurement.residual
-    short = measurement.R + config.sudden_sigma_m**2 * np.eye(2)
-    return float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
 
 
 def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
@@ -287,12 +286,12 @@ def apply_agl(
     """Fuse a height above ground, of a fix or a rangefinder.
 
     A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    Heights `by_map` share the error of its scale; `by_tilt` (2,) is what a radian of tilt error
-    adds to it.
+    Heights `by_map` share the errors of its scale and of the focal length; `by_tilt` (2,) is what a
+    radian of tilt error adds to it.
     """
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
-    H[0, States.MAP_SCALE] = state.agl_m if by_map else 0.0
+    H[0, [States.MAP_SCALE, States.FOCAL]] = state.agl_m if by_map else 0.0
     if by_tilt is not None:
         H[0, States.TILT] = by_tilt
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))

@@ -15,8 +15,8 @@ from vwnav.estimation.inertial.attitudes import (
     level_axes,
     true_from_autopilot,
 )
+from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.estimation.states import (
-    Anchor,
     FilterState,
     Innovation,
     Measurement,
@@ -44,6 +44,7 @@ _TAUGHT = np.r_[
     States.WIND_FORCE,
     States.GUST_FORCE,
     States.DRAG,
+    States.FOCAL,
 ]
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
@@ -71,8 +72,7 @@ def apply_keyframe(
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
-    anchor = Anchor(event.t_s, attitudes.yaw_at(event.t_s)[0])
-    return replace(state, x=G @ state.x, P=P, anchor=anchor)
+    return replace(state, x=G @ state.x, P=P, anchor=attitudes.exposure(event.t_s))
 
 
 def apply_displacement(
@@ -88,14 +88,15 @@ def apply_displacement(
         P = state.P + _unseen_motion(motion.t1_s - before_s, config)
         return replace(state, P=P), Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
+    exposure = attitudes.exposure(motion.t1_s)
     if not config.odometry_turns_attitude:
-        turned_rad = attitudes.yaw_at(motion.t1_s)[0] - anchor.yaw_rad
+        turned_rad = exposure.yaw_rad - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
     before = state
     keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
     agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
-    displacement = _displacement(state, motion, agl_m, anchor.yaw_rad, config)
+    displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
     state, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
         state = replace(_in_scale(before, state, agl_m), rejected_ways=())
@@ -178,15 +179,16 @@ def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterSt
     be longer by d e / AGL. So the errors of what it changed grow by that, the reset Jacobian of an
     error state that scales: P' = G P G^T with G = I + per_m dAGL/dx, of rank one and written out.
     Without it the way believed and its correlation with the AGL part, and the next images seem
-    to say how high the camera is, which no image can.
+    to say how high the camera is, which no image can. A focal length scales as the AGL does.
     """
     per_m = np.zeros(States.SIZE)
     change = after.x - before.x
     per_m[_SCALED] = change[_SCALED] / agl_m
     per_m[States.DOWN] = (change[States.DOWN] - change[States.ANCHOR_DOWN]) / agl_m
     P = after.P
-    by_agl = -(P[:, States.ANCHOR_DOWN] + P[:, States.ANCHOR_TERRAIN])
-    variance = -(by_agl[States.ANCHOR_DOWN] + by_agl[States.ANCHOR_TERRAIN])
+    by_agl = agl_m * P[:, States.FOCAL] - P[:, States.ANCHOR_DOWN] - P[:, States.ANCHOR_TERRAIN]
+    variance = agl_m * by_agl[States.FOCAL]
+    variance -= by_agl[States.ANCHOR_DOWN] + by_agl[States.ANCHOR_TERRAIN]
     tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
     return replace(after, P=P + (tied + tied.T))
 
@@ -204,14 +206,23 @@ def _turn(
 
 
 def _displacement(
-    state: FilterState, motion: OdometryMotion, agl_m: float, yaw_rad: float, config: EkfConfig
+    state: FilterState,
+    motion: OdometryMotion,
+    agl_m: float,
+    anchor: Exposure,
+    lean: Array,
+    config: EkfConfig,
 ) -> Measurement:
     """The way in units of the keyframe's AGL, scaled by the AGL believed now.
 
     The way seen is u AGL0 with AGL0 = -(down0 + terrain0); the true way d is seen turned by the
     attitude's error at the keyframe, Rz(-b0) u AGL0 = d + tilt x d. So uncertainties of AGL and
     attitude come in by the Jacobian, and what ways tell about them when fixes and barometer say
-    how far it was.
+    how far it was. A focal length taken for too long by a share f shows a level way shorter by that
+    share, and a change of lean (2,) from a0 to a1 by f (a0 - a1) to one side. Of a turn by that
+    angle the far side would grow; here it shrinks, so that images which see that (what they take
+    for motion is a share s of a turn) think that they have turned back: a way of
+    (2 - s) f AGL0 (a0 - a1).
     """
     x = state.x
     turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS]))
@@ -226,7 +237,7 @@ def _displacement(
     H[:, States.ANCHOR_DOWN] += predicted_m / agl_m
     H[:, States.ANCHOR_TERRAIN] = predicted_m / agl_m
     H[:, States.ANCHOR_HEADING_BIAS] = -east_m, north_m, 0.0
-    yaw0_rad = yaw_rad - float(x[States.ANCHOR_HEADING_BIAS])
+    yaw0_rad = anchor.yaw_rad - float(x[States.ANCHOR_HEADING_BIAS])
     level0, level1 = level_axes(yaw0_rad), level_axes(yaw0_rad + motion.yaw_increment_rad)
     turned_m = np.array([[0.0, down_m], [-down_m, 0.0], [east_m, -north_m]])  # tilt x way
     by_tilt0 = turned_m @ level0
@@ -236,9 +247,12 @@ def _displacement(
     by_tilt0[:2] -= motion.tilt_share * agl_m * _QUARTER_TURN @ level0
     H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
     H[:, States.CAMERA_TILT] = by_tilt0 + by_tilt1  # the same at both ends, about the body
+    shifted_m = (2.0 - motion.tilt_share) * agl_m * (level0 @ anchor.lean - level1 @ lean)
+    H[:2, States.FOCAL] = shifted_m - predicted_m[:2]
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     residual -= H[:, States.CAMERA_TILT] @ x[States.CAMERA_TILT]
+    residual -= H[:, States.FOCAL] * x[States.FOCAL]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     R[2, 2] += (config.zoom_share * down_m) ** 2

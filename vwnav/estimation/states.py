@@ -6,7 +6,7 @@ from enum import Enum
 
 import numpy as np
 
-from vwnav.estimation.inertial.integrals import Measured
+from vwnav.estimation.inertial.integrals import Exposure, Measured
 from vwnav.geometry.rotations import without_errors
 from vwnav.types import Array, Estimate
 
@@ -57,26 +57,11 @@ class States:
     DRAG = 39  # 1/s, of a multirotor through air, across its thrust
     GUST_FORCE = slice(40, 42)  # m/s^2, north and east, what the air pushes besides
     CAMERA_TILT = slice(42, 44)  # rad, error of the camera's mount about the same axes as TILT
-    SIZE = 44
+    FOCAL = 44  # share by which the camera's focal length is taken for longer than it is
+    SIZE = 45
 
 
 _HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Anchor:
-    """The keyframe whose position is cloned in the state: its exposure and autopilot heading."""
-
-    t_s: float
-    yaw_rad: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Exposure:
-    """The image that is being matched, whose pose is cloned: its time and autopilot heading."""
-
-    t_s: float
-    yaw_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +96,7 @@ class FilterState:
         position_known, heading_known: False until the first fix when they started unknown.
         tracked_s, exposed_s: times of the last image whose way was told, and of the last one of
             which it was told whether it is; the start until then.
+        anchor, exposure: the keyframe and the image that is being matched, whose poses are cloned.
         trusted: the last fix that agreed with one before it; the start until then.
         newest_height: time and height that the barometer told last, believed or not.
         height_stepped: the heights that are refused began with a step, not with a climb.
@@ -126,7 +112,7 @@ class FilterState:
     tracked_s: float
     exposed_s: float
     measured: Measured | None = None
-    anchor: Anchor | None = None
+    anchor: Exposure | None = None
     exposure: Exposure | None = None
     t_last_fix_s: float | None = None
     trusted: TrustedPosition | None = None

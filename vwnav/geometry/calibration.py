@@ -23,6 +23,7 @@ from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 from vwnav.types import Array
 
 _MAX_BYTES = 1_000_000
+_LEAST_FOCAL_RATIO = 0.001  # what warming and focusing leave of a measured one
 _NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 _REQUIRED = ("width_px", "height_px", "model", *_NUMBERS)
 _OPTIONAL = (
@@ -150,16 +151,24 @@ def _from_dict(values: Any) -> Camera:
         t_body_camera_m=np.array(_numbers(values, "lever_arm_m", (0.0,) * 3)),
         readout_s=_number(values["readout_s"], "readout_s") if "readout_s" in values else None,
         time_offset_s=_number(values.get("time_offset_s", 0.0), "time_offset_s"),
-        **_mount_sigma(values.get("calibrated", {})),
+        **_sigmas(values.get("calibrated", {}), fx_px),
     )
 
 
-def _mount_sigma(calibrated: dict[str, Any]) -> dict[str, float]:
-    """Of roll and pitch, the larger, where a flight has told it."""
-    if "sigma_mount_rpy_deg" not in calibrated:
-        return {}
-    roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
-    return {"sigma_mount_rad": math.radians(max(roll, pitch))}
+def _sigmas(calibrated: dict[str, Any], fx_px: float) -> dict[str, float]:
+    """Of the mount (of roll and pitch the larger) and of the focal length, where they were told."""
+    sigmas = {}
+    if "sigma_mount_rpy_deg" in calibrated:
+        roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
+        sigmas["sigma_mount_rad"] = math.radians(max(roll, pitch))
+    focal_px = [
+        scale * _number(calibrated[key], key)
+        for key, scale in (("sigma_fx_px", 1.0), ("sigma_focal_ratio", fx_px))
+        if key in calibrated
+    ]
+    if focal_px:
+        sigmas["sigma_focal_ratio"] = max(min(focal_px) / fx_px, _LEAST_FOCAL_RATIO)
+    return sigmas
 
 
 def _to_dict(camera: Camera) -> dict[str, Any]:

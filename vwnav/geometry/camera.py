@@ -24,6 +24,8 @@ MAX_TIME_OFFSET_S = 2.0
 MAX_READOUT_S = 0.2
 MAX_MOUNT_SIGMA_RAD = math.radians(30.0)
 UNMEASURED_MOUNT_RAD = math.radians(1.5)  # one sigma of a camera that was put on by hand
+MAX_FOCAL_SIGMA_RATIO = 0.5
+UNMEASURED_FOCAL_RATIO = 0.015  # one sigma of a lens by its data sheet, or calibrated elsewhere
 MAX_ARM_M = 1.5
 _ITERATIONS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 MAX_OFF_NADIR_RAD = math.radians(60.0)
@@ -48,6 +50,7 @@ class Camera:
         time_offset_s: what to add to the time that the source says for an image, so that it is
             that of the centre row's exposure on the autopilot's clock.
         sigma_mount_rad: one sigma of the mount's roll and pitch, each.
+        sigma_focal_ratio: one sigma of the focal length, as a share of it.
 
     Raises:
         ValueError: from the constructor, when a field makes no camera.
@@ -63,6 +66,7 @@ class Camera:
     readout_s: float | None = None
     time_offset_s: float = 0.0
     sigma_mount_rad: float = UNMEASURED_MOUNT_RAD
+    sigma_focal_ratio: float = UNMEASURED_FOCAL_RATIO
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R_body_camera", (3, 3)), ("t_body_camera_m", (3,))):
@@ -95,6 +99,11 @@ class Camera:
         if not 0.0 < self.sigma_mount_rad < MAX_MOUNT_SIGMA_RAD:
             raise ValueError(
                 f"expected a sigma of the mount of 0 to 30 degrees, got {self.sigma_mount_rad} rad"
+            )
+        if not 0.0 < self.sigma_focal_ratio < MAX_FOCAL_SIGMA_RATIO:
+            raise ValueError(
+                f"expected a sigma of the focal length of 0 to half of it, got "
+                f"{self.sigma_focal_ratio:g} of it"
             )
         if self.readout_s is not None and not 0.0 <= self.readout_s <= MAX_READOUT_S:
             raise ValueError(f"expected a read-out of 0 to 0.2 s, got {self.readout_s}")

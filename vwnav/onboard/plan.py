@@ -4,7 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from vwnav.assemble import choose_features
-from vwnav.config import Config, load_config, with_features, with_mount
+from vwnav.config import Config, load_config, with_camera, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
@@ -32,7 +32,7 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     assert options.route is not None
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
     camera = load_camera(options.camera) if options.camera else default_camera()
-    config = with_mount(config, camera.sigma_mount_rad)
+    config = with_camera(config, camera.sigma_mount_rad, camera.sigma_focal_ratio)
     pack = stack.enter_context(MapPack.open(_map_path(options, config)))
     home = parse_lat_lon(options.home) if options.home else route.home
     if home is None and options.sim:

@@ -35,9 +35,10 @@ _HAZE = (205.0, 200.0, 190.0)
 
 def default_camera() -> Camera:
     """640 x 480, 80 degrees across, with the mild barrel distortion of a small lens."""
-    camera = Camera.from_hfov(640, 480, 80.0)
-    distortion = (-0.11, 0.025, 0.0004, -0.0003, 0.0)
-    return replace(camera, distortion=distortion, sigma_mount_rad=math.radians(0.2))
+    return replace(
+        Camera.from_hfov(640, 480, 80.0), distortion=(-0.11, 0.025, 0.0004, -0.0003, 0.0),
+        sigma_mount_rad=math.radians(0.2), sigma_focal_ratio=0.001,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,6 +105,8 @@ class _AttitudeErrors:
         body = bias + walk + white
         self.tilt_ne = _in_ned(body, truth)
         self.seen_ne = _in_ned(body + np.radians(world.mount_off_deg), truth)
+        down = np.array([rotation_from_quat(quat)[:, 2] for quat in truth.quat_wxyz])
+        self.focal_shift = -world.focal_off * down[:, :2] / down[:, 2:]
         steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
         self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)
         self.yaw = self.yaw + math.radians(world.yaw_step_deg) * (truth.t_s >= world.yaw_step_s)
@@ -118,7 +120,8 @@ class _AttitudeErrors:
     @property
     def nadir_shift(self) -> Array:
         """(n, 2) where the ground point that seems to be below lies, per AGL."""
-        return np.stack([-self.seen_ne[:, 1], self.seen_ne[:, 0]], axis=1)
+        by_tilt = np.stack([-self.seen_ne[:, 1], self.seen_ne[:, 0]], axis=1)
+        return np.asarray(self.focal_shift + by_tilt)
 
 
 def _in_ned(body: Array, truth: TrueTrajectory) -> Array:
@@ -207,7 +210,10 @@ def _odometry(
     sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])
     covariance = np.diag(2.0 * sigma**2) * _HANDED_AGL_M**2
     sigma_yaw_rad = math.sqrt(2.0) * world.odometry_yaw_rad
-    shift = world.tilt_in_odometry * errors.nadir_shift
+    tilt_shift = errors.nadir_shift - errors.focal_shift
+    share = world.tilt_in_odometry
+    shift = share * tilt_shift + (2.0 - share) * errors.focal_shift
+    in_heights = np.array([1.0 - world.focal_off, 1.0 - world.focal_off, 1.0])
     key, key_noise, key_turn, key_yaw = None, np.zeros(3), np.eye(3), 0.0
     for i in range(0, len(truth.t_s), round(1.0 / world.odometry_hz / DT_S)):
         if truth.agl_m[i] < LEAST_ODOMETRY_AGL_M:
@@ -215,7 +221,7 @@ def _odometry(
             continue
         if key is not None:
             way = (truth.position_ned_m[i] - truth.position_ned_m[key]) / truth.agl_m[key]
-            seen = key_turn @ way + sigma * rng.normal(size=3) + key_noise
+            seen = key_turn @ (in_heights * way) + sigma * rng.normal(size=3) + key_noise
             seen[:2] += shift[i] - shift[key]
             # Of attitudes that share their tilt error, as the map's heading is.
             turned_rad = wrap_pi(float(errors.map_yaw[i] - errors.map_yaw[key]))
@@ -286,7 +292,8 @@ def _fixes(
             covariance_ne_m2=covariance,
             yaw_rad=float(errors.map_yaw[i] + map_turn_rad[i] + yaw_sigma_rad * noise[2]),
             sigma_yaw_rad=yaw_sigma_rad,
-            agl_m=agl_m * (1.0 + float(map_scale[i]) + world.fix_agl_ratio * float(noise[3])),
+            agl_m=agl_m
+            * (1.0 + world.focal_off + float(map_scale[i]) + world.fix_agl_ratio * float(noise[3])),
             sigma_agl_m=world.fix_agl_ratio * agl_m,
             sigma_map_m=world.map_error_m,
         )

@@ -68,6 +68,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
     variance[States.TILT] = config.tilt_sigma_rad**2
     variance[States.CAMERA_TILT] = config.mount_sigma_rad**2
+    variance[States.FOCAL] = config.focal_sigma_ratio**2
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2

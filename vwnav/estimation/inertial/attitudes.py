@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.geometry.rotations import quat_conjugate, quat_from_vector, quat_multiply, wrap_pi
 from vwnav.types import Array, Attitude
 
@@ -16,6 +17,7 @@ _TURN_ON_S = 0.1  # an attitude is carried on for so long after the newest one
 _KNOWN_AHEAD_S = 0.04  # for so long it is known well enough for an image
 _CARRIED_S = 5.0  # the same by the gyro, which drifts by some tenths of a degree a second at worst
 _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
+_LEAST_COS_LEAN = 0.5
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
 LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
 _RATE_OVER_S = 0.04
@@ -241,9 +243,12 @@ class AttitudeHistory:
         turn = self.gyro.between(self._times_s[i], t_s)
         return None if turn is None else quat_multiply(self._quats[i], turn)
 
-    def yaw_at(self, t_s: float) -> tuple[float, bool]:
-        """Heading as the autopilot has it, radians, and whether telemetry reaches there (`at`)."""
-        return yaw_of(self.held(t_s).quat_wxyz), self.at(t_s) is not None
+    def exposure(self, t_s: float) -> Exposure:
+        """How an image of that time was held."""
+        quat_wxyz = self.held(t_s).quat_wxyz
+        forward, right, down = down_axis(quat_wxyz)
+        lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
+        return Exposure(t_s, yaw_of(quat_wxyz), lean, self.at(t_s) is not None)
 
 
 def yaw_of(quat_wxyz: Array) -> float:

@@ -44,3 +44,19 @@ class Measured(NamedTuple):
     quat_wxyz: Array
     felt: ImuIntegrals | None
     carried_rad: float
+
+
+class Exposure(NamedTuple):
+    """How an image was held, as the autopilot has it.
+
+    Attributes:
+        t_s: when.
+        yaw_rad: its heading.
+        lean: (2,) where the body's down axis meets the ground, level forward and right, in heights.
+        told: telemetry reaches there; else it is a guess.
+    """
+
+    t_s: float
+    yaw_rad: float
+    lean: Array
+    told: bool

@@ -15,10 +15,10 @@ from vwnav.bench.flights.scenario import (
     said,
     setup,
 )
-from vwnav.config import with_mount
-from vwnav.geometry.camera import UNMEASURED_MOUNT_RAD
+from vwnav.config import with_camera
+from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO, UNMEASURED_MOUNT_RAD
 
-BY_HAND = with_mount(CONFIG, UNMEASURED_MOUNT_RAD)
+UNMEASURED = with_camera(CONFIG, UNMEASURED_MOUNT_RAD, UNMEASURED_FOCAL_RATIO)
 USELESS = [
     Scenario(
         name=f"pictures {name} for good at 50 m",
@@ -86,11 +86,22 @@ MOUNTED = [
     ),
     Scenario(
         name="camera hung 3 degrees nose up by hand",
-        setup=setup(None, mount_off_deg=(0.0, 3.0, 0.0), config=BY_HAND),
+        setup=setup(None, mount_off_deg=(0.0, 3.0, 0.0), config=UNMEASURED),
         breaks=(),
         limit_s=260.0,
         lands_within_m=2.0,
         lands_at_ne_m=HOME,
+    ),
+    *(
+        Scenario(
+            name=f"a lens {name} than its data sheet says",
+            setup=setup(None, lens_ratio=ratio, config=UNMEASURED),
+            breaks=(),
+            limit_s=260.0,
+            lands_within_m=2.0,
+            lands_at_ne_m=HOME,
+        )
+        for name, ratio in (("5 % wider", 0.95), ("5 % narrower", 1.05))
     ),
     Scenario(
         name="a lens a fifth wider than calibrated",

@@ -1,0 +1,50 @@
+"""A lens that is shorter or longer than was told is learned where heights have another witness."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vwnav.bench.estimator.flown import Run
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.states import States
+
+UNMEASURED = 0.015
+
+
+def flown(seed: int, sigma: float, off: float) -> Run:
+    """Two minutes in wind, with turns, an IMU and fixes."""
+    world = FilterWorld(seconds=120.0, imu_hz=50.0, focal_off=off)
+    rng = np.random.default_rng(seed)
+    return play(sense(world, fly(world, [rng])[0], rng), EkfConfig(focal_sigma_ratio=sigma))
+
+
+def worst_sigmas(run: Run) -> float:
+    return max(
+        math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
+        for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True)
+    )
+
+
+@pytest.mark.parametrize(("seed", "off"), [(1, 0.05), (2, -0.05), (3, 0.02)])
+def test_a_lens_that_nobody_measured_is_learned_and_the_place_stays_within_its_sigmas(seed, off):
+    run = flown(seed, UNMEASURED, off)
+    assert worst_sigmas(run) < 4.5
+    sigma = math.sqrt(run.last.P[States.FOCAL, States.FOCAL])
+    assert abs(run.last.x[States.FOCAL] - off) < 4.0 * sigma
+    assert sigma < 0.7 * UNMEASURED
+
+
+def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
+    """What a filter without this state did with every lens."""
+    assert worst_sigmas(flown(1, 1e-4, 0.05)) > 5.0
+
+
+def test_one_that_is_as_told_costs_little():
+    exact, unmeasured = (flown(1, sigma, 0.0) for sigma in (0.001, UNMEASURED))
+    late = exact.rows.t_s > 60.0
+    mean_m = [float(np.hypot(*run.rows.error_ne_m[late].T).mean()) for run in (exact, unmeasured)]
+    assert mean_m[1] < mean_m[0] + 0.1
