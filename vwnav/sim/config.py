@@ -45,6 +45,8 @@ class VehicleConfig:
         baro_drift_m: one sigma of the barometer's random walk after ten minutes.
         heading_bias_deg: constant error of the compass.
         imu_noise: scale of the noise and biases of the inertial sensors; 0 is perfect.
+        range_most_m: how far its rangefinder reaches; 0: it has none.
+        slope_north, slope_east: rise of the ground per metre; the vehicle stands at height zero.
         battery_start: charge at start, 0..1.
         battery_drain_s: time in flight from full to empty.
         autopilot_defaults: start with the autopilot's own parameters: GPS expected (there is
@@ -72,6 +74,9 @@ class VehicleConfig:
     baro_drift_m: float = 1.5
     heading_bias_deg: float = 3.0
     imu_noise: float = 1.0
+    range_most_m: float = 100.0
+    slope_north: float = 0.0
+    slope_east: float = 0.0
     battery_start: float = 1.0
     battery_drain_s: float = 1500.0
     autopilot_defaults: bool = False

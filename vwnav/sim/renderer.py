@@ -68,8 +68,8 @@ class Region:
 class CameraRenderer:
     """Renders images of a site's flight look, one per exposure.
 
-    Level ground at down = 0 of the site's frame. The same seed and the same calls give the same
-    images as long as tiles do not come from the background thread (`config.background`).
+    Ground through the site's origin. The same seed and the same calls give the same images as long
+    as tiles do not come from the background thread (`config.background`).
     """
 
     def __init__(
@@ -80,10 +80,7 @@ class CameraRenderer:
         rng: np.random.Generator,
         tiles_folder: Path | None = None,
     ) -> None:
-        """`tiles_folder` keeps drawn tiles between runs (`named_sites.tiles_folder`).
-
-        A calibration that knows its read-out has it; else it is that of `config`.
-        """
+        """`tiles_folder` keeps drawn tiles. The camera's read-out, where it has one."""
         if camera.readout_s is not None:
             config = replace(config, readout_s=camera.readout_s)
         self._camera, self._config, self._rng = camera, config, rng
@@ -138,7 +135,7 @@ class CameraRenderer:
         """The image exposed at `t_s`, middle row: (h, w, 3) BGR, or (h, w) of a grey camera.
 
         Args:
-            position_ned_m: (3,) of the body in the site's frame, down = 0 on the ground.
+            position_ned_m: (3,) of the body in the site's frame.
             R_ned_body: (3, 3).
             t_s: time of exposure; light and exposure change with it.
             velocity_ned_m_s: (3,), for motion blur and the rolling shutter.
@@ -147,11 +144,15 @@ class CameraRenderer:
         camera = self._camera
         shake = rotation_from_vector(self._rng.normal(0.0, self._config.vibration_rad, 3))
         R_ned_camera = R_ned_body @ shake @ camera.R_body_camera
-        centre = position_ned_m + R_ned_body @ camera.t_body_camera_m
-        swung = R_ned_body @ np.cross(rate_body_rad_s, camera.t_body_camera_m)
-        velocity_ned_m_s = velocity_ned_m_s + swung
+        velocity_ned_m_s = velocity_ned_m_s + R_ned_body @ np.cross(
+            rate_body_rad_s, camera.t_body_camera_m
+        )
+        sheared = np.eye(3)  # along down, so that a slope is level
+        sheared[2, :2] = self._config.slope_ne
+        centre = sheared @ (position_ned_m + R_ned_body @ camera.t_body_camera_m)
         height_m = max(-float(centre[2]), _MIN_HEIGHT_M)
         flow = self._flow_px_s(R_ned_camera, height_m, velocity_ned_m_s, rate_body_rad_s)
+        R_ned_camera, velocity_ned_m_s = sheared @ R_ned_camera, sheared @ velocity_ned_m_s
         rays = self._sensor.shaken(self._rays, t_s)
         region = self._region(R_ned_camera, centre, height_m)
         mosaic = self._assemble(region)

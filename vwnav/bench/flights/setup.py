@@ -56,6 +56,8 @@ class Setup:
         arm_m: where the camera sits in the body: forward, right, down.
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
         lens_ratio: its true focal length over the calibrated one.
+        slope_ne: rise of the ground per metre north and east of home, where it has to stand.
+        range_most_m: how far the rangefinder reaches; 0: there is none.
         copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
@@ -79,6 +81,8 @@ class Setup:
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
+    slope_ne: tuple[float, float] = (0.0, 0.0)
+    range_most_m: float = 100.0
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)

@@ -111,18 +111,14 @@ class World:
         frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
         lat_deg, lon_deg, _ = frame.to_geodetic(self._stands_ned_m)
         config = VehicleConfig(
-            manners=setup.manners,
-            home_lat_deg=float(lat_deg),
-            home_lon_deg=float(lon_deg),
-            home_alt_amsl_m=0.0,
-            seed=setup.seed,
-            wind_m_s=setup.wind_m_s,
-            wind_from_deg=setup.wind_from_deg,
-            gust_m_s=setup.gust_m_s,
+            manners=setup.manners, home_lat_deg=float(lat_deg), home_lon_deg=float(lon_deg),
+            home_alt_amsl_m=0.0, seed=setup.seed, wind_m_s=setup.wind_m_s,
+            wind_from_deg=setup.wind_from_deg, gust_m_s=setup.gust_m_s,
+            range_most_m=setup.range_most_m, slope_north=setup.slope_ne[0],
+            slope_east=setup.slope_ne[1],
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
-            pilot=PilotPlan(rc_on=setup.rc_on),
-            battery_drain_s=setup.battery_drain_s,
-        )
+            pilot=PilotPlan(rc_on=setup.rc_on), battery_drain_s=setup.battery_drain_s,
+        )  # fmt: skip
         link = NotedLink(self.autopilot_link.a, self.clock, self.track)
         peer = Peer(link, Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_rate * self.clock())
@@ -346,4 +342,5 @@ def draw(setup: Setup, place: Place) -> CameraRenderer:
 
 def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, told: Camera) -> CameraRenderer:
     camera, rng = setup.true_camera(told), np.random.default_rng(setup.seed)
-    return CameraRenderer(ground, camera, RenderConfig(color=False, background=False), rng, tiles)
+    config = RenderConfig(color=False, background=False, slope_ne=setup.slope_ne)
+    return CameraRenderer(ground, camera, config, rng, tiles)

@@ -42,13 +42,16 @@ class Airframe:
         "r",
         "rotation",
         "rotors",
+        "slope_ne",
         "vd",
         "ve",
         "vn",
     )
 
-    def __init__(self, heading_rad: float, drag_per_s: float) -> None:
-        self._drag_per_s = drag_per_s
+    def __init__(
+        self, heading_rad: float, drag_per_s: float, slope_ne: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        self._drag_per_s, self.slope_ne = drag_per_s, slope_ne
         self.n = self.e = self.d = 0.0
         self.vn = self.ve = self.vd = 0.0
         self.qw, self.qx, self.qy = math.cos(heading_rad / 2.0), 0.0, 0.0
@@ -59,6 +62,11 @@ class Airframe:
         self.rotors = [0.0, 0.0, 0.0, 0.0]
         self.on_ground = True
         self.rotation = rotation_of(self.qw, self.qx, self.qy, self.qz)
+
+    @property
+    def agl_m(self) -> float:
+        """Height above the ground right below; it stands on level ground, whatever rises around."""
+        return -self.d - self.slope_ne[0] * self.n - self.slope_ne[1] * self.e
 
     def fly_at(
         self,
@@ -131,12 +139,13 @@ class Airframe:
         fn = -lift * r02 - drag * un
         fe = -lift * r12 - drag * ue
         fd = -lift * r22 - drag * ud
-        self.on_ground = self.d >= 0.0 and fd + GRAVITY_M_S2 >= 0.0
+        low = self.d >= 0.0
+        self.on_ground = low and fd + GRAVITY_M_S2 >= 0.0
         if self.on_ground:
             self._touch(dt_s)
             fn, fe, fd = 0.0, 0.0, -GRAVITY_M_S2
         else:
-            if self.d >= 0.0:
+            if low:
                 self.vd = min(self.vd, 0.0)
             self.vn += fn * dt_s
             self.ve += fe * dt_s

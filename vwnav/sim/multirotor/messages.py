@@ -26,7 +26,7 @@ def attitude_quaternion(v: SimulatedMultirotor) -> Any:
 def distance_sensor(v: SimulatedMultirotor) -> Any:
     """Downward rangefinder, in cm."""
     distance_m = v.sensors.range_m(v.body)
-    if distance_m is None or distance_m > 100.0:
+    if distance_m is None or distance_m > v.config.range_most_m:
         return None
     return mavlink.MAVLink_distance_sensor_message(
         ms(v.t_s), 0, 10000, round(100.0 * distance_m), 0, 0, 25, 0, signal_quality=100

@@ -41,6 +41,8 @@ class Sensors:
         baro_error_m, baro_drift_m_s: what a fault adds to the barometer's height, and how fast
             that grows.
         heading_bias_rad: constant error of the compass.
+        range_scale: true distance to the rangefinder's.
+        range_stuck_m: what that says again and again; None while it works.
     """
 
     def __init__(
@@ -55,6 +57,8 @@ class Sensors:
         self._baro_drift_m = 0.0
         self.baro_error_m = 0.0
         self.baro_drift_m_s = 0.0
+        self.range_scale = 1.0
+        self.range_stuck_m: float | None = None
 
     def imu(self, body: Airframe) -> Imu:
         """Gyroscope and accelerometer now."""
@@ -84,11 +88,14 @@ class Sensors:
         return math.atan2(r10, r00) + self.heading_bias_rad + noise
 
     def range_m(self, body: Airframe) -> float | None:
-        """Distance to the level ground along body down; None beyond 60 degrees of tilt."""
-        down = body.rotation[8]
+        """Distance to the ground along body down; None beyond 60 degrees of tilt."""
+        if self.range_stuck_m is not None:
+            return self.range_stuck_m
+        _, _, north, _, _, east, _, _, down = body.rotation
         if down < 0.5:
             return None
-        return max(0.0, -body.d / down + self._gauss(0.0, 0.02 * self._noise))
+        distance_m = body.agl_m / (down + body.slope_ne[0] * north + body.slope_ne[1] * east)
+        return max(0.0, self.range_scale * distance_m + self._gauss(0.0, 0.02 * self._noise))
 
 
 def pressure_hpa(alt_amsl_m: float) -> float:

@@ -49,6 +49,36 @@ class BarometerDrifts:
 
 
 @dataclass(frozen=True)
+class RangefinderStuck:
+    """It says the same again and again: fog, a spider, a driver that hangs."""
+
+    metres: float
+
+    def begin(self, world: FlightStage) -> None:
+        """Stuck."""
+        world.core.vehicle.sensors.range_stuck_m = self.metres
+
+    def end(self, world: FlightStage) -> None:
+        """It measures."""
+        world.core.vehicle.sensors.range_stuck_m = None
+
+
+@dataclass(frozen=True)
+class RangefinderOff:
+    """It says so many times the distance: tree tops, a wrong unit, a mirror."""
+
+    times: float
+
+    def begin(self, world: FlightStage) -> None:
+        """Off."""
+        world.core.vehicle.sensors.range_scale = self.times
+
+    def end(self, world: FlightStage) -> None:
+        """It measures."""
+        world.core.vehicle.sensors.range_scale = 1.0
+
+
+@dataclass(frozen=True)
 class HeadingReset(Lasting):
     """The autopilot realigns its heading by so much at once, as PX4 does after take-off."""
 

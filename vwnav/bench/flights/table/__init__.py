@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table.aircraft import AUTOPILOT, BATTERY, PILOT
 from vwnav.bench.flights.table.computer import DISK_AND_CLOCK, NAVIGATOR, PROCESSOR
-from vwnav.bench.flights.table.ground import MAP, MODEL
+from vwnav.bench.flights.table.ground import MAP, MODEL, RELIEF
 from vwnav.bench.flights.table.images import IMAGES
 from vwnav.bench.flights.table.link import LINK
 from vwnav.bench.flights.table.telemetry import TELEMETRY
@@ -19,6 +19,7 @@ from vwnav.bench.flights.table.whole import WHOLE, WIND
 FAMILIES: dict[str, list[Scenario]] = {
     "pictures": IMAGES,
     "telemetry": TELEMETRY,
+    "relief": RELIEF,
     "map": MAP,
     "model": MODEL,
     "link": LINK,

@@ -58,4 +58,24 @@ BAROMETER = [
     flies_on("barometer 3 m off for good", aircraft.BarometerWrong(3.0), after_s=15.0),
     flies_on("barometer drifts by 0.3 m/s for 20 s", aircraft.BarometerDrifts(0.3), 20.0),
 ]
-TELEMETRY = [*MISSING, *LATE, *WRONG, *INERTIAL, *BAROMETER]
+RANGEFINDER = [
+    flies_on("rangefinder stuck at 3 m for good", aircraft.RangefinderStuck(3.0), after_s=30.0),
+    flies_on("rangefinder stuck at 44 m for good", aircraft.RangefinderStuck(44.0), after_s=30.0),
+    flies_on("rangefinder 20 % short for good", aircraft.RangefinderOff(0.8), after_s=30.0),
+    flies_on("rangefinder 10 % long for 10 s", aircraft.RangefinderOff(1.1), 10.0, after_s=15.0),
+    *(
+        Scenario(
+            name=f"rangefinder {name} from the start",
+            setup=setup(None),
+            breaks=(Break(fault=fault, at_s=0.0),),
+            limit_s=260.0,
+            lands_within_m=3.0,
+            lands_at_ne_m=(0.0, 0.0),
+        )
+        for name, fault in (
+            ("20 % short", aircraft.RangefinderOff(0.8)),
+            ("stuck at 0.2 m", aircraft.RangefinderStuck(0.2)),
+        )
+    ),
+]
+TELEMETRY = [*MISSING, *LATE, *WRONG, *INERTIAL, *BAROMETER, *RANGEFINDER]
