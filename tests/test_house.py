@@ -9,8 +9,8 @@ from tests.house import measure
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.
 BOUNDS = {
     "step_files": 24,
-    "step_functions": 201,
-    "step_crossings": 166,
+    "step_functions": 203,
+    "step_crossings": 173,
     "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,

@@ -312,9 +312,8 @@ class Pipeline:
             sigma_yaw_rad=now.sigma_yaw_rad,
             agl_m=now.agl_m,
             sigma_agl_ratio=max(agl_ratio, min(doubt * agl_ratio, MAX_DOUBTED_AGL_RATIO)),
-            roll_rad=roll_rad,
-            pitch_rad=pitch_rad,
-        )
+            roll_rad=roll_rad, pitch_rad=pitch_rad, slope_ne=now.slope_ne,
+        )  # fmt: skip
         if (sigma_m := now.sigma_horizontal_m) > self._config.max_prior_sigma_m:
             return prior
         lat_deg, lon_deg, _ = self.local_frame.to_geodetic(now.position_ned_m)

@@ -126,6 +126,7 @@ class Prior:
         yaw_rad: heading of the body (of the image's upper edge for an image alone).
         agl_m: height of the body above the ground, `sigma_agl_ratio` its relative sigma.
         roll_rad, pitch_rad: attitude of the body; unknown is taken as level.
+        slope_ne: rise of the ground per metre north and east.
     """
 
     lat_deg: float | None = None
@@ -137,6 +138,7 @@ class Prior:
     sigma_agl_ratio: float = 0.15
     roll_rad: float | None = None
     pitch_rad: float | None = None
+    slope_ne: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +230,9 @@ class OdometryMotion:
             for motion, 0 to 1: images tell tilting from moving only as well as they can.
         tilts_along: log-likelihood ratio of what the image itself shows of tilting: as much as
             its attitudes tell, against nothing. Negative of a camera that is mounted upside down.
+        slope_ne: (2,) by how much the ground below rises per metre north and east, as the attitude
+            of the keyframe has it; None where the way is too short to tell.
+        slope_covariance: (2, 2).
     """
 
     t0_s: float
@@ -240,6 +245,8 @@ class OdometryMotion:
     tracks: int
     tilt_share: float = 0.0
     tilts_along: float = 0.0
+    slope_ne: Array | None = None
+    slope_covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -305,6 +312,7 @@ class Estimate:
         t_last_fix_s: exposure of the last map fix that was fused, None before the first.
         reset_counter: counts re-localisations (jumps), nothing else.
         wind_ne_m_s: (2,) where it blows to; None while it is not known.
+        slope_ne: rise of the ground below per metre north and east.
     """
 
     t_s: float
@@ -318,6 +326,7 @@ class Estimate:
     t_last_fix_s: float | None
     reset_counter: int
     wind_ne_m_s: Array | None = None
+    slope_ne: tuple[float, float] = (0.0, 0.0)
 
     @property
     def sigma_horizontal_m(self) -> float:

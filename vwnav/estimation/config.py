@@ -44,6 +44,10 @@ class EkfConfig:
     gust_length_m: float = 60.0
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
+    terrain_bend_m: float = 2.0  # the same, times the slope: what slopes, bends
+    slope: float = 0.1  # of the ground, one sigma per axis, where ways tell it
+    slope_length_m: float = 40.0  # Gauss-Markov in the way flown
+    slope_seen: float = 0.03  # what a view of houses, trees and hollows is no plane by
     map_sigma_m: float = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
     map_turn_rad: float = math.radians(0.25)  # likewise: a tilt that matching took for a turn, too
     map_scale: float = 0.008
@@ -70,6 +74,7 @@ class EkfConfig:
     touching_agl_m: float = 0.3  # lower than this it touches the ground, or is about to
     touching_speed_m_s: float = 1.5  # and no faster than this sideways
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
+    slope_share: float = 0.2  # of a way, times the slope of the ground
     zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
     picture_date_s: float = 0.005  # error of an image's date, its read-out's part included
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe

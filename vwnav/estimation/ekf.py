@@ -28,6 +28,8 @@ from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, R
 
 _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
+_RANGE_DOUBTED = "the rangefinder contradicts map and barometer: it is not believed"
+_RANGE_AGAIN = "the rangefinder agrees with map and barometer again: it is believed"
 _MISLED_S = 10.0  # for so long at most wrong ways are believed
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 
@@ -151,7 +153,11 @@ class Ekf:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if isinstance(seen, Height | Range | Stationary):
             self._attitude_gate.heard(seen.t_s)
-        return self._insert(seen)
+        doubted = self._timeline.newest.range_trust.doubted_s is not None
+        innovation = self._insert(seen)
+        if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
+            self._say(_RANGE_AGAIN if doubted else _RANGE_DOUBTED)
+        return innovation
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""

@@ -281,19 +281,15 @@ def apply_agl(
     sigma_m: float,
     config: EkfConfig,
     by_map: bool = False,
-    by_tilt: Array | None = None,
 ) -> tuple[FilterState, Innovation]:
-    """Fuse a height above ground, of a fix or a rangefinder.
+    """Fuse a height above ground, of a fix or of who stands.
 
     A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    Heights `by_map` share the errors of its scale and of the focal length; `by_tilt` (2,) is what a
-    radian of tilt error adds to it.
+    Heights `by_map` share the errors of its scale and of the focal length.
     """
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
     H[0, [States.MAP_SCALE, States.FOCAL]] = state.agl_m if by_map else 0.0
-    if by_tilt is not None:
-        H[0, States.TILT] = by_tilt
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
     fused, innovation = fuse(state, measurement)
     if innovation.verdict is Verdict.FUSED:

@@ -1,4 +1,10 @@
-"""Heights meet the state: barometer, rangefinder, height above ground of a fix, standing."""
+"""Heights meet the state: barometer, rangefinder, height above ground of a fix, standing.
+
+A rangefinder is believed only while other witnesses of the height bear it: one that is stuck,
+dirty, or looks at tree tops says a height as often as one that measures. The ground itself may
+step: that is believed of its word alone only where no map fix tells the height, and by no more than
+ground can have risen on the way since it last agreed.
+"""
 
 import math
 from dataclasses import replace
@@ -9,13 +15,14 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import convinces, freed, remember
 from vwnav.estimation.fixes import apply_agl
-from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis
+from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis, level_axes, yaw_of
 from vwnav.estimation.inertial.preintegration import preintegrated
 from vwnav.estimation.states import (
     CHI_SQUARE_GATE,
     FilterState,
     Innovation,
     Measurement,
+    RangeTrust,
     States,
     Verdict,
     correct,
@@ -24,10 +31,15 @@ from vwnav.estimation.states import (
 from vwnav.geometry.rotations import vector_from_quat
 from vwnav.types import Array, Height, Range
 
+_LEAST_COS_TILT = 0.5
+_FIX_TELLS_S = 5.0  # the height, for so long
+_HIGHEST_STEP_M = 5.0  # of the ground: a house, a wall, a bank
+_STEEPEST = 1.0  # it rises, per metre flown since the rangefinder last agreed
+_HOLLOW_M = 1.0  # and as much without any way
+_AGREES_S = 3.0  # for so long one that was doubted must agree again
 _PLACE = tuple(range(States.SIZE))[States.POSITION_NE]
 _STILL_S = 0.2
 _REST_SHARE = 0.3
-_LEAST_COS_TILT = 0.5
 _CLIMB_SIGMA_M_S = 5.0  # of an aircraft whose barometer was not believed
 _UNTHOUGHT_CLIMB_M_S = 12.0  # by which a climb may differ from the one believed
 _CLIMB_DRIFT_M_S = 15.0  # by which agreeing barometric heights may part: it climbs meanwhile
@@ -116,13 +128,59 @@ def apply_range(
     forward, right, cos = down_axis(attitude.quat_wxyz)
     if cos < _LEAST_COS_TILT:
         return state, Innovation(Verdict.IMPOSSIBLE)
-    by_tilt = event.distance_m * np.array([right, -forward])
-    sigma_m = math.sqrt(
+    agl_m = event.distance_m * cos
+    H = np.zeros((1, States.SIZE))
+    H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
+    # It meets the ground beside what is right below.
+    lean_ne = level_axes(yaw_of(attitude.quat_wxyz) - state.x[States.HEADING_BIAS]) @ [
+        forward,
+        right,
+    ]
+    H[0, States.SLOPE] = -max(state.agl_m, 0.0) * lean_ne / cos
+    H[0, States.TILT] = event.distance_m * right, -event.distance_m * forward
+    variance = (
         config.rangefinder_sigma_m**2
         + (config.rangefinder_sigma_ratio * event.distance_m) ** 2
-        + _lag_m2(state, config.rangefinder_lag_s)
+        + float(config.rangefinder_lag_s * state.x[States.VELOCITY_DOWN]) ** 2
     )
-    return apply_agl(state, event.distance_m * cos, sigma_m, config, by_tilt=by_tilt)
+    return _weighed(state, Measurement(agl_m - H @ state.x, H, np.array([[variance]])), config)
+
+
+def _weighed(
+    state: FilterState, measurement: Measurement, config: EkfConfig
+) -> tuple[FilterState, Innovation]:
+    """Believe it, refuse it, or doubt the rangefinder from now on."""
+    fused, innovation = fuse(state, measurement)
+    trust, agrees = state.range_trust, innovation.verdict is Verdict.FUSED
+    if trust.doubted_s is not None:
+        if not agrees:
+            state = replace(state, range_trust=replace(trust, doubted_s=state.t_s))
+        if not agrees or state.t_s - trust.doubted_s < _AGREES_S:
+            return state, replace(innovation, verdict=Verdict.DOUBTED)
+    if agrees:
+        north_m, east_m = state.x[States.POSITION_NE].tolist()
+        return replace(fused, range_trust=RangeTrust((north_m, east_m))), innovation
+    rejected = remember(trust.rejected, state.t_s, measurement, config.dispute_window_s)
+    if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
+        return replace(state, range_trust=replace(trust, rejected=rejected)), innovation
+    off_m = abs(float(measurement.residual[0]))
+    if off_m > _most_step_m(state):
+        doubted = replace(trust, doubted_s=state.t_s, rejected=())
+        return replace(state, range_trust=doubted), replace(innovation, verdict=Verdict.DOUBTED)
+    # Whether the keyframe's ground was believed wrong too is not known.
+    state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
+    state = replace(correct(state, measurement), range_trust=replace(trust, rejected=()))
+    return state, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _most_step_m(state: FilterState) -> float:
+    """By how much the ground below may have stepped, for all that others know."""
+    told = state.t_last_fix_s is not None and state.t_s - state.t_last_fix_s < _FIX_TELLS_S
+    agreed_ne_m = state.range_trust.agreed_ne_m
+    if told or agreed_ne_m is None:
+        return 0.0
+    way_m = math.dist(agreed_ne_m, state.x[States.POSITION_NE].tolist())
+    return min(_HOLLOW_M + _STEEPEST * way_m, _HIGHEST_STEP_M)
 
 
 def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:

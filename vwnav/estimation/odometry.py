@@ -1,5 +1,6 @@
 """The way that images tell meets the state: a keyframe's clone, then displacements from it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,7 @@ _TAUGHT = np.r_[
     States.GUST_FORCE,
     States.DRAG,
     States.FOCAL,
+    States.SLOPE,
 ]
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
@@ -100,9 +102,40 @@ def apply_displacement(
     state, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
         state = replace(_in_scale(before, state, agl_m), rejected_ways=())
+        state = _apply_slope(state, motion, anchor.yaw_rad, context)
     else:
         state = _rejected(state, displacement, config)
     return state, replace(innovation, parts=parts)
+
+
+def _apply_slope(
+    state: FilterState, motion: OdometryMotion, yaw_rad: float, context: Context
+) -> FilterState:
+    """Fuse how the ground rises, as the way shows it: less what the terrain table knows.
+
+    To an attitude that is off by d = (d_n, d_e) level ground rises by (d_e, -d_n). Ground that no
+    way has shown to rise is thought to be level: the slope is open as far as it may have changed
+    since the keyframe, and to what is told alone.
+    """
+    if motion.slope_ne is None or motion.slope_covariance is None:
+        return state
+    table = np.zeros(2)
+    if context.ground is not None and (patch := context.patch(*state.x[States.POSITION_NE])):
+        table = np.array([patch.per_north, patch.per_east])
+    bias_rad = float(state.x[States.ANCHOR_HEADING_BIAS])
+    turn = level_axes(-bias_rad)
+    config = context.config
+    way_m = math.hypot(*(state.x[States.POSITION] - state.x[States.ANCHOR_POSITION]))
+    P = state.P.copy()
+    fed = config.slope**2 * (1.0 - math.exp(-2.0 * way_m / config.slope_length_m))
+    P[States.SLOPE, States.SLOPE] += fed * np.eye(2)
+    state = replace(state, P=P)
+    H = np.zeros((2, States.SIZE))
+    H[:, States.SLOPE] = np.eye(2)
+    by_tilt = -_QUARTER_TURN @ level_axes(yaw_rad - bias_rad)
+    H[:, States.ANCHOR_TILT] = H[:, States.CAMERA_TILT] = by_tilt
+    R = turn @ motion.slope_covariance @ turn.T + config.slope_seen**2 * np.eye(2)
+    return fuse(state, Measurement(turn @ motion.slope_ne - table - H @ state.x, H, R))[0]
 
 
 def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
@@ -256,6 +289,8 @@ def _displacement(
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     R[2, 2] += (config.zoom_share * down_m) ** 2
+    unsure = config.slope_share * math.hypot(*x[States.SLOPE])
+    R += unsure**2 * float(predicted_m @ predicted_m) * np.eye(3)
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, considered=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))

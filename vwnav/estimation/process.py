@@ -224,6 +224,10 @@ def _transition(
     moved[States.ACCELERATION] *= keep
     moved[States.TILT] = F_tilt @ x[States.TILT]
     moved[_MAP] *= keep_map
+    keep_slope = math.exp(-flown_m / config.slope_length_m)
+    moved[States.SLOPE] *= keep_slope
+    way_m = moved[States.POSITION_NE] - x[States.POSITION_NE]
+    moved[States.TERRAIN] += x[States.SLOPE] @ way_m
 
     F = np.eye(States.SIZE)
     F[States.POSITION, States.VELOCITY] = dt_s * np.eye(3)
@@ -231,6 +235,9 @@ def _transition(
     F[States.VELOCITY_NE, States.HEADING_BIAS] = dt_s * turned[1], -dt_s * turned[0]
     F[States.TILT, States.TILT] = F_tilt
     F[_MAP, _MAP] = keep_map
+    F[States.SLOPE, States.SLOPE] = keep_slope * _LEVEL
+    F[States.TERRAIN, States.SLOPE] = way_m
+    F[States.TERRAIN, States.VELOCITY_NE] = dt_s * x[States.SLOPE]
     known = _follow_ground(x, moved, F, dt_s, context)
     return Transition(moved, F, _walks(x, dt_s, flown_m, known, config))
 
@@ -259,7 +266,7 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
     slope0 = np.array([before.per_north, before.per_east])
     slope1 = np.array([after.per_north, after.per_east])
     F[States.TERRAIN, States.POSITION_NE] = slope1 - slope0
-    F[States.TERRAIN, States.VELOCITY_NE] = slope1 * dt_s
+    F[States.TERRAIN, States.VELOCITY_NE] += slope1 * dt_s
     return True
 
 
@@ -278,5 +285,6 @@ def _walks(x: Array, dt_s: float, flown_m: float, ground_known: bool, config: Ek
         config.baro_walk_m**2 * dt_s + config.baro_climb_walk_m**2 * climb_m_s * dt_s
     )
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
-    Q[States.TERRAIN, States.TERRAIN] = walk_m**2 * flown_m
+    bent_m = config.terrain_bend_m * math.hypot(*x[States.SLOPE])
+    Q[States.TERRAIN, States.TERRAIN] = (walk_m**2 + bent_m**2) * flown_m
     return Q

@@ -14,6 +14,7 @@ from vwnav.types import Array, Estimate
 CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 _RIDGE = 1e-12
 _MOST_HEADING_SIGMA_RAD = math.radians(45.0)  # of a heading that is known
+_STEEPEST = 0.5  # slope that an image is told of
 _KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
 
 
@@ -58,7 +59,8 @@ class States:
     GUST_FORCE = slice(40, 42)  # m/s^2, north and east, what the air pushes besides
     CAMERA_TILT = slice(42, 44)  # rad, error of the camera's mount about the same axes as TILT
     FOCAL = 44  # share by which the camera's focal length is taken for longer than it is
-    SIZE = 45
+    SLOPE = slice(45, 47)  # rise per metre north and east of the ground, beyond the terrain table
+    SIZE = 47
 
 
 _HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
@@ -83,6 +85,21 @@ class RejectedInnovation:
 
 
 RejectedInnovations = tuple[RejectedInnovation, ...]  # in order of time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeTrust:
+    """How the rangefinder stands to the other witnesses of the height.
+
+    Attributes:
+        agreed_ne_m: where it last agreed, None before.
+        doubted_s: when it last contradicted them while it is not believed; None while it is.
+        rejected: refused since the last accepted one.
+    """
+
+    agreed_ne_m: tuple[float, float] | None = None
+    doubted_s: float | None = None
+    rejected: RejectedInnovations = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +141,7 @@ class FilterState:
     rejected_agls: RejectedInnovations = ()
     rejected_heights: RejectedInnovations = ()
     rejected_ways: RejectedInnovations = ()
+    range_trust: RangeTrust = RangeTrust()
 
     @property
     def agl_m(self) -> float:
@@ -146,6 +164,7 @@ class Verdict(Enum):
     NO_ATTITUDE = "no attitude that is believed tells how it was seen"
     ON_GROUND = "the aircraft stands, or nearly"
     IMPOSSIBLE = "no aircraft does that"
+    DOUBTED = "a rangefinder that contradicts map and barometer"
     DISTRUSTED = "most of its kind contradict the IMU"
     HEADING_UNKNOWN = "the heading is not known yet"
     NOT_STARTED = "the filter is not initialised"
@@ -294,6 +313,7 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
         wind_ne_m_s=None if windless else x[States.WIND_FORCE] / drag,
+        slope_ne=tuple(np.clip(x[States.SLOPE], -_STEEPEST, _STEEPEST).tolist()),
     )
 
 

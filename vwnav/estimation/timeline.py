@@ -202,6 +202,13 @@ def sensible(event: Told | Attitude | ImuSample) -> bool:
                 and way.agl_m > 0.0
                 and 0.0 <= way.tilt_share <= 1.0
                 and math.isfinite(way.tilts_along)
+                and (
+                    way.slope_ne is None
+                    or (
+                        way.slope_covariance is not None
+                        and _normal(way.slope_ne, way.slope_covariance, 2)
+                    )
+                )
             )
         case _:
             return True

@@ -231,7 +231,7 @@ def rectification(
     Args:
         K: (3, 3) of the undistorted camera.
         frame_size_wh: (width, height) of the image.
-        R_ned_camera: (3, 3) attitude of the camera.
+        R_ned_camera: (3, 3) attitude of the camera; where the ground rises, sheared along down.
         agl_m: height of the camera above the ground.
         m_per_px: wanted ground resolution.
         max_size_px: largest width and height of the view.

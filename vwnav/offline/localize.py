@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 
@@ -156,7 +157,8 @@ def _prior(
     for name, value in known.items():
         is_angle = name in ("yaw_deg", "roll_deg", "pitch_deg")
         field = name.replace("_deg", "_rad") if is_angle else name
-        prior = replace(prior, **{field: math.radians(value) if is_angle else value})
+        told: dict[str, Any] = {field: math.radians(value) if is_angle else value}
+        prior = replace(prior, **told)
     return prior
 
 

@@ -119,6 +119,7 @@ def is_finite(prior: Prior) -> bool:
         prior.agl_m,
         prior.sigma_agl_ratio,
         prior.roll_rad,
+        *prior.slope_ne,
         prior.pitch_rad,
     )
     sigmas = (prior.sigma_m, prior.sigma_yaw_rad, prior.sigma_agl_ratio)

@@ -78,6 +78,6 @@ class OdometryConfig:
     tilt_rad: float = math.radians(2.0)
     tilt_increment_level_rad: float = math.radians(2.0)  # of a video alone
     yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
-    slope: float = 0.05  # of the ground, with the attitude's own error
+    slope: float = 0.1  # of the ground, with the attitude's own error
     slope_level: float = 0.09  # of a video alone
     least_agl_m: float = 0.3

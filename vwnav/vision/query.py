@@ -205,10 +205,12 @@ class QueryMaker:
         """The view's geometry; None when the camera does not look down."""
         prior = query.prior
         R_ned_body = rotation_from_euler(prior.roll_rad or 0.0, prior.pitch_rad or 0.0, yaw_rad)
+        sheared = np.eye(3)  # along down, so that the view of a slope is that of level ground
+        sheared[2, :2] = prior.slope_ne
         return rectification(
             query.image.K,
             query.image.size_wh,
-            R_ned_body @ self._camera.R_body_camera,
+            sheared @ R_ned_body @ self._camera.R_body_camera,
             agl_m,
             m_per_px,
             MAX_VIEW_PX,

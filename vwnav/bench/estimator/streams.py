@@ -24,6 +24,8 @@ _KEYFRAME_WAY = 0.35  # in AGL, then the keyframe is replaced
 _KEYFRAME_CLIMB = 0.12
 _KEYFRAME_TURN_RAD = 0.14
 _TOLD_TILT_RAD = math.radians(0.2)  # what attitudes leave open, as odometry has it
+_LEAST_SLOPE_WAY = 0.05  # in AGL, of one that tells how the ground rises
+_SLOPE_STEP_M = 5.0
 _MAP_WAVES = 24
 _MAP_LENGTH_M = 50.0
 
@@ -230,6 +232,7 @@ def _odometry(
                 float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
                 increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
                 _tilts_along(world, truth.quat_wxyz[[key, i]], errors.tilted[[key, i]]),
+                *_slope_seen(world, truth, errors, key, i),
             )  # fmt: skip
             events.append(MeasurementEvent(motion.t1_s + _ODOMETRY_LATE_S, motion))
             moved = math.hypot(way[0], way[1]) > _KEYFRAME_WAY or abs(way[2]) > _KEYFRAME_CLIMB
@@ -240,6 +243,23 @@ def _odometry(
         turn = rotation_from_vector([0.0, 0.0, errors.yaw[key]])
         key_turn = turn @ rotation_from_vector([*errors.seen_ne[key], 0.0])
     return events
+
+
+def _slope_seen(
+    world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, key: int, now: int
+) -> tuple[Array | None, Array | None]:
+    """Rise of the ground about a keyframe as its attitude has it, and covariance, of a long way."""
+    place, tilt = truth.position_ned_m[key, :2], errors.seen_ne[key]
+    way_m = float(np.hypot(*(truth.position_ned_m[now, :2] - place)))
+    if way_m < _LEAST_SLOPE_WAY * truth.agl_m[key]:
+        return None, None
+    around = place + np.array([[_SLOPE_STEP_M, 0.0], [0.0, _SLOPE_STEP_M]])
+    ahead, behind = (ground_m(at[:, 0], at[:, 1], world) for at in (around, 2.0 * place - around))
+    rise = (ahead - behind) / (2.0 * _SLOPE_STEP_M) + np.array([tilt[1], -tilt[0]])
+    c, s = math.cos(errors.yaw[key]), math.sin(errors.yaw[key])
+    as_told = np.array([[c, -s], [s, c]]) @ rise
+    noise = np.random.default_rng([key, now]).normal(size=2)
+    return as_told + world.slope_noise * noise, world.slope_noise**2 * np.eye(2)
 
 
 def _tilts_along(world: FilterWorld, true_quats: Array, told_quats: Array) -> float:

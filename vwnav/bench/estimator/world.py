@@ -41,6 +41,7 @@ class FilterWorld:
     wind_m_s: float = 5.0
     gust_m_s: float = 1.5
     drag_per_s: float = 0.16  # 5.5 degrees of tilt in 6 m/s of wind
+    slope_noise: float = 0.01  # of the rise of the ground that ways show
     relief_m: float = 0.5  # of gentle ground, waves of some 200 m to 600 m
     hill_m: float = 0.0  # hills of 400 m from foot to foot
     # Attitude

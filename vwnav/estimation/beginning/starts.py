@@ -11,6 +11,7 @@ from vwnav.types import Array
 
 _HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
 _TERRAIN_SIGMA_M = 30.0
+_LEVEL_SLOPE = 1e-3  # of ground of which nothing is told
 _BARO_SIGMA_M = 2.0
 
 
@@ -68,6 +69,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
     variance[States.TILT] = config.tilt_sigma_rad**2
     variance[States.CAMERA_TILT] = config.mount_sigma_rad**2
+    variance[States.SLOPE] = _LEVEL_SLOPE**2
     variance[States.FOCAL] = config.focal_sigma_ratio**2
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2

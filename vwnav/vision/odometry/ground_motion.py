@@ -27,8 +27,10 @@ from vwnav.types import Array, Gray
 
 _T, _PHI, _SLOPE = slice(0, 3), slice(3, 6), slice(6, 8)
 _ITERATIONS = 5
+_RAYLEIGH_MEDIAN = 1.1774  # of residual lengths, in sigmas per axis
 _TUKEY = 4.685  # 95 % efficiency for normal errors
 _RANSAC_STEPS = 300
+_LEAST_TOLD = 0.5  # of a slope, by the images and not by what was thought before
 _REGIONS = 4  # along each side of the image: tracks of one may hang together
 Points = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -72,7 +74,7 @@ class Motion:
     Attributes:
         way: (3,) NED in units of the height of camera 0 above ground.
         turn_rad: (3,) rotation vector, NED: `exp(turn) @ R_ned_camera1` is the true rotation.
-        slope: (2,) of the ground in the frame of attitude 0, down per north and east.
+        slope: (2,) rise of the ground per north and east, in the frame of attitude 0.
         covariance: (8, 8) of the three.
         inliers: (n,) bool. sigma_px: what the tracks that fit scatter by.
     """
@@ -99,8 +101,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         residuals, J = _linearise(seen, parameters)
         size_px = np.hypot(residuals[:, 0], residuals[:, 1])
         if np.any(size_px < threshold_px):
-            # One sigma per axis of residual lengths, from their median (of a Rayleigh distribution)
-            sigma_px = float(np.median(size_px[size_px < threshold_px])) / 1.1774
+            sigma_px = float(np.median(size_px[size_px < threshold_px])) / _RAYLEIGH_MEDIAN
             scale_px = min(scale_px, max(sigma_px, prior.pixel))
         else:
             scale_px = min(scale_px, prior.pixel)
@@ -137,14 +138,9 @@ def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
     ground1 = rays1[front, :2] / rays1[front, 2:]
     # OpenCV's RANSAC here has its own generator with a fixed seed: equal input, equal output.
     M, _ = cv2.estimateAffinePartial2D(
-        ground0,
-        ground1,
-        method=cv2.RANSAC,
-        ransacReprojThreshold=threshold_px / seen.focal_px,
-        maxIters=_RANSAC_STEPS,
-        confidence=0.999,
-        refineIters=0,
-    )
+        ground0, ground1, method=cv2.RANSAC, ransacReprojThreshold=threshold_px / seen.focal_px,
+        maxIters=_RANSAC_STEPS, confidence=0.999, refineIters=0,
+    )  # fmt: skip
     if M is None or not np.all(np.isfinite(M)):
         return None
     scale = float(np.hypot(M[0, 0], M[1, 0]))
@@ -253,6 +249,19 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)
     ratio = told_rad @ (motion.turn_rad[:2] + 0.5 * k * told_rad) / variance
     return TiltSeen(min(float(along) / variance, 1.0), float(ratio))
+
+
+def slope_seen(motion: Motion, prior: MotionPrior) -> tuple[Array, Array] | None:
+    """Rise (2,) of the ground and its covariance, the prior taken out; None if that was all.
+
+    A posterior N(m, C) of a prior N(0, s^2) measures K^-1 m to K^-1 C, K = I - C / s^2.
+    """
+    C = motion.covariance[_SLOPE, _SLOPE]
+    K = np.eye(2) - C / prior.slope**2
+    if float(np.linalg.eigvalsh(0.5 * (K + K.T))[0]) < _LEAST_TOLD:
+        return None
+    told = np.linalg.solve(K, np.column_stack([motion.slope, C])).astype(np.float64)
+    return told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)
 
 
 def reduction(width_px: int, widest_px: int) -> int:

@@ -40,6 +40,7 @@ from vwnav.vision.odometry.ground_motion import (
     fit_motion,
     reduced_gray,
     reduction,
+    slope_seen,
     tilt_seen,
     track,
 )
@@ -260,7 +261,8 @@ class Odometry:
         # Roofs and crowns of trees move on planes of their own: which of them was taken for the
         # ground, and how much the rest pulls at it, the inliers' own scatter does not tell.
         unsure = replace(motion, covariance=motion.covariance / (count / stats.matches) ** 2)
-        return self._accept(keyframe, view, unsure, count, tilt)
+        slope = None if self._alone else slope_seen(unsure, prior)
+        return self._accept(keyframe, view, unsure, count, tilt, slope)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
         c = self._config
@@ -271,7 +273,13 @@ class Odometry:
         return MotionPrior(tilt_rad, c.slope, c.sigma_px)
 
     def _accept(
-        self, keyframe: _Keyframe, view: _ReducedView, motion: Motion, count: int, tilt: TiltSeen
+        self,
+        keyframe: _Keyframe,
+        view: _ReducedView,
+        motion: Motion,
+        count: int,
+        tilt: TiltSeen,
+        slope: tuple[Array, Array] | None,
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
         heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
@@ -304,6 +312,8 @@ class Odometry:
             tracks=count,
             tilt_share=tilt.share,
             tilts_along=tilt.along,
+            slope_ne=None if slope is None else slope[0],
+            slope_covariance=None if slope is None else slope[1],
         )
 
     def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:

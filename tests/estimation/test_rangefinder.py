@@ -1,0 +1,102 @@
+"""A rangefinder is one witness of the height: it is heard, corrected, and outvoted."""
+
+import numpy as np
+import pytest
+
+from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.states import States, Verdict
+from vwnav.types import Attitude, Height, OdometryMotion, Range
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+AGL_M = 50.0
+
+
+class Flight:
+    """Level at 50 m, northwards, with barometer, ways and, while `seen`, fixes; knows the truth."""
+
+    def __init__(self, speed_m_s: float = 0.0) -> None:
+        self.t_s, self.speed_m_s, self.seen = 0.0, speed_m_s, True
+        self.said: list[str] = []
+        self.verdicts: list[Verdict] = []
+        self.ekf = Ekf(EkfConfig())
+        self.ekf.on_event(self.said.append)
+        self.ekf.handle(Attitude(0.0, LEVEL))
+        place = np.array([0.0, 0.0, -AGL_M])
+        start = Start(
+            t_s=0.0, position_ned_m=place, sigma_m=1.0, agl_m=AGL_M, sigma_agl_m=0.5,
+            sigma_velocity_m_s=0.1 + speed_m_s,
+        )  # fmt: skip
+        self.ekf.initialise(start)
+
+    def fly(self, seconds: float, says, agl_m: float = AGL_M) -> "Flight":
+        """Go on; the rangefinder says `says(true distance)`."""
+        for _ in range(round(seconds * 50.0)):
+            t_s = self.t_s = round(self.t_s + 0.02, 6)
+            n = round(t_s * 50.0)
+            place = np.array([self.speed_m_s * t_s, 0.0, -AGL_M])
+            self.ekf.handle(Attitude(t_s, LEVEL))
+            if n % 5 == 0:
+                self.ekf.handle(Height(t_s, AGL_M))
+                self.verdicts.append(self.ekf.handle(Range(t_s, says(agl_m))).verdict)
+            if n % 10 == 0:
+                way = np.array([0.2 * self.speed_m_s, 0.0, 0.0])
+                seen = OdometryMotion(
+                    round(t_s - 0.2, 6), t_s, way, 0.05**2 * np.eye(3), 0.0, 0.003, agl_m, 99
+                )
+                self.ekf.handle(seen)
+            if n % 20 == 0 and self.seen:
+                fix = NedFix(
+                    t_s=t_s, position_ne_m=place[:2], covariance_ne_m2=0.5**2 * np.eye(2),
+                    yaw_rad=0.0, sigma_yaw_rad=0.01, agl_m=agl_m, sigma_agl_m=0.5,
+                )  # fmt: skip
+                self.ekf.handle(fix)
+            self.ekf.estimate(t_s)
+        return self
+
+    @property
+    def agl_m(self) -> float:
+        return self.ekf.estimate(self.t_s).agl_m
+
+
+@pytest.mark.parametrize("stuck_m", [0.2, 3.0, 25.0, 80.0])
+@pytest.mark.parametrize("speed_m_s", [0.0, 8.0])
+@pytest.mark.parametrize("seen", [True, False])
+def test_one_that_is_stuck_is_doubted_and_said_and_moves_nothing(stuck_m, speed_m_s, seen):
+    flight = Flight(speed_m_s).fly(5.0, lambda m: m)
+    flight.seen = seen
+    flight.fly(8.0, lambda _: stuck_m)
+    assert flight.verdicts[-1] is Verdict.DOUBTED
+    assert flight.said == ["the rangefinder contradicts map and barometer: it is not believed"]
+    assert abs(flight.agl_m - AGL_M) < 1.5
+    assert np.all(np.abs(flight.ekf.state.x[States.VELOCITY_NE] - [speed_m_s, 0.0]) < 1.0)
+
+
+def test_one_that_was_doubted_is_heard_again_when_it_has_agreed_for_seconds():
+    flight = Flight().fly(5.0, lambda m: m).fly(3.0, lambda _: 3.0).fly(2.0, lambda m: m)
+    assert flight.verdicts[-1] is Verdict.DOUBTED
+    flight.fly(2.0, lambda m: m)
+    assert flight.verdicts[-1] is Verdict.FUSED
+    assert flight.said[-1] == "the rangefinder agrees with map and barometer again: it is believed"
+
+
+@pytest.mark.parametrize("times", [0.98, 1.02])
+def test_one_that_is_two_per_cent_off_is_borne(times):
+    flight = Flight(8.0).fly(30.0, lambda m: times * m)
+    assert not flight.said
+    assert abs(flight.agl_m - AGL_M) < 0.03 * AGL_M
+
+
+def test_a_house_below_is_believed_of_its_word_where_no_fix_tells_and_only_on_the_way():
+    flown = Flight(8.0).fly(5.0, lambda m: m)
+    flown.seen = False
+    flown.fly(6.0, lambda m: m).fly(4.0, lambda m: m, agl_m=AGL_M - 4.0)
+    assert Verdict.RELOCATED in flown.verdicts
+    assert flown.agl_m == pytest.approx(AGL_M - 4.0, abs=1.0)
+    hovering = Flight().fly(5.0, lambda m: m)
+    hovering.seen = False
+    hovering.fly(6.0, lambda m: m).fly(4.0, lambda m: m - 4.0)
+    assert Verdict.RELOCATED not in hovering.verdicts
+    assert hovering.agl_m == pytest.approx(AGL_M, abs=1.0)

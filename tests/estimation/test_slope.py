@@ -1,0 +1,46 @@
+"""Ground that rises and falls: ways tell its slope, so that height and speed stay true."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vwnav.bench.estimator.flown import Run
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.config import EkfConfig
+
+OUTAGES_S = ((50.0, 65.0), (90.0, 105.0))
+LEVEL = EkfConfig(slope=1e-4, slope_seen=1e3)  # what a filter without these states believes
+
+
+def flown(seed: int, relief_m: float, config: EkfConfig) -> Run:
+    """Two minutes over relief, with an IMU, and twice 15 s without a fix."""
+    world = FilterWorld(seconds=120.0, imu_hz=50.0, relief_m=relief_m, outages_s=OUTAGES_S)
+    rng = np.random.default_rng(seed)
+    return play(sense(world, fly(world, [rng])[0], rng), config)
+
+
+def worst_sigmas(run: Run) -> float:
+    return max(
+        math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
+        for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_relief_of_some_ten_per_cent_leaves_place_and_height_within_their_sigmas(seed):
+    run = flown(seed, 8.0, EkfConfig())
+    assert worst_sigmas(run) < 4.5
+    assert np.max(np.abs(run.rows.error_agl_m) / run.rows.sigma_agl_m) < 5.0
+
+
+def test_a_filter_that_takes_the_ground_for_level_is_wrong_there():
+    assert max(worst_sigmas(flown(seed, 8.0, LEVEL)) for seed in (1, 2, 3)) > 5.0
+
+
+def test_level_ground_costs_little():
+    slopes, level = (flown(1, 0.0, config) for config in (EkfConfig(), LEVEL))
+    mean_m = [float(np.hypot(*run.rows.error_ne_m.T).mean()) for run in (slopes, level)]
+    assert mean_m[0] < mean_m[1] + 0.15
