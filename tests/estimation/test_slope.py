@@ -9,7 +9,10 @@ from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.types import Attitude
 
 OUTAGES_S = ((50.0, 65.0), (90.0, 105.0))
 LEVEL = EkfConfig(slope=1e-4, slope_seen=1e3)  # what a filter without these states believes
@@ -44,3 +47,10 @@ def test_level_ground_costs_little():
     slopes, level = (flown(1, 0.0, config) for config in (EkfConfig(), LEVEL))
     mean_m = [float(np.hypot(*run.rows.error_ne_m.T).mean()) for run in (slopes, level)]
     assert mean_m[0] < mean_m[1] + 0.15
+
+
+def test_an_image_is_told_of_the_slope_that_the_terrain_table_knows():
+    ekf = Ekf(EkfConfig(), lambda north_m, east_m: 0.1 * north_m - 0.2 * east_m)
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([3.0, 4.0, -50.0])))
+    ekf.handle(Attitude(0.0, np.array([1.0, 0.0, 0.0, 0.0])))
+    assert ekf.estimate(0.0).slope_ne == pytest.approx((0.1, -0.2))

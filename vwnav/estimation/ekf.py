@@ -282,7 +282,11 @@ class Ekf:
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
         held = self._attitudes.held(state.t_s)
-        return estimate_of(state, held.quat_wxyz, held.open_rad)
+        table = np.zeros(2)
+        if self._context.ground is not None:
+            patch = self._context.patch(*state.x[States.POSITION_NE].tolist())
+            table = table if patch is None else np.array([patch.per_north, patch.per_east])
+        return estimate_of(state, held.quat_wxyz, held.open_rad, table)
 
     def _note(self, seen: Input) -> None:
         if self._input_log is not None:

@@ -132,11 +132,8 @@ def apply_range(
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
     # It meets the ground beside what is right below.
-    lean_ne = level_axes(yaw_of(attitude.quat_wxyz) - state.x[States.HEADING_BIAS]) @ [
-        forward,
-        right,
-    ]
-    H[0, States.SLOPE] = -max(state.agl_m, 0.0) * lean_ne / cos
+    axes = level_axes(yaw_of(attitude.quat_wxyz) - float(state.x[States.HEADING_BIAS]))
+    H[0, States.SLOPE] = -max(state.agl_m, 0.0) * axes @ np.array([forward, right]) / cos
     H[0, States.TILT] = event.distance_m * right, -event.distance_m * forward
     variance = (
         config.rangefinder_sigma_m**2

@@ -281,13 +281,16 @@ def tells_heading(P: Array) -> bool:
     return bool(P[States.HEADING_BIAS, States.HEADING_BIAS] < _MOST_HEADING_SIGMA_RAD**2)
 
 
-def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float) -> Estimate:
+def estimate_of(
+    state: FilterState, quat_measured_wxyz: Array, turned_rad: float, slope_ne: Array
+) -> Estimate:
     """What a state says of the aircraft.
 
     Args:
         state: the filter's.
         quat_measured_wxyz: (4,) the attitude that it knows of that moment.
         turned_rad: how far the aircraft may have turned since that was known.
+        slope_ne: (2,) of the ground, as the terrain table has it.
     """
     x, P = state.x, state.P
     down, terrain = States.DOWN, States.TERRAIN
@@ -313,7 +316,7 @@ def estimate_of(state: FilterState, quat_measured_wxyz: Array, turned_rad: float
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
         wind_ne_m_s=None if windless else x[States.WIND_FORCE] / drag,
-        slope_ne=tuple(np.clip(x[States.SLOPE], -_STEEPEST, _STEEPEST).tolist()),
+        slope_ne=tuple(np.clip(slope_ne + x[States.SLOPE], -_STEEPEST, _STEEPEST).tolist()),
     )
 
 
