@@ -10,7 +10,7 @@ from tests.house import measure
 BOUNDS = {
     "step_files": 24,
     "step_functions": 203,
-    "step_crossings": 173,
+    "step_crossings": 171,
     "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,

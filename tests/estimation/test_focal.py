@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from honesty import worst_sigmas
 
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
@@ -20,13 +21,6 @@ def flown(seed: int, sigma: float, off: float) -> Run:
     world = FilterWorld(seconds=120.0, imu_hz=50.0, focal_off=off)
     rng = np.random.default_rng(seed)
     return play(sense(world, fly(world, [rng])[0], rng), EkfConfig(focal_sigma_ratio=sigma))
-
-
-def worst_sigmas(run: Run) -> float:
-    return max(
-        math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
-        for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True)
-    )
 
 
 @pytest.mark.parametrize(("seed", "off"), [(1, 0.05), (2, -0.05), (3, 0.02)])

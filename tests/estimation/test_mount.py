@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from honesty import worst_sigmas
 
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
@@ -22,13 +23,6 @@ def flown(seed: int, sigma_deg: float, off_deg: tuple[float, float] = OFF_DEG) -
     rng = np.random.default_rng(seed)
     config = EkfConfig(mount_sigma_rad=math.radians(sigma_deg))
     return play(sense(world, fly(world, [rng])[0], rng), config)
-
-
-def worst_sigmas(run: Run) -> float:
-    return max(
-        math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
-        for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True)
-    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

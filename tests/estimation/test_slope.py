@@ -1,9 +1,8 @@
 """Ground that rises and falls: ways tell its slope, so that height and speed stay true."""
 
-import math
-
 import numpy as np
 import pytest
+from honesty import worst_sigmas
 
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
@@ -23,13 +22,6 @@ def flown(seed: int, relief_m: float, config: EkfConfig) -> Run:
     world = FilterWorld(seconds=120.0, imu_hz=50.0, relief_m=relief_m, outages_s=OUTAGES_S)
     rng = np.random.default_rng(seed)
     return play(sense(world, fly(world, [rng])[0], rng), config)
-
-
-def worst_sigmas(run: Run) -> float:
-    return max(
-        math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m))
-        for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True)
-    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

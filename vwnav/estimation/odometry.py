@@ -122,8 +122,7 @@ def _apply_slope(
     table = np.zeros(2)
     if context.ground is not None and (patch := context.patch(*state.x[States.POSITION_NE])):
         table = np.array([patch.per_north, patch.per_east])
-    bias_rad = float(state.x[States.ANCHOR_HEADING_BIAS])
-    turn = level_axes(-bias_rad)
+    turn = level_axes(-float(state.x[States.ANCHOR_HEADING_BIAS]))
     config = context.config
     way_m = math.hypot(*(state.x[States.POSITION] - state.x[States.ANCHOR_POSITION]))
     P = state.P.copy()
@@ -132,7 +131,8 @@ def _apply_slope(
     state = replace(state, P=P)
     H = np.zeros((2, States.SIZE))
     H[:, States.SLOPE] = np.eye(2)
-    by_tilt = -_QUARTER_TURN @ level_axes(yaw_rad - bias_rad)
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    by_tilt = turn @ np.array([[s, c], [-c, s]])
     H[:, States.ANCHOR_TILT] = H[:, States.CAMERA_TILT] = by_tilt
     R = turn @ motion.slope_covariance @ turn.T + config.slope_seen**2 * np.eye(2)
     return fuse(state, Measurement(turn @ motion.slope_ne - table - H @ state.x, H, R))[0]

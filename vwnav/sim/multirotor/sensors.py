@@ -41,7 +41,7 @@ class Sensors:
         baro_error_m, baro_drift_m_s: what a fault adds to the barometer's height, and how fast
             that grows.
         heading_bias_rad: constant error of the compass.
-        range_scale: true distance to the rangefinder's.
+        range_scale: what the rangefinder says, as a share of the true distance.
         range_stuck_m: what that says again and again; None while it works.
     """
 
