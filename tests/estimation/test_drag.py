@@ -8,13 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink import mavutil
 
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
+from vwnav.estimation.inertial.preintegration import PreintegratedImu
+from vwnav.estimation.process import TimeStep, imu_model
 from vwnav.estimation.states import States
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import OdometryMotion
@@ -55,6 +62,28 @@ def test_in_a_storm_it_does_not_take_a_gust_for_its_own_motion(seed, drag_per_s)
     blind = run.rows.t_s > SEEN_S
     for error_m_s, P in zip(run.rows.error_v_m_s[blind, :2], run.rows.P[blind], strict=True):
         assert math.sqrt(error_m_s @ np.linalg.solve(P[3:5, 3:5], error_m_s)) < 4.5
+
+
+@given(st.floats(2.0, 120.0), st.floats(2.0, 120.0), st.floats(0.5, 4.0))
+def test_the_mean_wind_goes_by_height_as_the_logarithmic_profile_has_it(high_m, low_m, climb_m_s):
+    """Felt with the wind of 50 m, the calm near the ground was a drift of 2 m/s."""
+    config = EkfConfig()
+    x, P = np.zeros(States.SIZE), np.zeros((States.SIZE, States.SIZE))
+    x[States.DRAG], x[States.WIND_FORCE], x[States.DOWN] = 0.35, (0.5, 1.2), -high_m
+    x[States.VELOCITY_DOWN] = math.copysign(climb_m_s, high_m - low_m)
+    unturned = np.array([1.0, 0.0, 0.0, 0.0])
+    hangs_m_s = np.array([0.0, 0.0, -GRAVITY_M_S2 * 0.05])
+    imu = PreintegratedImu(0.05, hangs_m_s, hangs_m_s, 0.05 * np.eye(3), unturned, 1e-6, 1e-6)
+    step = TimeStep(0.05, unturned, unturned, True, 0.0, imu)
+    context = Context(config, None, None)
+    for _ in range(round(abs(high_m - low_m) / climb_m_s / 0.05)):
+        x, F, Q = imu_model(x, step, imu, context)
+        P = F @ P @ F.T + Q
+    z0 = config.roughness_m
+    share = math.log1p(-x[States.DOWN] / z0) / math.log1p(high_m / z0)
+    assert x[States.WIND_FORCE] == pytest.approx([0.5 * share, 1.2 * share], rel=0.02)
+    sigma = math.sqrt(P[States.WIND_FORCE, States.WIND_FORCE][0, 0])
+    assert sigma >= 0.3 * abs(1.0 - share) * 1.2  # the profile may be another's
 
 
 def test_without_an_imu_nothing_is_known_of_the_air():

@@ -36,7 +36,9 @@ class EkfConfig:
     drag_noise_m_s2: float = 0.1  # of the force across the thrust, averaged, beyond what is shaken
     drag_interval_s: float = 0.4  # between two
     wind_force_sigma_m_s2: float = 2.0  # at first
-    wind_walk_m_s: float = 0.3  # per root second, with what it is less towards the ground
+    wind_walk_m_s: float = 0.3  # per root second
+    roughness_m: float = 0.1  # of open land with some obstacles: the wind is less towards it
+    shear_share: float = 0.6  # by which that profile is not the air's, one sigma
     gust_sigma_m_s: float = 0.1  # at first
     # Turbulence is a share of the wind (one sigma; MIL-F-8785C: 0.16 at 50 m, 0.19 at 10 m), and
     # passes with it in waves of such a length

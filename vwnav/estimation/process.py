@@ -35,6 +35,7 @@ _STEP_S = 0.1
 _MOST_STEPS = 20  # a long silence is crossed in longer steps; only the thrust is then coarser
 _MAP = np.r_[States.MAP, States.MAP_TURN, States.MAP_SCALE]
 _STORM_M_S = 20.0  # no wind that is flown in is stronger
+_CALM_BELOW_M = 1.0  # height above ground: nothing is told of the air below
 _LEVEL = np.eye(2)
 
 
@@ -156,33 +157,55 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     F[States.VELOCITY, States.ACCELEROMETER_BIAS] = dt_s * by_bias
     F[States.VELOCITY_NE, States.TILT] = dt_s * by_tilt
     white = config.imu_noise_m_s2**2 + imu.velocity_variance_m2_s2 / dt_s
-    wind_walk_m_s2 = config.wind_walk_m_s * float(x[States.DRAG])
-    keep, gust_m_s2 = _gusts(x, dt_s, config)
-    moved[States.GUST_FORCE] *= keep
-    F[States.GUST_FORCE, States.GUST_FORCE] = keep * _LEVEL
+    air = _air(x, dt_s, config)
+    moved[States.WIND_FORCE] *= air.keep_wind
+    F[States.WIND_FORCE, States.WIND_FORCE] = air.keep_wind * _LEVEL
+    moved[States.GUST_FORCE] *= air.keep_gust
+    F[States.GUST_FORCE, States.GUST_FORCE] = air.keep_gust * _LEVEL
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
     Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
     for states, walk in (
         (States.ACCELEROMETER_BIAS, config.accelerometer_walk_m_s2),
         (States.GYRO_BIAS, config.gyro_walk_rad_s),
-        (States.WIND_FORCE, wind_walk_m_s2),
     ):
-        Q[states, states] = walk**2 * dt_s * np.eye(states.stop - states.start)
+        Q[states, states] = walk**2 * dt_s * np.eye(3)
     Q[States.DRAG, States.DRAG] = config.drag_walk_per_s**2 * dt_s
-    Q[States.GUST_FORCE, States.GUST_FORCE] = gust_m_s2**2 * (1.0 - keep**2) * _LEVEL
+    Q[States.WIND_FORCE, States.WIND_FORCE] = air.wind_m2_s4 * _LEVEL
+    Q[States.GUST_FORCE, States.GUST_FORCE] = air.gust_m2_s4 * _LEVEL
     return Transition(moved, F, Q)
 
 
-def _gusts(x: Array, dt_s: float, config: EkfConfig) -> tuple[float, float]:
-    """The share of the gusts that stays over `dt_s`, and one sigma of their force, m/s^2.
+class _Air(NamedTuple):
+    """Over a step: the shares of mean wind and gusts that stay, and what is fed to their forces."""
 
-    Turbulence as a Gauss-Markov process, whose sigma is a share of the wind W and which passes in
-    L / W seconds (MIL-F-8785C, Dryden's model at low altitude). What it is worth the drag says.
+    keep_wind: float
+    keep_gust: float
+    wind_m2_s4: float
+    gust_m2_s4: float
+
+
+def _air(x: Array, dt_s: float, config: EkfConfig) -> _Air:
+    """How the air changes. What it is worth the drag says.
+
+    The mean wind W goes by height as ln(1 + h / z0) does (the surface layer's logarithmic profile,
+    MIL-F-8785C eq. 3.7.3): a descent h -> h (1 + d) keeps 1 + a d of it, with the local exponent
+    a = r / ((1 + r) ln(1 + r)), r = h / z0. Turbulence is a Gauss-Markov process, whose sigma is a
+    share of W and which passes in L / W seconds (Dryden's model at low altitude).
     """
     drag_per_s = float(x[States.DRAG])
-    wind_m_s = min(float(np.hypot(*x[States.WIND_FORCE])) / drag_per_s, _STORM_M_S)
-    keep = math.exp(-dt_s * wind_m_s / config.gust_length_m)
-    return keep, drag_per_s * config.gust_share * wind_m_s
+    force_m_s2 = min(float(np.hypot(*x[States.WIND_FORCE])), drag_per_s * _STORM_M_S)
+    agl_m = max(-float(x[States.DOWN] + x[States.TERRAIN]), _CALM_BELOW_M)
+    climbed = max(min(-dt_s * float(x[States.VELOCITY_DOWN]) / agl_m, 0.5), -0.5)
+    ratio = agl_m / config.roughness_m
+    exponent = ratio / ((1.0 + ratio) * math.log1p(ratio))
+    sheared_m_s2 = config.shear_share * exponent * force_m_s2
+    keep_gust = math.exp(-dt_s * force_m_s2 / drag_per_s / config.gust_length_m)
+    return _Air(
+        1.0 + exponent * climbed,
+        keep_gust,
+        (config.wind_walk_m_s * drag_per_s) ** 2 * dt_s + sheared_m_s2**2 * abs(climbed),
+        (config.gust_share * force_m_s2) ** 2 * (1.0 - keep_gust**2),
+    )
 
 
 def _gravity_by_tilt(x: Array, quat_wxyz: Array) -> tuple[Array, Array]:
