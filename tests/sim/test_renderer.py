@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
 from vwnav.sim.lens import RenderConfig, Sensor, streak
+from vwnav.sim.relief import Relief
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.scenery.landscape import LookName
 from vwnav.sim.scenery.markings import white_marks
@@ -20,6 +21,7 @@ from vwnav.sim.tiles import TileStore
 from vwnav.types import Array
 
 STILL = np.zeros(3)
+LEVEL = Relief()
 PERFECT = RenderConfig(
     vibration_rad=0.0, wobble_px=0.0, readout_s=0.0, psf_px=0.0, vignetting=0.0, read_noise=0.0,
     shot_noise=0.0, light_sigma=0.0, background=False,
@@ -74,10 +76,13 @@ def over_threshold(site: Site, height_m: float) -> Array:
     return np.array([centre[0], centre[1], -height_m])
 
 
-def seen_at(points_ne: Array, position: Array, R_ned_body: Array) -> NDArray[np.float32]:
+def seen_at(
+    points_ne: Array, position: Array, R_ned_body: Array, relief: Relief = LEVEL
+) -> NDArray[np.float32]:
     """Where the camera model says that points (n, 2) of the ground are, well inside the image."""
     camera = default_camera()
-    offset = np.column_stack([points_ne, np.zeros(len(points_ne))]) - position
+    down = [-relief.height_m(*point) for point in points_ne.tolist()]
+    offset = np.column_stack([points_ne, down]) - position
     uv = camera.project(offset @ R_ned_body @ camera.R_body_camera)
     inside = (uv > 12).all(axis=1) & (uv < [627, 467]).all(axis=1)
     return uv[inside].astype(np.float32)
@@ -90,13 +95,19 @@ def refined(view: Array, uv: NDArray[np.float32]) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_corners_of_the_ground_land_where_the_camera_projects_them(seed: int) -> None:
+@pytest.mark.parametrize(
+    "relief", [LEVEL, Relief(slope_ne=(0.1, -0.2)), Relief(slope_ne=(-0.1, 0.1), hills_m=3.0)]
+)
+def test_corners_of_the_ground_land_where_the_camera_projects_them(
+    relief: Relief, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     R = rotation_from_euler(*rng.uniform(-0.45, 0.45, 2), rng.uniform(-np.pi, np.pi))
     position = np.array([*rng.uniform(-30.0, 30.0, 2), -rng.uniform(10.0, 55.0)])
-    view = view_of(make(CHESS, PERFECT), position, R)
+    position[2] -= relief.height_m(position[0], position[1])
+    view = view_of(make(CHESS, replace(PERFECT, relief=relief)), position, R)
     grid = 2.0 * np.stack(np.meshgrid(np.arange(-60, 61), np.arange(-60, 61)), -1).reshape(-1, 2)
-    uv = seen_at(grid.astype(float), position, R)
+    uv = seen_at(grid.astype(float), position, R, relief)
     near = np.hypot(*(uv[:, None] - uv[None] + 1e3 * np.eye(len(uv))[..., None]).T).min(axis=0)
     uv = uv[near > 14.0]  # squares too small on the image have no corner to refine
     assert len(uv) > 20

@@ -17,6 +17,7 @@ from vwnav.sim.multirotor.controller import quat_of_euler
 from vwnav.sim.multirotor.sensors import Sensors, pressure_hpa
 from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.px4.modes import NavState
+from vwnav.sim.relief import Relief
 from vwnav.vehicle import FlightMode
 
 ANGLE = st.floats(-3.1, 3.1)
@@ -39,7 +40,7 @@ def test_small_turns_agree_with_scipy(yaw: float, p: float, q: float, r: float) 
 
 
 def test_half_throttle_hovers() -> None:
-    body = Airframe(0.0, 0.17)
+    body = Airframe(0.0, 0.17, Relief())
     body.d = -10.0
     body.rotors = [0.5] * 4
     for _ in range(500):
@@ -48,7 +49,7 @@ def test_half_throttle_hovers() -> None:
 
 
 def test_it_falls_to_the_ground_and_stays_there() -> None:
-    body = Airframe(1.0, 0.17)
+    body = Airframe(1.0, 0.17, Relief())
     body.d = -2.0
     for _ in range(500):
         body.step((0.0, 0.0, 0.0, 0.0), (5.0, 3.0, 0.0), 0.004)
@@ -64,7 +65,7 @@ def test_it_falls_to_the_ground_and_stays_there() -> None:
 def test_rotors_turn_it_the_way_px4s_quad_x_does(
     rotors: tuple[float, float, float, float], axis: str
 ) -> None:
-    body = Airframe(0.0, 0.17)
+    body = Airframe(0.0, 0.17, Relief())
     body.d = -10.0
     for _ in range(20):
         body.step(rotors, CALM, 0.004)
@@ -112,7 +113,7 @@ def test_the_barometer_drifts_by_what_was_asked_in_ten_minutes() -> None:
     ends = []
     for seed in range(60):
         sensors = Sensors(random.Random(seed), 0.0, 2.0, 0.0)
-        body = Airframe(0.0, 0.17)
+        body = Airframe(0.0, 0.17, Relief())
         ends.append([sensors.baro_height_m(body, 1.0) for _ in range(600)][-1])
     assert statistics.pstdev(ends) == pytest.approx(2.0, rel=0.25)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from vwnav.errors import ConfigError
+from vwnav.sim.relief import Relief
 
 Manners = Literal["px4", "copter"]
 
@@ -46,13 +47,13 @@ class VehicleConfig:
         heading_bias_deg: constant error of the compass.
         imu_noise: scale of the noise and biases of the inertial sensors; 0 is perfect.
         range_most_m: how far its rangefinder reaches; 0: it has none.
-        slope_north, slope_east: rise of the ground per metre; the vehicle stands at height zero.
         battery_start: charge at start, 0..1.
         battery_drain_s: time in flight from full to empty.
         autopilot_defaults: start with the autopilot's own parameters: GPS expected (there is
             none), vision off.
         parameters: (name, value) pairs laid over the defaults.
         pilot: what the pilot does.
+        relief: of the ground; the vehicle stands at its height zero.
     """
 
     manners: Manners = "px4"
@@ -75,13 +76,12 @@ class VehicleConfig:
     heading_bias_deg: float = 3.0
     imu_noise: float = 1.0
     range_most_m: float = 100.0
-    slope_north: float = 0.0
-    slope_east: float = 0.0
     battery_start: float = 1.0
     battery_drain_s: float = 1500.0
     autopilot_defaults: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     pilot: PilotPlan = field(default_factory=PilotPlan)
+    relief: Relief = field(default_factory=Relief)
 
     def __post_init__(self) -> None:
         """Raise ConfigError on a value that cannot fly."""

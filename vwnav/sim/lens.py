@@ -1,12 +1,13 @@
 """Lens and sensor: vignetting, exposure, motion blur, rolling shutter and noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.camera import Camera
+from vwnav.sim.relief import Relief
 from vwnav.types import Array
 
 _NOISE_SHEETS = 4
@@ -26,7 +27,7 @@ class RenderConfig:
         psf_px: sigma of the lens' blur.
         vignetting: loss of light in the corners, 0 to 1.
         read_noise: sigma in grey levels in the dark; shot_noise: variance per grey level.
-        slope_ne: rise of the ground per metre north and east; at height zero at the origin.
+        relief: of the ground.
         light_sigma: relative sigma of the slow change of light (clouds), over `light_tau_s`.
         target_level: mean grey level that automatic exposure aims at, with a lag of `agc_tau_s`.
         background: draw missing tiles in a thread and show coarse ones meanwhile; False draws
@@ -43,7 +44,7 @@ class RenderConfig:
     vignetting: float = 0.28
     read_noise: float = 1.6
     shot_noise: float = 0.035
-    slope_ne: tuple[float, float] = (0.0, 0.0)
+    relief: Relief = field(default_factory=Relief)
     light_sigma: float = 0.06
     light_tau_s: float = 15.0
     target_level: float = 112.0

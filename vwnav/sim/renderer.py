@@ -30,6 +30,7 @@ _MAX_TILES = 48
 _AHEAD_S = (1.5, 3.0)
 _HOME_DISCS = ((0, 22.0), (1, 42.0), (2, 80.0), (4, 150.0))  # level, radius in metres
 _ROW_STEP_S = 0.005  # either way, to see how the image moves while it is read
+_RELIEF_STEPS = 5
 _HAZE = (205.0, 200.0, 190.0)
 
 
@@ -148,7 +149,7 @@ class CameraRenderer:
             rate_body_rad_s, camera.t_body_camera_m
         )
         sheared = np.eye(3)  # along down, so that a slope is level
-        sheared[2, :2] = self._config.slope_ne
+        sheared[2, :2] = self._config.relief.slope_ne
         centre = sheared @ (position_ned_m + R_ned_body @ camera.t_body_camera_m)
         height_m = max(-float(centre[2]), _MIN_HEIGHT_M)
         flow = self._flow_px_s(R_ned_camera, height_m, velocity_ned_m_s, rate_body_rad_s)
@@ -162,7 +163,10 @@ class CameraRenderer:
         turned = camera.R_body_camera.T @ rate_body_rad_s
         a_second = self._block_map_a_second(R_ned_camera, centre, velocity_ned_m_s, turned, region)
         rows_s = self._sensor.row_times_s if self._config.readout_s > 0.0 else None
-        plain = _warp(mosaic, rays, on_block, a_second, rows_s)
+        where = _intersections(rays, on_block, a_second, rows_s)
+        if not self._config.relief.plane:
+            self._raise(where, centre, region)
+        plain = _sampled(mosaic, where)
         return self._sensor.expose(plain, flow, t_s)
 
     @property
@@ -207,11 +211,31 @@ class CameraRenderer:
             maps.append(_ground_map(R, at, max(-float(at[2]), _MIN_HEIGHT_M), region))
         return np.asarray((maps[1] - maps[0]) / (2.0 * _ROW_STEP_S))
 
+    def _raise(self, where: NDArray[np.float32], centre: Array, region: Region) -> None:
+        """Move the pixels of the block that rays meet on the slope to where they meet the relief.
+
+        A ray that meets the slope at p0 meets height h at c + (p0 - c) (H - h) / H, under a camera
+        at c in height H: by fixed-point iteration, which leaves it open what is seen of faces
+        that are steeper than the ray.
+        """
+        r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
+        west_m = np.float32(region.col0 * span_m + 0.5 * r)
+        north_m = np.float32(-region.row0 * span_m - 0.5 * r)
+        below = np.array([(centre[1] - west_m) / r, (north_m - centre[0]) / r], np.float32)
+        height_m, relief = max(-float(centre[2]), _MIN_HEIGHT_M), self._config.relief
+        seen = where[..., 0] > -1e4
+        on_slope = where - below
+        for _ in range(_RELIEF_STEPS):
+            east, north = west_m + where[..., 0] * r, north_m - where[..., 1] * r
+            share = 1.0 - relief.on_slope_m(north, east) / np.float32(height_m)
+            np.copyto(where, below + share[..., None] * on_slope, where=seen[..., None])
+
     def _region(self, R_ned_camera: Array, centre: Array, height_m: float) -> Region:
         """The tiles under the image, at the level whose pixels are like the image's own."""
         rays_ned = self._rim @ R_ned_camera.T
         down = np.maximum(rays_ned[:, 2:], _MIN_DOWN)
-        ground = centre[:2] + height_m * rays_ned[:, :2] / down
+        deep_m = 2.5 * self._config.relief.hills_m
+        ground = centre[:2] + (height_m + deep_m) * rays_ned[:, :2] / down
         slant_m = height_m / max(float(R_ned_camera[2, 2]), 0.3)
         last = len(LEVELS_M_PER_PX) - 1
         for level in range(self._level(slant_m), last):
@@ -290,14 +314,13 @@ def _ground_map(R_ned_camera: Array, centre: Array, height_m: float, region: Reg
     return np.array([scale * east + u0 * down, -scale * north + v0 * down, down])
 
 
-def _warp(
-    mosaic: Tile,
-    rays: NDArray[np.float32],
-    H_block_ray: Array,
-    a_second: Array,
-    rows_s: Array | None,
-) -> NDArray[np.uint8]:
-    """The image that the rays see; with `rows_s` each row at its own time (rolling shutter)."""
+def _intersections(
+    rays: NDArray[np.float32], H_block_ray: Array, a_second: Array, rows_s: Array | None
+) -> NDArray[np.float32]:
+    """Pixels of the block (h, w, 2) that the rays meet, far away where they meet only haze.
+
+    With `rows_s` each row at its own time (rolling shutter).
+    """
     seen = np.asarray(cv2.transform(rays, H_block_ray), np.float32)
     if rows_s is not None:
         late = np.asarray(cv2.transform(rays, a_second), np.float32)
@@ -306,6 +329,11 @@ def _warp(
     where = seen[..., :2] / np.maximum(down, 1e-6)[..., None]
     if float(down.min()) < _MIN_DOWN:
         where[down < _MIN_DOWN] = -1e4
+    return np.asarray(where, np.float32)
+
+
+def _sampled(mosaic: Tile, where: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The image (h, w, 3) of pixels (h, w, 2) of the block."""
     return np.asarray(
         cv2.remap(  # type: ignore[call-overload]  # its stubs do not know of a single map
             mosaic,

@@ -53,8 +53,6 @@ _HELP = {
     "heading_bias_deg": "error of the compass",
     "imu_noise": "scale of the sensors' noise and biases",
     "range_most_m": "how far the rangefinder reaches, 0 for none",
-    "slope_north": "rise of the ground per metre north",
-    "slope_east": "rise of the ground per metre east",
     "battery_start": "charge at start, 0..1",
     "battery_drain_s": "seconds in flight from full to empty",
     "clock_file": "file of a simulated time that waits for it (vwnav.pace), '' for the wall clock",
@@ -202,7 +200,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     for field in dataclasses.fields(VehicleConfig):
-        if field.name in ("parameters", "pilot"):
+        if field.name in ("parameters", "pilot", "relief"):
             continue
         option, text = "--" + field.name.replace("_", "-"), _HELP[field.name]
         if field.type is bool:

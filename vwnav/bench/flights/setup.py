@@ -8,6 +8,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
+from vwnav.sim.relief import Relief
 from vwnav.vehicle import FlightMode
 
 # As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
@@ -56,7 +57,7 @@ class Setup:
         arm_m: where the camera sits in the body: forward, right, down.
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
         lens_ratio: its true focal length over the calibrated one.
-        slope_ne: rise of the ground per metre north and east of home, where it has to stand.
+        relief: of the ground about home, where it has to stand.
         range_most_m: how far the rangefinder reaches; 0: there is none.
         copies_map: fly on a copy of the map's file, for faults that damage it.
     """
@@ -81,7 +82,7 @@ class Setup:
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
-    slope_ne: tuple[float, float] = (0.0, 0.0)
+    relief: Relief = field(default_factory=Relief)
     range_most_m: float = 100.0
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()

@@ -114,8 +114,7 @@ class World:
             manners=setup.manners, home_lat_deg=float(lat_deg), home_lon_deg=float(lon_deg),
             home_alt_amsl_m=0.0, seed=setup.seed, wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg, gust_m_s=setup.gust_m_s,
-            range_most_m=setup.range_most_m, slope_north=setup.slope_ne[0],
-            slope_east=setup.slope_ne[1],
+            range_most_m=setup.range_most_m, relief=setup.relief,
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on), battery_drain_s=setup.battery_drain_s,
         )  # fmt: skip
@@ -342,5 +341,5 @@ def draw(setup: Setup, place: Place) -> CameraRenderer:
 
 def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, told: Camera) -> CameraRenderer:
     camera, rng = setup.true_camera(told), np.random.default_rng(setup.seed)
-    config = RenderConfig(color=False, background=False, slope_ne=setup.slope_ne)
+    config = RenderConfig(color=False, background=False, relief=setup.relief)
     return CameraRenderer(ground, camera, config, rng, tiles)

@@ -1,9 +1,11 @@
-"""A quadrotor as a rigid body: four rotors with lag, drag, wind, and level ground below it.
+"""A quadrotor as a rigid body: four rotors with lag, drag, wind, and the ground below it.
 
 Plain floats on purpose: at 250 Hz small numpy arrays would cost ten times as much.
 """
 
 import math
+
+from vwnav.sim.relief import Relief
 
 GRAVITY_M_S2 = 9.80665
 MASS_KG = 1.5
@@ -22,6 +24,7 @@ class Airframe:
     Args:
         drag_per_s: of the rotors, by which the speed through the air falls: it grows with the
             speed alone.
+        relief: of the ground.
     """
 
     __slots__ = (
@@ -40,18 +43,16 @@ class Airframe:
         "qy",
         "qz",
         "r",
+        "relief",
         "rotation",
         "rotors",
-        "slope_ne",
         "vd",
         "ve",
         "vn",
     )
 
-    def __init__(
-        self, heading_rad: float, drag_per_s: float, slope_ne: tuple[float, float] = (0.0, 0.0)
-    ) -> None:
-        self._drag_per_s, self.slope_ne = drag_per_s, slope_ne
+    def __init__(self, heading_rad: float, drag_per_s: float, relief: Relief) -> None:
+        self._drag_per_s, self.relief = drag_per_s, relief
         self.n = self.e = self.d = 0.0
         self.vn = self.ve = self.vd = 0.0
         self.qw, self.qx, self.qy = math.cos(heading_rad / 2.0), 0.0, 0.0
@@ -65,8 +66,8 @@ class Airframe:
 
     @property
     def agl_m(self) -> float:
-        """Height above the ground right below; it stands on level ground, whatever rises around."""
-        return -self.d - self.slope_ne[0] * self.n - self.slope_ne[1] * self.e
+        """Height above the ground right below."""
+        return -self.d - self.relief.height_m(self.n, self.e)
 
     def fly_at(
         self,
@@ -139,10 +140,11 @@ class Airframe:
         fn = -lift * r02 - drag * un
         fe = -lift * r12 - drag * ue
         fd = -lift * r22 - drag * ud
-        low = self.d >= 0.0
+        agl_m = self.agl_m
+        low = agl_m <= 0.0
         self.on_ground = low and fd + GRAVITY_M_S2 >= 0.0
         if self.on_ground:
-            self._touch(dt_s)
+            self._touch(agl_m, dt_s)
             fn, fe, fd = 0.0, 0.0, -GRAVITY_M_S2
         else:
             if low:
@@ -157,12 +159,13 @@ class Airframe:
         self.ayb = r01 * fn + r11 * fe + r21 * fd
         self.azb = r02 * fn + r12 * fe + r22 * fd
 
-    def _touch(self, dt_s: float) -> None:
+    def _touch(self, agl_m: float, dt_s: float) -> None:
+        """It slides to rest; legs level what it stands on."""
         friction = max(0.0, 1.0 - 8.0 * dt_s)
         self.vn *= friction
         self.ve *= friction
         self.vd = 0.0
-        self.d = 0.0
+        self.d += agl_m
 
 
 def turned(

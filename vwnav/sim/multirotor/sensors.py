@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from vwnav.sim.multirotor.airframe import Airframe
 
 _GYRO_NOISE_RAD_S = 0.004
+_RANGE_STEPS = 4  # to where the rangefinder's ray meets a ground that is not level
 _GYRO_BIAS_RAD_S = 0.003
 _ACCEL_NOISE_M_S2 = 0.06
 _ACCEL_BIAS_M_S2 = 0.04
@@ -94,7 +95,10 @@ class Sensors:
         _, _, north, _, _, east, _, _, down = body.rotation
         if down < 0.5:
             return None
-        distance_m = body.agl_m / (down + body.slope_ne[0] * north + body.slope_ne[1] * east)
+        distance_m = body.agl_m / down
+        for _ in range(_RANGE_STEPS):
+            there = body.n + distance_m * north, body.e + distance_m * east
+            distance_m = (-body.d - body.relief.height_m(*there)) / down
         return max(0.0, self.range_scale * distance_m + self._gauss(0.0, 0.02 * self._noise))
 
 

@@ -55,7 +55,7 @@ class SimulatedMultirotor(ABC):
         self.start_frame = LocalFrame(
             config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
         )
-        self.body = Airframe(heading_rad, drag_per_s, (config.slope_north, config.slope_east))
+        self.body = Airframe(heading_rad, drag_per_s, config.relief)
         self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
         self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
         self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=texts)
@@ -104,7 +104,7 @@ class SimulatedMultirotor(ABC):
     def _feel(self, dt_s: float) -> None:
         """Air pressure and compass, in the wind of now."""
         body, estimator, wind = self.body, self.estimator, self.wind
-        wind.step(-body.d, math.hypot(body.vn - wind.n_m_s, body.ve - wind.e_m_s), dt_s)
+        wind.step(body.agl_m, math.hypot(body.vn - wind.n_m_s, body.ve - wind.e_m_s), dt_s)
         self.baro_height_m = self.sensors.baro_height_m(body, dt_s)
         estimator.handle_baro(self.baro_height_m)
         estimator.handle_compass(self.sensors.compass_rad(body), dt_s)

@@ -2,23 +2,30 @@
 
 from vwnav.bench.flights.faults import computer, ground
 from vwnav.bench.flights.scenario import Break, Ending, Scenario, down, flies_on, phase, said, setup
+from vwnav.sim.relief import Relief
 
 RELIEF = [
     Scenario(
         name=f"{ground_name}{', no rangefinder' if most_m == 0.0 else ''}",
-        setup=setup(None, slope_ne=slope_ne, range_most_m=most_m),
+        setup=setup(None, relief=relief, range_most_m=most_m),
         breaks=(),
         limit_s=260.0,
         lands_within_m=3.0,
         lands_at_ne_m=(0.0, 0.0),
     )
-    for ground_name, slope_ne, most_m in (
-        ("level ground", (0.0, 0.0), 0.0),
-        ("ground that rises by 5 %", (0.05, 0.0), 0.0),
-        ("ground that rises by 11 %", (0.1, 0.05), 100.0),
-        ("ground that rises by 11 %", (0.1, 0.05), 0.0),
-        ("ground that falls by 11 %", (-0.05, -0.1), 0.0),
-        ("ground that rises by 22 %", (0.2, 0.1), 0.0),
+    for ground_name, relief, most_m in (
+        ("level ground", Relief(), 0.0),
+        ("ground that rises by 5 %", Relief(slope_ne=(0.05, 0.0)), 0.0),
+        ("ground that rises by 11 %", Relief(slope_ne=(0.1, 0.05)), 100.0),
+        ("ground that rises by 11 %", Relief(slope_ne=(0.1, 0.05)), 0.0),
+        ("ground that falls by 11 %", Relief(slope_ne=(-0.05, -0.1)), 0.0),
+        ("ground that rises by 22 %", Relief(slope_ne=(0.2, 0.1)), 0.0),
+        ("hills of 4 m, one sigma", Relief(hills_m=4.0), 100.0),
+        ("hills of 4 m, one sigma", Relief(hills_m=4.0), 0.0),
+        ("woods of 12 m", Relief(woods_m=12.0), 100.0),
+        ("woods of 12 m", Relief(woods_m=12.0), 0.0),
+        ("wooded hills", Relief(hills_m=4.0, woods_m=12.0), 100.0),
+        ("wooded hills", Relief(hills_m=4.0, woods_m=12.0), 0.0),
     )
 ]
 MAP = [
