@@ -40,7 +40,7 @@ def test_small_turns_agree_with_scipy(yaw: float, p: float, q: float, r: float) 
 
 
 def test_half_throttle_hovers() -> None:
-    body = Airframe(0.0, 0.17, Relief())
+    body = Airframe(0.0, 0.17, Relief().height_m)
     body.d = -10.0
     body.rotors = [0.5] * 4
     for _ in range(500):
@@ -49,13 +49,32 @@ def test_half_throttle_hovers() -> None:
 
 
 def test_it_falls_to_the_ground_and_stays_there() -> None:
-    body = Airframe(1.0, 0.17, Relief())
+    body = Airframe(1.0, 0.17, Relief().height_m)
     body.d = -2.0
     for _ in range(500):
         body.step((0.0, 0.0, 0.0, 0.0), (5.0, 3.0, 0.0), 0.004)
     assert (body.d, body.vd) == (0.0, 0.0)
     assert body.on_ground
     assert body.azb == pytest.approx(-9.80665)
+
+
+@pytest.mark.parametrize(("north_m", "east_m"), [(80.0, -40.0), (-60.0, 90.0), (700.0, 0.0)])
+def test_on_a_hill_it_comes_to_rest_on_the_hill_and_its_rangefinder_meets_it(
+    north_m: float, east_m: float
+) -> None:
+    relief = Relief(slope_ne=(0.05, -0.1), hills_m=4.0, seed=3)
+    body = Airframe(0.0, 0.17, relief.height_m)
+    body.n, body.e, body.d = north_m, east_m, -relief.height_m(north_m, east_m) - 30.0
+    body.rotation = rotation_of(*quat_of_euler(0.2, -0.15, 1.0))
+    distance_m = Sensors(random.Random(1), 0.0, 0.0, 0.0).range_m(body)
+    assert distance_m is not None
+    north, east, down = (distance_m * body.rotation[i] for i in (2, 5, 8))
+    assert -body.d - down == pytest.approx(relief.height_m(north_m + north, east_m + east), abs=0.1)
+    body.d = -relief.height_m(north_m, east_m) - 2.0
+    for _ in range(500):
+        body.step((0.0, 0.0, 0.0, 0.0), CALM, 0.004)
+    assert body.on_ground
+    assert -body.d == pytest.approx(relief.height_m(body.n, body.e), abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -65,7 +84,7 @@ def test_it_falls_to_the_ground_and_stays_there() -> None:
 def test_rotors_turn_it_the_way_px4s_quad_x_does(
     rotors: tuple[float, float, float, float], axis: str
 ) -> None:
-    body = Airframe(0.0, 0.17, Relief())
+    body = Airframe(0.0, 0.17, Relief().height_m)
     body.d = -10.0
     for _ in range(20):
         body.step(rotors, CALM, 0.004)
@@ -113,7 +132,7 @@ def test_the_barometer_drifts_by_what_was_asked_in_ten_minutes() -> None:
     ends = []
     for seed in range(60):
         sensors = Sensors(random.Random(seed), 0.0, 2.0, 0.0)
-        body = Airframe(0.0, 0.17, Relief())
+        body = Airframe(0.0, 0.17, Relief().height_m)
         ends.append([sensors.baro_height_m(body, 1.0) for _ in range(600)][-1])
     assert statistics.pstdev(ends) == pytest.approx(2.0, rel=0.25)
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.sim.lens import RenderConfig, Sensor
+from vwnav.sim.rays import MIN_DOWN, Region, around, ground_map, intersections, raise_to
 from vwnav.sim.tiles import (
     LEVELS_M_PER_PX,
     TILE_PX,
@@ -25,12 +26,10 @@ from vwnav.sim.tiles import (
 from vwnav.types import Array
 
 _MIN_HEIGHT_M = 0.15
-_MIN_DOWN = 0.12  # rays flatter than this (7 degrees below the horizon) see only haze
 _MAX_TILES = 48
 _AHEAD_S = (1.5, 3.0)
 _HOME_DISCS = ((0, 22.0), (1, 42.0), (2, 80.0), (4, 150.0))  # level, radius in metres
 _ROW_STEP_S = 0.005  # either way, to see how the image moves while it is read
-_RELIEF_STEPS = 5
 _HAZE = (205.0, 200.0, 190.0)
 
 
@@ -40,30 +39,6 @@ def default_camera() -> Camera:
         Camera.from_hfov(640, 480, 80.0), distortion=(-0.11, 0.025, 0.0004, -0.0003, 0.0),
         sigma_mount_rad=math.radians(0.2), sigma_focal_ratio=0.001,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Region:
-    """A block of tiles of one level: rows and columns, half open."""
-
-    level: int
-    row0: int
-    row1: int
-    col0: int
-    col1: int
-
-    @property
-    def count(self) -> int:
-        """How many tiles the block has."""
-        return (self.row1 - self.row0) * (self.col1 - self.col0)
-
-    def tiles(self) -> list[Key]:
-        """The tiles of the block, row by row."""
-        return [
-            (self.level, row, col)
-            for row in range(self.row0, self.row1)
-            for col in range(self.col0, self.col1)
-        ]
 
 
 class CameraRenderer:
@@ -159,13 +134,13 @@ class CameraRenderer:
         mosaic = self._assemble(region)
         if self._config.background:
             self._look_ahead(centre, velocity_ned_m_s)
-        on_block = _ground_map(R_ned_camera, centre, height_m, region)
+        on_block = ground_map(R_ned_camera, centre, height_m, region)
         turned = camera.R_body_camera.T @ rate_body_rad_s
         a_second = self._block_map_a_second(R_ned_camera, centre, velocity_ned_m_s, turned, region)
         rows_s = self._sensor.row_times_s if self._config.readout_s > 0.0 else None
-        where = _intersections(rays, on_block, a_second, rows_s)
+        where = intersections(rays, on_block, a_second, rows_s)
         if not self._config.relief.plane:
-            self._raise(where, centre, region)
+            raise_to(self._config.relief, where, centre, height_m, region)
         plain = _sampled(mosaic, where)
         return self._sensor.expose(plain, flow, t_s)
 
@@ -190,7 +165,7 @@ class CameraRenderer:
         self, R_ned_camera: Array, height_m: float, velocity_ned: Array, rate_body: Array
     ) -> Array:
         """Speed (2,) at which the ground moves through the image's centre."""
-        depth_m = height_m / max(float(R_ned_camera[2, 2]), _MIN_DOWN)
+        depth_m = height_m / max(float(R_ned_camera[2, 2]), MIN_DOWN)
         v = R_ned_camera.T @ velocity_ned
         w = self._camera.R_body_camera.T @ rate_body
         # A point X at rest moves by dX/dt = -v - w x X in the camera; here X = (0, 0, depth).
@@ -200,7 +175,7 @@ class CameraRenderer:
     def _block_map_a_second(
         self, R_ned_camera: Array, centre: Array, velocity_ned: Array, turned: Array, region: Region
     ) -> Array:
-        """How the homography (3, 3) of `_ground_map` changes from row to row, per second.
+        """How the homography (3, 3) of `ground_map` changes from row to row, per second.
 
         Linear in time: within a read-out of 20 ms at 60 degrees a second that is 0.02 px off.
         """
@@ -208,41 +183,22 @@ class CameraRenderer:
         for t_s in (-_ROW_STEP_S, _ROW_STEP_S):
             R = R_ned_camera @ rotation_from_vector(t_s * turned)
             at = centre + t_s * velocity_ned
-            maps.append(_ground_map(R, at, max(-float(at[2]), _MIN_HEIGHT_M), region))
+            maps.append(ground_map(R, at, max(-float(at[2]), _MIN_HEIGHT_M), region))
         return np.asarray((maps[1] - maps[0]) / (2.0 * _ROW_STEP_S))
-
-    def _raise(self, where: NDArray[np.float32], centre: Array, region: Region) -> None:
-        """Move the pixels of the block that rays meet on the slope to where they meet the relief.
-
-        A ray that meets the slope at p0 meets height h at c + (p0 - c) (H - h) / H, under a camera
-        at c in height H: by fixed-point iteration, which leaves it open what is seen of faces
-        that are steeper than the ray.
-        """
-        r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
-        west_m = np.float32(region.col0 * span_m + 0.5 * r)
-        north_m = np.float32(-region.row0 * span_m - 0.5 * r)
-        below = np.array([(centre[1] - west_m) / r, (north_m - centre[0]) / r], np.float32)
-        height_m, relief = max(-float(centre[2]), _MIN_HEIGHT_M), self._config.relief
-        seen = where[..., 0] > -1e4
-        on_slope = where - below
-        for _ in range(_RELIEF_STEPS):
-            east, north = west_m + where[..., 0] * r, north_m - where[..., 1] * r
-            share = 1.0 - relief.on_slope_m(north, east) / np.float32(height_m)
-            np.copyto(where, below + share[..., None] * on_slope, where=seen[..., None])
 
     def _region(self, R_ned_camera: Array, centre: Array, height_m: float) -> Region:
         """The tiles under the image, at the level whose pixels are like the image's own."""
         rays_ned = self._rim @ R_ned_camera.T
-        down = np.maximum(rays_ned[:, 2:], _MIN_DOWN)
+        down = np.maximum(rays_ned[:, 2:], MIN_DOWN)
         deep_m = 2.5 * self._config.relief.hills_m
         ground = centre[:2] + (height_m + deep_m) * rays_ned[:, :2] / down
         slant_m = height_m / max(float(R_ned_camera[2, 2]), 0.3)
         last = len(LEVELS_M_PER_PX) - 1
         for level in range(self._level(slant_m), last):
-            region = _around(level, ground)
+            region = around(level, ground)
             if region.count <= _MAX_TILES:
                 return region
-        return _around(last, ground)
+        return around(last, ground)
 
     def _assemble(self, region: Region) -> Tile:
         """The block as one image; kept while it serves and all of it was really drawn."""
@@ -293,43 +249,6 @@ class CameraRenderer:
             height_m = max(-float(there[2]), _MIN_HEIGHT_M)
             radius_m = height_m * float(np.linalg.norm(self._rim[:, :2], axis=1).max())
             self._tiles.request(_disc(self._level(height_m), there[:2], radius_m))
-
-
-def _around(level: int, ground_ne: Array) -> Region:
-    """The block of tiles that covers points (n, 2)."""
-    span_m = tile_span_m(level)
-    south, west = ground_ne.min(axis=0) / span_m
-    north, east = ground_ne.max(axis=0) / span_m
-    row0, row1, col0, col1 = (math.floor(x) for x in (-north, -south, west, east))
-    return Region(level, row0, row1 + 1, col0, col1 + 1)
-
-
-def _ground_map(R_ned_camera: Array, centre: Array, height_m: float, region: Region) -> Array:
-    """Homography (3, 3) from normalised camera rays (x, y, 1) to pixels of the block."""
-    r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
-    u0 = (float(centre[1]) - region.col0 * span_m) / r - 0.5
-    v0 = (-region.row0 * span_m - float(centre[0])) / r - 0.5
-    north, east, down = R_ned_camera
-    scale = height_m / r
-    return np.array([scale * east + u0 * down, -scale * north + v0 * down, down])
-
-
-def _intersections(
-    rays: NDArray[np.float32], H_block_ray: Array, a_second: Array, rows_s: Array | None
-) -> NDArray[np.float32]:
-    """Pixels of the block (h, w, 2) that the rays meet, far away where they meet only haze.
-
-    With `rows_s` each row at its own time (rolling shutter).
-    """
-    seen = np.asarray(cv2.transform(rays, H_block_ray), np.float32)
-    if rows_s is not None:
-        late = np.asarray(cv2.transform(rays, a_second), np.float32)
-        seen += late * rows_s[:, None, None].astype(np.float32)
-    down = seen[..., 2]
-    where = seen[..., :2] / np.maximum(down, 1e-6)[..., None]
-    if float(down.min()) < _MIN_DOWN:
-        where[down < _MIN_DOWN] = -1e4
-    return np.asarray(where, np.float32)
 
 
 def _sampled(mosaic: Tile, where: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -4,8 +4,7 @@ Plain floats on purpose: at 250 Hz small numpy arrays would cost ten times as mu
 """
 
 import math
-
-from vwnav.sim.relief import Relief
+from collections.abc import Callable
 
 GRAVITY_M_S2 = 9.80665
 MASS_KG = 1.5
@@ -24,7 +23,7 @@ class Airframe:
     Args:
         drag_per_s: of the rotors, by which the speed through the air falls: it grows with the
             speed alone.
-        relief: of the ground.
+        ground_m: height of the ground over the start place at (north, east).
     """
 
     __slots__ = (
@@ -34,6 +33,7 @@ class Airframe:
         "azb",
         "d",
         "e",
+        "ground_m",
         "n",
         "on_ground",
         "p",
@@ -43,7 +43,6 @@ class Airframe:
         "qy",
         "qz",
         "r",
-        "relief",
         "rotation",
         "rotors",
         "vd",
@@ -51,8 +50,10 @@ class Airframe:
         "vn",
     )
 
-    def __init__(self, heading_rad: float, drag_per_s: float, relief: Relief) -> None:
-        self._drag_per_s, self.relief = drag_per_s, relief
+    def __init__(
+        self, heading_rad: float, drag_per_s: float, ground_m: Callable[[float, float], float]
+    ) -> None:
+        self._drag_per_s, self.ground_m = drag_per_s, ground_m
         self.n = self.e = self.d = 0.0
         self.vn = self.ve = self.vd = 0.0
         self.qw, self.qx, self.qy = math.cos(heading_rad / 2.0), 0.0, 0.0
@@ -67,7 +68,7 @@ class Airframe:
     @property
     def agl_m(self) -> float:
         """Height above the ground right below."""
-        return -self.d - self.relief.height_m(self.n, self.e)
+        return -self.d - self.ground_m(self.n, self.e)
 
     def fly_at(
         self,

@@ -98,7 +98,7 @@ class Sensors:
         distance_m = body.agl_m / down
         for _ in range(_RANGE_STEPS):
             there = body.n + distance_m * north, body.e + distance_m * east
-            distance_m = (-body.d - body.relief.height_m(*there)) / down
+            distance_m = (-body.d - body.ground_m(*there)) / down
         return max(0.0, self.range_scale * distance_m + self._gauss(0.0, 0.02 * self._noise))
 
 

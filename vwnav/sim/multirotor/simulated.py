@@ -55,7 +55,7 @@ class SimulatedMultirotor(ABC):
         self.start_frame = LocalFrame(
             config.home_lat_deg, config.home_lon_deg, config.home_alt_amsl_m
         )
-        self.body = Airframe(heading_rad, drag_per_s, config.relief)
+        self.body = Airframe(heading_rad, drag_per_s, config.relief.height_m)
         self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
         self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
         self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=texts)

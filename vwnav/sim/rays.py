@@ -1,0 +1,98 @@
+"""Where the rays of an image meet the ground, which lies in blocks of tiles."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vwnav.sim.relief import Relief
+from vwnav.sim.tiles import LEVELS_M_PER_PX, Key, tile_span_m
+from vwnav.types import Array
+
+MIN_DOWN = 0.12  # rays flatter than this (7 degrees below the horizon) see only haze
+_HAZE_PX = -1e4
+_RELIEF_STEPS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A block of tiles of one level: rows and columns, half open."""
+
+    level: int
+    row0: int
+    row1: int
+    col0: int
+    col1: int
+
+    @property
+    def count(self) -> int:
+        """How many tiles the block has."""
+        return (self.row1 - self.row0) * (self.col1 - self.col0)
+
+    def tiles(self) -> list[Key]:
+        """The tiles of the block, row by row."""
+        return [
+            (self.level, row, col)
+            for row in range(self.row0, self.row1)
+            for col in range(self.col0, self.col1)
+        ]
+
+
+def around(level: int, ground_ne: Array) -> Region:
+    """The block of tiles that covers points (n, 2)."""
+    span_m = tile_span_m(level)
+    south, west = ground_ne.min(axis=0) / span_m
+    north, east = ground_ne.max(axis=0) / span_m
+    row0, row1, col0, col1 = (math.floor(x) for x in (-north, -south, west, east))
+    return Region(level, row0, row1 + 1, col0, col1 + 1)
+
+
+def ground_map(R_ned_camera: Array, centre: Array, height_m: float, region: Region) -> Array:
+    """Homography (3, 3) from normalised camera rays (x, y, 1) to pixels of the block."""
+    r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
+    u0 = (float(centre[1]) - region.col0 * span_m) / r - 0.5
+    v0 = (-region.row0 * span_m - float(centre[0])) / r - 0.5
+    north, east, down = R_ned_camera
+    scale = height_m / r
+    return np.array([scale * east + u0 * down, -scale * north + v0 * down, down])
+
+
+def intersections(
+    rays: NDArray[np.float32], H_block_ray: Array, a_second: Array, rows_s: Array | None
+) -> NDArray[np.float32]:
+    """Pixels of the block (h, w, 2) that the rays meet, far away where they meet only haze.
+
+    With `rows_s` each row at its own time (rolling shutter).
+    """
+    seen = np.asarray(cv2.transform(rays, H_block_ray), np.float32)
+    if rows_s is not None:
+        late = np.asarray(cv2.transform(rays, a_second), np.float32)
+        seen += late * rows_s[:, None, None].astype(np.float32)
+    down = seen[..., 2]
+    where = seen[..., :2] / np.maximum(down, 1e-6)[..., None]
+    if float(down.min()) < MIN_DOWN:
+        where[down < MIN_DOWN] = _HAZE_PX
+    return np.asarray(where, np.float32)
+
+
+def raise_to(
+    relief: Relief, where: NDArray[np.float32], centre: Array, height_m: float, region: Region
+) -> None:
+    """Move the pixels (h, w, 2) of the block that rays meet on the slope to those on the relief.
+
+    A ray that meets the slope at p0 meets height h at c + (p0 - c) (H - h) / H, under a camera
+    at c in height H: by fixed-point iteration, which leaves it open what is seen of faces
+    that are steeper than the ray.
+    """
+    r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
+    west_m = np.float32(region.col0 * span_m + 0.5 * r)
+    north_m = np.float32(-region.row0 * span_m - 0.5 * r)
+    below = np.array([(centre[1] - west_m) / r, (north_m - centre[0]) / r], np.float32)
+    seen = where[..., 0] > _HAZE_PX
+    on_slope = where - below
+    for _ in range(_RELIEF_STEPS):
+        east, north = west_m + where[..., 0] * r, north_m - where[..., 1] * r
+        share = 1.0 - relief.on_slope_m(north, east) / np.float32(height_m)
+        np.copyto(where, below + share[..., None] * on_slope, where=seen[..., None])
