@@ -100,3 +100,25 @@ def test_a_house_below_is_believed_of_its_word_where_no_fix_tells_and_only_on_th
     hovering.fly(6.0, lambda m: m).fly(4.0, lambda m: m - 4.0)
     assert Verdict.RELOCATED not in hovering.verdicts
     assert hovering.agl_m == pytest.approx(AGL_M, abs=1.0)
+
+
+@pytest.mark.parametrize("climb_m_s2", [0.3, 0.9, 2.0])
+def test_one_that_is_stuck_does_not_draw_a_slow_climb_along(climb_m_s2):
+    """Each that says too little is inside its gate: 1 m of 2 was lost so, and the rest freed."""
+    ekf, said = Ekf(EkfConfig()), []
+    ekf.on_event(said.append)
+    ekf.handle(Attitude(0.0, LEVEL))
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=1.0, agl_m=0.2))
+    for n in range(1, 401):
+        t_s = round(0.02 * n, 6)
+        speed_m_s = min(climb_m_s2 * max(t_s - 3.0, 0.0), 1.5)
+        height_m = 0.5 * speed_m_s**2 / climb_m_s2 + speed_m_s * max(
+            t_s - 3.0 - speed_m_s / climb_m_s2, 0.0
+        )
+        ekf.handle(Attitude(t_s, LEVEL))
+        if n % 5 == 0:
+            ekf.handle(Height(t_s, height_m))
+            ekf.handle(Range(t_s, 0.2))
+        ekf.estimate(t_s)
+    assert said == ["the rangefinder contradicts map and barometer: it is not believed"]
+    assert ekf.estimate(t_s).agl_m == pytest.approx(0.2 + height_m, abs=0.5)

@@ -13,7 +13,16 @@ import numpy as np
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
-from vwnav.estimation.events import Displacement, Drag, Event, LateFix, Misled, NedFix, Told
+from vwnav.estimation.events import (
+    Displacement,
+    Drag,
+    Event,
+    LateFix,
+    Misled,
+    NedFix,
+    RangeDoubted,
+    Told,
+)
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
 from vwnav.estimation.inertial.drag import explained_m_s2
@@ -42,8 +51,7 @@ class Ekf:
     is refused and said so.
 
     Attributes:
-        counts_heading: a video alone, by its settings: its attitude is level with the heading of
-            odometry.
+        counts_heading: a video alone: its attitude is level, with the heading of odometry.
     """
 
     def __init__(self, config: EkfConfig, ground: Ground | None = None) -> None:
@@ -156,8 +164,16 @@ class Ekf:
         doubted = self._timeline.newest.range_trust.doubted_s is not None
         innovation = self._insert(seen)
         if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
-            self._say(_RANGE_AGAIN if doubted else _RANGE_DOUBTED)
+            self._range_changed(doubted)
         return innovation
+
+    def _range_changed(self, again: bool) -> None:
+        """The rangefinder is believed again, or not any more: nor what it drew the height to."""
+        assert self._timeline is not None
+        if not again:
+            self._timeline.leave_out(Range)
+            self._insert(RangeDoubted(self._timeline.newest.t_s))
+        self._say(_RANGE_AGAIN if again else _RANGE_DOUBTED)
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""

@@ -90,5 +90,14 @@ class Misled:
     since_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class RangeDoubted:
+    """From then on the rangefinder is not believed, nor is what it told in the history."""
+
+    t_s: float
+
+
 Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked
-Event = Told | NewKeyframe | LateFix | Drag | Misled  # the others are the filter's own
+Event = (
+    Told | NewKeyframe | LateFix | Drag | Misled | RangeDoubted
+)  # the others are the filter's own

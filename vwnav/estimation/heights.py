@@ -35,7 +35,10 @@ _LEAST_COS_TILT = 0.5
 _FIX_TELLS_S = 5.0  # the height, for so long
 _HIGHEST_STEP_M = 5.0  # of the ground: a house, a wall, a bank
 _STEEPEST = 1.0  # it rises, per metre flown since the rangefinder last agreed
-_HOLLOW_M = 1.0  # and as much without any way
+_HOLLOW_M = 0.3  # and as much without any way
+_DRAWN_SHARE = 0.25  # of the newest, in what the rangefinder draws the height to
+_MOST_DRAWN = 4.0  # sigmas: more of one says no more
+_DRAWN_SIGMAS = 2.0  # from where on they are no chance, nor its lag in a climb
 _AGREES_S = 3.0  # for so long one that was doubted must agree again
 _PLACE = tuple(range(States.SIZE))[States.POSITION_NE]
 _STILL_S = 0.2
@@ -148,26 +151,37 @@ def _weighed(
 ) -> tuple[FilterState, Innovation]:
     """Believe it, refuse it, or doubt the rangefinder from now on."""
     fused, innovation = fuse(state, measurement)
-    trust, agrees = state.range_trust, innovation.verdict is Verdict.FUSED
+    sigmas = math.copysign(math.sqrt(innovation.nis or 0.0), float(measurement.residual[0]))
+    drawn = state.range_trust.drawn_sigmas
+    drawn += _DRAWN_SHARE * (min(max(sigmas, -_MOST_DRAWN), _MOST_DRAWN) - drawn)
+    trust = replace(state.range_trust, drawn_sigmas=drawn)
+    agrees = innovation.verdict is Verdict.FUSED and abs(drawn) < _DRAWN_SIGMAS
     if trust.doubted_s is not None:
-        if not agrees:
-            state = replace(state, range_trust=replace(trust, doubted_s=state.t_s))
-        if not agrees or state.t_s - trust.doubted_s < _AGREES_S:
+        since_s = trust.doubted_s if agrees else state.t_s
+        state = replace(state, range_trust=replace(trust, doubted_s=since_s))
+        if state.t_s - since_s < _AGREES_S:
             return state, replace(innovation, verdict=Verdict.DOUBTED)
     if agrees:
         north_m, east_m = state.x[States.POSITION_NE].tolist()
-        return replace(fused, range_trust=RangeTrust((north_m, east_m))), innovation
+        return replace(fused, range_trust=RangeTrust((north_m, east_m), None, drawn)), innovation
     rejected = remember(trust.rejected, state.t_s, measurement, config.dispute_window_s)
     if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
-        return replace(state, range_trust=replace(trust, rejected=rejected)), innovation
+        refused = replace(innovation, verdict=Verdict.GATED)
+        return replace(state, range_trust=replace(trust, rejected=rejected)), refused
     off_m = abs(float(measurement.residual[0]))
     if off_m > _most_step_m(state):
-        doubted = replace(trust, doubted_s=state.t_s, rejected=())
-        return replace(state, range_trust=doubted), replace(innovation, verdict=Verdict.DOUBTED)
+        state = replace(state, range_trust=trust)
+        return apply_doubt(state), replace(innovation, verdict=Verdict.DOUBTED)
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
-    state = replace(correct(state, measurement), range_trust=replace(trust, rejected=()))
+    state = replace(correct(state, measurement), range_trust=RangeTrust(trust.agreed_ne_m))
     return state, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def apply_doubt(state: FilterState) -> FilterState:
+    """Do not believe the rangefinder until it has agreed for a while."""
+    trust = replace(state.range_trust, doubted_s=state.t_s, rejected=())
+    return replace(state, range_trust=trust)
 
 
 def _most_step_m(state: FilterState) -> float:

@@ -94,11 +94,14 @@ class RangeTrust:
     Attributes:
         agreed_ne_m: where it last agreed, None before.
         doubted_s: when it last contradicted them while it is not believed; None while it is.
+        drawn_sigmas: what the newest ones say on average beyond what is predicted: one that says
+            too little in a climb again and again draws the height along, each inside its gate.
         rejected: refused since the last accepted one.
     """
 
     agreed_ne_m: tuple[float, float] | None = None
     doubted_s: float | None = None
+    drawn_sigmas: float = 0.0
     rejected: RejectedInnovations = ()
 
 

@@ -20,11 +20,12 @@ from vwnav.estimation.events import (
     Misled,
     NedFix,
     NewKeyframe,
+    RangeDoubted,
     Told,
     Untracked,
 )
 from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
-from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
+from vwnav.estimation.heights import apply_doubt, apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.attitudes import is_rotation
 from vwnav.estimation.inertial.drag import apply_drag
 from vwnav.estimation.inertial.imu import is_felt
@@ -41,8 +42,8 @@ from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left.
 _ORDER: tuple[type[Event], ...] = (
-    Misled, Untracked, LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe,
-    Exposed,
+    Misled, RangeDoubted, Untracked, LateFix, Stationary, Height, Range, NedFix, Displacement, Drag,
+    NewKeyframe, Exposed,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
@@ -159,6 +160,8 @@ def _corrected(
             return apply_untracked(state, config), Innovation(Verdict.FUSED)
         case Misled():
             return apply_misled(state, event, config), Innovation(Verdict.FUSED)
+        case RangeDoubted():
+            return apply_doubt(state), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
