@@ -233,6 +233,8 @@ class OdometryMotion:
         slope_ne: (2,) by how much the ground below rises per metre north and east, as the attitude
             of the keyframe has it; None where the way is too short to tell.
         slope_covariance: (2, 2).
+        relief: one sigma of the heights over that slope of what was seen, trees and houses too, as
+            a share of the height; None where the way is too short to tell.
     """
 
     t0_s: float
@@ -247,6 +249,7 @@ class OdometryMotion:
     tilts_along: float = 0.0
     slope_ne: Array | None = None
     slope_covariance: Array | None = None
+    relief: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -47,6 +47,7 @@ class EkfConfig:
     terrain_walk_m: float = 0.10  # per root metre flown: 1 m in 100 m
     terrain_walk_known_m: float = 0.07  # with the terrain heights of a map: 1 m in 200 m
     terrain_bend_m: float = 2.0  # the same, times the slope: what slopes, bends
+    relief_length_m: float = 40.0  # from wood to clearing, from roof to street
     slope: float = 0.1  # of the ground, one sigma per axis, where ways tell it
     slope_length_m: float = 40.0  # Gauss-Markov in the way flown
     slope_seen: float = 0.03  # what a view of houses, trees and hollows is no plane by

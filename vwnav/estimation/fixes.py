@@ -111,7 +111,7 @@ def apply_late_fix(
         H = np.zeros((1, States.SIZE))
         H[0, _THEN.agl] = 1.0
         H[0, [States.MAP_SCALE, States.FOCAL]] = float(state.x[_THEN.agl])
-        R = np.array([[fix.sigma_agl_m**2]])
+        R = np.array([[fix.sigma_agl_m**2 + state.relief_m**2]])
         state, _ = fuse(state, Measurement(fix.agl_m - H @ state.x, H, R))
     return state, innovation
 
@@ -285,12 +285,14 @@ def apply_agl(
     """Fuse a height above ground, of a fix or of who stands.
 
     A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
-    Heights `by_map` share the errors of its scale and of the focal length.
+    Heights `by_map` share the errors of its scale and of the focal length, and are those over what
+    was matched, roofs or the street.
     """
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
     H[0, [States.MAP_SCALE, States.FOCAL]] = state.agl_m if by_map else 0.0
-    measurement = Measurement(agl_m - H @ state.x, H, np.array([[sigma_m**2]]))
+    variance = sigma_m**2 + (state.relief_m**2 if by_map else 0.0)
+    measurement = Measurement(agl_m - H @ state.x, H, np.array([[variance]]))
     fused, innovation = fuse(state, measurement)
     if innovation.verdict is Verdict.FUSED:
         return replace(fused, rejected_agls=()), innovation

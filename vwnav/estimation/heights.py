@@ -140,6 +140,7 @@ def apply_range(
     H[0, States.TILT] = event.distance_m * right, -event.distance_m * forward
     variance = (
         config.rangefinder_sigma_m**2
+        + state.relief_m**2
         + (config.rangefinder_sigma_ratio * event.distance_m) ** 2
         + float(config.rangefinder_lag_s * state.x[States.VELOCITY_DOWN]) ** 2
     )

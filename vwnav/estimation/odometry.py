@@ -51,6 +51,7 @@ _TAUGHT = np.r_[
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
+_NEWEST = 0.1  # share of the newest image's relief in what is known of it
 _SHORTEST_S = 0.1
 
 
@@ -72,7 +73,7 @@ def apply_keyframe(
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += event.covariance_ned_m2
     P[States.ANCHOR_HEADING_BIAS, States.ANCHOR_HEADING_BIAS] += _CLONE_SIGMA_RAD**2
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
-    P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2
+    P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2 + state.relief_m**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
     return replace(state, x=G @ state.x, P=P, anchor=attitudes.exposure(event.t_s))
 
@@ -98,6 +99,9 @@ def apply_displacement(
     before = state
     keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
     agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
+    if motion.relief is not None:
+        change_m2 = (motion.relief * agl_m) ** 2 - state.relief_m**2
+        state = replace(state, relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
     state, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:

@@ -57,6 +57,7 @@ class TimeStep:
         attitude_known: False where attitudes are missing: nobody knows where the thrust pushed.
         carried_rad: by how much more the gyro alone has turned the heading on at its end.
         imu: what was felt; None in a silence, and where attitudes are missing.
+        relief_m: one sigma of the heights of what stands on the ground.
     """
 
     dt_s: float
@@ -65,6 +66,7 @@ class TimeStep:
     attitude_known: bool
     carried_rad: float
     imu: PreintegratedImu | None
+    relief_m: float = 0.0
 
     @property
     def quat_wxyz(self) -> Array:
@@ -89,7 +91,9 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
         known0, known = known, held.known
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
-        step = TimeStep(dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu)
+        step = TimeStep(
+            dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu, state.relief_m
+        )
         x, P = _propagate(x, P, step, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
 
@@ -262,7 +266,7 @@ def _transition(
     F[States.TERRAIN, States.SLOPE] = way_m
     F[States.TERRAIN, States.VELOCITY_NE] = dt_s * x[States.SLOPE]
     known = _follow_ground(x, moved, F, dt_s, context)
-    return Transition(moved, F, _walks(x, dt_s, flown_m, known, config))
+    return Transition(moved, F, _walks(x, step, flown_m, known, config))
 
 
 def _tilt_turn(step: TimeStep) -> Array:
@@ -293,8 +297,11 @@ def _follow_ground(x: Array, moved: Array, F: Array, dt_s: float, context: Conte
     return True
 
 
-def _walks(x: Array, dt_s: float, flown_m: float, ground_known: bool, config: EkfConfig) -> Array:
+def _walks(
+    x: Array, step: TimeStep, flown_m: float, ground_known: bool, config: EkfConfig
+) -> Array:
     """(n, n) of Q: random walks that both models share, and what feeds the Gauss-Markov states."""
+    dt_s = step.dt_s
     Q = np.zeros((States.SIZE, States.SIZE))
     fed = 1.0 - math.exp(-2.0 * dt_s / config.acceleration_time_s)
     Q[States.ACCELERATION, States.ACCELERATION] = config.acceleration_sigma_m_s2**2 * fed * _LEVEL
@@ -309,5 +316,6 @@ def _walks(x: Array, dt_s: float, flown_m: float, ground_known: bool, config: Ek
     )
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
     bent_m = config.terrain_bend_m * math.hypot(*x[States.SLOPE])
-    Q[States.TERRAIN, States.TERRAIN] = (walk_m**2 + bent_m**2) * flown_m
+    stands_m2 = step.relief_m**2 / config.relief_length_m
+    Q[States.TERRAIN, States.TERRAIN] = (walk_m**2 + bent_m**2 + stands_m2) * flown_m
     return Q

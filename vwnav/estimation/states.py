@@ -118,6 +118,8 @@ class FilterState:
             which it was told whether it is; the start until then.
         anchor, exposure: the keyframe and the image that is being matched, whose poses are cloned.
         trusted: the last fix that agreed with one before it; the start until then.
+        relief_m: one sigma of the heights over their plane of what the newest ways have shown:
+            which of it a way, a fix or a rangefinder takes for the ground is not known.
         newest_height: time and height that the barometer told last, believed or not.
         height_stepped: the heights that are refused began with a step, not with a climb.
         rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
@@ -136,6 +138,7 @@ class FilterState:
     exposure: Exposure | None = None
     t_last_fix_s: float | None = None
     trusted: TrustedPosition | None = None
+    relief_m: float = 0.0
     newest_height: tuple[float, float] | None = None
     height_stepped: bool = False
     reset_counter: int = 0

@@ -31,6 +31,9 @@ _RAYLEIGH_MEDIAN = 1.1774  # of residual lengths, in sigmas per axis
 _TUKEY = 4.685  # 95 % efficiency for normal errors
 _RANSAC_STEPS = 300
 _LEAST_TOLD = 0.5  # of a slope, by the images and not by what was thought before
+_LEAST_PARALLAX_PX = 1.0  # of a point as high over the plane as ...
+_TOLD_HEIGHT = 0.1  # ... this, in heights of the camera
+_HIGHEST = 0.6  # in heights of the camera: what seems higher is no point
 _REGIONS = 4  # along each side of the image: tracks of one may hang together
 Points = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -77,6 +80,8 @@ class Motion:
         slope: (2,) rise of the ground per north and east, in the frame of attitude 0.
         covariance: (8, 8) of the three.
         inliers: (n,) bool. sigma_px: what the tracks that fit scatter by.
+        relief: one sigma of the heights over the plane of what was seen, as a share of the height
+            of camera 0; None where the way is too short to tell.
     """
 
     way: Array
@@ -85,6 +90,7 @@ class Motion:
     covariance: Array
     inliers: BoolArray
     sigma_px: float
+    relief: float | None
 
 
 def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Motion | None:
@@ -98,7 +104,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         return None
     scale_px = threshold_px
     for _ in range(_ITERATIONS):
-        residuals, J = _linearise(seen, parameters)
+        residuals, J, _ = _linearise(seen, parameters)
         size_px = np.hypot(residuals[:, 0], residuals[:, 1])
         if np.any(size_px < threshold_px):
             sigma_px = float(np.median(size_px[size_px < threshold_px])) / _RAYLEIGH_MEDIAN
@@ -114,7 +120,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         if not np.all(np.isfinite(step)):
             return None
         parameters = parameters + step
-    residuals, J = _linearise(seen, parameters)
+    residuals, J, per_height = _linearise(seen, parameters)
     inliers = np.hypot(residuals[:, 0], residuals[:, 1]) < _TUKEY * scale_px
     weights = inliers / scale_px**2
     information, _ = _normal(residuals, J, weights, parameters, prior)
@@ -123,8 +129,9 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
     covariance *= _hanging_together(seen.rays1[:, :2], scores, covariance)
+    relief = _relief(residuals, per_height, scale_px)
     return Motion(
-        parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px
+        parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px, relief
     )
 
 
@@ -152,8 +159,12 @@ def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
     return np.array([way[0], way[1], 1.0 - 1.0 / scale, 0.0, 0.0, turn_rad, 0.0, 0.0])
 
 
-def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array]:
-    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 8)."""
+def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]:
+    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 8).
+
+    And how the prediction moves (n, 2) by the height of a point over the plane, in heights of the
+    camera.
+    """
     x, y = seen.rays0[:, 0], seen.rays0[:, 1]
     a, b = parameters[_SLOPE]
     depth = seen.rays0[:, 2] + a * x + b * y
@@ -172,11 +183,31 @@ def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array]:
     cross[:, 1, 0], cross[:, 1, 2] = away[:, 2], -away[:, 0]
     cross[:, 2, 0], cross[:, 2, 1] = -away[:, 1], away[:, 0]
     dq[:, :, _PHI] = R_camera1_ned @ cross
-    per_slope = -(G @ R_camera1_ned.T) / depth[:, None]
-    dq[:, :, 6] = per_slope * x[:, None]
-    dq[:, :, 7] = per_slope * y[:, None]
+    rise = -(G @ R_camera1_ned.T)  # a point that is higher by h lies at G (1 - h)
+    dq[:, :, 6] = rise * (x / depth)[:, None]
+    dq[:, :, 7] = rise * (y / depth)[:, None]
     J = seen.focal_px * (dq[:, :2] - predicted[:, :, None] * dq[:, 2:]) / q[:, 2, None, None]
-    return residuals, J
+    per_height = seen.focal_px * (rise[:, :2] - predicted * rise[:, 2:]) / q[:, 2:]
+    return residuals, J, per_height
+
+
+def _relief(residuals: Array, per_height: Array, sigma_px: float) -> float | None:
+    """One sigma of the heights over the plane by the parallax of all tracks (n, 2), in pixels.
+
+    A point of height h is seen h p beside its prediction, and what lies across p is the track's own
+    error: those that are far off across are no tracks. So E[(r.p)^2] = s^2 p^2 + <h^2> p^4, fitted
+    by least squares of (r.p)^2 - s^2 p^2 over p^4.
+    """
+    size2 = np.einsum("ni,ni->n", per_height, per_height)
+    if not float(np.median(size2)) > (_LEAST_PARALLAX_PX / _TOLD_HEIGHT) ** 2:
+        return None
+    along = np.einsum("ni,ni->n", residuals, per_height)
+    across = residuals[:, 0] * per_height[:, 1] - residuals[:, 1] * per_height[:, 0]
+    tracks = (across**2 < (_TUKEY * sigma_px) ** 2 * size2) & (np.abs(along) < _HIGHEST * size2)
+    if np.count_nonzero(tracks) < 4:
+        return None
+    excess = along[tracks] ** 2 - sigma_px**2 * size2[tracks]
+    return math.sqrt(max(float(excess.sum() / (size2[tracks] ** 2).sum()), 0.0))
 
 
 def _normal(

@@ -314,6 +314,7 @@ class Odometry:
             tilts_along=tilt.along,
             slope_ne=None if slope is None else slope[0],
             slope_covariance=None if slope is None else slope[1],
+            relief=motion.relief,
         )
 
     def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:
