@@ -23,7 +23,7 @@ def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array
     J = np.empty((3, 8))
     for i, step in enumerate(1e-6 * np.eye(8)):
         J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
-    return way, J @ motion.covariance @ J.T
+    return way, J @ motion.covariance[:8, :8] @ J.T
 
 
 def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:

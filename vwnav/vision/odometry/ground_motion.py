@@ -1,4 +1,4 @@
-"""The camera's motion over level ground from points seen twice, with what the attitude knows.
+"""The camera's motion over the ground from points seen twice, with what the attitude knows.
 
 A plane seen from two places: a ground point G (NED, from camera 0, in units of its height above
 ground, so that n . G = 1 with n = (a, b, 1)) is seen by camera 1 in direction
@@ -8,6 +8,9 @@ the slope of the ground (and the error of attitude 0). These eight numbers are t
 attitude comes in as prior on phi and (a, b). That chooses among the decompositions of the
 homography the physically right one, and tells tilting from moving as well as image and autopilot
 together can.
+
+Ground that bends is higher than that plane by h = c . (x^2, x y, y^2), in the level coordinates
+(x, y) of camera 0, and seen at G (1 - h): three numbers more, with a prior of their own.
 
 The points are corners, followed by pyramidal Lucas-Kanade with a check backwards. Dense flow and
 matching of ORB, SIFT or learned features between the same images are slower and no more exact
@@ -25,13 +28,14 @@ from vwnav.geometry.camera import to_gray
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Array, Gray
 
-_T, _PHI, _SLOPE = slice(0, 3), slice(3, 6), slice(6, 8)
+_T, _PHI, _SLOPE, _BEND = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11)
+_SIZE = 11
 _ITERATIONS = 5
 _RAYLEIGH_MEDIAN = 1.1774  # of residual lengths, in sigmas per axis
 _TUKEY = 4.685  # 95 % efficiency for normal errors
 _RANSAC_STEPS = 300
 _LEAST_TOLD = 0.5  # of a slope, by the images and not by what was thought before
-_LEAST_PARALLAX_PX = 1.0  # of a point as high over the plane as ...
+_LEAST_PARALLAX_PX = 1.0  # of a point as high over the ground as ...
 _TOLD_HEIGHT = 0.1  # ... this, in heights of the camera
 _HIGHEST = 0.6  # in heights of the camera: what seems higher is no point
 _REGIONS = 4  # along each side of the image: tracks of one may hang together
@@ -67,6 +71,7 @@ class MotionPrior:
 
     tilt_increment_rad: float
     slope: float
+    bend: float
     pixel: float
 
 
@@ -78,9 +83,9 @@ class Motion:
         way: (3,) NED in units of the height of camera 0 above ground.
         turn_rad: (3,) rotation vector, NED: `exp(turn) @ R_ned_camera1` is the true rotation.
         slope: (2,) rise of the ground per north and east, in the frame of attitude 0.
-        covariance: (8, 8) of the three.
+        covariance: (11, 11) of the three, and of what the ground bends by.
         inliers: (n,) bool. sigma_px: what the tracks that fit scatter by.
-        relief: one sigma of the heights over the plane of what was seen, as a share of the height
+        relief: one sigma of the heights over the ground of what was seen, as a share of the height
             of camera 0; None where the way is too short to tell.
     """
 
@@ -96,7 +101,7 @@ class Motion:
 def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Motion | None:
     """The motion that most points agree on; None when there is none.
 
-    A similarity on the ground by RANSAC, then all eight numbers by least squares with Tukey's
+    A similarity on the ground by RANSAC, then all numbers by least squares with Tukey's
     weights, whose scale is that of the residuals but never below `prior.pixel`.
     """
     parameters = _similarity(seen, threshold_px)
@@ -136,7 +141,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
 
 
 def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
-    """First guess (8,): way and turn about down, level and with the attitude's word on tilt."""
+    """First guess (11,): way and turn about down, level and with the attitude's word on tilt."""
     rays1 = seen.rays1 @ seen.R_ned_camera1.T
     front = (seen.rays0[:, 2] > 0.1) & (rays1[:, 2] > 0.1)
     if np.count_nonzero(front) < 4:
@@ -156,26 +161,31 @@ def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
     # ground1 = scale Rz(-turn) (ground0 - way)
     turn_rad = -float(np.arctan2(M[1, 0], M[0, 0]))
     way = -np.linalg.solve(M[:, :2], M[:, 2])
-    return np.array([way[0], way[1], 1.0 - 1.0 / scale, 0.0, 0.0, turn_rad, 0.0, 0.0])
+    parameters = np.zeros(_SIZE)
+    parameters[:6] = way[0], way[1], 1.0 - 1.0 / scale, 0.0, 0.0, turn_rad
+    return parameters
 
 
 def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]:
-    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 8).
+    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 11).
 
-    And how the prediction moves (n, 2) by the height of a point over the plane, in heights of the
+    And how the prediction moves (n, 2) by the height of a point over the ground, in heights of the
     camera.
     """
     x, y = seen.rays0[:, 0], seen.rays0[:, 1]
     a, b = parameters[_SLOPE]
     depth = seen.rays0[:, 2] + a * x + b * y
-    G = seen.rays0 / depth[:, None]
+    plane = seen.rays0 / depth[:, None]
+    level = seen.rays0[:, :2] / seen.rays0[:, 2:]
+    bends = np.column_stack([level[:, :1] * level, level[:, 1] ** 2])
+    G = plane * (1.0 - bends @ parameters[_BEND])[:, None]
     R_camera1_ned = (rotation_from_vector(parameters[_PHI]) @ seen.R_ned_camera1).T
     away = G - parameters[_T]
     q = away @ R_camera1_ned.T
     predicted = q[:, :2] / q[:, 2:]
     residuals = seen.focal_px * (seen.rays1[:, :2] - predicted)
 
-    dq = np.empty((len(q), 3, 8))
+    dq = np.empty((len(q), 3, _SIZE))
     dq[:, :, _T] = -R_camera1_ned
     # A further turn d of the rotation moves q by R (away x d): the matrices of that product.
     cross = np.zeros((len(q), 3, 3))
@@ -183,16 +193,18 @@ def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]
     cross[:, 1, 0], cross[:, 1, 2] = away[:, 2], -away[:, 0]
     cross[:, 2, 0], cross[:, 2, 1] = -away[:, 1], away[:, 0]
     dq[:, :, _PHI] = R_camera1_ned @ cross
-    rise = -(G @ R_camera1_ned.T)  # a point that is higher by h lies at G (1 - h)
-    dq[:, :, 6] = rise * (x / depth)[:, None]
-    dq[:, :, 7] = rise * (y / depth)[:, None]
+    dq[:, :, _SLOPE] = -(G @ R_camera1_ned.T)[:, :, None] * (
+        seen.rays0[:, None, :2] / depth[:, None, None]
+    )
+    rise = -(plane @ R_camera1_ned.T)
+    dq[:, :, _BEND] = rise[:, :, None] * bends[:, None]
     J = seen.focal_px * (dq[:, :2] - predicted[:, :, None] * dq[:, 2:]) / q[:, 2, None, None]
     per_height = seen.focal_px * (rise[:, :2] - predicted * rise[:, 2:]) / q[:, 2:]
     return residuals, J, per_height
 
 
 def _relief(residuals: Array, per_height: Array, sigma_px: float) -> float | None:
-    """One sigma of the heights over the plane by the parallax of all tracks (n, 2), in pixels.
+    """One sigma of the heights over the ground by the parallax of all tracks (n, 2), in pixels.
 
     A point of height h is seen h p beside its prediction, and what lies across p is the track's own
     error: those that are far off across are no tracks. So E[(r.p)^2] = s^2 p^2 + <h^2> p^4, fitted
@@ -213,13 +225,14 @@ def _relief(residuals: Array, per_height: Array, sigma_px: float) -> float | Non
 def _normal(
     residuals: Array, J: Array, weights: Array, parameters: Array, prior: MotionPrior
 ) -> tuple[Array, Array]:
-    """Normal equations of a Gauss-Newton step: information (8, 8) and gradient (8,).
+    """Normal equations of a Gauss-Newton step: information (11, 11) and gradient (11,).
 
     The way and the turn about down are left to the image.
     """
-    tilt, slope = prior.tilt_increment_rad**-2, prior.slope**-2
-    known = np.array([0.0, 0.0, 0.0, tilt, tilt, 0.0, slope, slope])
-    flat, twice = J.reshape(-1, 8), np.repeat(weights, 2)
+    known = np.zeros(_SIZE)
+    known[3:5] = prior.tilt_increment_rad**-2
+    known[_SLOPE], known[_BEND] = prior.slope**-2, prior.bend**-2
+    flat, twice = J.reshape(-1, _SIZE), np.repeat(weights, 2)
     information = flat.T @ (flat * twice[:, None]) + np.diag(known)
     gradient = flat.T @ (twice * residuals.ravel()) - known * parameters
     return information, gradient
@@ -229,7 +242,7 @@ def _hanging_together(places: Array, scores: Array, covariance: Array) -> float:
     """By how much the way is less sure than so many independent tracks would have it, at least 1.
 
     Neighbours in a blurred image are off to the same side, each of them hardly. So the scores
-    (n, 8) of the tracks at `places` (n, 2) in the image are summed by region before they are
+    (n, 11) of the tracks at `places` (n, 2) in the image are summed by region before they are
     squared (cluster-robust covariance, Liang and Zeger 1986, eq. 5).
     """
     lowest, highest = places.min(axis=0), places.max(axis=0)

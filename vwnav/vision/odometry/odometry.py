@@ -267,10 +267,10 @@ class Odometry:
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
         c = self._config
         if self._alone:
-            return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.sigma_px)
+            return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.bend, c.sigma_px)
         turned_rad = abs(wrap_pi(keyframe.heading_rad - view.heading_rad))
         tilt_rad = math.hypot(c.tilt_increment_rad, c.tilt_rad * turned_rad)
-        return MotionPrior(tilt_rad, c.slope, c.sigma_px)
+        return MotionPrior(tilt_rad, c.slope, c.bend, c.sigma_px)
 
     def _accept(
         self,
