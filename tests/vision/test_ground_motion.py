@@ -1,5 +1,7 @@
 """How sure the way from tracks is: tracks that are wrong together count as one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,18 +10,24 @@ from vwnav.vision.odometry.ground_motion import Motion, MotionPrior, Sightings, 
 LOOKS_DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # upper edge north
 WAY = np.array([0.08, -0.03, 0.01])
 FOCAL_PX = 380.0
-PRIOR = MotionPrior(tilt_increment_rad=0.003, slope=0.02, pixel=0.55)
+PRIOR = MotionPrior(tilt_increment_rad=0.003, slope=0.02, bend=0.03, pixel=0.55)
 
 
-def moved(noise_px: np.ndarray) -> Motion:
-    """A grid of points seen before and after `WAY`, each off by its noise (12, 12, 2)."""
+def moved(noise_px: np.ndarray, heights=lambda x, y: 0.0, bend: float = 0.03) -> Motion:
+    """A grid of points seen before and after `WAY`, each off by its noise (12, 12, 2).
+
+    `heights` over the plane, in those of the camera, by where on the plane the points are seen.
+    """
     v, u = np.meshgrid(np.linspace(-0.6, 0.6, 12), np.linspace(-0.8, 0.8, 12), indexing="ij")
     rays = np.dstack([u, v, np.ones_like(u)]).reshape(-1, 3)
     rays0 = rays @ LOOKS_DOWN.T
-    rays1 = (rays0 - WAY) @ LOOKS_DOWN
+    above = np.broadcast_to(heights(rays0[:, 0], rays0[:, 1]), len(rays0))
+    rays1 = ((1.0 - above)[:, None] * rays0 - WAY) @ LOOKS_DOWN
     rays1 = rays1 / rays1[:, 2:]
     rays1[:, :2] += noise_px.reshape(-1, 2) / FOCAL_PX
-    motion = fit_motion(Sightings(rays0, rays1, LOOKS_DOWN, FOCAL_PX), PRIOR, 3.0)
+    motion = fit_motion(
+        Sightings(rays0, rays1, LOOKS_DOWN, FOCAL_PX), replace(PRIOR, bend=bend), 3.0
+    )
     assert motion is not None
     return motion
 
@@ -51,3 +59,26 @@ def test_exact_tracks_stay_as_sure_as_their_least_noise():
     motion = moved(np.zeros((12, 12, 2)))
     assert motion.way == pytest.approx(WAY, abs=1e-5)
     assert motion.sigma_px == PRIOR.pixel
+
+
+@pytest.mark.parametrize(
+    "heights", [lambda x, y: 0.05 * x * x, lambda x, y: -0.06 * x * y, lambda x, y: 0.04 * y * y]
+)
+def test_ground_that_bends_turns_no_way(heights):
+    noise_px = 0.3 * np.random.default_rng(1).normal(size=(12, 12, 2))
+    motion, level = moved(noise_px, heights), moved(noise_px)
+    sigmas = np.sqrt(np.diag(motion.covariance)[:3])
+    assert np.all(np.abs(motion.way - level.way) < 0.5 * sigmas)
+    assert motion.relief == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("high", [0.06, 0.12, 0.24])
+def test_the_relief_of_woods_and_clearings_is_told_and_that_of_level_ground_is_none(high):
+    def woods(x, y):
+        return high * ((np.floor(3.0 * x) + np.floor(3.0 * y)) % 2.0)
+
+    noise_px = 0.4 * np.random.default_rng(2).normal(size=(12, 12, 2))
+    about = moved(noise_px, woods).relief
+    assert about is not None
+    assert 0.3 * high < about < high
+    assert moved(noise_px).relief == pytest.approx(0.0, abs=0.012)

@@ -20,11 +20,8 @@ RELIEF = [
         ("ground that rises by 11 %", Relief(slope_ne=(0.1, 0.05)), 0.0),
         ("ground that falls by 11 %", Relief(slope_ne=(-0.05, -0.1)), 0.0),
         ("ground that rises by 22 %", Relief(slope_ne=(0.2, 0.1)), 0.0),
-        ("hills of 4 m, one sigma", Relief(hills_m=4.0), 100.0),
         ("hills of 4 m, one sigma", Relief(hills_m=4.0), 0.0),
         ("woods of 12 m", Relief(woods_m=12.0), 100.0),
-        ("woods of 12 m", Relief(woods_m=12.0), 0.0),
-        ("wooded hills", Relief(hills_m=4.0, woods_m=12.0), 100.0),
         ("wooded hills", Relief(hills_m=4.0, woods_m=12.0), 0.0),
     )
 ]
