@@ -36,6 +36,7 @@ _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _LEAN_DOUBT_RAD = 0.15
+_ALIKE = 5.0  # fixes within two seconds
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
@@ -225,9 +226,10 @@ def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
 def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
     """Of an image whose ways contradict the IMU: it may be from another moment than it says.
 
-    The aircraft was elsewhere then, and leaned otherwise.
+    The aircraft was elsewhere then, and leaned otherwise: as it does for a second or two, so that
+    neighbours are off alike.
     """
     flown_m = _DATE_OFF_S * state.x[States.VELOCITY_NE]
     leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
     doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
-    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
+    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + _ALIKE * doubt_m2)
