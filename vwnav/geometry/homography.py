@@ -81,7 +81,7 @@ def grown_homography(uv0: Array, uv1: Array, H_1_0: Array, threshold_px: float) 
         H_1_0: (3, 3) to begin with, good to some thresholds.
         threshold_px: largest error in image 1 of an inlier.
     """
-    unit0, unit1 = _to_unit(uv0), _to_unit(uv1)
+    unit0, unit1 = to_unit(uv0), to_unit(uv1)
     x = np.column_stack([uv0, np.ones(len(uv0))]) @ unit0.T
     u, v = transform_points(unit1, uv1).T
     # With rows h of H, u (h3.x) = h1.x and v (h3.x) = h2.x: all that the normal equations need
@@ -108,8 +108,8 @@ def grown_homography(uv0: Array, uv1: Array, H_1_0: Array, threshold_px: float) 
     return RobustFit(H / H[2, 2], inliers, int(np.count_nonzero(inliers)))
 
 
-def _to_unit(uv: Array) -> Array:
-    """Similarity (3, 3) that centres points (n, 2) and brings them to unit size."""
+def to_unit(uv: Array) -> Array:
+    """Similarity (3, 3) that centres points (n, 2) and brings them to unit size: conditioning."""
     centre = uv.mean(axis=0)
     size = max(float(np.sqrt(np.mean((uv - centre) ** 2))), 1e-9)
     scale = 1.0 / size

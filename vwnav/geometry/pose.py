@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.geometry.camera import Rectification
-from vwnav.geometry.homography import transform_points
+from vwnav.geometry.homography import to_unit, transform_points
 from vwnav.types import Array
 
 _CROSS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -223,12 +223,12 @@ def linearised(
     In pixels that are centred and scaled, of image 1 as well: that only changes the unknowns.
     None where the numbers make no fit.
     """
-    to_unit, mapped = _to_unit(uv0), transform_points(H_1_0, uv0)
-    points, at = transform_points(to_unit, uv0), transform_points(to_unit, at_uv)
+    unit, mapped = to_unit(uv0), transform_points(H_1_0, uv0)
+    points, at = transform_points(unit, uv0), transform_points(unit, at_uv)
     error_px = (uv1 - mapped).ravel()
     if not homography:
         return Linearised(uv0, error_px, _similarity_design(points), _similarity_design(at))
-    H_unit = _to_unit(mapped) @ H_1_0 @ np.linalg.inv(to_unit)
+    H_unit = to_unit(mapped) @ H_1_0 @ np.linalg.inv(unit)
     if not abs(H_unit[2, 2]) > 1e-12 * np.abs(H_unit).max():
         return None
     H_unit /= H_unit[2, 2]
@@ -289,15 +289,6 @@ def with_regions(scatter: Array, regional: Array) -> Array:
     variances, axes = np.linalg.eigh(whitened)
     told = np.where(variances > _HEARD, variances, 1.0)
     return np.asarray((root @ axes) * told @ (root @ axes).T)
-
-
-def _to_unit(uv: Array) -> Array:
-    """Homography (3, 3) that centres the points and brings them to unit size, for conditioning."""
-    centre = np.mean(uv, axis=0)
-    size = max(float(np.sqrt(np.mean((uv - centre) ** 2))), 1e-9)
-    return np.array(
-        [[1 / size, 0.0, -centre[0] / size], [0.0, 1 / size, -centre[1] / size], [0.0, 0.0, 1.0]]
-    )
 
 
 def _homography_design(points: Array, H: Array) -> Array:

@@ -60,18 +60,14 @@ class Taken:
     Attributes:
         K: (3, 3) of its camera.
         size_wh: width and height of the whole image.
+        contrast: standard deviation of the gray values.
     """
 
     def __init__(self, gray: Gray, K: Array) -> None:
         self._halved = [gray]
         self.K = K
         self.size_wh: tuple[int, int] = gray.shape[::-1]
-
-    @property
-    def contrast(self) -> float:
-        """Standard deviation of the gray values."""
-        _, deviation = cv2.meanStdDev(self._halved[0])
-        return float(deviation[0, 0])
+        self.contrast = float(cv2.meanStdDev(gray)[1][0, 0])
 
     def at_scale(self, scale: float) -> tuple[Gray, Array]:
         """The image halved until a warp by `scale` shrinks it little more.
