@@ -11,6 +11,10 @@ half. Which of them it is, matches between two dates do not say; the map itself 
 repeats. Each landmark of a registration is looked for elsewhere: what is nearly as like to it as
 the query's feature is could have been matched as well. Where most landmarks have their like at one
 and the same shift, the query may be there too.
+
+From image to image, where little has changed, corners are followed by pyramidal Lucas-Kanade with a
+check backwards. Dense flow and matching of ORB, SIFT or learned features between the same images
+are slower and no more exact (docs/estimation.md has the table).
 """
 
 import math
@@ -20,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.homography import transform_points
-from vwnav.types import Array, Features
+from vwnav.types import Array, Features, Gray
 
 CHUNK = 8192  # map features compared at once: 1000 x 8192 float32 are 32 MB
 BITS_PER_BYTE = 8
@@ -33,7 +37,14 @@ MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
 MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 MIN_SHIFT_PX = 8.0  # what is nearer is the same place
 SHIFT_CELL_PX = 4.0  # of the table of shifts, of which 3 x 3 are taken together
+_WINDOW_PX = 15  # of a corner that is followed
+_LEVELS = 3
+_FORTH_AND_BACK_PX = 0.7
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+_LEAST_RESPONSE = 2e-5  # smaller eigenvalue of the gradients, gray from 0 to 1: above sensor noise
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
+Points = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 
 
 def match(frame: Features, map_: Features, *, min_similarity: float = -1.0) -> NDArray[np.int64]:
@@ -249,3 +260,69 @@ def _peak(shifts: Array) -> Array:
     )
     v, u = np.unravel_index(int(np.argmax(summed)), shape)
     return np.asarray(origin + SHIFT_CELL_PX * (np.array([u, v]) + 0.5))
+
+
+def find_corners(gray: Gray, cell_px: int) -> Points:
+    """The strongest corner (n, 2) of each cell of the image, if it is one (Shi and Tomasi 1994).
+
+    One per cell spreads them evenly, which is what tells tilting from moving.
+    """
+    response = cv2.cornerMinEigenVal(gray, 5)
+    margin = _WINDOW_PX // 2
+    rows, columns = ((size - 2 * margin) // cell_px for size in gray.shape)
+    if rows < 1 or columns < 1:
+        return np.zeros((0, 2), np.float32)
+    inner = response[margin : margin + rows * cell_px, margin : margin + columns * cell_px]
+    cells = inner.reshape(rows, cell_px, columns, cell_px).transpose(0, 2, 1, 3)
+    flat = cells.reshape(rows * columns, cell_px * cell_px)
+    best = np.argmax(flat, axis=1)
+    strong = np.flatnonzero(flat[np.arange(len(flat)), best] > _LEAST_RESPONSE)
+    u = margin + (strong % columns) * cell_px + best[strong] % cell_px
+    v = margin + (strong // columns) * cell_px + best[strong] // cell_px
+    return np.column_stack([u, v]).astype(np.float32)
+
+
+def track(gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points) -> tuple[Points, BoolArray]:
+    """Follow points from image 0 to image 1.
+
+    Args:
+        gray0: image 0.
+        gray1: image 1, of the same size.
+        uv0: (n, 2) where they are in image 0.
+        guess_uv1: (n, 2) where they are thought to be in image 1.
+
+    Returns:
+        (n, 2) where they are, and (n,) whether they came back to where they started.
+    """
+    height, width = gray1.shape
+    inside = np.all((guess_uv1 >= 0) & (guess_uv1 <= (width - 1, height - 1)), axis=1)
+    uv1 = guess_uv1.copy()
+    kept = np.zeros(len(uv0), dtype=np.bool_)
+    if not np.any(inside):
+        return uv1, kept
+    start, guess = np.ascontiguousarray(uv0[inside]), np.ascontiguousarray(guess_uv1[inside])
+    forth, found = _lucas_kanade(gray0, gray1, start, guess)
+    # Backwards from the same guess of the motion, not from the answer, or any answer would agree.
+    back, found_back = _lucas_kanade(gray1, gray0, forth, forth - (guess - start))
+    good = found & found_back & (np.max(np.abs(back - start), axis=1) < _FORTH_AND_BACK_PX)
+    uv1[inside] = forth
+    kept[inside] = good
+    return uv1, kept
+
+
+def _lucas_kanade(
+    gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points
+) -> tuple[Points, BoolArray]:
+    uv1, status, _ = cv2.calcOpticalFlowPyrLK(
+        gray0,
+        gray1,
+        uv0,
+        guess_uv1.copy(),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=_LEVELS,
+        criteria=_STOP,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    points = np.asarray(uv1, dtype=np.float32).reshape(-1, 2)
+    found = status.ravel().astype(np.bool_) & np.all(np.isfinite(points), axis=1)
+    return points, found

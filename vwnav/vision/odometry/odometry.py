@@ -29,20 +29,18 @@ from vwnav.types import (
     RejectReason,
 )
 from vwnav.vision.config import OdometryConfig
+from vwnav.vision.matching import Points, find_corners, track
 from vwnav.vision.odometry.alone import centre_way
 from vwnav.vision.odometry.ground_motion import (
     Motion,
     MotionPrior,
-    Points,
     Sightings,
     TiltSeen,
-    find_corners,
     fit_motion,
     reduced_gray,
     reduction,
     slope_seen,
     tilt_seen,
-    track,
 )
 from vwnav.vision.shutter import as_at_once, ray_flow
 
