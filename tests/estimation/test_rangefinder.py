@@ -102,7 +102,7 @@ def test_a_house_below_is_believed_of_its_word_where_no_fix_tells_and_only_on_th
     assert hovering.agl_m == pytest.approx(AGL_M, abs=1.0)
 
 
-@pytest.mark.parametrize("climb_m_s2", [0.6, 0.9, 2.0])
+@pytest.mark.parametrize("climb_m_s2", [0.3, 0.6, 0.9, 2.0])
 def test_one_that_is_stuck_does_not_draw_a_slow_climb_along(climb_m_s2):
     """Each that says too little is inside its gate: 1 m of 2 was lost so, and the rest freed."""
     ekf, said, speed_m_s, height_m = Ekf(EkfConfig()), [], 0.0, 0.0
@@ -123,4 +123,4 @@ def test_one_that_is_stuck_does_not_draw_a_slow_climb_along(climb_m_s2):
             ekf.handle(Range(t_s, 0.2))
         ekf.estimate(t_s)
     assert said == ["the rangefinder contradicts map and barometer: it is not believed"]
-    assert ekf.estimate(t_s).agl_m == pytest.approx(0.2 + height_m, abs=0.5)
+    assert ekf.estimate(t_s).agl_m == pytest.approx(0.2 + height_m, abs=1.0)

@@ -46,9 +46,8 @@ _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 class Ekf:
     """Error-state filter over the autopilot's attitude, barometer and rangefinder, odometry, fixes.
 
-    Not thread-safe: one thread, or a lock around it. `estimate` tells it the time; a measurement
-    far ahead of the newest time known is refused. No measurement ever raises: what is not sensible
-    is refused and said so.
+    Not thread-safe: one thread, or a lock around it. `estimate` tells it the time; what is far
+    ahead of it is refused. No measurement ever raises: what is not sensible is refused and said so.
 
     Attributes:
         counts_heading: a video alone: its attitude is level, with the heading of odometry.
@@ -171,8 +170,9 @@ class Ekf:
         """The rangefinder is believed again, or not any more: nor what it drew the height to."""
         assert self._timeline is not None
         if not again:
+            newest = self._timeline.newest
             self._timeline.leave_out(Range)
-            self._insert(RangeDoubted(self._timeline.newest.t_s))
+            self._insert(RangeDoubted(newest.t_s, newest.range_trust.drawn_m))
         self._say(_RANGE_AGAIN if again else _RANGE_DOUBTED)
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:

@@ -92,9 +92,13 @@ class Misled:
 
 @dataclass(frozen=True, slots=True)
 class RangeDoubted:
-    """From then on the rangefinder is not believed, nor is what it told in the history."""
+    """From then on the rangefinder is not believed, nor is what it told in the history.
+
+    Before that it may have drawn the height by so much.
+    """
 
     t_s: float
+    drawn_m: float
 
 
 Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked

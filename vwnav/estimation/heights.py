@@ -36,9 +36,7 @@ _FIX_TELLS_S = 5.0  # the height, for so long
 _HIGHEST_STEP_M = 5.0  # of the ground: a house, a wall, a bank
 _STEEPEST = 1.0  # it rises, per metre flown since the rangefinder last agreed
 _HOLLOW_M = 0.3  # and as much without any way
-_DRAWN_SHARE = 0.1  # of the newest, in what the rangefinder draws the height to
-_MOST_DRAWN = 4.0  # sigmas: more of one says no more
-_DRAWN_SIGMAS = 1.5  # from where on they are no chance, nor its lag in a climb
+_DRAWN_S, _DRAWN_SIGMAS = 10.0, 4.0  # within so long they draw the bias along by no more
 _AGREES_S = 3.0  # for so long one that was doubted must agree again
 _PLACE = tuple(range(States.SIZE))[States.POSITION_NE]
 _STILL_S = 0.2
@@ -152,11 +150,11 @@ def _weighed(
 ) -> tuple[FilterState, Innovation]:
     """Believe it, refuse it, or doubt the rangefinder from now on."""
     fused, innovation = fuse(state, measurement)
-    sigmas = math.copysign(math.sqrt(innovation.nis or 0.0), float(measurement.residual[0]))
-    drawn = state.range_trust.drawn_sigmas
-    drawn += _DRAWN_SHARE * (min(max(sigmas, -_MOST_DRAWN), _MOST_DRAWN) - drawn)
-    trust = replace(state.range_trust, drawn_sigmas=drawn)
-    agrees = innovation.verdict is Verdict.FUSED and abs(drawn) < _DRAWN_SIGMAS
+    trust, drawn_m = state.range_trust, _drawn_m(state, config)
+    if drawn_m > 0.0:
+        state = replace(state, range_trust=replace(trust, drawn_m=drawn_m))
+        return apply_doubt(state), replace(innovation, verdict=Verdict.DOUBTED)
+    agrees = innovation.verdict is Verdict.FUSED
     if trust.doubted_s is not None:
         since_s = trust.doubted_s if agrees else state.t_s
         state = replace(state, range_trust=replace(trust, doubted_s=since_s))
@@ -164,32 +162,65 @@ def _weighed(
             return state, replace(innovation, verdict=Verdict.DOUBTED)
     if agrees:
         north_m, east_m = state.x[States.POSITION_NE].tolist()
-        return replace(fused, range_trust=RangeTrust((north_m, east_m), None, drawn)), innovation
+        barometer = _barometer(state)
+        return replace(
+            fused, range_trust=RangeTrust((north_m, east_m), None, barometer)
+        ), innovation
     rejected = remember(trust.rejected, state.t_s, measurement, config.dispute_window_s)
     if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
-        refused = replace(innovation, verdict=Verdict.GATED)
-        return replace(state, range_trust=replace(trust, rejected=rejected)), refused
+        return replace(state, range_trust=replace(trust, rejected=rejected)), innovation
     off_m = abs(float(measurement.residual[0]))
     if off_m > _most_step_m(state):
         state = replace(state, range_trust=trust)
         return apply_doubt(state), replace(innovation, verdict=Verdict.DOUBTED)
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
-    state = replace(correct(state, measurement), range_trust=RangeTrust(trust.agreed_ne_m))
+    state = replace(correct(state, measurement), range_trust=replace(trust, rejected=()))
     return state, replace(innovation, verdict=Verdict.RELOCATED)
 
 
-def apply_doubt(state: FilterState) -> FilterState:
-    """Do not believe the rangefinder until it has agreed for a while."""
-    trust = replace(state.range_trust, doubted_s=state.t_s, rejected=())
-    return replace(state, range_trust=trust)
+def _barometer(state: FilterState) -> tuple[float, float, float]:
+    """What its bias was some seconds ago, or is."""
+    before = state.range_trust.barometer
+    if before is not None and state.t_s - before[0] < _DRAWN_S:
+        return before
+    return state.t_s, float(state.x[States.BARO]), float(state.P[States.BARO, States.BARO])
+
+
+def _drawn_m(state: FilterState, config: EkfConfig) -> float:
+    """By how much distances have moved the barometer's bias, if by more than weather does.
+
+    Where a fix tells the height the barometer is not their only witness.
+    """
+    if state.range_trust.barometer is None or _fix_tells(state):
+        return 0.0
+    since_s, bias_m, variance = state.range_trust.barometer
+    span_s = state.t_s - since_s
+    climbed_m = abs(float(state.x[States.VELOCITY_DOWN])) * span_s
+    variance += config.baro_walk_m**2 * span_s + config.baro_climb_walk_m**2 * climbed_m
+    moved_m = abs(float(state.x[States.BARO]) - bias_m)
+    return moved_m if moved_m > _DRAWN_SIGMAS * math.sqrt(variance) else 0.0
+
+
+def apply_doubt(state: FilterState, drawn_m: float = 0.0) -> FilterState:
+    """Do not believe the rangefinder until it has agreed for a while.
+
+    Height and barometer are as unsure, together, as by what it may have drawn them.
+    """
+    trust = replace(state.range_trust, doubted_s=state.t_s, rejected=(), barometer=None)
+    G = np.zeros(States.SIZE)
+    G[[States.DOWN, States.BARO]] = drawn_m
+    return replace(state, P=state.P + np.outer(G, G), range_trust=trust)
+
+
+def _fix_tells(state: FilterState) -> bool:
+    return state.t_last_fix_s is not None and state.t_s - state.t_last_fix_s < _FIX_TELLS_S
 
 
 def _most_step_m(state: FilterState) -> float:
     """By how much the ground below may have stepped, for all that others know."""
-    told = state.t_last_fix_s is not None and state.t_s - state.t_last_fix_s < _FIX_TELLS_S
     agreed_ne_m = state.range_trust.agreed_ne_m
-    if told or agreed_ne_m is None:
+    if agreed_ne_m is None or _fix_tells(state):
         return 0.0
     way_m = math.dist(agreed_ne_m, state.x[States.POSITION_NE].tolist())
     return min(_HOLLOW_M + _STEEPEST * way_m, _HIGHEST_STEP_M)

@@ -94,14 +94,16 @@ class RangeTrust:
     Attributes:
         agreed_ne_m: where it last agreed, None before.
         doubted_s: when it last contradicted them while it is not believed; None while it is.
-        drawn_sigmas: what the newest ones say on average beyond what is predicted: one that says
-            too little in a climb again and again draws the height along, each inside its gate.
+        barometer: time, bias of the barometer and its variance some seconds ago, by which it is
+            seen whether distances, each inside its gate, draw height and bias along; None before.
+        drawn_m: by so much they had when it was doubted.
         rejected: refused since the last accepted one.
     """
 
     agreed_ne_m: tuple[float, float] | None = None
     doubted_s: float | None = None
-    drawn_sigmas: float = 0.0
+    barometer: tuple[float, float, float] | None = None
+    drawn_m: float = 0.0
     rejected: RejectedInnovations = ()
 
 

@@ -160,8 +160,8 @@ def _corrected(
             return apply_untracked(state, config), Innovation(Verdict.FUSED)
         case Misled():
             return apply_misled(state, event, config), Innovation(Verdict.FUSED)
-        case RangeDoubted():
-            return apply_doubt(state), Innovation(Verdict.FUSED)
+        case RangeDoubted(_, drawn_m):
+            return apply_doubt(state, drawn_m), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():
