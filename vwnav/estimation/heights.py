@@ -152,26 +152,25 @@ def _weighed(
     fused, innovation = fuse(state, measurement)
     trust, drawn_m = state.range_trust, _drawn_m(state, config)
     if drawn_m > 0.0:
-        state = replace(state, range_trust=replace(trust, drawn_m=drawn_m))
-        return apply_doubt(state), replace(innovation, verdict=Verdict.DOUBTED)
+        return apply_doubt(state, drawn_m), replace(innovation, verdict=Verdict.DOUBTED)
     agrees = innovation.verdict is Verdict.FUSED
     if trust.doubted_s is not None:
+        # Height and barometer are open to it now, so that almost anything would be in the gate.
+        near_m2 = CHI_SQUARE_GATE[1] * float(measurement.R[0, 0]) + trust.drawn_m**2
+        agrees = agrees and float(measurement.residual[0]) ** 2 <= near_m2
         since_s = trust.doubted_s if agrees else state.t_s
         state = replace(state, range_trust=replace(trust, doubted_s=since_s))
         if state.t_s - since_s < _AGREES_S:
             return state, replace(innovation, verdict=Verdict.DOUBTED)
     if agrees:
         north_m, east_m = state.x[States.POSITION_NE].tolist()
-        barometer = _barometer(state)
-        return replace(
-            fused, range_trust=RangeTrust((north_m, east_m), None, barometer)
-        ), innovation
+        trust = RangeTrust((north_m, east_m), barometer=_barometer(state))
+        return replace(fused, range_trust=trust), innovation
     rejected = remember(trust.rejected, state.t_s, measurement, config.dispute_window_s)
     if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
         return replace(state, range_trust=replace(trust, rejected=rejected)), innovation
     off_m = abs(float(measurement.residual[0]))
     if off_m > _most_step_m(state):
-        state = replace(state, range_trust=trust)
         return apply_doubt(state), replace(innovation, verdict=Verdict.DOUBTED)
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
@@ -207,7 +206,7 @@ def apply_doubt(state: FilterState, drawn_m: float = 0.0) -> FilterState:
 
     Height and barometer are as unsure, together, as by what it may have drawn them.
     """
-    trust = replace(state.range_trust, doubted_s=state.t_s, rejected=(), barometer=None)
+    trust = RangeTrust(state.range_trust.agreed_ne_m, state.t_s, drawn_m=drawn_m)
     G = np.zeros(States.SIZE)
     G[[States.DOWN, States.BARO]] = drawn_m
     return replace(state, P=state.P + np.outer(G, G), range_trust=trust)
