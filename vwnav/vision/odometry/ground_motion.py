@@ -162,34 +162,29 @@ def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]
     And how the prediction moves (n, 2) by the height of a point over the ground, in heights of the
     camera.
     """
-    x, y = seen.rays0[:, 0], seen.rays0[:, 1]
-    a, b = parameters[_SLOPE]
-    depth = seen.rays0[:, 2] + a * x + b * y
+    across = seen.rays0[:, :2]
+    depth = seen.rays0[:, 2] + across @ parameters[_SLOPE]
     plane = seen.rays0 / depth[:, None]
-    level = seen.rays0[:, :2] / seen.rays0[:, 2:]
+    level = across / seen.rays0[:, 2:]
     bends = np.column_stack([level[:, :1] * level, level[:, 1] ** 2])
-    G = plane * (1.0 - bends @ parameters[_BEND])[:, None]
+    lower = 1.0 - bends @ parameters[_BEND]
     R_camera1_ned = (rotation_from_vector(parameters[_PHI]) @ seen.R_ned_camera1).T
-    away = G - parameters[_T]
+    away = plane * lower[:, None] - parameters[_T]
     q = away @ R_camera1_ned.T
     predicted = q[:, :2] / q[:, 2:]
     residuals = seen.focal_px * (seen.rays1[:, :2] - predicted)
 
-    dq = np.empty((len(q), 3, _SIZE))
-    dq[:, :, _T] = -R_camera1_ned
-    # A further turn d of the rotation moves q by R (away x d): the matrices of that product.
-    cross = np.zeros((len(q), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2] = -away[:, 2], away[:, 1]
-    cross[:, 1, 0], cross[:, 1, 2] = away[:, 2], -away[:, 0]
-    cross[:, 2, 0], cross[:, 2, 1] = -away[:, 1], away[:, 0]
-    dq[:, :, _PHI] = R_camera1_ned @ cross
-    dq[:, :, _SLOPE] = -(G @ R_camera1_ned.T)[:, :, None] * (
-        seen.rays0[:, None, :2] / depth[:, None, None]
-    )
-    rise = -(plane @ R_camera1_ned.T)
-    dq[:, :, _BEND] = rise[:, :, None] * bends[:, None]
-    J = seen.focal_px * (dq[:, :2] - predicted[:, :, None] * dq[:, 2:]) / q[:, 2, None, None]
-    per_height = seen.focal_px * (rise[:, :2] - predicted * rise[:, 2:]) / q[:, 2:]
+    # M (n, 2, 3): how the pixels move with the point, in NED.
+    M = R_camera1_ned[:2] - predicted[:, :, None] * R_camera1_ned[2]
+    M *= (seen.focal_px / q[:, 2])[:, None, None]
+    J = np.empty((len(q), 2, _SIZE))
+    J[:, :, _T] = -M
+    # A further turn d of the rotation moves the point by away x d.
+    (m0, m1, m2), (a0, a1, a2) = M.transpose(2, 0, 1), away.T[:, :, None]
+    J[:, :, 3], J[:, :, 4], J[:, :, 5] = m1 * a2 - m2 * a1, m2 * a0 - m0 * a2, m0 * a1 - m1 * a0
+    per_height = -np.einsum("nij,nj->ni", M, plane)  # what is higher by h lies at plane (1 - h)
+    J[:, :, _SLOPE] = per_height[:, :, None] * (across * (lower / depth)[:, None])[:, None]
+    J[:, :, _BEND] = per_height[:, :, None] * bends[:, None]
     return residuals, J, per_height
 
 
