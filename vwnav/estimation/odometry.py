@@ -51,6 +51,7 @@ _TAUGHT = np.r_[
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
+_GRASS_BELOW_M = 10.0  # so low blades and shadows stand out, and nothing tells but them
 _NEWEST = 0.1  # share of the newest image's relief in what is known of it
 _SHORTEST_S = 0.1
 
@@ -99,8 +100,9 @@ def apply_displacement(
     before = state
     keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
     agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
-    if motion.relief is not None:
-        change_m2 = (motion.relief * agl_m) ** 2 - state.relief_m**2
+    relief = motion.relief if agl_m > _GRASS_BELOW_M else 0.0
+    if relief is not None:
+        change_m2 = (relief * agl_m) ** 2 - state.relief_m**2
         state = replace(state, relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
     state, innovation = fuse(state, displacement)
