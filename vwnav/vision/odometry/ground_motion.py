@@ -73,7 +73,11 @@ class Motion:
         way: (3,) NED in units of the height of camera 0 above ground.
         turn_rad: (3,) rotation vector, NED: `exp(turn) @ R_ned_camera1` is the true rotation.
         slope: (2,) rise of the ground per north and east, in the frame of attitude 0.
+        told_slope: the same and its covariance (2, 2) without the prior; None if that was all.
         covariance: (11, 11) of the three, and of what the ground bends by.
+        doubt: times that, for roofs and crowns of trees move on planes of their own: which of them
+            was taken for the ground, and how much the rest pulls at it, the inliers' scatter does
+            not tell.
         inliers: (n,) bool. sigma_px: what the tracks that fit scatter by.
         relief: one sigma of the heights over the ground of what was seen, as a share of the height
             of camera 0; None where the way is too short to tell.
@@ -82,7 +86,9 @@ class Motion:
     way: Array
     turn_rad: Array
     slope: Array
+    told_slope: tuple[Array, Array] | None
     covariance: Array
+    doubt: float
     inliers: BoolArray
     sigma_px: float
     relief: float | None
@@ -124,9 +130,17 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
     covariance *= _hanging_together(seen.rays1[:, :2], scores, covariance)
-    relief = _relief(residuals, per_height, scale_px)
+    doubt = float(np.mean(inliers)) ** -2
     return Motion(
-        parameters[_T], parameters[_PHI], parameters[_SLOPE], covariance, inliers, scale_px, relief
+        parameters[_T],
+        parameters[_PHI],
+        parameters[_SLOPE],
+        _told_slope(parameters[_SLOPE], doubt * covariance[_SLOPE, _SLOPE], prior),
+        covariance,
+        doubt,
+        inliers,
+        scale_px,
+        _relief(residuals, per_height, scale_px),
     )
 
 
@@ -280,16 +294,15 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     return TiltSeen(min(float(along) / variance, 1.0), float(ratio))
 
 
-def slope_seen(motion: Motion, prior: MotionPrior) -> tuple[Array, Array] | None:
+def _told_slope(slope: Array, C: Array, prior: MotionPrior) -> tuple[Array, Array] | None:
     """Rise (2,) of the ground and its covariance, the prior taken out; None if that was all.
 
     A posterior N(m, C) of a prior N(0, s^2) measures K^-1 m to K^-1 C, K = I - C / s^2.
     """
-    C = motion.covariance[_SLOPE, _SLOPE]
     K = np.eye(2) - C / prior.slope**2
     if float(np.linalg.eigvalsh(0.5 * (K + K.T))[0]) < _LEAST_TOLD:
         return None
-    told = np.linalg.solve(K, np.column_stack([motion.slope, C])).astype(np.float64)
+    told = np.linalg.solve(K, np.column_stack([slope, C])).astype(np.float64)
     return told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)
 
 

@@ -39,7 +39,6 @@ from vwnav.vision.odometry.ground_motion import (
     fit_motion,
     reduced_gray,
     reduction,
-    slope_seen,
     tilt_seen,
 )
 from vwnav.vision.shutter import as_at_once, ray_flow
@@ -256,10 +255,8 @@ class Odometry:
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
         axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
         tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, *axes)
-        # Roofs and crowns of trees move on planes of their own: which of them was taken for the
-        # ground, and how much the rest pulls at it, the inliers' own scatter does not tell.
-        unsure = replace(motion, covariance=motion.covariance / (count / stats.matches) ** 2)
-        slope = None if self._alone else slope_seen(unsure, prior)
+        unsure = replace(motion, covariance=motion.doubt * motion.covariance)
+        slope = None if self._alone else motion.told_slope
         return self._accept(keyframe, view, unsure, count, tilt, slope)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
