@@ -432,7 +432,7 @@ def check_law(sent: Estimate, last: Estimate, t_s: float) -> None:
     if sent.reset_counter == last.reset_counter:
         assert moved_m <= LIMITS.max_speed_m_s * span_s + LIMITS.max_jump_m + 1e-9
         assert span_s <= LIMITS.brief_gap_s + LIMITS.settle_s + 0.3
-    else:
+    elif moved_m > math.sqrt(last.covariance[0, 0]):  # inside its sigma it is no other place
         assert sent.covariance[0, 0] <= LIMITS.new_position_sigma_m**2
 
 

@@ -4,7 +4,6 @@ import functools
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,6 +53,8 @@ class Relief:
         self, north_m: NDArray[np.float32], east_m: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Height (h, w) of hills and woods over the slope, at places (h, w)."""
+        import cv2  # the command line names a relief, and does without OpenCV
+
         heights = _heights(self.hills_m, self.woods_m, self.seed)
         where = east_m + np.float32(_HALF_M), north_m + np.float32(_HALF_M)
         return np.asarray(
@@ -76,6 +77,8 @@ def _heights(hills_m: float, woods_m: float, seed: int) -> NDArray[np.float32]:
 
 def _noise(rng: np.random.Generator, node_m: int) -> NDArray[np.float32]:
     """Smooth, of unit variance: cubic between random nodes."""
+    import cv2
+
     side_m = 2 * _HALF_M
     nodes = rng.standard_normal((math.ceil(side_m / node_m) + 3,) * 2).astype(np.float32)
     side = len(nodes) * node_m

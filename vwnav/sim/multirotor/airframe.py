@@ -15,6 +15,7 @@ ROTOR_MAX_N = MASS_KG * GRAVITY_M_S2 / 2.0  # thrust to weight 2: hovers at half
 ROTOR_LAG_S = 0.025
 YAW_MOMENT_M = 0.05  # drag moment of a rotor per newton of thrust
 ANGULAR_DRAG_PER_S = 0.4
+_STANDS_M = 0.005  # so much higher than the ground it stands: a slope falls away below who slides
 
 
 class Airframe:
@@ -141,11 +142,10 @@ class Airframe:
         fn = -lift * r02 - drag * un
         fe = -lift * r12 - drag * ue
         fd = -lift * r22 - drag * ud
-        agl_m = self.agl_m
-        low = agl_m <= 0.0
+        low = self.agl_m <= _STANDS_M
         self.on_ground = low and fd + GRAVITY_M_S2 >= 0.0
         if self.on_ground:
-            self._touch(agl_m, dt_s)
+            self._touch(dt_s)
             fn, fe, fd = 0.0, 0.0, -GRAVITY_M_S2
         else:
             if low:
@@ -160,13 +160,13 @@ class Airframe:
         self.ayb = r01 * fn + r11 * fe + r21 * fd
         self.azb = r02 * fn + r12 * fe + r22 * fd
 
-    def _touch(self, agl_m: float, dt_s: float) -> None:
-        """It slides to rest; legs level what it stands on."""
+    def _touch(self, dt_s: float) -> None:
+        """It slides to rest along the ground; legs level what it stands on."""
         friction = max(0.0, 1.0 - 8.0 * dt_s)
         self.vn *= friction
         self.ve *= friction
         self.vd = 0.0
-        self.d += agl_m
+        self.d += self.agl_m
 
 
 def turned(
