@@ -10,6 +10,7 @@ RELIEF = [
         setup=setup(None, relief=relief, range_most_m=most_m),
         breaks=(),
         limit_s=260.0,
+        follows=(phase(120.0, "on route"),),
         lands_within_m=3.0,
         lands_at_ne_m=(0.0, 0.0),
     )

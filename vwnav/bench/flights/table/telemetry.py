@@ -69,6 +69,7 @@ RANGEFINDER = [
             setup=setup(None),
             breaks=(Break(fault=fault, at_s=0.0),),
             limit_s=260.0,
+            follows=(phase(120.0, "on route"),),
             lands_within_m=3.0,
             lands_at_ne_m=(0.0, 0.0),
         )
