@@ -325,6 +325,18 @@ def test_no_setpoint_disturbs_the_autopilots_own_take_off():
     assert scene.vehicle.setpoints == 0
 
 
+@pytest.mark.parametrize(("in_air", "goes"), [(True, True), (False, False)])
+def test_a_take_off_that_ends_lower_than_believed_has_ended_once_it_rises_no_more(in_air, goes):
+    """Barometer or rangefinder show too little: the autopilot hovers at its own height."""
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.position = np.array([0.0, 0.0, -2.6])
+    scene.vehicle.be(mode=FlightMode.OFFBOARD, in_air=in_air)  # ArduCopter's GUIDED
+    scene.go_on(2.0)
+    assert "offboard" not in scene.vehicle.asked
+    scene.go_on(4.0)
+    assert ("offboard" in scene.vehicle.asked) is goes
+
+
 @pytest.mark.parametrize("answers_after", [1, 30])
 def test_a_pilot_who_takes_over_while_offboard_is_asked_for_has_the_aircraft(answers_after):
     scene = Scene()

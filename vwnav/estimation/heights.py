@@ -37,6 +37,7 @@ _HIGHEST_STEP_M = 5.0  # of the ground: a house, a wall, a bank
 _STEEPEST = 1.0  # it rises, per metre flown since the rangefinder last agreed
 _HOLLOW_M = 0.3  # and as much without any way
 _DRAWN_S, _DRAWN_SIGMAS = 10.0, 4.0  # within so long they draw the bias along by no more
+_BAROMETER_OFF_M = 8.0  # what weather, gusts and rotors do to it within a flight, at most
 _AGREES_S = 3.0  # for so long one that was doubted must agree again
 _PLACE = tuple(range(States.SIZE))[States.POSITION_NE]
 _STILL_S = 0.2
@@ -76,7 +77,9 @@ def apply_height(
     if state.height_stepped:
         state = freed(state, States.BARO, open_m)
     else:
-        state = freed(freed(state, States.DOWN, open_m), States.VELOCITY_DOWN, _CLIMB_SIGMA_M_S)
+        # Whether the keyframe's height was believed wrong too is not known.
+        state = freed(freed(state, States.DOWN, open_m), States.ANCHOR_DOWN, open_m)
+        state = freed(state, States.VELOCITY_DOWN, _CLIMB_SIGMA_M_S)
     fused = replace(correct(state, measurement), rejected_heights=(), height_stepped=False)
     return fused, replace(innovation, verdict=Verdict.RELOCATED)
 
@@ -155,13 +158,12 @@ def _weighed(
         return apply_doubt(state, drawn_m), replace(innovation, verdict=Verdict.DOUBTED)
     agrees = innovation.verdict is Verdict.FUSED
     if trust.doubted_s is not None:
-        # Height and barometer are open to it now, so that almost anything would be in the gate.
-        near_m2 = CHI_SQUARE_GATE[1] * float(measurement.R[0, 0]) + trust.drawn_m**2
-        agrees = agrees and float(measurement.residual[0]) ** 2 <= near_m2
+        agrees = agrees and _borne(state, measurement)
         since_s = trust.doubted_s if agrees else state.t_s
         state = replace(state, range_trust=replace(trust, doubted_s=since_s))
         if state.t_s - since_s < _AGREES_S:
-            return state, replace(innovation, verdict=Verdict.DOUBTED)
+            return _torn(state, measurement), replace(innovation, verdict=Verdict.DOUBTED)
+        trust = state.range_trust
     if agrees:
         north_m, east_m = state.x[States.POSITION_NE].tolist()
         trust = RangeTrust((north_m, east_m), barometer=_barometer(state))
@@ -176,6 +178,35 @@ def _weighed(
     state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
     state = replace(correct(state, measurement), range_trust=replace(trust, rejected=()))
     return state, replace(innovation, verdict=Verdict.RELOCATED)
+
+
+def _borne(state: FilterState, measurement: Measurement) -> bool:
+    """Whether what is in its gate bears a rangefinder that is doubted.
+
+    Between it and the barometer a fix decides: height and bias are open to both until then.
+    """
+    if state.range_trust.drawn_m > 0.0:
+        return _fix_tells(state)
+    near_m2 = CHI_SQUARE_GATE[1] * float(measurement.R[0, 0])
+    return float(measurement.residual[0]) ** 2 <= near_m2
+
+
+def _torn(state: FilterState, measurement: Measurement) -> FilterState:
+    """While rangefinder and barometer part, the height is as unsure as they are apart."""
+    trust, off_m = state.range_trust, abs(float(measurement.residual[0]))
+    off_m = min(off_m, _BAROMETER_OFF_M)
+    if trust.drawn_m == 0.0 or off_m <= trust.drawn_m or _fix_tells(state):
+        return state
+    more_m = math.sqrt(off_m**2 - trust.drawn_m**2)
+    return replace(_opened(state, more_m), range_trust=replace(trust, drawn_m=off_m))
+
+
+def _opened(state: FilterState, off_m: float) -> FilterState:
+    """Height and barometer, together, may be wrong by so much more: then and at the keyframe."""
+    G = np.zeros(States.SIZE)
+    G[[States.DOWN, States.ANCHOR_DOWN, States.BARO]] = off_m
+    G[States.EXPOSED_AGL] = -off_m
+    return replace(state, P=state.P + np.outer(G, G))
 
 
 def _barometer(state: FilterState) -> tuple[float, float, float]:
@@ -207,9 +238,7 @@ def apply_doubt(state: FilterState, drawn_m: float = 0.0) -> FilterState:
     Height and barometer are as unsure, together, as by what it may have drawn them.
     """
     trust = RangeTrust(state.range_trust.agreed_ne_m, state.t_s, drawn_m=drawn_m)
-    G = np.zeros(States.SIZE)
-    G[[States.DOWN, States.BARO]] = drawn_m
-    return replace(state, P=state.P + np.outer(G, G), range_trust=trust)
+    return replace(_opened(state, drawn_m), range_trust=trust)
 
 
 def _fix_tells(state: FilterState) -> bool:

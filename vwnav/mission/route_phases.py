@@ -15,6 +15,8 @@ from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
 
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 _REACHED = 0.85  # of the height asked for: the autopilot's take-off is over
+_RISES_M = 0.3  # within 3 s, else it has ended whatever height we believe: slower than any
+_RISES_S = 3.0  # take-off, more than a hover in gusts
 
 
 class RoutePhases:
@@ -48,6 +50,8 @@ class RoutePhases:
         self._fixes = 0
         self._before: Estimate | None = None
         self._offboard: Request | None = None
+        self._rose_to_m = 0.0
+        self._rose_s = 0.0
 
     @property
     def home_ne_m(self) -> Array | None:
@@ -135,7 +139,10 @@ class RoutePhases:
             return Next(Phase.DONE, reason) if shown else None
         if self._offboard is not None:
             return self._ask_for_offboard(self._offboard)
-        hovers = vehicle.mode is FlightMode.HOLD and height_m > 0.3 * wanted_m
+        if height_m > self._rose_to_m + _RISES_M:
+            self._rose_to_m, self._rose_s = height_m, since_s
+        rests = vehicle.in_air and since_s - self._rose_s > _RISES_S
+        hovers = (vehicle.mode is FlightMode.HOLD or rests) and height_m > 0.3 * wanted_m
         if height_m >= _REACHED * wanted_m or hovers:
             self._steering.held_ne_m = estimate.position_ned_m[:2].copy()
             self._offboard = self._autopilot.start_offboard()
