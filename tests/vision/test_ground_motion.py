@@ -10,7 +10,9 @@ from vwnav.vision.odometry.ground_motion import Motion, MotionPrior, Sightings, 
 LOOKS_DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # upper edge north
 WAY = np.array([0.08, -0.03, 0.01])
 FOCAL_PX = 380.0
-PRIOR = MotionPrior(tilt_increment_rad=0.003, slope=0.02, bend=0.03, pixel=0.55)
+PRIOR = MotionPrior(
+    tilt_increment_rad=0.003, slope_ne=np.zeros(2), slope=0.02, bend=0.03, pixel=0.55
+)
 
 
 def moved(noise_px: np.ndarray, heights=lambda x, y: 0.0, bend: float = 0.03) -> Motion:

@@ -74,19 +74,24 @@ def test_a_roof_makes_it_less_sure_and_does_not_pull_it_away():
 
 @pytest.mark.parametrize("hfov_deg", [40.0, 70.0, 95.0])
 def test_it_says_how_much_of_a_tilt_that_nobody_told_it_takes_for_motion(hfov_deg):
-    """The camera tilts by 0.2 degrees about its right axis; both attitudes are told to be level."""
+    """The camera tilts by 0.2 degrees about its right axis; told so, and told to be level."""
     camera = Camera.from_hfov(WIDTH, HEIGHT, hfov_deg)
     tilt_rad = math.radians(0.2)
     turn = rotation_from_vector([tilt_rad, 0.0, 0.0])
     still = image(ground(3), 0.0)
     H = camera.K @ turn @ np.linalg.inv(camera.K)
     tilted = cv2.warpPerspective(still, H, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
-    odometry = Odometry(camera, OdometryConfig())
-    odometry.step(Frame(0.0, still, 0), LEVEL, AGL_M)
-    motion = odometry.step(Frame(0.1, tilted, 1), LEVEL, AGL_M)
+    R_body_camera = camera.R_body_camera
+    found = []
+    for R_ned_body in (LEVEL @ R_body_camera @ turn.T @ R_body_camera.T, LEVEL):
+        odometry = Odometry(camera, OdometryConfig())
+        odometry.step(Frame(0.0, still, 0), LEVEL, AGL_M)
+        found.append(odometry.step(Frame(0.1, tilted, 1), R_ned_body, AGL_M))
+    told, motion = found
+    assert isinstance(told, OdometryMotion)
     assert isinstance(motion, OdometryMotion)
-    taken = abs(motion.displacement_ned_m[0]) / (AGL_M * tilt_rad)
-    assert taken == pytest.approx(motion.tilt_share, abs=0.12)
+    taken_m = math.dist(told.displacement_ned_m, motion.displacement_ned_m)
+    assert taken_m / (AGL_M * tilt_rad) == pytest.approx(motion.tilt_share, abs=0.08)
     assert 0.05 < motion.tilt_share <= 1.0
 
 

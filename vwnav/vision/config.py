@@ -80,5 +80,6 @@ class OdometryConfig:
     yaw_sigma_rad: float = 0.003  # what a shared tilt error does to a change of heading
     slope: float = 0.1  # of the ground, with the attitude's own error
     slope_level: float = 0.09  # of a video alone
-    bend: float = 0.015  # of the ground: as high as that, in heights, where seen at 45 degrees
+    slope_change: float = 0.05  # from what the keyframe before has shown
+    bend: float = 0.045  # of the ground: as high as that, in heights, where seen at 45 degrees
     least_agl_m: float = 0.3

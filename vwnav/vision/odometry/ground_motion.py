@@ -55,14 +55,26 @@ class Sightings:
     focal_px: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MotionPrior:
-    """One-sigma of what the attitude leaves open, and of a track."""
+    """One-sigma of what the attitude leaves open, and of a track.
+
+    Attributes:
+        slope_ne: (2,) what the ground is thought to rise by, to one sigma `slope`.
+    """
 
     tilt_increment_rad: float
+    slope_ne: Array
     slope: float
     bend: float
     pixel: float
+
+    @property
+    def mean(self) -> Array:
+        """(11,) of what is fitted; zero for what is left to the images."""
+        mean = np.zeros(_SIZE)
+        mean[_SLOPE] = self.slope_ne
+        return mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +245,7 @@ def _normal(
     known[_SLOPE], known[_BEND] = prior.slope**-2, prior.bend**-2
     flat, twice = J.reshape(-1, _SIZE), np.repeat(weights, 2)
     information = flat.T @ (flat * twice[:, None]) + np.diag(known)
-    gradient = flat.T @ (twice * residuals.ravel()) - known * parameters
+    gradient = flat.T @ (twice * residuals.ravel()) - known * (parameters - prior.mean)
     return information, gradient
 
 
@@ -297,13 +309,13 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
 def _told_slope(slope: Array, C: Array, prior: MotionPrior) -> tuple[Array, Array] | None:
     """Rise (2,) of the ground and its covariance, the prior taken out; None if that was all.
 
-    A posterior N(m, C) of a prior N(0, s^2) measures K^-1 m to K^-1 C, K = I - C / s^2.
+    A posterior N(p + m, C) of a prior N(p, s^2) measures p + K^-1 m to K^-1 C, K = I - C / s^2.
     """
     K = np.eye(2) - C / prior.slope**2
     if float(np.linalg.eigvalsh(0.5 * (K + K.T))[0]) < _LEAST_TOLD:
         return None
-    told = np.linalg.solve(K, np.column_stack([slope, C])).astype(np.float64)
-    return told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)
+    told = np.linalg.solve(K, np.column_stack([slope - prior.slope_ne, C])).astype(np.float64)
+    return prior.slope_ne + told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)
 
 
 def reduction(width_px: int, widest_px: int) -> int:

@@ -46,6 +46,7 @@ from vwnav.vision.shutter import as_at_once, ray_flow
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
 _MOST_ZOOM = 0.5
+_STEEPEST = 0.5  # slope that ground is thought to have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +124,7 @@ class Odometry:
         self._keyframe: _Keyframe | None = None
         self._last: _ReducedView | None = None
         self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._slope_ne: Array | None = None  # of the ground at the keyframe, by the images before
         self._heading_rad = 0.0
 
     def counted_attitude(self, t_s: float) -> Attitude:
@@ -157,7 +159,7 @@ class Odometry:
             keyframe = self._start(last)
             result = self._follow(keyframe, view) if keyframe is not None else result
         if isinstance(result, Rejected):
-            self._keyframe = None
+            self._keyframe = self._slope_ne = None
             self._start(view)
         return result
 
@@ -192,7 +194,7 @@ class Odometry:
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """An image that shows nothing: what comes after it starts anew."""
-        self._keyframe = None
+        self._keyframe = self._slope_ne = None
         return Rejected(t_s, reason, detail)
 
     def _begin(self, view: _ReducedView) -> Rejected:
@@ -260,12 +262,15 @@ class Odometry:
         return self._accept(keyframe, view, unsure, count, tilt, slope)
 
     def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
+        """The ground slopes much as it did before the keyframe; nobody knows how at first."""
         c = self._config
-        if self._alone:
-            return MotionPrior(c.tilt_increment_level_rad, c.slope_level, c.bend, c.sigma_px)
-        turned_rad = abs(wrap_pi(keyframe.heading_rad - view.heading_rad))
-        tilt_rad = math.hypot(c.tilt_increment_rad, c.tilt_rad * turned_rad)
-        return MotionPrior(tilt_rad, c.slope, c.bend, c.sigma_px)
+        tilt_rad, slope = c.tilt_increment_level_rad, c.slope_level
+        if not self._alone:
+            turned_rad = abs(wrap_pi(keyframe.heading_rad - view.heading_rad))
+            tilt_rad, slope = math.hypot(c.tilt_increment_rad, c.tilt_rad * turned_rad), c.slope
+        if self._slope_ne is None:
+            return MotionPrior(tilt_rad, np.zeros(2), slope, c.bend, c.sigma_px)
+        return MotionPrior(tilt_rad, self._slope_ne, c.slope_change, c.bend, c.sigma_px)
 
     def _accept(
         self,
@@ -293,6 +298,7 @@ class Odometry:
             or abs(increment_rad) > self._config.keep_turn_rad
             or abs(motion.way[2]) > self._config.keep_zoom
         ):
+            self._slope_ne = np.clip(motion.slope, -_STEEPEST, _STEEPEST)
             self._start(view)
         return OdometryMotion(
             t0_s=keyframe.view.t_s,
