@@ -34,6 +34,7 @@ _DATE_OFF_S = 0.5  # ... in the time by which images may be dated wrongly
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
+_TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _LEAN_DOUBT_RAD = 0.15
 _ALIKE = 5.0  # fixes within two seconds
@@ -114,6 +115,10 @@ class OdometryGate:
         if not way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s):
             return Verdict.IMPOSSIBLE  # no aircraft flies so far, at the height that is believed
         before, self._newest = self._newest, motion
+        if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
+            return (
+                Verdict.ON_GROUND
+            )  # the flight depends on those of a take-off: none, or good ones
         known = timeline.keyframe_known(motion.t0_s)
         if not known and motion.t0_s < timeline.oldest.t_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
