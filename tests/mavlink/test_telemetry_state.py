@@ -291,7 +291,7 @@ def test_a_range_is_dated_by_its_own_stamp_however_late_it_comes():
         attitude = dict.fromkeys(names, 0.0) | {"time_boot_ms": 20 * i}
         telemetry.handle("ATTITUDE", attitude, 100.0 + 0.02 * i)
     fields = {"time_boot_ms": 700, "min_distance": 0, "max_distance": 10000, "orientation": 25}
-    for centimetres in (1200, 1300):  # the second is the same message once more
+    for centimetres in (10000, 1200, 1300):  # farther than it can see; the same message once more
         telemetry.handle("DISTANCE_SENSOR", fields | {"current_distance": centimetres}, 101.0)
     ranges = [each for each in telemetry.take_measurements() if isinstance(each, Range)]
     assert [each.distance_m for each in ranges] == [12.0]

@@ -10,8 +10,10 @@ from vwnav.estimation.states import (
     Measurement,
     RejectedInnovation,
     RejectedInnovations,
+    States,
 )
 
+BAROMETER_OFF_M = 8.0  # what weather, gusts and rotors do to it within a flight, at most
 _MOST_REMEMBERED = 64  # rejected innovations
 
 
@@ -22,6 +24,24 @@ def freed(state: FilterState, index: int, sigma: float) -> FilterState:
     P[:, index] = 0.0
     P[index, index] = sigma**2
     return replace(state, P=P)
+
+
+def height_opened(state: FilterState, off_m: float) -> FilterState:
+    """Height and barometer, together, may be wrong by so much more: now and at the keyframe."""
+    G = np.zeros(States.SIZE)
+    G[[States.DOWN, States.ANCHOR_DOWN, States.BARO]] = off_m
+    G[States.EXPOSED_AGL] = -off_m
+    return replace(state, P=state.P + np.outer(G, G))
+
+
+def range_doubted(state: FilterState, drawn_m: float = 0.0) -> FilterState:
+    """Do not believe the rangefinder until it has agreed for a while.
+
+    Height and barometer are as unsure, together, as by what it may have drawn them.
+    """
+    drawn_m = min(drawn_m, BAROMETER_OFF_M)
+    trust = state.range_trust.lost(state.t_s, drawn_m)
+    return replace(height_opened(state, drawn_m), range_trust=trust)
 
 
 def remember(

@@ -160,11 +160,7 @@ class Ekf:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if isinstance(seen, Height | Range | Stationary):
             self._attitude_gate.heard(seen.t_s)
-        doubted = self._timeline.newest.range_trust.doubted_s is not None
-        innovation = self._insert(seen)
-        if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
-            self._range_changed(doubted)
-        return innovation
+        return self._insert(seen)
 
     def _range_changed(self, again: bool) -> None:
         """The rangefinder is believed again, or not any more: nor what it drew the height to."""
@@ -172,7 +168,7 @@ class Ekf:
         if not again:
             newest = self._timeline.newest
             self._timeline.leave_out(Range)
-            self._insert(RangeDoubted(newest.t_s, newest.range_trust.drawn_m))
+            self._timeline.insert(RangeDoubted(newest.t_s, newest.range_trust.drawn_m))
         self._say(_RANGE_AGAIN if again else _RANGE_DOUBTED)
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
@@ -311,7 +307,10 @@ class Ekf:
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""
         assert self._timeline is not None
+        doubted = self._timeline.newest.range_trust.doubted
         innovation = self._timeline.insert(event)
+        if self._timeline.newest.range_trust.doubted != doubted:
+            self._range_changed(doubted)
         newest = self._timeline.newest
         why = outside(newest, self._config)
         if why is not None:

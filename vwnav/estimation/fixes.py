@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import agreeing, convinces, freed, remember
+from vwnav.estimation.disputes import agreeing, convinces, freed, range_doubted, remember
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.integrals import Exposure
@@ -284,7 +284,8 @@ def apply_agl(
 ) -> tuple[FilterState, Innovation]:
     """Fuse a height above ground, of a fix or of who stands.
 
-    A cliff or a quarry is refused at first; when several agree, the terrain height is freed.
+    A cliff or a quarry is refused at first; when several agree, the terrain height is freed, and a
+    rangefinder that may have held the height has to bear them, or it would hold it again.
     Heights `by_map` share the errors of its scale and of the focal length, and are those over what
     was matched, roofs or the street.
     """
@@ -303,5 +304,8 @@ def apply_agl(
     open_m = 2.0 * abs(float(measurement.residual[0]))
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
+    trust = state.range_trust
+    if by_map and trust.agreed_ne_m is not None and not trust.doubted:
+        state = range_doubted(state, abs(float(measurement.residual[0])))
     fused = correct(state, measurement)
     return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -13,7 +13,14 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import convinces, freed, remember
+from vwnav.estimation.disputes import (
+    BAROMETER_OFF_M,
+    convinces,
+    freed,
+    height_opened,
+    range_doubted,
+    remember,
+)
 from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, down_axis, level_axes, yaw_of
 from vwnav.estimation.inertial.preintegration import preintegrated
@@ -37,7 +44,7 @@ _HIGHEST_STEP_M = 5.0  # of the ground: a house, a wall, a bank
 _STEEPEST = 1.0  # it rises, per metre flown since the rangefinder last agreed
 _HOLLOW_M = 0.3  # and as much without any way
 _DRAWN_S, _DRAWN_SIGMAS = 10.0, 4.0  # within so long they draw the bias along by no more
-_BAROMETER_OFF_M = 8.0  # what weather, gusts and rotors do to it within a flight, at most
+_CLOSE = 4.0  # two sigmas: those of who measures are closer, again and again
 _AGREES_S = 3.0  # for so long one that was doubted must agree again
 _PLACE = tuple(range(States.SIZE))[States.POSITION_NE]
 _STILL_S = 0.2
@@ -155,10 +162,10 @@ def _weighed(
     fused, innovation = fuse(state, measurement)
     trust, drawn_m = state.range_trust, _drawn_m(state, config)
     if drawn_m > 0.0:
-        return apply_doubt(state, drawn_m), replace(innovation, verdict=Verdict.DOUBTED)
+        return range_doubted(state, drawn_m), replace(innovation, verdict=Verdict.DOUBTED)
     agrees = innovation.verdict is Verdict.FUSED
     if trust.doubted_s is not None:
-        agrees = agrees and _borne(state, measurement)
+        agrees = agrees and _borne(state, measurement, innovation)
         since_s = trust.doubted_s if agrees else state.t_s
         state = replace(state, range_trust=replace(trust, doubted_s=since_s))
         if state.t_s - since_s < _AGREES_S:
@@ -173,20 +180,21 @@ def _weighed(
         return replace(state, range_trust=replace(trust, rejected=rejected)), innovation
     off_m = abs(float(measurement.residual[0]))
     if off_m > _most_step_m(state):
-        return apply_doubt(state), replace(innovation, verdict=Verdict.DOUBTED)
+        return range_doubted(state), replace(innovation, verdict=Verdict.DOUBTED)
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
     state = replace(correct(state, measurement), range_trust=replace(trust, rejected=()))
     return state, replace(innovation, verdict=Verdict.RELOCATED)
 
 
-def _borne(state: FilterState, measurement: Measurement) -> bool:
+def _borne(state: FilterState, measurement: Measurement, innovation: Innovation) -> bool:
     """Whether what is in its gate bears a rangefinder that is doubted.
 
-    Between it and the barometer a fix decides: height and bias are open to both until then.
+    Between it and the barometer a fix decides, and closely: height and bias are open to both.
     """
     if state.range_trust.drawn_m > 0.0:
-        return _fix_tells(state)
+        assert innovation.nis is not None
+        return _fix_tells(state) and innovation.nis < _CLOSE
     near_m2 = CHI_SQUARE_GATE[1] * float(measurement.R[0, 0])
     return float(measurement.residual[0]) ** 2 <= near_m2
 
@@ -194,19 +202,11 @@ def _borne(state: FilterState, measurement: Measurement) -> bool:
 def _torn(state: FilterState, measurement: Measurement) -> FilterState:
     """While rangefinder and barometer part, the height is as unsure as they are apart."""
     trust, off_m = state.range_trust, abs(float(measurement.residual[0]))
-    off_m = min(off_m, _BAROMETER_OFF_M)
+    off_m = min(off_m, BAROMETER_OFF_M)
     if trust.drawn_m == 0.0 or off_m <= trust.drawn_m or _fix_tells(state):
         return state
     more_m = math.sqrt(off_m**2 - trust.drawn_m**2)
-    return replace(_opened(state, more_m), range_trust=replace(trust, drawn_m=off_m))
-
-
-def _opened(state: FilterState, off_m: float) -> FilterState:
-    """Height and barometer, together, may be wrong by so much more: then and at the keyframe."""
-    G = np.zeros(States.SIZE)
-    G[[States.DOWN, States.ANCHOR_DOWN, States.BARO]] = off_m
-    G[States.EXPOSED_AGL] = -off_m
-    return replace(state, P=state.P + np.outer(G, G))
+    return replace(height_opened(state, more_m), range_trust=replace(trust, drawn_m=off_m))
 
 
 def _barometer(state: FilterState) -> tuple[float, float, float]:
@@ -230,15 +230,6 @@ def _drawn_m(state: FilterState, config: EkfConfig) -> float:
     variance += config.baro_walk_m**2 * span_s + config.baro_climb_walk_m**2 * climbed_m
     moved_m = abs(float(state.x[States.BARO]) - bias_m)
     return moved_m if moved_m > _DRAWN_SIGMAS * math.sqrt(variance) else 0.0
-
-
-def apply_doubt(state: FilterState, drawn_m: float = 0.0) -> FilterState:
-    """Do not believe the rangefinder until it has agreed for a while.
-
-    Height and barometer are as unsure, together, as by what it may have drawn them.
-    """
-    trust = RangeTrust(state.range_trust.agreed_ne_m, state.t_s, drawn_m=drawn_m)
-    return replace(_opened(state, drawn_m), range_trust=trust)
 
 
 def _fix_tells(state: FilterState) -> bool:

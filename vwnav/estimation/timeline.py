@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.context import Context
+from vwnav.estimation.disputes import range_doubted
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -25,7 +26,7 @@ from vwnav.estimation.events import (
     Untracked,
 )
 from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
-from vwnav.estimation.heights import apply_doubt, apply_height, apply_range, apply_stationary
+from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.attitudes import is_rotation
 from vwnav.estimation.inertial.drag import apply_drag
 from vwnav.estimation.inertial.imu import is_felt
@@ -161,7 +162,7 @@ def _corrected(
         case Misled():
             return apply_misled(state, event, config), Innovation(Verdict.FUSED)
         case RangeDoubted(_, drawn_m):
-            return apply_doubt(state, drawn_m), Innovation(Verdict.FUSED)
+            return range_doubted(state, drawn_m), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():

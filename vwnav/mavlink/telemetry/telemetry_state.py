@@ -301,7 +301,8 @@ class TelemetryState:
 
     def _handle_distance(self, fields: Fields, received_s: float) -> None:
         distance_cm = fields["current_distance"]
-        in_range = fields["min_distance"] <= distance_cm <= fields["max_distance"]
+        # Who says the most he can sees nothing so near.
+        in_range = fields["min_distance"] <= distance_cm < fields["max_distance"]
         t_s = self._dated(fields["time_boot_ms"] / 1e3, received_s)
         if t_s is None or (self._range is not None and t_s <= self._range.t_s):
             return  # a duplicate, or a newer one was faster

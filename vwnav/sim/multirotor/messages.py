@@ -28,8 +28,9 @@ def distance_sensor(v: SimulatedMultirotor) -> Any:
     distance_m = v.sensors.range_m(v.body)
     if distance_m is None or distance_m > v.config.range_most_m:
         return None
+    most_cm, distance_cm = round(100.0 * v.config.range_most_m), round(100.0 * distance_m)
     return mavlink.MAVLink_distance_sensor_message(
-        ms(v.t_s), 0, 10000, round(100.0 * distance_m), 0, 0, 25, 0, signal_quality=100
+        ms(v.t_s), 0, most_cm, distance_cm, 0, 0, 25, 0, signal_quality=100
     )
 
 

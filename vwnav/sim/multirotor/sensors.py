@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from vwnav.sim.multirotor.airframe import Airframe
 
 _GYRO_NOISE_RAD_S = 0.004
+_WILD_M = 60.0  # what sunlight or dust makes a rangefinder say, at most
 _RANGE_STEPS = 4  # to where the rangefinder's ray meets a ground that is not level
 _GYRO_BIAS_RAD_S = 0.003
 _ACCEL_NOISE_M_S2 = 0.06
@@ -44,12 +45,14 @@ class Sensors:
         heading_bias_rad: constant error of the compass.
         range_scale: what the rangefinder says, as a share of the true distance.
         range_stuck_m: what that says again and again; None while it works.
+        range_ends_m: what it says of all that is farther.
+        range_wild: share of what it says that is anything within its reach.
     """
 
     def __init__(
         self, rng: random.Random, noise: float, baro_drift_m: float, heading_bias_rad: float
     ) -> None:
-        self._gauss = rng.gauss
+        self._gauss, self._random = rng.gauss, rng.random
         self._noise = noise
         self._walk_m = baro_drift_m / math.sqrt(_TEN_MINUTES_S)
         self.heading_bias_rad = heading_bias_rad
@@ -60,6 +63,8 @@ class Sensors:
         self.baro_drift_m_s = 0.0
         self.range_scale = 1.0
         self.range_stuck_m: float | None = None
+        self.range_ends_m = math.inf
+        self.range_wild = 0.0
 
     def imu(self, body: Airframe) -> Imu:
         """Gyroscope and accelerometer now."""
@@ -99,7 +104,10 @@ class Sensors:
         for _ in range(_RANGE_STEPS):
             there = body.n + distance_m * north, body.e + distance_m * east
             distance_m = (-body.d - body.ground_m(*there)) / down
-        return max(0.0, self.range_scale * distance_m + self._gauss(0.0, 0.02 * self._noise))
+        said_m = self.range_scale * distance_m + self._gauss(0.0, 0.02 * self._noise)
+        if self.range_wild > 0.0 and self._random() < self.range_wild:
+            said_m = _WILD_M * self._random()
+        return min(max(0.0, said_m), self.range_ends_m)
 
 
 def pressure_hpa(alt_amsl_m: float) -> float:

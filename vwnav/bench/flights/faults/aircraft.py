@@ -79,6 +79,28 @@ class RangefinderOff:
 
 
 @dataclass(frozen=True)
+class RangefinderEnds(Lasting):
+    """It says so of all that is farther, as many do, and not that it sees nothing."""
+
+    metres: float
+
+    def begin(self, world: FlightStage) -> None:
+        """It never says more."""
+        world.core.vehicle.sensors.range_ends_m = self.metres
+
+
+@dataclass(frozen=True)
+class RangefinderWild(Lasting):
+    """Such a share of what it says is anything: sunlight, dust, a second one's light."""
+
+    share: float
+
+    def begin(self, world: FlightStage) -> None:
+        """Wild."""
+        world.core.vehicle.sensors.range_wild = self.share
+
+
+@dataclass(frozen=True)
 class HeadingReset(Lasting):
     """The autopilot realigns its heading by so much at once, as PX4 does after take-off."""
 

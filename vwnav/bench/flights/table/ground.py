@@ -4,9 +4,10 @@ from vwnav.bench.flights.faults import computer, ground
 from vwnav.bench.flights.scenario import Break, Ending, Scenario, down, flies_on, phase, said, setup
 from vwnav.sim.relief import Relief
 
+_RANGEFINDERS = {0.0: ", no rangefinder", 12.0: ", rangefinder of 12 m", 100.0: ""}
 RELIEF = [
     Scenario(
-        name=f"{ground_name}{', no rangefinder' if most_m == 0.0 else ''}",
+        name=f"{ground_name}{_RANGEFINDERS[most_m]}",
         setup=setup(None, relief=relief, range_most_m=most_m),
         breaks=(),
         limit_s=260.0,
@@ -16,6 +17,7 @@ RELIEF = [
     )
     for ground_name, relief, most_m in (
         ("level ground", Relief(), 0.0),
+        ("level ground", Relief(), 12.0),
         ("ground that rises by 5 %", Relief(slope_ne=(0.05, 0.0)), 0.0),
         ("ground that rises by 11 %", Relief(slope_ne=(0.1, 0.05)), 100.0),
         ("ground that rises by 11 %", Relief(slope_ne=(0.1, 0.05)), 0.0),

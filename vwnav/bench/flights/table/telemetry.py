@@ -57,6 +57,15 @@ BAROMETER = [
     flies_on("barometer 6 m off for 0.7 s", aircraft.BarometerWrong(6.0), 0.7),
     flies_on("barometer 3 m off for good", aircraft.BarometerWrong(3.0), after_s=15.0),
     flies_on("barometer drifts by 0.3 m/s for 20 s", aircraft.BarometerDrifts(0.3), 20.0),
+    Scenario(
+        name="barometer drifts by 0.3 m/s in the climb",
+        setup=setup(None),
+        breaks=(Break(fault=aircraft.BarometerDrifts(0.3), at_s=20.0, for_s=20.0),),
+        limit_s=260.0,
+        follows=(phase(120.0, "on route"),),
+        lands_within_m=3.0,
+        lands_at_ne_m=(0.0, 0.0),
+    ),
 ]
 RANGEFINDER = [
     flies_on("rangefinder stuck at 3 m for good", aircraft.RangefinderStuck(3.0), after_s=30.0),
@@ -75,7 +84,10 @@ RANGEFINDER = [
         )
         for name, fault in (
             ("20 % short", aircraft.RangefinderOff(0.8)),
+            ("10 % long", aircraft.RangefinderOff(1.1)),
             ("stuck at 0.2 m", aircraft.RangefinderStuck(0.2)),
+            ("saying 12 m of all that is farther", aircraft.RangefinderEnds(12.0)),
+            ("a third of it wild", aircraft.RangefinderWild(0.33)),
         )
     ),
 ]
