@@ -307,9 +307,9 @@ class Ekf:
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""
         assert self._timeline is not None
-        doubted = self._timeline.newest.range_trust.doubted
+        doubted = self._timeline.newest.range_trust.doubted_s is not None
         innovation = self._timeline.insert(event)
-        if self._timeline.newest.range_trust.doubted != doubted:
+        if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
             self._range_changed(doubted)
         newest = self._timeline.newest
         why = outside(newest, self._config)

@@ -305,7 +305,7 @@ def apply_agl(
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
     trust = state.range_trust
-    if by_map and trust.agreed_ne_m is not None and not trust.doubted:
+    if by_map and trust.agreed_ne_m is not None and trust.doubted_s is None:
         state = range_doubted(state, abs(float(measurement.residual[0])))
     fused = correct(state, measurement)
     return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -106,11 +106,6 @@ class RangeTrust:
     drawn_m: float = 0.0
     rejected: RejectedInnovations = ()
 
-    @property
-    def doubted(self) -> bool:
-        """Whether it is not believed."""
-        return self.doubted_s is not None
-
     def lost(self, t_s: float, drawn_m: float = 0.0) -> "RangeTrust":
         """Not believed from now on, until it has agreed for a while."""
         return RangeTrust(self.agreed_ne_m, t_s, drawn_m=drawn_m)

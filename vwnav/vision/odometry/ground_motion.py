@@ -69,13 +69,6 @@ class MotionPrior:
     bend: float
     pixel: float
 
-    @property
-    def mean(self) -> Array:
-        """(11,) of what is fitted; zero for what is left to the images."""
-        mean = np.zeros(_SIZE)
-        mean[_SLOPE] = self.slope_ne
-        return mean
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -243,9 +236,11 @@ def _normal(
     known = np.zeros(_SIZE)
     known[3:5] = prior.tilt_increment_rad**-2
     known[_SLOPE], known[_BEND] = prior.slope**-2, prior.bend**-2
+    thought = np.zeros(_SIZE)
+    thought[_SLOPE] = prior.slope_ne
     flat, twice = J.reshape(-1, _SIZE), np.repeat(weights, 2)
     information = flat.T @ (flat * twice[:, None]) + np.diag(known)
-    gradient = flat.T @ (twice * residuals.ravel()) - known * (parameters - prior.mean)
+    gradient = flat.T @ (twice * residuals.ravel()) - known * (parameters - thought)
     return information, gradient
 
 
