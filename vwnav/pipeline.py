@@ -294,8 +294,8 @@ class Pipeline:
     def _prior(self, now: Estimate | None, R_ned_body: Array | None) -> Prior:
         """What the filter knows, as the localizer wants it.
 
-        A filter that is sure of itself and finds nothing is doubted: its place may be wrong by
-        more than it says, and what the localizer does not look for can never put it right.
+        A filter that is sure of itself and finds nothing is doubted: its place, and a compass that
+        no fix has borne, may be wrong by more than it says; what is not looked for is not found.
         """
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
         # count it twice if the image were rectified with its corrected attitude.
@@ -307,9 +307,10 @@ class Pipeline:
         yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
         agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), MIN_AGL_SIGMA_RATIO)
+        sigma_yaw_rad = now.sigma_yaw_rad * (doubt if now.t_last_fix_s is None else 1.0)
         prior = Prior(
-            yaw_rad=yaw_rad if now.sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
-            sigma_yaw_rad=now.sigma_yaw_rad,
+            yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
+            sigma_yaw_rad=sigma_yaw_rad,
             agl_m=now.agl_m,
             sigma_agl_ratio=max(agl_ratio, min(doubt * agl_ratio, MAX_DOUBTED_AGL_RATIO)),
             roll_rad=roll_rad, pitch_rad=pitch_rad, slope_ne=now.slope_ne,

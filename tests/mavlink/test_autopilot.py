@@ -262,6 +262,34 @@ def test_a_heading_is_asked_for_in_terms_of_the_compass(bench):
     assert message.yaw == pytest.approx(1.1, abs=1e-3)
 
 
+def test_an_autopilot_whose_compass_is_far_off_is_told_all_in_terms_of_its_own_north(bench):
+    """By a heading that is 180 degrees off it leans the wrong way: flown, it left at 43 m/s."""
+    bench.has_origin()
+    bench.peer.yaw_rad = math.pi
+    bench.run(1.0)
+    for _ in range(20):
+        bench.autopilot.send_estimate(bench.estimate())  # north by the map
+        bench.run(0.05)
+    first, last = (bench.peer.of("VISION_POSITION_ESTIMATE")[i] for i in (0, -1))
+    assert (last.x, last.y, last.z) == pytest.approx((first.x, first.y, first.z), abs=1e-4)
+    assert (first.yaw, abs(last.yaw)) == pytest.approx((0.0, math.pi), abs=1e-3)
+    moved = replace(bench.estimate(), position_ned_m=np.array([13.0, -20.0, -30.0]))
+    bench.autopilot.send_estimate(moved)
+    bench.autopilot.send_velocity(VelocitySetpoint(2.0, 1.0, -3.0, 0.0))
+    bench.run(0.05)
+    there = bench.peer.of("VISION_POSITION_ESTIMATE")[-1]
+    assert there.x == pytest.approx(first.x - 3.0, abs=1e-3)
+    asked = bench.peer.of("SET_POSITION_TARGET_LOCAL_NED")[-1]
+    assert (asked.vx, asked.vy, asked.vz) == pytest.approx((-2.0, -1.0, -3.0), abs=1e-3)
+    _, words = bench.autopilot.take_orders()
+    assert [each for each in words if "north is 180 degrees off" in each]
+    where = (there.x, there.y, there.z)
+    bench.peer.send(mavlink.MAVLink_local_position_ned_message(1, *where, 0, 0, 0))
+    bench.run(0.05)
+    own = bench.autopilot.state().own_position_ned_m
+    assert own == pytest.approx(moved.position_ned_m, abs=0.01)
+
+
 @pytest.mark.parametrize("round_trip_s", [0.004, 0.25, 0.5])
 def test_a_px4_flight_arms_takes_off_and_takes_control_on_any_link(round_trip_s):
     bench = Bench(round_trip_s=round_trip_s)

@@ -30,6 +30,7 @@ from vwnav.types import Array
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
+_TURNED_COS = math.cos(math.radians(40.0))
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 
@@ -53,10 +54,23 @@ _THEN = _PoseSlices(
 
 
 def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
-    """Fuse a fix at its own time: heading and AGL only of one whose position is believed."""
+    """Fuse a fix at its own time: heading and AGL only of one whose position is believed.
+
+    Of one that is turned further than a compass errs nothing is believed before several are: either
+    the compass looks the other way, or ground that looks alike has been taken for this.
+    """
     attitudes, config = context.attitudes, context.config
     # Against an attitude that is only held, a heading would take a turn for the compass' error.
     exposure = attitudes.exposure(fix.t_s)
+    compass: tuple[float, float] | None = None  # its error, and how sure that is
+    if exposure.told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
+        compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
+    if compass is not None and state.heading_known:
+        off_rad = compass[0] - float(state.x[States.HEADING_BIAS] - state.x[States.MAP_TURN])
+        if math.cos(off_rad) < _TURNED_COS:
+            state, turned = _apply_heading(state, *compass, config, _NOW.yaw)
+            if not turned.accepted:
+                return state, turned
     position = _position(state, fix, exposure, _NOW)
     if not exposure.told:
         position = _unseen(state, position, fix)
@@ -64,9 +78,8 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     if not innovation.accepted:
         return state, innovation
     parts = []
-    if exposure.told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
-        bias_rad = wrap_pi(exposure.yaw_rad - fix.yaw_rad)
-        state, part = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _NOW.yaw)
+    if compass is not None:
+        state, part = _apply_heading(state, *compass, config, _NOW.yaw)
         parts.append(part)
     if fix.agl_m is not None and fix.sigma_agl_m is not None:
         state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config, by_map=True)

@@ -11,6 +11,7 @@ from vwnav.mavlink.commands import CommandSender, CurrentRequest, Procedure
 from vwnav.mavlink.ground_commands import GroundCommands
 from vwnav.mavlink.link_budget import LinkBudget, plan_link
 from vwnav.mavlink.modes import AutopilotKind
+from vwnav.mavlink.outputs.autopilot_north import AutopilotNorth
 from vwnav.mavlink.outputs.steady import Outputs
 from vwnav.mavlink.parameters import ParameterTable
 from vwnav.mavlink.ports.port import Fields, Port
@@ -92,7 +93,17 @@ class LinkedAutopilot:
         """The newest snapshot."""
         with self._lock:
             state = self._telemetry.state(self._clock())
-            return replace(state, ground_station=self._ground.is_heard)
+            own = state.own_position_ned_m
+            return replace(
+                state,
+                ground_station=self._ground.is_heard,
+                own_position_ned_m=None if own is None else self.north.true_ned_m(own),
+            )
+
+    @property
+    def north(self) -> AutopilotNorth:
+        """In which the autopilot is told what it is told."""
+        return self._outputs.north
 
     def take_measurements(self) -> tuple[Telemetry, ...]:
         """What was measured since the last call, in order of arrival, each once."""
@@ -181,9 +192,10 @@ class LinkedAutopilot:
                 })  # fmt: skip
 
     def take_orders(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:
-        """What ground stations ordered since the last call, and what was refused, in words."""
+        """What ground stations ordered since the last call; what was refused, and is noticed."""
         with self._lock:
-            return self._ground.take()
+            orders, refused = self._ground.take()
+            return orders, (*refused, *self._outputs.take_notices())
 
     # ---- what is asked for, and carried on by `step`
 

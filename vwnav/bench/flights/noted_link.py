@@ -4,7 +4,10 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from vwnav.bench.flights.track import FlightTrace
+from vwnav.mavlink.outputs.autopilot_north import AutopilotNorth
 from vwnav.recording.flight_recorder import FlightRecorder
 from vwnav.rules.flight_log import (
     CommandAck,
@@ -13,11 +16,12 @@ from vwnav.rules.flight_log import (
     LoggedSetpoint,
     ParameterSet,
     Sent,
+    Vector,
 )
 from vwnav.seams import StepResult
 from vwnav.sim.mavlink.link import ByteLink
 from vwnav.sim.processor import SimulatedClock
-from vwnav.types import Estimate, Frame
+from vwnav.types import Array, Estimate, Frame
 from vwnav.vehicle import VehicleState, VelocitySetpoint
 
 _STATION = 255  # system id of the ground stations that scenarios play
@@ -29,11 +33,19 @@ class NotedLink(ByteLink):
 
     Args:
         track: gets it.
+        north: in which estimates are told; they are noted in true NED.
     """
 
-    def __init__(self, end: Any, clock: SimulatedClock, track: FlightTrace) -> None:
+    def __init__(
+        self,
+        end: Any,
+        clock: SimulatedClock,
+        track: FlightTrace,
+        north: Callable[[], AutopilotNorth],
+    ) -> None:
         super().__init__(end, 1)
         self._clock = clock
+        self._north = north
         self._track = track
 
     def receive(self, t_s: float) -> list[Any]:
@@ -56,14 +68,13 @@ class NotedLink(ByteLink):
         heard, component = self._track.heard, m.get_srcComponent()
         match m.get_type():
             case "VISION_POSITION_ESTIMATE":
-                c = m.covariance
-                place, covariance = (m.x, m.y, m.z), (c[0], c[1], c[6])
+                place, covariance = self._true_place(m, m.covariance)
                 sent = Sent(t_s, m.usec * 1e-6, place, covariance, m.reset_counter)
                 heard.estimates.append(sent)
             case "ODOMETRY":
-                c = m.pose_covariance
-                place, covariance = (m.x, m.y, m.z), (c[0], c[1], c[6])
-                stamp_s, velocity = m.time_usec * 1e-6, (m.vx, m.vy, m.vz)
+                place, covariance = self._true_place(m, m.pose_covariance)
+                stamp_s = m.time_usec * 1e-6
+                velocity = _vector(self._north().true_velocity(np.array([m.vx, m.vy, m.vz])))
                 sigma_m_s = math.sqrt(max(m.velocity_covariance[0], m.velocity_covariance[6]))
                 sent = Sent(t_s, stamp_s, place, covariance, m.reset_counter, velocity, sigma_m_s)
                 heard.estimates.append(sent)
@@ -76,6 +87,19 @@ class NotedLink(ByteLink):
                 heard.parameters_set.append(ParameterSet(t_s, m.param_id, m.param_value))
             case "HEARTBEAT":
                 heard.beats.append(Heartbeat(t_s, component, m.type))
+
+    def _true_place(self, m: Any, c: list[float]) -> tuple[Vector, Vector]:
+        north = self._north()
+        u, v = (north.true_velocity(np.array(axis)) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        C = np.column_stack([u, v])[:2] @ np.array([[c[0], c[1]], [c[1], c[6]]])
+        C = C @ np.column_stack([u, v])[:2].T
+        place = _vector(north.true_ned_m(np.array([m.x, m.y, m.z])))
+        return place, (float(C[0, 0]), float(C[0, 1]), float(C[1, 1]))
+
+
+def _vector(ned: Array) -> Vector:
+    north, east, down = ned.tolist()
+    return north, east, down
 
 
 class LockstepWatcher:

@@ -59,6 +59,7 @@ class Setup:
         lens_ratio: its true focal length over the calibrated one.
         relief: of the ground about home, where it has to stand.
         range_most_m: how far the rangefinder reaches; 0: there is none.
+        compass_off_deg: constant error of the compass.
         copies_map: fly on a copy of the map's file, for faults that damage it.
     """
 
@@ -84,6 +85,7 @@ class Setup:
     lens_ratio: float = 1.0
     relief: Relief = field(default_factory=Relief)
     range_most_m: float = 100.0
+    compass_off_deg: float = 3.0
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)

@@ -115,10 +115,13 @@ class World:
             home_alt_amsl_m=0.0, seed=setup.seed, wind_m_s=setup.wind_m_s,
             wind_from_deg=setup.wind_from_deg, gust_m_s=setup.gust_m_s,
             range_most_m=setup.range_most_m, relief=setup.relief,
+            heading_bias_deg=setup.compass_off_deg,
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on), battery_drain_s=setup.battery_drain_s,
         )  # fmt: skip
-        link = NotedLink(self.autopilot_link.a, self.clock, self.track)
+        link = NotedLink(
+            self.autopilot_link.a, self.clock, self.track, lambda: self.navigator.autopilot.north
+        )
         peer = Peer(link, Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_rate * self.clock())
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
 from vwnav.mavlink.link_budget import LinkBudget
 from vwnav.mavlink.modes import AutopilotKind
+from vwnav.mavlink.outputs.autopilot_north import AutopilotNorth
 from vwnav.mavlink.outputs.vision_messages import (
     odometry,
     velocity_target,
@@ -21,6 +22,10 @@ _ON_TIME_S = 0.005  # an estimate may leave so much before its turn
 # From so wide a position, such as one that fixes have yet to prove, PX4 finds no velocity within
 # seconds: it is told that too.
 _WIDE_M = 30.0
+_NORTH_OFF_RAD, _NORTH_OFF_S = math.radians(40.0), 0.5  # by more for longer it is turned to
+_LEAST_OFF_DEG = 20.0
+_NORTH = "the autopilot's north is {:.0f} degrees off: it is told its own, calibrate its compass"
+_NORTH_FITS = "the autopilot's north is right again"
 
 
 class Outputs:
@@ -28,6 +33,9 @@ class Outputs:
 
     Args:
         clock: monotonic clock, in seconds.
+
+    Attributes:
+        north: in which estimates and velocities are told.
     """
 
     def __init__(self, port: Port, telemetry: TelemetryState, clock: Callable[[], float]) -> None:
@@ -37,6 +45,9 @@ class Outputs:
         self._next_estimate_s = -math.inf
         self._heading_bias_rad = 0.0
         self._held_yaw_rad: float | None = None
+        self.north = AutopilotNorth()
+        self._north_fits_s = math.inf  # when it last did
+        self._notices: list[str] = []
 
     def estimate(self, estimate: Estimate, budget: LinkBudget) -> None:
         """Send an estimate, unless it comes before its turn or no origin is agreed upon."""
@@ -50,6 +61,8 @@ class Outputs:
         if attitude is not None:
             bias_rad = _yaw(attitude.quat_wxyz) - _yaw(estimate.quat_wxyz)
             self._heading_bias_rad = wrap_pi(bias_rad)
+            self._keep_to_its_north(estimate)
+        estimate = self.north.told(estimate)
         if as_odometry:
             self._port.send("ODOMETRY", odometry(estimate, offset_ned_m))
             return
@@ -60,12 +73,29 @@ class Outputs:
     def setpoint(self, setpoint: VelocitySetpoint) -> None:
         """Send a velocity."""
         yaw_rad = self._autopilot_yaw(setpoint.yaw_rad)
-        fields = velocity_target(setpoint, yaw_rad, self._clock(), self._port.system_id)
+        asked = self.north.asked(setpoint)
+        fields = velocity_target(asked, yaw_rad, self._clock(), self._port.system_id)
         self._port.send("SET_POSITION_TARGET_LOCAL_NED", fields)
+
+    def take_notices(self) -> list[str]:
+        """What a person should know of it, in words, once."""
+        notices, self._notices = self._notices, []
+        return notices
 
     def release_heading(self) -> None:
         """Forget the heading that was asked for last: the next one held is the present one."""
         self._held_yaw_rad = None
+
+    def _keep_to_its_north(self, estimate: Estimate) -> None:
+        off_rad = abs(wrap_pi(self._heading_bias_rad - self.north.turn_rad))
+        if off_rad < _NORTH_OFF_RAD or self._north_fits_s > estimate.t_s:
+            self._north_fits_s = estimate.t_s
+        elif estimate.t_s - self._north_fits_s > _NORTH_OFF_S:
+            self.north = self.north.turned_to(self._heading_bias_rad, estimate)
+            off_deg = abs(math.degrees(self._heading_bias_rad))
+            self._notices.append(
+                _NORTH.format(off_deg) if off_deg > _LEAST_OFF_DEG else _NORTH_FITS
+            )
 
     def _is_its_turn(self, rate_hz: float) -> bool:
         now_s, period_s = self._clock(), 1.0 / rate_hz

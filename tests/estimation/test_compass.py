@@ -1,0 +1,59 @@
+"""A compass that looks the other way, and a match that is turned: one of them is wrong."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.states import States
+from vwnav.types import Attitude, Height
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def hovering(turned_deg, seconds=4.0):
+    """Level at 50 m; each half second a fix, 3 m beside, turned by what `turned_deg(n)` says."""
+    ekf = Ekf(EkfConfig())
+    ekf.handle(Attitude(0.0, LEVEL))
+    place = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=place, sigma_m=5.0, agl_m=50.0))
+    accepted = []
+    for n in range(1, round(50 * seconds)):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, LEVEL))
+        if n % 5 == 0:
+            ekf.handle(Height(t_s, 50.0))
+        if n % 25 == 0:
+            fix = NedFix(
+                t_s=t_s, position_ne_m=np.array([3.0, 0.0]), covariance_ne_m2=np.eye(2),
+                yaw_rad=math.radians(turned_deg(n // 25)), sigma_yaw_rad=0.02, agl_m=50.0,
+                sigma_agl_m=1.0,
+            )  # fmt: skip
+            accepted.append(ekf.handle(fix).accepted)
+    return ekf, accepted
+
+
+@pytest.mark.parametrize("turned_deg", [60.0, 180.0])
+def test_fixes_that_are_turned_are_believed_when_several_are_and_then_wholly(turned_deg):
+    """The first was believed but for its heading; the route was flown to the other side."""
+    ekf, accepted = hovering(lambda n: turned_deg)
+    assert accepted[:3] == [False] * 3
+    assert accepted[-1]
+    off_deg = math.degrees(ekf.state.x[States.HEADING_BIAS]) + turned_deg
+    assert (off_deg + 180.0) % 360.0 == pytest.approx(180.0, abs=3.0)
+
+
+def test_a_match_that_is_turned_alone_moves_nothing():
+    ekf, accepted = hovering(lambda n: 180.0 if n == 5 else 0.0)
+    assert accepted == [n != 5 for n in range(1, len(accepted) + 1)]
+    assert ekf.state.x[States.HEADING_BIAS] == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_compass_that_errs_as_they_do_is_learned_at_once():
+    ekf, accepted = hovering(lambda n: 20.0)
+    assert all(accepted)
+    assert ekf.state.x[States.HEADING_BIAS] == pytest.approx(math.radians(-20.0), abs=0.03)
