@@ -201,6 +201,24 @@ def flies_on(
     )
 
 
+RANGEFINDERS = {0.0: ", no rangefinder", 12.0: ", rangefinder of 12 m", 100.0: ""}
+
+
+def flies_route(
+    name: str, *breaks: Break, range_most_m: float = 100.0, **changes: object
+) -> Scenario:
+    """From the ground along the whole route, and home again."""
+    return Scenario(
+        name=name + RANGEFINDERS[range_most_m],
+        setup=setup(None, range_most_m=range_most_m, **changes),
+        breaks=breaks,
+        limit_s=260.0,
+        follows=(phase(120.0, "on route"),),
+        lands_within_m=3.0,
+        lands_at_ne_m=(0.0, 0.0),
+    )
+
+
 def again_and_again(
     fault: Fault, every_s: float, for_s: float | None, times: int
 ) -> tuple[Break, ...]:

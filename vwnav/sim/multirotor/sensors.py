@@ -42,6 +42,8 @@ class Sensors:
         gyro_bias_rad_s: of the three axes.
         baro_error_m, baro_drift_m_s: what a fault adds to the barometer's height, and how fast
             that grows.
+        baro_scale: what it says, as a share of the true height: below 1 in air warmer than
+            standard.
         heading_bias_rad: constant error of the compass.
         range_scale: what the rangefinder says, as a share of the true distance.
         range_stuck_m: what that says again and again; None while it works.
@@ -61,6 +63,7 @@ class Sensors:
         self._baro_drift_m = 0.0
         self.baro_error_m = 0.0
         self.baro_drift_m_s = 0.0
+        self.baro_scale = 1.0
         self.range_scale = 1.0
         self.range_stuck_m: float | None = None
         self.range_ends_m = math.inf
@@ -85,7 +88,8 @@ class Sensors:
         self._baro_drift_m += self._gauss(0.0, self._walk_m * math.sqrt(dt_s))
         self.baro_error_m += self.baro_drift_m_s * dt_s
         error_m = self._baro_drift_m + self.baro_error_m
-        return -body.d + error_m + self._gauss(0.0, _BARO_NOISE_M * self._noise)
+        noise_m = self._gauss(0.0, _BARO_NOISE_M * self._noise)
+        return -body.d * self.baro_scale + error_m + noise_m
 
     def compass_rad(self, body: Airframe) -> float:
         """True heading as the compass shows it."""

@@ -6,6 +6,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.bench.flights.stage import FlightStage, Lasting
 
+_FREEZING_K, _STANDARD_K = 273.15, 288.15
+
 
 @dataclass(frozen=True)
 class BatteryAt(Lasting):
@@ -46,6 +48,20 @@ class BarometerDrifts:
     def end(self, world: FlightStage) -> None:
         """What it was is kept."""
         world.core.vehicle.sensors.baro_drift_m_s = 0.0
+
+
+@dataclass(frozen=True)
+class Air(Lasting):
+    """Warm or cold: pressure falls by less or more a metre than in the standard atmosphere.
+
+    By the ratio of the absolute temperatures (the hydrostatic equation, ISO 2533).
+    """
+
+    degrees_c: float
+
+    def begin(self, world: FlightStage) -> None:
+        """As it is."""
+        world.core.vehicle.sensors.baro_scale = _STANDARD_K / (_FREEZING_K + self.degrees_c)
 
 
 @dataclass(frozen=True)

@@ -162,6 +162,11 @@ def out_of_focus() -> Trouble:
     return _each(lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8))
 
 
+def mirrored() -> Trouble:
+    """Left is right: a driver that flips along one axis alone."""
+    return lambda frame: replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1]))
+
+
 def upside_down() -> Trouble:
     """The camera is mounted the other way round."""
     return _each(lambda image: np.ascontiguousarray(image[::-1, ::-1]))

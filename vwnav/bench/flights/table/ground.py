@@ -1,20 +1,21 @@
 """The map is not of this place, not of this year, or not whole; the model does not work."""
 
 from vwnav.bench.flights.faults import computer, ground
-from vwnav.bench.flights.scenario import Break, Ending, Scenario, down, flies_on, phase, said, setup
+from vwnav.bench.flights.scenario import (
+    Break,
+    Ending,
+    Scenario,
+    down,
+    flies_on,
+    flies_route,
+    phase,
+    said,
+    setup,
+)
 from vwnav.sim.relief import Relief
 
-_RANGEFINDERS = {0.0: ", no rangefinder", 12.0: ", rangefinder of 12 m", 100.0: ""}
 RELIEF = [
-    Scenario(
-        name=f"{ground_name}{_RANGEFINDERS[most_m]}",
-        setup=setup(None, relief=relief, range_most_m=most_m),
-        breaks=(),
-        limit_s=260.0,
-        follows=(phase(120.0, "on route"),),
-        lands_within_m=3.0,
-        lands_at_ne_m=(0.0, 0.0),
-    )
+    flies_route(ground_name, relief=relief, range_most_m=most_m)
     for ground_name, relief, most_m in (
         ("level ground", Relief(), 0.0),
         ("level ground", Relief(), 12.0),

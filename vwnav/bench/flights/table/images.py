@@ -67,13 +67,19 @@ LATE = [
     flies_on("pictures gone for 3 s", broken.CameraTrouble(broken.no_images), 3.0, 13.0),
 ]
 MOUNTED = [
-    Scenario(
-        name="camera mounted upside down",
-        setup=setup(None),
-        breaks=(Break(fault=broken.CameraTrouble(broken.upside_down), at_s=0.0),),
-        limit_s=140.0,
-        follows=(said(40.0, "contradicts the IMU"), down(80.0)),
-        lands_within_m=20.0,
+    *(
+        Scenario(
+            name=f"camera {name}",
+            setup=setup(None),
+            breaks=(Break(fault=broken.CameraTrouble(trouble), at_s=0.0),),
+            limit_s=140.0,
+            follows=(said(40.0, "contradicts the IMU"), down(80.0)),
+            lands_within_m=20.0,
+        )
+        for name, trouble in (
+            ("mounted upside down", broken.upside_down),
+            ("with a mirrored picture", broken.mirrored),
+        )
     ),
     Scenario(
         name="camera turned by 90 degrees",

@@ -3,7 +3,15 @@
 import math
 
 from vwnav.bench.flights.faults import aircraft, telemetry
-from vwnav.bench.flights.scenario import Break, Ending, Scenario, flies_on, phase, setup
+from vwnav.bench.flights.scenario import (
+    Break,
+    Ending,
+    Scenario,
+    flies_on,
+    flies_route,
+    phase,
+    setup,
+)
 
 ATTITUDES = (telemetry.ATTITUDE, telemetry.ATTITUDE_QUATERNION)
 IMU = (telemetry.HIGHRES_IMU,)
@@ -29,6 +37,18 @@ WRONG = [
     flies_on("one heading 30 degrees off", telemetry.turned(OFF_RAD), 0.02),
     flies_on("headings 30 degrees off for 10 s", telemetry.turned(OFF_RAD), 10.0),
     flies_on("heading reset by 20 degrees", aircraft.HeadingReset(RESET_RAD), after_s=15.0),
+    *(
+        flies_route(f"compass {degrees} degrees off", compass_off_deg=float(degrees))
+        for degrees in (60, 180)
+    ),
+    *(
+        flies_route(
+            f"heading reset by {degrees} degrees before take-off",
+            Break(fault=aircraft.HeadingReset(math.radians(degrees)), at_s=0.0),
+        )
+        for degrees in (60, 180)
+    ),
+    flies_on("heading reset by 90 degrees", aircraft.HeadingReset(math.pi / 2), after_s=15.0),
 ]
 INERTIAL = [
     flies_on("IMU missing for 10 s", telemetry.Missing(IMU), 10.0),
@@ -57,15 +77,19 @@ BAROMETER = [
     flies_on("barometer 6 m off for 0.7 s", aircraft.BarometerWrong(6.0), 0.7),
     flies_on("barometer 3 m off for good", aircraft.BarometerWrong(3.0), after_s=15.0),
     flies_on("barometer drifts by 0.3 m/s for 20 s", aircraft.BarometerDrifts(0.3), 20.0),
-    Scenario(
-        name="barometer drifts by 0.3 m/s in the climb",
-        setup=setup(None),
-        breaks=(Break(fault=aircraft.BarometerDrifts(0.3), at_s=20.0, for_s=20.0),),
-        limit_s=260.0,
-        follows=(phase(120.0, "on route"),),
-        lands_within_m=3.0,
-        lands_at_ne_m=(0.0, 0.0),
+    flies_route(
+        "barometer drifts by 0.3 m/s in the climb",
+        Break(fault=aircraft.BarometerDrifts(0.3), at_s=20.0, for_s=20.0),
     ),
+]
+AIR = [
+    flies_route(
+        f"air of {degrees_c:g} degrees",
+        Break(fault=aircraft.Air(degrees_c), at_s=0.0),
+        range_most_m=most_m,
+    )
+    for degrees_c in (-20.0, 40.0)
+    for most_m in (100.0, 12.0, 0.0)
 ]
 RANGEFINDER = [
     flies_on("rangefinder stuck at 3 m for good", aircraft.RangefinderStuck(3.0), after_s=30.0),
@@ -73,15 +97,7 @@ RANGEFINDER = [
     flies_on("rangefinder 20 % short for good", aircraft.RangefinderOff(0.8), after_s=30.0),
     flies_on("rangefinder 10 % long for 10 s", aircraft.RangefinderOff(1.1), 10.0, after_s=15.0),
     *(
-        Scenario(
-            name=f"rangefinder {name} from the start",
-            setup=setup(None),
-            breaks=(Break(fault=fault, at_s=0.0),),
-            limit_s=260.0,
-            follows=(phase(120.0, "on route"),),
-            lands_within_m=3.0,
-            lands_at_ne_m=(0.0, 0.0),
-        )
+        flies_route(f"rangefinder {name} from the start", Break(fault=fault, at_s=0.0))
         for name, fault in (
             ("20 % short", aircraft.RangefinderOff(0.8)),
             ("10 % long", aircraft.RangefinderOff(1.1)),
@@ -91,4 +107,4 @@ RANGEFINDER = [
         )
     ),
 ]
-TELEMETRY = [*MISSING, *LATE, *WRONG, *INERTIAL, *BAROMETER, *RANGEFINDER]
+TELEMETRY = [*MISSING, *LATE, *WRONG, *INERTIAL, *BAROMETER, *AIR, *RANGEFINDER]
