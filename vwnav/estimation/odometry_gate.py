@@ -116,9 +116,7 @@ class OdometryGate:
             return Verdict.IMPOSSIBLE  # no aircraft flies so far, at the height that is believed
         before, self._newest = self._newest, motion
         if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
-            return (
-                Verdict.ON_GROUND
-            )  # the flight depends on those of a take-off: none, or good ones
+            return Verdict.ON_GROUND  # a take-off is broken off for ways that contradict the IMU
         known = timeline.keyframe_known(motion.t0_s)
         if not known and motion.t0_s < timeline.oldest.t_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:

@@ -51,7 +51,7 @@ class BarometerDrifts:
 
 
 @dataclass(frozen=True)
-class Air(Lasting):
+class AirTemperature(Lasting):
     """Warm or cold: pressure falls by less or more a metre than in the standard atmosphere.
 
     By the ratio of the absolute temperatures (the hydrostatic equation, ISO 2533).

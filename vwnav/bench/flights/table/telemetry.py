@@ -85,7 +85,7 @@ BAROMETER = [
 AIR = [
     flies_route(
         f"air of {degrees_c:g} degrees",
-        Break(fault=aircraft.Air(degrees_c), at_s=0.0),
+        Break(fault=aircraft.AirTemperature(degrees_c), at_s=0.0),
         range_most_m=most_m,
     )
     for degrees_c in (-20.0, 40.0)
