@@ -8,7 +8,7 @@ import pytest
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.events import NedFix
+from vwnav.estimation.events import Exposed, NedFix
 from vwnav.estimation.states import States
 from vwnav.types import Attitude, Height
 
@@ -45,6 +45,31 @@ def test_fixes_that_are_turned_are_believed_when_several_are_and_then_wholly(tur
     assert accepted[-1]
     off_deg = math.degrees(ekf.state.x[States.HEADING_BIAS]) + turned_deg
     assert (off_deg + 180.0) % 360.0 == pytest.approx(180.0, abs=3.0)
+
+
+def test_fixes_of_slow_searches_are_believed_likewise():
+    """Each is of an image that is older than the history: it meets the clone of its pose."""
+    config = EkfConfig()
+    ekf, accepted = Ekf(config), []
+    ekf.handle(Attitude(0.0, LEVEL))
+    place = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=place, sigma_m=5.0, agl_m=50.0))
+    every, exposed_s = round(50.0 * (config.history_s + 1.0)), math.nan
+    for n in range(1, 6 * every):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(Height(t_s, 50.0))
+        if n % every == 0:
+            if n > every:
+                fix = NedFix(
+                    t_s=exposed_s, position_ne_m=np.array([3.0, 0.0]), covariance_ne_m2=np.eye(2),
+                    yaw_rad=math.pi, sigma_yaw_rad=0.02, agl_m=50.0, sigma_agl_m=1.0,
+                )  # fmt: skip
+                accepted.append(ekf.handle(fix).accepted)
+            exposed_s = t_s
+            ekf.handle(Exposed(t_s))
+    assert accepted == [False, False, False, True]
+    assert abs(ekf.state.x[States.HEADING_BIAS]) == pytest.approx(math.pi, abs=0.1)
 
 
 def test_a_match_that_is_turned_alone_moves_nothing():

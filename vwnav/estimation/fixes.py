@@ -62,22 +62,24 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     attitudes, config = context.attitudes, context.config
     # Against an attitude that is only held, a heading would take a turn for the compass' error.
     exposure = attitudes.exposure(fix.t_s)
+    parts: list[Innovation] = []
     compass: tuple[float, float] | None = None  # its error, and how sure that is
     if exposure.told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
     if compass is not None and state.heading_known:
         off_rad = compass[0] - float(state.x[States.HEADING_BIAS] - state.x[States.MAP_TURN])
         if math.cos(off_rad) < _TURNED_COS:
-            state, turned = _apply_heading(state, *compass, config, _NOW.yaw)
-            if not turned.accepted:
-                return state, turned
+            turned, part = _apply_heading(state, *compass, config, _NOW.yaw)
+            if not part.accepted:
+                return turned, part
+            if part.verdict is Verdict.RELOCATED:
+                state, parts, compass = turned, [part], None
     position = _position(state, fix, exposure, _NOW)
     if not exposure.told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
-    parts = []
     if compass is not None:
         state, part = _apply_heading(state, *compass, config, _NOW.yaw)
         parts.append(part)
@@ -112,14 +114,24 @@ def apply_late_fix(
     config, exposure = context.config, state.exposure
     if exposure is None or exposure.t_s != fix.t_s:
         return state, Innovation(Verdict.TOO_LATE)
+    compass: tuple[float, float] | None = None
+    if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
+        compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
+    if compass is not None and state.heading_known:
+        off_rad = compass[0] - float(state.x[_THEN.yaw] - state.x[States.MAP_TURN])
+        if math.cos(off_rad) < _TURNED_COS:
+            turned, part = _apply_heading(state, *compass, config, _THEN.yaw)
+            if not part.accepted:
+                return turned, part
+            if part.verdict is Verdict.RELOCATED:
+                state, compass = turned, None
     position = _position(state, fix, exposure, _THEN)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
-    if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
-        bias_rad = wrap_pi(exposure.yaw_rad - fix.yaw_rad)
-        state, _ = _apply_heading(state, bias_rad, fix.sigma_yaw_rad, config, _THEN.yaw)
+    if compass is not None:
+        state, _ = _apply_heading(state, *compass, config, _THEN.yaw)
     if fix.agl_m is not None and fix.sigma_agl_m is not None:
         H = np.zeros((1, States.SIZE))
         H[0, _THEN.agl] = 1.0
