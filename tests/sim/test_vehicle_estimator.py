@@ -3,13 +3,14 @@
 import copy
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from px4_bench import Bench
 
 from vwnav.sim.mavlink.command import Result
-from vwnav.sim.multirotor.inertial_filter import AxisFilter
+from vwnav.sim.multirotor.inertial_filter import _ERROR_NOISE, _VELOCITY_NOISE, AxisFilter
 from vwnav.sim.px4.estimator import _from_zero_island
 from vwnav.sim.px4.modes import NavState
 
@@ -200,6 +201,20 @@ def test_the_covariance_stays_positive(
         axis.fuse_velocity(0.1 * innovation, variance)
     assert min(axis.p00, axis.p11, axis.p22) > 0.0
     assert axis.p00 * axis.p11 >= axis.p01**2
+
+
+@given(st.lists(st.floats(-5, 5), min_size=9, max_size=9), st.floats(0.001, 0.1))
+def test_a_filters_covariance_grows_as_the_motion_says(root: list[float], dt_s: float) -> None:
+    """P' = F P F^T + Q of a constant acceleration, by matrices."""
+    P = np.reshape(root, (3, 3)) @ np.reshape(root, (3, 3)).T
+    axis = AxisFilter(1.0)
+    axis.p00, axis.p01, axis.p02, axis.p11, axis.p12, axis.p22 = P[np.triu_indices(3)].tolist()
+    F = np.array([[1.0, dt_s, 0.5 * dt_s**2], [0.0, 1.0, dt_s], [0.0, 0.0, 1.0]])
+    Q = np.diag([0.0, _VELOCITY_NOISE**2, _ERROR_NOISE**2]) * dt_s
+    axis.grow(dt_s)
+    grown = (F @ P @ F.T + Q)[np.triu_indices(3)]
+    told = axis.p00, axis.p01, axis.p02, axis.p11, axis.p12, axis.p22
+    np.testing.assert_allclose(told, grown, rtol=1e-9, atol=1e-9)
 
 
 @given(st.floats(-50, 50), st.floats(-3, 3))

@@ -250,7 +250,7 @@ class AxisFilter:
         self.p00 += dt_s * (self.p01 + p01) + h * (self.p02 + p02)
         self.p11 += dt_s * (self.p12 + p12) + _VELOCITY_NOISE**2 * dt_s
         self.p22 += _ERROR_NOISE**2 * dt_s
-        self.p01 = p01 + h * p12
+        self.p01 = p01 + dt_s * p02
         self.p02, self.p12 = p02, p12
 
     def fuse_position(self, innovation_m: float, variance_m2: float) -> None:
