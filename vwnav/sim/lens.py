@@ -69,23 +69,21 @@ class Sensor:
         levels = np.arange(256, dtype=np.float64)
         deviation = np.sqrt(config.read_noise**2 + config.shot_noise * levels)
         self._deviation = deviation.astype(np.float32)
-        self._rows = (np.arange(h, dtype=np.float64) / h - 0.5) * config.readout_s
         self._gain: float | None = None
         self._light, self._t_s = 0.0, 0.0
 
-    @property
-    def row_times_s(self) -> Array:
-        """(h,) when each row is exposed, after the middle one."""
-        return self._rows
+    def row_times_s(self, rows_v: Array) -> Array:
+        """(n,) when rows (n,) of the image are exposed, after the middle one."""
+        return (rows_v / self._camera.height_px - 0.5) * self._config.readout_s
 
-    def shaken(self, rays: NDArray[np.float32], t_s: float) -> NDArray[np.float32]:
-        """Rays (h, w, 2) as the rows see them one after the other while the motors shake."""
+    def shaken(self, rays: NDArray[np.float32], times_s: Array) -> NDArray[np.float32]:
+        """Rays (n, m, 2), each row of them at its time (n,), while the motors shake."""
         config = self._config
         if config.wobble_px == 0.0:
             return rays
         phase = self._rng.uniform(0.0, 2.0 * np.pi, 2)
-        times = t_s + self._rows
-        shake = config.wobble_px * np.sin(2.0 * np.pi * config.wobble_hz * times[:, None] + phase)
+        turns = 2.0 * np.pi * config.wobble_hz * times_s[:, None]
+        shake = config.wobble_px * np.sin(turns + phase)
         shift = shake / self._camera.K[[0, 1], [0, 1]]
         return rays - shift[:, None, :].astype(np.float32)
 

@@ -14,6 +14,7 @@ from vwnav.types import Array
 MIN_DOWN = 0.12  # rays flatter than this (7 degrees below the horizon) see only haze
 _HAZE_PX = -1e4
 _RELIEF_STEPS = 5
+_NODE_PX = 4  # 70 degrees across and tilted by 30, it is 0.01 px off between nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,22 @@ def ground_map(R_ned_camera: Array, centre: Array, height_m: float, region: Regi
     north, east, down = R_ned_camera
     scale = height_m / r
     return np.array([scale * east + u0 * down, -scale * north + v0 * down, down])
+
+
+def ray_nodes(width_px: int, height_px: int) -> Array:
+    """Places (n, m, 2) in the image at which rays are met with the ground, rims beyond its own."""
+    u, v = (
+        _NODE_PX * (np.arange(-(-px // _NODE_PX) + 2) - 0.5) - 0.5 for px in (width_px, height_px)
+    )
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+def between_nodes(where: NDArray[np.float32], width_px: int, height_px: int) -> NDArray[np.float32]:
+    """What stands at the nodes (n, m, 2), at every pixel (h, w, 2): linear between them."""
+    rows, cols = where.shape[:2]
+    every = cv2.resize(where, (_NODE_PX * cols, _NODE_PX * rows), interpolation=cv2.INTER_LINEAR)
+    part = every[_NODE_PX : _NODE_PX + height_px, _NODE_PX : _NODE_PX + width_px]
+    return np.ascontiguousarray(part, np.float32)
 
 
 def intersections(

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.sim.lens import RenderConfig, Sensor
-from vwnav.sim.rays import MIN_DOWN, Region, around, ground_map, intersections, raise_to
+from vwnav.sim.rays import (
+    MIN_DOWN,
+    Region,
+    around,
+    between_nodes,
+    ground_map,
+    intersections,
+    raise_to,
+    ray_nodes,
+)
 from vwnav.sim.tiles import (
     LEVELS_M_PER_PX,
     TILE_PX,
@@ -62,13 +71,14 @@ class CameraRenderer:
         self._camera, self._config, self._rng = camera, config, rng
         self._tiles = TileStore(site, tiles_folder)
         self._sensor = Sensor(camera, config, rng)
-        grid = np.indices((camera.height_px, camera.width_px), np.float64)[::-1].reshape(2, -1).T
-        rays = camera.bearings(grid)
-        shape = (camera.height_px, camera.width_px, 2)
-        self._rays = (rays[:, :2] / rays[:, 2:]).astype(np.float32).reshape(shape)
-        edge = np.ones(shape[:2], bool)
+        nodes = ray_nodes(camera.width_px, camera.height_px)
+        rays = camera.bearings(nodes.reshape(-1, 2))
+        self._rays = (rays[:, :2] / rays[:, 2:]).astype(np.float32).reshape(nodes.shape)
+        self._rows_s = self._sensor.row_times_s(nodes[:, 0, 1])
+        edge = np.ones(nodes.shape[:2], bool)
         edge[1:-1, 1:-1] = False
-        self._rim = np.column_stack([self._rays[edge][::16], np.ones(len(self._rays[edge][::16]))])
+        rim = self._rays[edge][::4]
+        self._rim = np.column_stack([rim, np.ones(len(rim))])
         self._mosaic: tuple[Region, Tile] | None = None
         self._canvas = np.empty(0, np.uint8)  # what mosaics are laid out in, one after the other
 
@@ -129,7 +139,7 @@ class CameraRenderer:
         height_m = max(-float(centre[2]), _MIN_HEIGHT_M)
         flow = self._flow_px_s(R_ned_camera, height_m, velocity_ned_m_s, rate_body_rad_s)
         R_ned_camera, velocity_ned_m_s = sheared @ R_ned_camera, sheared @ velocity_ned_m_s
-        rays = self._sensor.shaken(self._rays, t_s)
+        rays = self._sensor.shaken(self._rays, t_s + self._rows_s)
         region = self._region(R_ned_camera, centre, height_m)
         mosaic = self._assemble(region)
         if self._config.background:
@@ -137,11 +147,11 @@ class CameraRenderer:
         on_block = ground_map(R_ned_camera, centre, height_m, region)
         turned = camera.R_body_camera.T @ rate_body_rad_s
         a_second = self._block_map_a_second(R_ned_camera, centre, velocity_ned_m_s, turned, region)
-        rows_s = self._sensor.row_times_s if self._config.readout_s > 0.0 else None
+        rows_s = self._rows_s if self._config.readout_s > 0.0 else None
         where = intersections(rays, on_block, a_second, rows_s)
         if not self._config.relief.plane:
             raise_to(self._config.relief, where, centre, height_m, region)
-        plain = _sampled(mosaic, where)
+        plain = _sampled(mosaic, between_nodes(where, camera.width_px, camera.height_px))
         return self._sensor.expose(plain, flow, t_s)
 
     @property
