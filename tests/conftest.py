@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# Before numpy loads, as the command does it, and for the processes that tests start.
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
 # Laws are about values, not about how busy the machine is.
 settings.register_profile("any_machine", deadline=None)
 # Each mutant runs them anew; a law that needs luck to kill one would make the number a dice roll.

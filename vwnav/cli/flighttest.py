@@ -2,7 +2,6 @@
 
 import json
 import logging
-import os
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -35,12 +34,6 @@ _FOLDER = "Folder of the result: three plots and a table (CSV)."
 _MANNERS = "The simulated vehicle's, px4 or copter; with --connection the autopilot's own count."
 
 app = typer.Typer(no_args_is_help=True, help="Fly tests, and say whether they passed.")
-
-
-@app.callback()
-def _flighttest() -> None:
-    # Read when the libraries load: every flight has one core.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @app.command()

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -37,8 +36,6 @@ def features(
 
     Example: vwnav bench features --data ../shared/data -o bench
     """
-    # Read when the libraries load: times are those of one core.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from rich.console import Console
 
     from vwnav.bench.features.report import as_json as report_as_json

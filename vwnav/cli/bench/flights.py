@@ -1,7 +1,6 @@
 """`vwnav bench flights`: many lockstep flights of a route, in numbers with intervals."""
 
 import json
-import os
 import time
 from dataclasses import asdict
 from functools import cache
@@ -49,8 +48,6 @@ def flights(
 
     Example: vwnav bench flights --runs 100 --manners px4,copter --jobs 8 -o flights
     """
-    # Read when the libraries load: a flight is one core's work, in this process and its children.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.figures import pyplot
     from vwnav.bench.flights.campaign import Sortie
     from vwnav.bench.flights.folder import CampaignFolder, fly_campaign

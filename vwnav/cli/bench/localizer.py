@@ -1,7 +1,6 @@
 """`vwnav bench localizer`: the localizer on registered pictures and ground that repeats."""
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -43,8 +42,6 @@ def localizer(
 
     Example: vwnav bench localizer --set judge --features default,sift --looks 40
     """
-    # Read when the libraries load: times are those of one core.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from rich.console import Console
 
     from vwnav.bench.localizer.report import as_json, sequence_table, sequences_as_json, tables

@@ -1,7 +1,6 @@
 """`vwnav bench shutter`: what a rolling shutter costs."""
 
 import json
-import os
 import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
@@ -27,8 +26,6 @@ def shutter(
 
     Example: vwnav bench shutter --looks 200
     """
-    # Read when the libraries load: times are those of one core.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     import cv2
 
     from vwnav.bench.localizer.shutter import ASKED, bench_shutter

@@ -1,7 +1,6 @@
 """`vwnav bench significance`: how little chance the wrong agreements of a model show."""
 
 import json
-import os
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -31,8 +30,6 @@ def significance(
 
     Example: vwnav bench significance --features runs/new.onnx --write
     """
-    # Read when the libraries load: one core is enough, and others may need theirs.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.localizer.run import data_folder, extractor_of
     from vwnav.bench.localizer.unrelated import calibrate, write_log10_per_decade
     from vwnav.screen import LiveLine, print_table, say

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -44,8 +43,6 @@ def waypoints(
 
     Example: vwnav bench waypoints --features learned --height-m 50
     """
-    # Read when the libraries load: a flight is one core's work.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     from vwnav.bench.flights.fly import fly
     from vwnav.bench.flights.waypoints import HEIGHTS_M, THESIS_M, measure, plan
     from vwnav.recording.run_folder import make_run_folder, write_json
