@@ -78,6 +78,7 @@ class EkfConfig:
     touching_speed_m_s: float = 1.5  # and no faster than this sideways
     touching_sigma_m_s: float = 0.5  # of its horizontal speed then, per barometric height
     slope_share: float = 0.2  # of a way, times the slope of the ground
+    relief_share: float = 0.5  # of a way, times the relief's share of the height: of each image
     zoom_share: float = 0.05  # of a climb that odometry sees; 1 % is wrong each time alike
     picture_date_s: float = 0.005  # error of an image's date, its read-out's part included
     anchor_share: float = 0.5  # of an odometry covariance that is due to the keyframe

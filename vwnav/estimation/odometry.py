@@ -296,6 +296,7 @@ def _displacement(
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     R[2, 2] += (config.zoom_share * down_m) ** 2
     unsure = config.slope_share * math.hypot(*x[States.SLOPE])
+    unsure += config.relief_share * state.relief_m / agl_m
     R += unsure**2 * float(predicted_m @ predicted_m) * np.eye(3)
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
