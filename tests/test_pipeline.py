@@ -79,6 +79,20 @@ class NoOdometry:
         return Attitude(t_s, LEVEL)
 
 
+@dataclass
+class Racing(NoOdometry):
+    """Tells 50 m/s; counts how often it is told that it mistook the ground."""
+
+    mistakes: int = 0
+
+    def step(self, frame, R_ned_body, agl_m):
+        way_m, since_s = np.array([5.0, 0.0, 0.0]), frame.t_s - 0.1
+        return OdometryMotion(since_s, frame.t_s, way_m, 0.01 * np.eye(3), 0.0, 0.01, agl_m, 80)
+
+    def mistook(self):
+        self.mistakes += 1
+
+
 def make_pipeline(
     primary,
     fallback=None,
@@ -88,6 +102,7 @@ def make_pipeline(
     most_fixes=0,
     ekf_config=None,
     rolling=False,
+    odometry=None,
 ):
     config = PipelineConfig(fallback_after=3, primary_retry_every=2, most_fixes=most_fixes)
     choice = FeatureChoice(primary, fallback, config, (said if said is not None else []).append)
@@ -95,7 +110,7 @@ def make_pipeline(
     if start is not None:
         ekf.initialise(start)
     executor = executor or InlineExecutor()
-    return Pipeline(choice, NoOdometry(), ekf, HOME, 0.02, config, executor, rolling)
+    return Pipeline(choice, odometry or NoOdometry(), ekf, HOME, 0.02, config, executor, rolling)
 
 
 def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0, attitude=LEVEL):
@@ -119,6 +134,13 @@ def test_a_fix_moves_the_estimate_and_the_next_prior_is_tighter():
     steps = fly(make_pipeline(localizer, start=above_home()), 5.0)
     assert steps[-1].estimate.position_ned_m[:2] == pytest.approx([4.0, -3.0], abs=0.7)
     assert localizer.priors[-1].sigma_m < localizer.priors[0].sigma_m
+
+
+def test_a_way_that_no_aircraft_flies_is_no_motion_seen_and_looked_for_afresh():
+    odometry = Racing()
+    steps = fly(make_pipeline(FakeLocalizer(), start=above_home(), odometry=odometry), 2.0)
+    assert all(isinstance(step.motion, Rejected) for step in steps)
+    assert odometry.mistakes == len(steps)
 
 
 def test_images_of_a_rolling_shutter_carry_how_the_body_moves():

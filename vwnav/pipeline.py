@@ -44,6 +44,7 @@ MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
+_NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
 
@@ -108,11 +109,7 @@ class FeatureChoice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """An image that is being matched to the map.
-
-    Attributes:
-        begins: nothing that is believed said where on the map it was taken.
-    """
+    """An image that is being matched; it `begins` where nothing that is believed says its place."""
 
     t_s: float
     localizer: Localizing
@@ -183,9 +180,8 @@ class Pipeline:
     def step(self, frame: Frame) -> StepResult:
         """Take one image through the whole path.
 
-        An image whose attitude is not known moves nothing. Which way the ground passed in it is
-        not known, and how far beside the aircraft its centre lies neither: 10 degrees are 9 m at
-        50 m, all images of the gap to the same side, which no covariance of a fix can say.
+        An image whose attitude is not known moves nothing: 10 degrees are 9 m at 50 m, all images
+        of a gap to the same side, which no covariance of a fix can say.
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
         with self._lock:
@@ -195,8 +191,8 @@ class Pipeline:
                 image = with_motion(image, self._ekf.attitude_at, now)
         R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
         motion = self._track(image, attitude, R_ned_body)
-        outcome = self._collect(frame.t_s)
-        outcome = self._attempt_if_due(image, R_ned_body) or outcome
+        ended = self._collect(frame.t_s)
+        outcome = self._attempt_if_due(image, R_ned_body) or ended
         outcome = outcome or Rejected(frame.t_s, RejectReason.NOT_TRIED)
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
@@ -215,11 +211,13 @@ class Pipeline:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
                 if isinstance(motion, Rejected):
                     self._ekf.handle(Untracked(frame.t_s))
-            if isinstance(motion, OdometryMotion):
-                verdict = self._ekf.handle(motion).verdict
-                if verdict is Verdict.DISTRUSTED:
-                    return Rejected(frame.t_s, RejectReason.PRIOR, verdict.value)
-        return motion
+            if isinstance(motion, Rejected):
+                return motion
+            verdict = self._ekf.handle(motion).verdict
+        if verdict is Verdict.IMPOSSIBLE:
+            self._odometry.mistook()
+        reason = _NO_MOTION.get(verdict)
+        return motion if reason is None else Rejected(frame.t_s, reason, verdict.value)
 
     def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:
         """Start matching this image when it is time to; the outcome if it is there at once."""

@@ -78,6 +78,10 @@ class Tracking(Protocol):
         """Motion since the keyframe."""
         ...
 
+    def mistook(self) -> None:
+        """What was followed was not the ground."""
+        ...
+
 
 class Watcher(Protocol):
     """Sees what happens, for the record and the screen. Called from the loops: must be quick."""

@@ -149,3 +149,66 @@ def test_what_wrong_ways_have_taught_is_as_at_first_and_the_velocity_as_wrong_as
     assert added[States.VELOCITY_NE] == pytest.approx([4.0, 4.0])
     assert added[States.POSITION_NE] == pytest.approx([36.0, 36.0])  # half of 2 m/s for 6 s
     assert np.linalg.eigvalsh(after.P).min() > -1e-9
+
+
+def hovering_with_imu(wrong_way_m, seconds: float) -> tuple[Ekf, list[str], float]:
+    """Level at 20 m; from 2 s on an image tells `wrong_way_m(n)` (3,) since the one before.
+
+    Also the widest sigma of the level velocity since then.
+    """
+    ekf, said, widest = Ekf(EkfConfig()), [], 0.0
+    ekf.on_event(said.append)
+    ekf.handle(Attitude(0.0, LEVEL))
+    ekf.initialise(
+        Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -20.0]), sigma_m=1.0, agl_m=20.0)
+    )
+    fix = NedFix(t_s=1.5, position_ne_m=np.zeros(2), covariance_ne_m2=0.25 * np.eye(2))
+    for n in range(1, round(50.0 * seconds) + 1):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(ImuSample(t_s, np.array([0.0, 0.0, -9.80665]), np.zeros(3)))
+        if n % 5 == 0:
+            ekf.handle(fix if t_s == fix.t_s else Height(t_s, 20.0))
+            way_m = wrong_way_m(n) if t_s > 2.0 else np.zeros(3)
+            since_s = round(t_s - 0.1, 6)
+            told = OdometryMotion(since_s, t_s, way_m, 0.02**2 * np.eye(3), 0.0, 0.003, 20.0, 99)
+            ekf.handle(told)
+        if t_s > 2.0:
+            widest = max(widest, float(np.diag(ekf.estimate(t_s).covariance)[3:5].max()) ** 0.5)
+    return ekf, said, widest
+
+
+def test_ways_that_no_aircraft_flies_are_lost_like_those_that_contradict_the_imu():
+    """Locked on to rows of a crop: 36, 72, 100 m/s for as long as it flew, and nothing was said."""
+    ekf, said, _ = hovering_with_imu(lambda n: np.array([7.0, 0.0, 0.0]), 4.0)
+    assert [each for each in said if "pictures show contradicts" in each]
+    assert np.all(np.abs(ekf.state.x[States.VELOCITY_NE]) < 0.2)
+
+
+def test_however_long_images_contradict_an_imu_it_is_not_thought_to_be_off_by_more_than_it_can_be():
+    """Six refused in a row freed the velocity by all they said, and the seventh was believed."""
+    ekf, _, widest = hovering_with_imu(lambda n: np.array([0.3 + 0.01 * n, 0.0, 0.0]), 3.0)
+    assert widest < 1.0
+    assert np.all(np.abs(ekf.state.x[States.VELOCITY_NE]) < 0.3)
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_a_way_that_passes_by_chance_among_such_that_are_refused_hardly_counts(seed):
+    world = FilterWorld(seconds=20.0, imu_hz=50.0, leg_s=6.0)
+    rng = np.random.default_rng(seed)
+    stream, events = sense(world, fly(world, [rng])[0], rng), []
+    for event in stream.events:
+        way = event.seen
+        if isinstance(way, NedFix) and way.t_s > 12.0:
+            continue
+        if isinstance(way, OdometryMotion) and way.t1_s > 12.0 and rng.random() < 0.9:
+            wrong_m = np.array([*rng.normal(0.0, 0.3, 2), 0.0])
+            way_m = rng.uniform(0.3, 1.1) * way.displacement_ned_m + wrong_m
+            event = replace(event, seen=replace(way, displacement_ned_m=way_m))
+        events.append(event)
+    rows = play(replace(stream, events=events)).rows
+    worst = max(
+        math.sqrt(error_m_s @ np.linalg.solve(P[3:5, 3:5], error_m_s))
+        for error_m_s, P in zip(rows.error_v_m_s[:, :2], rows.P, strict=True)
+    )
+    assert worst < 3.5

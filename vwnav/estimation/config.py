@@ -103,6 +103,8 @@ class EkfConfig:
     lone_fix_sigma_m: float = 40.0  # by how much a sudden one that none agrees with may be wrong
     jump_m: float = 3.0  # a correction that is longer counts as a reset
     offset_count: int = 4  # refused headings or AGLs that must agree before their state is freed
+    felt_push_off_m_s2: float = 1.0  # by which an IMU may be wrong that contradicts ways ...
+    push_off_m_s2: float = 5.0  # ... or the push as the attitude has it
     offset_span_s: float = 0.5  # and the least time they span
     heading_drift_rad_s: float = math.radians(2.0)  # by which agreeing headings may drift apart
 

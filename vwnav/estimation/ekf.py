@@ -241,7 +241,7 @@ class Ekf:
         One of ways that mostly contradict the IMU is refused, and those before it too.
         """
         innovation, gate = self._meet_way(motion), self._odometry_gate
-        if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
+        if innovation.verdict in (Verdict.FUSED, Verdict.GATED, Verdict.IMPOSSIBLE):
             assert self._timeline is not None
             agrees = innovation.verdict is Verdict.FUSED
             if not gate.lost:

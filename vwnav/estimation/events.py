@@ -31,10 +31,15 @@ class NedFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """Odometry between its keyframe and an image, at that image's exposure."""
+    """Odometry between its keyframe and an image, at that image's exposure.
+
+    `doubt` is by how much larger its covariance is where ways beside it were refused: they are
+    wrong alike, and one that passes the gate is so by chance.
+    """
 
     t_s: float
     motion: OdometryMotion
+    doubt: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

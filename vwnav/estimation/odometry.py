@@ -9,7 +9,7 @@ from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import convinces, remember
-from vwnav.estimation.events import Misled, NewKeyframe
+from vwnav.estimation.events import Displacement, Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
     AttitudeHistory,
@@ -23,6 +23,7 @@ from vwnav.estimation.states import (
     Measurement,
     States,
     Verdict,
+    correct,
     fuse,
     tells_heading,
     white_acceleration,
@@ -80,10 +81,13 @@ def apply_keyframe(
 
 
 def apply_displacement(
-    state: FilterState, motion: OdometryMotion, context: Context
+    state: FilterState, event: Displacement, context: Context
 ) -> tuple[FilterState, Innovation]:
-    """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
-    attitudes, config = context.attitudes, context.config
+    """Fuse the way from the keyframe; its heading first, which the displacement is turned by.
+
+    Its doubt does not open its gate: what passes it then counts for less.
+    """
+    attitudes, config, motion = context.attitudes, context.config, event.motion
     anchor, before_s = state.anchor, state.exposed_s
     state = replace(state, tracked_s=motion.t1_s, exposed_s=motion.t1_s)
     if anchor is None or anchor.t_s != motion.t0_s:
@@ -97,7 +101,6 @@ def apply_displacement(
         turned_rad = exposure.yaw_rad - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
-    before = state
     keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
     agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
     relief = motion.relief if agl_m > _GRASS_BELOW_M else 0.0
@@ -105,13 +108,15 @@ def apply_displacement(
         change_m2 = (relief * agl_m) ** 2 - state.relief_m**2
         state = replace(state, relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
-    state, innovation = fuse(state, displacement)
+    fused, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
-        state = replace(_in_scale(before, state, agl_m), rejected_ways=())
-        state = _apply_slope(state, motion, anchor.yaw_rad, context)
+        if event.doubt > 1.0:
+            fused = correct(state, replace(displacement, R=event.doubt * displacement.R))
+        fused = replace(_in_scale(state, fused, agl_m), rejected_ways=())
+        fused = _apply_slope(fused, motion, anchor.yaw_rad, context)
     else:
-        state = _rejected(state, displacement, config)
-    return state, replace(innovation, parts=parts)
+        fused = _rejected(state, displacement, config)
+    return fused, replace(innovation, parts=parts)
 
 
 def _apply_slope(
@@ -194,7 +199,8 @@ def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> Filter
 
     What all of them are off by alike is an error of their keyframe (of its stamp, mostly), which
     becomes as unsure as that. What they part by from image to image is an error of the
-    velocity, and that becomes as unsure.
+    velocity, and that becomes as unsure, as far as the push may have been wrong since the first of
+    them: an accelerometer that is believed is not off by a tenth of gravity, whatever images say.
     """
     rejected = remember(state.rejected_ways, state.t_s, way, config.dispute_window_s)
     if not convinces(rejected, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
@@ -205,6 +211,10 @@ def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> Filter
     if len(since) >= _WAYS_AGREE // 2:
         zero_s, zero_m = since[0].t_s, since[0].residual
     grew_m_s = (way.residual - zero_m) / max(state.t_s - zero_s, _SHORTEST_S)
+    felt = state.measured is not None and state.measured.felt is not None
+    push_m_s2 = config.felt_push_off_m_s2 if felt else config.push_off_m_s2
+    most_m_s = push_m_s2 * (state.t_s - rejected[0].t_s + _SHORTEST_S)
+    grew_m_s = np.minimum(np.abs(grew_m_s), most_m_s)
     P = state.P.copy()
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += np.diag(way.residual**2)
     P[States.VELOCITY, States.VELOCITY] += np.diag(grew_m_s**2)

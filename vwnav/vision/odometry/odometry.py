@@ -127,6 +127,11 @@ class Odometry:
         self._slope_ne: Array | None = None  # of the ground at the keyframe, by the images before
         self._heading_rad = 0.0
 
+    def mistook(self) -> None:
+        """What was followed was not the ground: look afresh, and not where that would have led."""
+        self._keyframe = self._slope_ne = None
+        self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+
     def counted_attitude(self, t_s: float) -> Attitude:
         """Of a video alone: level, with the heading counted up to the last image."""
         R_ned_body = rotation_from_euler(0.0, 0.0, self._heading_rad)
