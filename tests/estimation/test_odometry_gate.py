@@ -16,7 +16,7 @@ from vwnav.estimation.events import Misled, NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.odometry import apply_misled
 from vwnav.estimation.odometry_gate import OdometryGate
-from vwnav.estimation.states import FilterState, States
+from vwnav.estimation.states import FilterState, States, Verdict
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -183,6 +183,8 @@ def test_ways_that_no_aircraft_flies_are_lost_like_those_that_contradict_the_imu
     ekf, said, _ = hovering_with_imu(lambda n: np.array([7.0, 0.0, 0.0]), 4.0)
     assert [each for each in said if "pictures show contradicts" in each]
     assert np.all(np.abs(ekf.state.x[States.VELOCITY_NE]) < 0.2)
+    more = OdometryMotion(3.9, 4.0, np.array([7.0, 0.0, 0.0]), np.eye(3), 0.0, 0.003, 20.0, 99)
+    assert ekf.handle(more).verdict is Verdict.IMPOSSIBLE  # so that odometry looks afresh
 
 
 def test_however_long_images_contradict_an_imu_it_is_not_thought_to_be_off_by_more_than_it_can_be():
