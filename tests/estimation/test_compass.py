@@ -10,7 +10,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Exposed, NedFix
 from vwnav.estimation.states import States
-from vwnav.types import Attitude, Height
+from vwnav.types import Attitude, Height, OdometryMotion
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -82,3 +82,48 @@ def test_a_compass_that_errs_as_they_do_is_learned_at_once():
     ekf, accepted = hovering(lambda n: 20.0)
     assert all(accepted)
     assert ekf.state.x[States.HEADING_BIAS] == pytest.approx(math.radians(-20.0), abs=0.03)
+
+
+def drifting(bias_deg: float) -> tuple[Ekf, list[tuple[float, float]]]:
+    """Level, northwards at 4 m/s, told in the autopilot's north; then fixes, two a second.
+
+    Also time and how far it is off in the velocity, in its own sigmas, since the fixes began.
+    """
+    bias_rad = math.radians(bias_deg)
+    yaw = np.array([math.cos(bias_rad / 2.0), 0.0, 0.0, math.sin(bias_rad / 2.0)])
+    told = 4.0 * np.array([math.cos(bias_rad), math.sin(bias_rad), 0.0])
+    ekf, off = Ekf(EkfConfig()), []
+    ekf.handle(Attitude(0.0, yaw))
+    start = Start(
+        t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), sigma_m=60.0, agl_m=50.0,
+        sigma_velocity_m_s=5.0,
+    )  # fmt: skip
+    ekf.initialise(start)
+    for n in range(1, 600):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, yaw))
+        if n % 5 == 0:
+            ekf.handle(Height(t_s, 50.0))
+            way = OdometryMotion(
+                round(t_s - 0.1, 6), t_s, 0.1 * told, 0.05**2 * np.eye(3), 0.0, 0.003, 50.0, 99
+            )
+            ekf.handle(way)
+        if n % 25 == 0 and n > 250:
+            fix = NedFix(
+                t_s=t_s, position_ne_m=np.array([4.0 * t_s, 0.0]), covariance_ne_m2=np.eye(2),
+                yaw_rad=0.0, sigma_yaw_rad=0.02, agl_m=50.0, sigma_agl_m=1.0,
+            )  # fmt: skip
+            ekf.handle(fix)
+            found = ekf.estimate(t_s)
+            error = found.velocity_ned_m_s[:2] - [4.0, 0.0]
+            off.append((t_s, math.sqrt(error @ np.linalg.solve(found.covariance[3:5, 3:5], error))))
+    return ekf, off
+
+
+@pytest.mark.parametrize("bias_deg", [60.0, 180.0, -120.0])
+def test_with_a_heading_that_was_off_from_the_start_velocity_and_wind_turn(bias_deg):
+    """Left as they were, a head wind for a tail wind, the attitude seemed to lean by 2 degrees."""
+    ekf, off = drifting(bias_deg)
+    assert off[2][1] > 5.0  # sigmas: three are not believed
+    assert all(sigmas < 1.0 for _, sigmas in off[3:])  # was 6 to 22 with the fourth
+    assert np.degrees(np.linalg.norm(ekf.state.x[States.TILT])) < 0.5

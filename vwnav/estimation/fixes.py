@@ -7,7 +7,14 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import agreeing, convinces, freed, range_doubted, remember
+from vwnav.estimation.disputes import (
+    agreeing,
+    convinces,
+    freed,
+    range_doubted,
+    remember,
+    turned,
+)
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.integrals import Exposure
@@ -69,11 +76,11 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     if compass is not None and state.heading_known:
         off_rad = compass[0] - float(state.x[States.HEADING_BIAS] - state.x[States.MAP_TURN])
         if math.cos(off_rad) < _TURNED_COS:
-            turned, part = _apply_heading(state, *compass, config, _NOW.yaw)
+            found, part = _apply_heading(state, *compass, config, _NOW.yaw)
             if not part.accepted:
-                return turned, part
+                return found, part
             if part.verdict is Verdict.RELOCATED:
-                state, parts, compass = turned, [part], None
+                state, parts, compass = found, [part], None
     position = _position(state, fix, exposure, _NOW)
     if not exposure.told:
         position = _unseen(state, position, fix)
@@ -120,11 +127,11 @@ def apply_late_fix(
     if compass is not None and state.heading_known:
         off_rad = compass[0] - float(state.x[_THEN.yaw] - state.x[States.MAP_TURN])
         if math.cos(off_rad) < _TURNED_COS:
-            turned, part = _apply_heading(state, *compass, config, _THEN.yaw)
+            found, part = _apply_heading(state, *compass, config, _THEN.yaw)
             if not part.accepted:
-                return turned, part
+                return found, part
             if part.verdict is Verdict.RELOCATED:
-                state, compass = turned, None
+                state, compass = found, None
     position = _position(state, fix, exposure, _THEN)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
     state, innovation = _apply_position(state, fix, position, context)
@@ -294,10 +301,12 @@ def _apply_heading(
         rejected, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
     ):
         return state, innovation
-    turned = _moved_along(state, measurement, jump)
+    if state.t_last_fix_s is None:  # it was off from the start, and so was all that is level
+        state = turned(state, -float(residual[0]))
+    found = _moved_along(state, measurement, jump)
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
-    turned = freed(turned, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
-    return replace(turned, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
+    found = freed(found, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
+    return replace(found, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def apply_agl(
