@@ -143,6 +143,16 @@ def test_a_way_that_no_aircraft_flies_is_no_motion_seen_and_looked_for_afresh():
     assert odometry.mistakes == len(steps)
 
 
+def test_a_video_alone_goes_on_following_as_it_may_only_be_higher_than_thought():
+    odometry, config = Racing(), EkfConfig().without_telemetry()
+    pipeline = make_pipeline(
+        FakeLocalizer(), start=above_home(), odometry=odometry, ekf_config=config
+    )
+    steps = fly(pipeline, 2.0, attitude=None)
+    assert all(isinstance(step.motion, OdometryMotion) for step in steps[1:])
+    assert odometry.mistakes == 0
+
+
 def test_images_of_a_rolling_shutter_carry_how_the_body_moves():
     """Turning by 0.5 rad/s to the right, as attitudes around the exposure say."""
     frames = []

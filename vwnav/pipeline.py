@@ -214,10 +214,12 @@ class Pipeline:
             if isinstance(motion, Rejected):
                 return motion
             verdict = self._ekf.handle(motion).verdict
+        reason = _NO_MOTION.get(verdict)
+        if reason is None or self._ekf.counts_heading:  # which does not know its height at first
+            return motion
         if verdict is Verdict.IMPOSSIBLE:
             self._odometry.mistook()
-        reason = _NO_MOTION.get(verdict)
-        return motion if reason is None else Rejected(frame.t_s, reason, verdict.value)
+        return Rejected(frame.t_s, reason, verdict.value)
 
     def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:
         """Start matching this image when it is time to; the outcome if it is there at once."""
