@@ -1,6 +1,7 @@
 """The rooms import one way, and what flies needs no workstation library."""
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -132,3 +133,21 @@ def test_help_does_not_load_opencv():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, cwd=ROOT)
     assert done.returncode == 0
+
+
+def test_products_of_matrices_have_one_thread_by_the_time_their_library_loads():
+    """With two that waited awake for each other a flight took two thirds more of the processor."""
+    code = (
+        "import os, sys\n"
+        "import vwnav.__main__ as command\n"
+        "assert 'numpy' not in sys.modules\n"
+        "sys.argv = ['vwnav', '--version']\n"
+        "try:\n    command.main()\n"
+        "except SystemExit:\n    pass\n"
+        "sys.exit(os.environ.get('OPENBLAS_NUM_THREADS') != '1')"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, cwd=ROOT, env=environment
+    )
+    assert done.returncode == 0, done.stderr
