@@ -6,6 +6,10 @@ Errors become one line and an exit code.
 import os
 import sys
 
+# Read when numpy loads. A product of matrices as small as the filter's is done before other threads
+# have begun; waiting for the next one they took two thirds more of the processor.
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
 import typer
 
 from vwnav import __version__
@@ -75,9 +79,6 @@ def _options(
 
 def main() -> None:
     """Run the command; known errors become one line on stderr and exit code 1 (3: not safe)."""
-    # Read when the libraries load. A product of matrices as small as the filter's is done before
-    # other threads have begun; waiting for the next one they took two thirds more of the processor.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     try:
         app()
     except VwnavError as wrong:
