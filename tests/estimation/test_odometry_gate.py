@@ -194,7 +194,18 @@ def test_however_long_images_contradict_an_imu_it_is_not_thought_to_be_off_by_mo
     assert np.all(np.abs(ekf.state.x[States.VELOCITY_NE]) < 0.3)
 
 
-def test_a_way_that_passes_by_chance_among_such_that_are_refused_hardly_counts():
-    ekf, _, _ = hovering_with_imu(lambda n: np.array([0.6 if n % 10 else 0.06, 0.0, 0.0]), 3.2)
-    found = ekf.estimate(3.2)
-    assert found.velocity_ned_m_s[0] < 4.0 * math.sqrt(found.covariance[3, 3])  # was 5.4 of them
+def test_ways_of_which_half_are_refused_are_lost():
+    """Over ground that repeats every second one passed by chance, and turned the velocity."""
+    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    t_s = tell(gate, 0.0, 5.0, True)
+    for n in range(14):
+        t_s = tell(gate, t_s, 0.1, n % 2 == 0)
+    assert gate.lost
+
+
+def test_so_are_not_those_of_which_a_third_is():
+    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    t_s = tell(gate, 0.0, 5.0, True)
+    for n in range(60):
+        t_s = tell(gate, t_s, 0.1, n % 3 != 0)
+    assert not gate.lost

@@ -31,15 +31,10 @@ class NedFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """Odometry between its keyframe and an image, at that image's exposure.
-
-    `doubt` is by how much larger its covariance is where ways beside it were refused: they are
-    wrong alike, and one that passes the gate is so by chance.
-    """
+    """Odometry between its keyframe and an image, at that image's exposure."""
 
     t_s: float
     motion: OdometryMotion
-    doubt: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

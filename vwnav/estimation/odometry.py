@@ -9,7 +9,7 @@ from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import convinces, remember
-from vwnav.estimation.events import Displacement, Misled, NewKeyframe
+from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
     AttitudeHistory,
@@ -23,7 +23,6 @@ from vwnav.estimation.states import (
     Measurement,
     States,
     Verdict,
-    correct,
     fuse,
     tells_heading,
     white_acceleration,
@@ -81,13 +80,10 @@ def apply_keyframe(
 
 
 def apply_displacement(
-    state: FilterState, event: Displacement, context: Context
+    state: FilterState, motion: OdometryMotion, context: Context
 ) -> tuple[FilterState, Innovation]:
-    """Fuse the way from the keyframe; its heading first, which the displacement is turned by.
-
-    Its doubt does not open its gate: what passes it then counts for less.
-    """
-    attitudes, config, motion = context.attitudes, context.config, event.motion
+    """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
+    attitudes, config = context.attitudes, context.config
     anchor, before_s = state.anchor, state.exposed_s
     state = replace(state, tracked_s=motion.t1_s, exposed_s=motion.t1_s)
     if anchor is None or anchor.t_s != motion.t0_s:
@@ -110,8 +106,6 @@ def apply_displacement(
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
     fused, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
-        if event.doubt > 1.0:
-            fused = correct(state, replace(displacement, R=event.doubt * displacement.R))
         fused = replace(_in_scale(state, fused, agl_m), rejected_ways=())
         fused = _apply_slope(fused, motion, anchor.yaw_rad, context)
     else:

@@ -27,8 +27,7 @@ from vwnav.types import Array, OdometryMotion
 _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
-_DOUBTED, _TRUSTED = 0.4, 0.9  # share that agrees: at most, and at least
-_DOUBT = 10.0  # of a way's covariance among such that are all refused
+_DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
 _DATE_OFF_S = 0.5  # ... in the time by which images may be dated wrongly
@@ -88,8 +87,7 @@ class OdometryGate:
 
     def _trust_all(self) -> None:
         self._seen: deque[_Way] = deque()
-        self._refused = 0  # of those in the window
-        self._begun_s = math.inf  # of what is in it
+        self._begun_s = math.inf  # of what is in the window
         self.believed_s = math.inf
         self._lost_s = -math.inf
         self._agree_s = _AGREE_S
@@ -103,9 +101,7 @@ class OdometryGate:
         off_m = self._config.picture_date_s * motion.agl_m * tilts_rad_s
         unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
         covariance = motion.covariance_ned_m2 + unsure_m2
-        told = replace(motion, covariance_ned_m2=covariance)
-        share = self._refused / max(len(self._seen), _LEAST)
-        return Displacement(motion.t1_s, told, 1.0 + _DOUBT * share)
+        return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
 
     def admit(
         self, motion: OdometryMotion, event: Displacement, timeline: _History
@@ -179,15 +175,14 @@ class OdometryGate:
         velocity_m_s, variance = state.x[States.VELOCITY], np.diag(state.P)[States.VELOCITY]
         sigma_m_s = math.sqrt(float(np.max(variance[:2])))
         self._seen.append(_Way(t_s, agrees, velocity_m_s[:2], sigma_m_s))
-        self._refused += not agrees
         self._begun_s = min(self._begun_s, t_s)
         self.believed_s = min(self.believed_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
-            self._refused -= not self._seen.popleft().agrees
+            self._seen.popleft()
         few = len(self._seen) < _LEAST or t_s - self._begun_s < window_s
         if few and (self.lost or not self._turned):
             return False
-        share = 1.0 - self._refused / len(self._seen)
+        share = sum(way.agrees for way in self._seen) / len(self._seen)
         if self.lost and self.fixed and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s = False, t_s
         elif not self.lost and (share <= _DOUBTED or self._turned):
@@ -212,7 +207,6 @@ class OdometryGate:
 
     def _begin_anew(self) -> None:
         self._seen.clear()
-        self._refused = 0
         self._begun_s = math.inf
 
 

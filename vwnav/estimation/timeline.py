@@ -151,8 +151,8 @@ def _corrected(
     match event:
         case NedFix():
             return apply_fix(state, event, context)
-        case Displacement():
-            return apply_displacement(state, event, context)
+        case Displacement(_, motion):
+            return apply_displacement(state, motion, context)
         case LateFix(_, fix):
             return apply_late_fix(state, fix, context)
         case Exposed():
