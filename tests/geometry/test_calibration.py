@@ -165,7 +165,7 @@ def test_senseless_values_are_refused_in_one_line(
 def test_how_sure_the_mount_is_comes_from_its_calibration(tmp_path: Path) -> None:
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(OURS))
-    assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(1.5))
+    assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(2.0))
     save_camera(load_camera(path), path, {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0]})
     assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(0.3))
 

@@ -123,7 +123,7 @@ def test_doctor_says_whether_anybody_measured_lens_and_mount(vwnav, place, tmp_p
 
     bare = tmp_path / "bare.json"
     save_camera(load_camera(place.camera), bare)
-    assert "1.5 degrees, 1.3 m" in detail_of(bare)
+    assert "2.0 degrees, 1.7 m" in detail_of(bare)
     assert "vwnav calibrate mount" in detail_of(bare)
     assert "focal length to 1.5 %" in detail_of(bare)
     assert "vwnav calibrate camera" in detail_of(bare)
