@@ -241,12 +241,12 @@ class Ekf:
         One of ways that mostly contradict the IMU is refused, and those before it too.
         """
         innovation, gate = self._meet_way(motion), self._odometry_gate
-        verdict = innovation.verdict
-        if verdict in (Verdict.FUSED, Verdict.GATED, Verdict.IMPOSSIBLE):
+        if innovation.verdict in (Verdict.FUSED, Verdict.GATED):
             assert self._timeline is not None
-            agrees, doubtful = verdict is Verdict.FUSED, verdict is Verdict.GATED and not gate.lost
+            agrees = innovation.verdict is Verdict.FUSED
             if not gate.lost:
-                self._refused_ways = 0 if agrees else self._refused_ways + doubtful
+                self._refused_ways = 0 if agrees else self._refused_ways + 1
+            doubtful = not (agrees or gate.lost)
             if doubtful and self._imu_gate.refused_ways(self._refused_ways, motion.t1_s):
                 self._imu_changed()
                 gate.forgive()
@@ -254,7 +254,7 @@ class Ekf:
                 if gate.lost:
                     self._take_ways_back()
                 self._say(gate.words)
-        told = gate.lost and verdict is not Verdict.IMPOSSIBLE
+        told = gate.lost and innovation.verdict is not Verdict.IMPOSSIBLE
         return Innovation(Verdict.DISTRUSTED) if told else innovation
 
     def _take_ways_back(self) -> None:
