@@ -112,9 +112,6 @@ class OdometryGate:
         """
         if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
             return Verdict.ON_GROUND  # a take-off is broken off for ways that contradict the IMU
-        heard = event.t_s <= self._attitudes.gyro.newest_s + _IMU_OF_NOW_S
-        if not (heard or self._turned):
-            self._trust_all()  # nothing contradicts them any more
         scale = max(timeline.newest.agl_m, 0.0) / motion.agl_m
         way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
         if not way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s):
@@ -130,6 +127,9 @@ class OdometryGate:
             return Verdict.NO_ATTITUDE
         if not (known or self._cloned(event.motion, timeline)):
             return Verdict.NO_ANCHOR
+        heard = event.t_s <= self._attitudes.gyro.newest_s + _IMU_OF_NOW_S
+        if not (heard or self._turned):
+            self._trust_all()  # nothing contradicts them any more
         share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
         along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
         self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
