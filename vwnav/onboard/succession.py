@@ -1,5 +1,7 @@
 """Where an aircraft must be by now whose navigator has ended: what its successor begins with."""
 
+import math
+
 import numpy as np
 
 from vwnav.estimation.beginning.starts import Start
@@ -12,24 +14,32 @@ _HELD_DRIFT_M_S, _BLIND_DRIFT_M_S = 1.0, 6.0  # one sigma while it does, and wit
 _LEAST_SIGMA_M = 3.0
 _SPEED_SIGMA_M_S = 3.0
 _HEIGHT_SIGMA_M = 3.0
+# It flies on for up to a second until it is braked, which takes it as far as 0.7 s of its speed do
+# (at 5 m/s^2, from 7 m/s); one sigma.
+_BRAKED_AFTER_S, _BRAKED_SIGMA_S = 1.2, 0.4
 
 
-def start_after(position_ned_m: Array, told_s: float, t_s: float) -> Start:
+def start_after(position_ned_m: Array, velocity_ne_m_s: Array, told_s: float, t_s: float) -> Start:
     """The start of a filter that goes on at `t_s`, as unsure as an aircraft may have moved since.
 
     Args:
         position_ned_m: (3,) the last good estimate that the autopilot was given.
+        velocity_ne_m_s: (2,) how it moved then.
         told_s: when that was.
         t_s: now.
     """
     since_s = max(t_s - told_s, 0.0)
     held_s = min(since_s, _HELD_S)
     drift_m = _HELD_DRIFT_M_S * held_s + _BLIND_DRIFT_M_S * (since_s - held_s)
+    flown = min(since_s / _BRAKED_AFTER_S, 1.0)
+    braked_m = _BRAKED_SIGMA_S * flown * float(np.hypot(*velocity_ne_m_s))
+    place_ned_m = np.array(position_ned_m)
+    place_ned_m[:2] += _BRAKED_AFTER_S * flown * velocity_ne_m_s
     height_m = -float(position_ned_m[2])
     return Start(
         t_s=t_s,
-        position_ned_m=np.array(position_ned_m),
-        sigma_m=_LEAST_SIGMA_M + drift_m,
+        position_ned_m=place_ned_m,
+        sigma_m=math.hypot(_LEAST_SIGMA_M + drift_m, braked_m),
         agl_m=max(height_m, 1.0),
         sigma_agl_m=max(_HEIGHT_SIGMA_M, 0.15 * height_m),
         sigma_velocity_m_s=_SPEED_SIGMA_M_S,

@@ -155,4 +155,4 @@ def _start(
 ) -> Start:
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
     position[2] = -handover.height_m
-    return start_after(position, handover.t_s, t_s)
+    return start_after(position, handover.velocity_ne_m_s, handover.t_s, t_s)

@@ -324,5 +324,6 @@ class LockstepSuccessor:
         if place is None or position is None:
             navigator.start(None)
         else:
-            navigator.start(start_after(place, position.t_s, t_s))
+            velocity_ne_m_s = np.array(self._resume.velocity_ne_m_s)
+            navigator.start(start_after(place, velocity_ne_m_s, position.t_s, t_s))
         navigator.flight.ride(t_s, "the navigator ended: this one only sends estimates")
