@@ -11,7 +11,8 @@ from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.types import Attitude
+from vwnav.estimation.states import States
+from vwnav.types import Attitude, OdometryMotion
 
 OUTAGES_S = ((50.0, 65.0), (90.0, 105.0))
 LEVEL = EkfConfig(slope=1e-4, slope_seen=1e3)  # what a filter without these states believes
@@ -46,3 +47,20 @@ def test_an_image_is_told_of_the_slope_that_the_terrain_table_knows():
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([3.0, 4.0, -50.0])))
     ekf.handle(Attitude(0.0, np.array([1.0, 0.0, 0.0, 0.0])))
     assert ekf.estimate(0.0).slope_ne == pytest.approx((0.1, -0.2))
+
+
+def test_a_slope_that_every_image_shows_by_the_same_keyframe_is_no_tilt():
+    """The keyframe was dated wrongly while it leaned: one error, seen thirty times."""
+    ekf, level = Ekf(EkfConfig()), np.array([1.0, 0.0, 0.0, 0.0])
+    ekf.handle(Attitude(0.0, level))
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), agl_m=50.0))
+    for n in range(1, 151):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, level))
+        if n % 5 == 0:
+            still = OdometryMotion(
+                0.1, t_s, np.zeros(3), 0.05**2 * np.eye(3), 0.0, 0.003, 50.0, 99,
+                slope_ne=np.array([-0.1, 0.15]), slope_covariance=0.06**2 * np.eye(2),
+            )  # fmt: skip
+            ekf.handle(still)
+    assert np.degrees(np.abs(ekf.state.x[States.TILT])).max() < 0.5

@@ -48,6 +48,7 @@ _TAUGHT = np.r_[
     States.FOCAL,
     States.SLOPE,
 ]
+_ATTITUDE_ERRORS = tuple(np.r_[States.TILT, States.ANCHOR_TILT, States.CAMERA_TILT].tolist())
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
@@ -120,7 +121,8 @@ def _apply_slope(
 
     To an attitude that is off by d = (d_n, d_e) level ground rises by (d_e, -d_n). Ground that no
     way has shown to rise is thought to be level: the slope is open as far as it may have changed
-    since the keyframe, and to what is told alone.
+    since the keyframe, and to what is told alone. Nothing is learned of the attitude: a keyframe
+    that was dated wrongly while it leaned shows every image the same slope that is none.
     """
     if motion.slope_ne is None or motion.slope_covariance is None:
         return state
@@ -140,7 +142,8 @@ def _apply_slope(
     by_tilt = turn @ np.array([[s, c], [-c, s]])
     H[:, States.ANCHOR_TILT] = H[:, States.CAMERA_TILT] = by_tilt
     R = turn @ motion.slope_covariance @ turn.T + config.slope_seen**2 * np.eye(2)
-    return fuse(state, Measurement(turn @ motion.slope_ne - table - H @ state.x, H, R))[0]
+    residual = turn @ motion.slope_ne - table - H @ state.x
+    return fuse(state, Measurement(residual, H, R, considered=_ATTITUDE_ERRORS))[0]
 
 
 def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
