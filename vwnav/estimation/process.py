@@ -28,7 +28,7 @@ from vwnav.estimation.inertial.gyro_aiding import (
 from vwnav.estimation.inertial.integrals import Measured
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
 from vwnav.estimation.states import FilterState, States, white_acceleration
-from vwnav.geometry.rotations import wrap_pi
+from vwnav.geometry.rotations import vector_from_quat, wrap_pi
 from vwnav.types import Array
 
 _STEP_S = 0.1
@@ -168,6 +168,10 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     F[States.GUST_FORCE, States.GUST_FORCE] = air.keep_gust * _LEVEL
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
     Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
+    # Whether a tilt error turns with the body or stays where it was, the gyro tells.
+    turned_rad = float(vector_from_quat(imu.turn_wxyz)[2])
+    slew_rad2 = config.tilt_slew_rad**2 * dt_s + (config.tilt_sigma_rad * turned_rad) ** 2
+    Q[States.TILT, States.TILT] += slew_rad2 * _LEVEL
     for states, walk in (
         (States.ACCELEROMETER_BIAS, config.accelerometer_walk_m_s2),
         (States.GYRO_BIAS, config.gyro_walk_rad_s),
@@ -272,8 +276,8 @@ def _transition(
 def _tilt_turn(step: TimeStep) -> Array:
     """(2, 2) how the tilt error turns about the body: the autopilot's goes with it, mostly.
 
-    That of an attitude which the gyro carries on stays where it was, whichever way the body turns,
-    until the autopilot tells one again.
+    Where an IMU tells, it is asked. That of an attitude which the gyro carries on stays where it
+    was, whichever way the body turns, until the autopilot tells one again.
     """
     return _LEVEL if step.carried_rad == 0.0 else level_axes(step.carried_rad).T
 

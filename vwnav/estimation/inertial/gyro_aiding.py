@@ -21,7 +21,6 @@ from vwnav.geometry.rotations import quat_conjugate, quat_multiply, vector_from_
 from vwnav.types import Array
 
 _JUMP_UNSURE = 0.1  # of a jump's size: how well the gyro tells it
-_TURN_UNSURE = 4.0  # tilts: whether a tilt error turns with the body or stays is not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +71,7 @@ def gyro_measurement(
     turn_rad = vector_from_quat(imu.turn_wxyz)
     variance = config.gyro_noise_rad**2 * span_s + imu.turn_variance_rad2
     variance += config.gyro_share**2 * float(turn_rad @ turn_rad)
-    unsure = _TURN_UNSURE * config.tilt_sigma_rad * float(turn_rad[2])
-    R = np.diag([variance + unsure**2, variance + unsure**2, variance])
-    return DelayedStateMeasurement(seen - C @ x, A, C, R)
+    return DelayedStateMeasurement(seen - C @ x, A, C, variance * np.eye(3))
 
 
 def explained(

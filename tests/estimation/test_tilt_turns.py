@@ -1,0 +1,41 @@
+"""Whether a tilt error of the autopilot's turns with the body or stays in NED, the gyro tells."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vwnav.estimation.beginning.starts import Start, first_state
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import States
+from vwnav.geometry.rotations import quat_from_vector, quat_multiply
+from vwnav.types import Attitude, ImuSample
+
+STEP_S, SPAN_S, RATE_RAD_S = 0.02, 3.0, np.radians(30.0)
+TILT_RAD = np.radians(2.0)
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_after_a_turn_by_90_degrees_the_tilt_is_where_the_gyro_has_it(stays):
+    attitudes = AttitudeHistory(10.0)
+    imu = ImuHistory(attitudes, 10.0)
+    for n in range(round(SPAN_S / STEP_S) + 1):
+        t_s = round(STEP_S * n, 6)
+        turned = quat_from_vector(np.array([0.0, 0.0, RATE_RAD_S * t_s]))
+        tilt = quat_from_vector(np.array([TILT_RAD, 0.0, 0.0]))
+        told = quat_multiply(tilt, turned) if stays else quat_multiply(turned, tilt)
+        attitudes.add(Attitude(t_s, told))
+        imu.add(ImuSample(t_s, np.array([0.0, 0.0, -9.81]), np.array([0.0, 0.0, RATE_RAD_S])))
+    config = EkfConfig()
+    start = first_state(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0])), config)
+    start.x[States.TILT] = TILT_RAD, 0.0
+    start.P[States.TILT, States.TILT] = np.radians(0.1) ** 2 * np.eye(2)
+    start.P[States.GYRO_BIAS, States.GYRO_BIAS] = np.radians(0.05) ** 2 * np.eye(3)
+    known = replace(start, heading_known=True)
+    state = predict(known, SPAN_S, Context(config, attitudes, imu))
+    expected = (0.0, -TILT_RAD) if stays else (TILT_RAD, 0.0)
+    assert state.x[States.TILT] == pytest.approx(expected, abs=np.radians(0.3))
