@@ -215,7 +215,7 @@ def test_a_flight_replays_to_the_identical_trajectory(flown, pack_file, tmp_path
 def test_a_recording_of_the_first_release_replays(pack_file, tmp_path):
     """Five seconds, written by 0.1.0's recorder beside its filter, with images of 64 x 48 px.
 
-    0.1.0's own filter ended 0.2 m from there: the present one knows more of what it is told.
+    The place is the present filter's: since slopes teach no tilt it ends 0.20 m from where it did.
     """
     done = replay(FIRST_RELEASE, pack_file, tmp_path / "out")
     assert done.exit_code == 0, done.output
@@ -225,7 +225,7 @@ def test_a_recording_of_the_first_release_replays(pack_file, tmp_path):
     with (tmp_path / "out" / "trajectory.csv").open() as file:
         *_, last = csv.DictReader(file)
     end_ned_m = [float(last[name]) for name in ("north_m", "east_m", "down_m")]
-    assert math.dist(end_ned_m, (25.999, 1.042, -49.982)) < 0.05
+    assert math.dist(end_ned_m, (25.877, 0.883, -49.984)) < 0.05
 
 
 def test_not_only_the_rounded_rows_but_every_bit_of_the_estimates_comes_back(flown, pack_file):

@@ -213,8 +213,11 @@ def _mix(thrust: float, roll: float, pitch: float, yaw: float) -> tuple[float, f
 def attitude_of_force(
     fn: float, fe: float, fd: float, yaw_rad: float
 ) -> tuple[float, float, float, float]:
-    """Quaternion wxyz of a body whose rotors push along a force in NED, with a heading."""
-    force = math.sqrt(fn * fn + fe * fe + fd * fd)
+    """Quaternion wxyz of a body whose rotors push along a force in NED, with a heading.
+
+    Level where there is no force.
+    """
+    force = math.sqrt(fn * fn + fe * fe + fd * fd) or 1.0
     zn, ze, zd = -fn / force, -fe / force, -fd / force  # body down axis in NED
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     # roll and pitch of Z-Y-X angles from body z, seen from the wanted heading
