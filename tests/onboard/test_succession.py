@@ -1,7 +1,7 @@
 """Where a second navigator begins: the aircraft flew on, and was braked."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from vwnav.onboard.succession import start_after
@@ -17,6 +17,8 @@ PLACE = np.array([40.0, -30.0, -50.0])
     brake_m_s2=st.floats(3.0, 8.0),
     since_s=st.floats(0.0, 4.0),
 )
+@example(speed_m_s=7.8, course_rad=-0.8, flies_on_s=1.0, brake_m_s2=5.0, since_s=1.9)
+@example(speed_m_s=10.0, course_rad=0.0, flies_on_s=1.0, brake_m_s2=3.0, since_s=4.0)
 def test_an_aircraft_that_is_braked_is_within_two_sigmas_of_it(
     speed_m_s, course_rad, flies_on_s, brake_m_s2, since_s
 ):

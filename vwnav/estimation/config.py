@@ -17,7 +17,7 @@ class EkfConfig:
     heading_slew_rad: float = math.radians(0.3)  # the same while a gyro tells: filters realign
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
-    tilt_slew_rad: float = math.radians(0.1)  # besides, per root second, while a gyro tells
+    tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew
     # Of the camera, for good; `vwnav fly` takes them from its file
     mount_sigma_rad: float = math.radians(0.2)  # per axis
     focal_sigma_ratio: float = 0.001

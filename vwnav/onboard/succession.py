@@ -14,8 +14,8 @@ _HELD_DRIFT_M_S, _BLIND_DRIFT_M_S = 1.0, 6.0  # one sigma while it does, and wit
 _LEAST_SIGMA_M = 3.0
 _SPEED_SIGMA_M_S = 3.0
 _HEIGHT_SIGMA_M = 3.0
-# It flies on for up to a second until it is braked, which takes it as far as 0.7 s of its speed do
-# (at 5 m/s^2, from 7 m/s); one sigma.
+# It is braked within a second, and then comes as far as 0.7 s at its speed would take it (5 m/s^2,
+# from 7 m/s): so many seconds at that speed together, and one sigma of them.
 _BRAKED_AFTER_S, _BRAKED_SIGMA_S = 1.2, 0.4
 
 
