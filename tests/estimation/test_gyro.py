@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from vwnav.estimation.beginning.starts import Start, first_state
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, yaw_of
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import States
 from vwnav.geometry.rotations import quat_from_vector
 from vwnav.types import Attitude
 
@@ -48,3 +54,13 @@ def test_without_the_gyro_nobody_tells():
 
 def test_it_is_not_carried_on_for_ever():
     assert not turning(1.0, 7.0).held(6.5).known
+
+
+def test_in_a_silence_the_autopilot_s_heading_may_be_realigned_unseen():
+    attitudes, config = turning(1.0, 1.0), EkfConfig()
+    start = first_state(Start(t_s=1.0, position_ned_m=np.zeros(3)), config)
+    start.P[States.HEADING_BIAS, States.HEADING_BIAS] = 0.0
+    after = predict(start, 21.0, Context(config, attitudes, ImuHistory(attitudes, 10.0)))
+    sigma_rad = math.sqrt(after.P[States.HEADING_BIAS, States.HEADING_BIAS])
+    # A real one turned by 2.2 degrees while its navigator slept for 20 s.
+    assert math.radians(1.1) < sigma_rad < math.radians(2.2)

@@ -129,7 +129,8 @@ def thrust_model(x: Array, step: TimeStep, context: Context) -> Transition:
         moved, F, Q = _transition(x, np.zeros(3), np.zeros(2), step, context)
         level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
         Q[States.MOTION, States.MOTION] = _white_acceleration(x, level, vertical, dt_s, config)
-        Q[States.HEADING_BIAS, States.HEADING_BIAS] = heading_walk
+        slew_rad2 = config.heading_slew_rad**2 * dt_s  # filters realign, in a silence too
+        Q[States.HEADING_BIAS, States.HEADING_BIAS] = slew_rad2
         return Transition(moved, F, Q)
     slow = np.array([*x[States.ACCELERATION], 0.0])
     acceleration, by_tilt = slow, np.zeros((2, 2))
