@@ -37,7 +37,8 @@ _NOISE_M = 0.5  # of a way
 _TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _LEAN_DOUBT_RAD = 0.15
-_ALIKE = 5.0  # fixes within two seconds
+_ALIKE_S = 1.0  # for so long neighbours are off alike
+_SHORTEST_S = 0.1  # from fix to fix
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
@@ -95,12 +96,18 @@ class OdometryGate:
         self.lost = False
 
     def displacement(self, motion: OdometryMotion) -> Displacement:
-        """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds."""
-        gyro = self._attitudes.gyro
-        tilts_rad_s = math.hypot(gyro.rate_rad_s(motion.t0_s), gyro.rate_rad_s(motion.t1_s))
-        off_m = self._config.picture_date_s * motion.agl_m * tilts_rad_s
-        unsure_m2 = off_m**2 * np.diag([1.0, 1.0, 0.0])
-        covariance = motion.covariance_ned_m2 + unsure_m2
+        """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds.
+
+        A turn is taken for a way across the line of sight, as long as the ground is far along it.
+        """
+        covariance = motion.covariance_ned_m2
+        for t_s in (motion.t0_s, motion.t1_s):
+            _, yaw_rad, (forward, right), tilts_rad_s, _ = self._attitudes.exposure(t_s)
+            off_rad = self._config.picture_date_s * tilts_rad_s
+            c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+            sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
+            across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
+            covariance = covariance + off_rad**2 * across_m2
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
 
     def admit(
@@ -232,10 +239,15 @@ def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
 def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
     """Of an image whose ways contradict the IMU: it may be from another moment than it says.
 
-    The aircraft was elsewhere then, and leaned otherwise: as it does for a second or two, so that
-    neighbours are off alike.
+    The aircraft was elsewhere then, and leaned otherwise: as it does for a second or so, so that
+    neighbours are off alike. Of samples of a first-order Gauss-Markov error, whose correlation from
+    one to the next is r, each after the first adds (1 - r) / (1 + r) of what that one told (the
+    least-squares mean of an autoregression).
     """
     flown_m = _DATE_OFF_S * state.x[States.VELOCITY_NE]
     leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
     doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
-    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + _ALIKE * doubt_m2)
+    since_s = math.inf if state.t_last_fix_s is None else abs(fix.t_s - state.t_last_fix_s)
+    r = math.exp(-max(since_s, _SHORTEST_S) / _ALIKE_S)
+    doubt_m2 *= (1.0 + r) / (1.0 - r)
+    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)

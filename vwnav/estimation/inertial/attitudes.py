@@ -248,7 +248,8 @@ class AttitudeHistory:
         quat_wxyz = self.held(t_s).quat_wxyz
         forward, right, down = down_axis(quat_wxyz)
         lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
-        return Exposure(t_s, yaw_of(quat_wxyz), lean, self.at(t_s) is not None)
+        tilts_rad_s, told = self.gyro.rate_rad_s(t_s), self.at(t_s) is not None
+        return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, told)
 
 
 def yaw_of(quat_wxyz: Array) -> float:

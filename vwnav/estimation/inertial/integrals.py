@@ -53,10 +53,12 @@ class Exposure(NamedTuple):
         t_s: when.
         yaw_rad: its heading.
         lean: (2,) where the body's down axis meets the ground, level forward and right, in heights.
+        tilts_rad_s: how fast it tilted; 0 where no gyro tells.
         told: telemetry reaches there; else it is a guess.
     """
 
     t_s: float
     yaw_rad: float
     lean: Array
+    tilts_rad_s: float
     told: bool
