@@ -1,5 +1,6 @@
 """A simulated camera: images drawn from the ground truth that any simulator sends."""
 
+import math
 import threading
 import time
 
@@ -18,7 +19,7 @@ _TRUTH_POLL_S = 0.002
 _TRUTH_PATIENCE_S = 1.0  # of the wall clock
 _TRUTH_GONE_S = 1.0  # a simulator that has told nothing for so long will tell nothing more
 FIRST_TRUTH_TIMEOUT_S = 20.0
-LONGEST_TRUTH_LAG_S = 0.1  # later than that the nearest state has to do
+LONGEST_TRUTH_LAG_S = 0.1  # later than that the newest state is shown, with its own time
 TRUTH_LAG_S = 0.03  # an image shows a moment this old, so that truth around it can be interpolated
 
 
@@ -67,13 +68,12 @@ class SimulatedCamera:
 
     def _expose(self) -> None:
         clock, participant = self._clock, self._clock.join("camera")
-        index, next_s = 0, clock()
+        index, next_s, shown_s = 0, clock(), -math.inf
         while not self._closed:
-            t_s = clock() - TRUTH_LAG_S
-            state = self._true_state(t_s)
-            if state is not None:
-                frame = Frame(t_s, self._render(state, t_s), index)
-                index += 1
+            state = self._true_state(clock() - TRUTH_LAG_S)
+            if state is not None and state.t_s > shown_s:
+                frame = Frame(state.t_s, self._render(state), index)
+                index, shown_s = index + 1, state.t_s
                 with self._arrived:
                     self._newest = frame
                     self._arrived.notify_all()
@@ -84,6 +84,10 @@ class SimulatedCamera:
 
     def _true_state(self, t_s: float) -> TruthState | None:
         """At the exposure: what is told of the time about it may still be on its way.
+
+        Of a simulator that is late the newest state: it is exposed when that was so. Once dated
+        by when it should have been, images were up to 0.2 s wrong on a busy machine, and their ways
+        contradicted the IMU.
 
         It waits by the wall: a simulated time stands while the camera is late. For a simulator
         that tells nothing any more it does not wait.
@@ -96,11 +100,11 @@ class SimulatedCamera:
             time.sleep(_TRUTH_POLL_S)
         return self._truth.at(t_s)
 
-    def _render(self, state: TruthState, t_s: float) -> np.ndarray:
+    def _render(self, state: TruthState) -> np.ndarray:
         return self._renderer.render(
             self._site_frame.to_ned(state.lat_deg, state.lon_deg, state.alt_amsl_m),
             rotation_from_quat(np.array(state.quat_wxyz)),
-            t_s,
+            state.t_s,
             np.array(state.velocity_ned_m_s),
             np.array(state.rates_rad_s),
         )
