@@ -14,9 +14,7 @@ class EkfConfig:
     acceleration_sigma_m_s2: float = 1.5  # of the slow part, first-order Gauss-Markov
     acceleration_time_s: float = 5.0
     heading_walk_rad: float = math.radians(0.15)  # per root second
-    heading_slew_rad: float = math.radians(
-        0.3
-    )  # likewise, where a gyro or nothing tells: realigned
+    heading_slew_rad: float = math.radians(0.3)  # by realigning: a gyro sees it, a silence hides it
     tilt_sigma_rad: float = math.radians(2.0)  # per axis, first-order Gauss-Markov
     tilt_time_s: float = 200.0  # mostly a bias of mounting and accelerometers
     tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew

@@ -121,16 +121,15 @@ def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Ar
 def thrust_model(x: Array, step: TimeStep, context: Context) -> Transition:
     """Without an IMU: thrust as the attitude has it, and the slow acceleration of drag and wind.
 
-    Where attitudes are missing nothing is known of the acceleration but its white noise.
+    Where attitudes are missing nothing is known of the acceleration but its white noise, and the
+    autopilot may realign its heading unseen.
     """
     config, dt_s = context.config, step.dt_s
-    heading_walk = config.heading_walk_rad**2 * dt_s
     if not step.attitude_known:
         moved, F, Q = _transition(x, np.zeros(3), np.zeros(2), step, context)
         level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
         Q[States.MOTION, States.MOTION] = _white_acceleration(x, level, vertical, dt_s, config)
-        slew_rad2 = config.heading_slew_rad**2 * dt_s  # filters realign, in a silence too
-        Q[States.HEADING_BIAS, States.HEADING_BIAS] = slew_rad2
+        Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
         return Transition(moved, F, Q)
     slow = np.array([*x[States.ACCELERATION], 0.0])
     acceleration, by_tilt = slow, np.zeros((2, 2))
@@ -145,7 +144,7 @@ def thrust_model(x: Array, step: TimeStep, context: Context) -> Transition:
     F[States.VELOCITY_NE, States.TILT] = dt_s * by_tilt
     level, vertical = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, level, vertical, dt_s, config)
-    Q[States.HEADING_BIAS, States.HEADING_BIAS] = heading_walk
+    Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_walk_rad**2 * dt_s
     return Transition(moved, F, Q)
 
 
