@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from vwnav.mavlink.telemetry.boot_clock import BootClock
 from vwnav.mavlink.telemetry.imu_samples import ImuSamples
+from vwnav.sender_clock import SenderClock
 
 PERIOD_US = 20_000
 
 
-def heard(samples: ImuSamples, clock: BootClock, count: int, start: int = 0):
+def heard(samples: ImuSamples, clock: SenderClock, count: int, start: int = 0):
     """What is handed on of `count` samples at rest, taken one by one."""
     taken = []
     for i in range(start, start + count):
@@ -23,15 +23,15 @@ def heard(samples: ImuSamples, clock: BootClock, count: int, start: int = 0):
 
 
 def test_samples_are_on_our_clock_with_the_sensors_own_span():
-    taken = heard(ImuSamples(), BootClock(), 5)
+    taken = heard(ImuSamples(), SenderClock(), 5)
     assert [sample.t_s for sample in taken] == pytest.approx([51.0 + 0.02 * i for i in range(5)])
     assert [sample.span_s for sample in taken] == [None, *[pytest.approx(0.02)] * 4]
 
 
 def test_an_autopilot_that_starts_anew_is_heard_anew():
-    samples, clock = ImuSamples(), BootClock()
+    samples, clock = ImuSamples(), SenderClock()
     heard(samples, clock, 200, start=1000)
-    clock = BootClock()
+    clock = SenderClock()
     again = heard(samples, clock, 10)
     assert np.all(np.diff([sample.t_s for sample in again]) > 0.0)
     assert len(again) == 10

@@ -10,7 +10,7 @@ from vwnav.clock import WallClock
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.pace import PacedClock
 from vwnav.sim.camera_source import SimulatedCamera
-from vwnav.sim.truth import TruthState
+from vwnav.sim.truth_state import TruthState
 
 HOME = (60.4, 22.5)
 SPEED_M_S = 10.0

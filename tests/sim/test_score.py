@@ -5,7 +5,7 @@ import pytest
 
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.sim.score import Score, summarise
-from vwnav.sim.truth import TruthState
+from vwnav.sim.truth_state import TruthState
 from vwnav.types import Estimate
 
 HOME = LocalFrame(60.4, 22.5, 10.0)

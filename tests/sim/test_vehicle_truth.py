@@ -13,7 +13,8 @@ from px4_client import free_port
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.errors import ConfigError, LinkError
-from vwnav.sim.truth import TruthReader, TruthState, _between
+from vwnav.sim.truth import TruthReader
+from vwnav.sim.truth_state import TruthState, between
 
 PACKER = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
 
@@ -155,12 +156,12 @@ def state_at(t_s: float, w: float = 1.0, lon_deg: float = 0.0) -> TruthState:
 
 
 def test_the_longer_way_round_is_not_interpolated() -> None:
-    middle = _between(state_at(0.0), state_at(1.0, w=-1.0), 0.5)
+    middle = between(state_at(0.0), state_at(1.0, w=-1.0), 0.5)
     assert abs(middle.quat_wxyz[0]) == 1.0
 
 
 def test_the_antimeridian_is_not_crossed_the_long_way() -> None:
-    middle = _between(state_at(0.0, lon_deg=179.9999), state_at(1.0, lon_deg=-179.9999), 0.4)
+    middle = between(state_at(0.0, lon_deg=179.9999), state_at(1.0, lon_deg=-179.9999), 0.4)
     assert middle.lon_deg == 179.9999
 
 

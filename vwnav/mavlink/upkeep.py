@@ -12,8 +12,8 @@ from vwnav.mavlink.commands import CommandSender
 from vwnav.mavlink.link_budget import UNREAD, LinkBudget, Stream
 from vwnav.mavlink.modes import Command
 from vwnav.mavlink.ports.port import Fields, Send
-from vwnav.mavlink.telemetry.boot_clock import BootClock
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
+from vwnav.sender_clock import SenderClock
 from vwnav.types import Array
 
 _log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ _ORIGIN_DIFFERS_M = 0.5
 class Timesync:
     """Asks for the autopilot's clock, and answers when it asks for ours."""
 
-    def __init__(self, send: Send, clock: Callable[[], float], boot_clock: BootClock) -> None:
+    def __init__(self, send: Send, clock: Callable[[], float], boot_clock: SenderClock) -> None:
         self._send = send
         self._clock = clock
         self._boot_clock = boot_clock

@@ -11,7 +11,8 @@ from vwnav.errors import SourceError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.sim.lockstep_camera import Renderer
-from vwnav.sim.truth import TruthReader, TruthState
+from vwnav.sim.truth import TruthReader
+from vwnav.sim.truth_state import TruthState
 from vwnav.types import Frame
 
 FRAME_HZ = 15.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
-from vwnav.sim.truth import TruthState
+from vwnav.sim.truth_state import TruthState
 from vwnav.types import Array, Estimate, MapFix
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from vwnav.mavlink.ports.port import Fields
-from vwnav.mavlink.telemetry.boot_clock import BootClock
+from vwnav.sender_clock import SenderClock
 from vwnav.types import ImuSample
 
 _STRANGE_S = 1.0  # further from now a stamp is not of the clock that attitudes are stamped with
@@ -27,7 +27,7 @@ class ImuSamples:
         self._newest_us = 0
         self._highres_s = -math.inf
 
-    def highres(self, fields: Fields, clock: BootClock, received_s: float) -> ImuSample | None:
+    def highres(self, fields: Fields, clock: SenderClock, received_s: float) -> ImuSample | None:
         """Of a HIGHRES_IMU: m/s^2 and rad/s; of several sensors, the first one.
 
         Args:
@@ -42,7 +42,7 @@ class ImuSamples:
         self._highres_s = received_s
         return self._sample(fields["time_usec"], np.array(values), clock, received_s)
 
-    def raw(self, fields: Fields, clock: BootClock, received_s: float) -> ImuSample | None:
+    def raw(self, fields: Fields, clock: SenderClock, received_s: float) -> ImuSample | None:
         """Of a RAW_IMU as ArduPilot fills it: thousandths of g and of rad/s."""
         if fields.get("id", 0) != 0 or received_s - self._highres_s < _SILENT_S:
             return None
@@ -52,7 +52,7 @@ class ImuSamples:
         return self._sample(fields["time_usec"], values, clock, received_s)
 
     def _sample(
-        self, t_us: int, values: Any, clock: BootClock, received_s: float
+        self, t_us: int, values: Any, clock: SenderClock, received_s: float
     ) -> ImuSample | None:
         t_s = clock.to_monotonic(t_us / 1e6)
         if t_s is None or abs(t_s - received_s) > _STRANGE_S or not np.isfinite(values).all():

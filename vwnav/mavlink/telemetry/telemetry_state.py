@@ -19,10 +19,10 @@ from vwnav.geometry.rotations import (
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.ports.port import Fields
 from vwnav.mavlink.telemetry.barometer import BarometricHeight, hectopascal, is_pressure
-from vwnav.mavlink.telemetry.boot_clock import BootClock
 from vwnav.mavlink.telemetry.imu_samples import ImuSamples
 from vwnav.mavlink.telemetry.mode_track import ModeTrack
 from vwnav.mavlink.telemetry.status_text import StatusTexts
+from vwnav.sender_clock import SenderClock
 from vwnav.types import Array, Attitude, Height, Range, Stationary, Telemetry
 from vwnav.vehicle import VehicleState
 
@@ -68,7 +68,7 @@ class TelemetryState:
 
     def __init__(self) -> None:
         self.kind: AutopilotKind | None = None
-        self.clock = BootClock()
+        self.clock = SenderClock()
         self.texts = StatusTexts()
         self.origin: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_amsl_m
         self.origin_offset_ned_m: Array | None = None  # (3,) the run's origin about the above one

@@ -1,4 +1,4 @@
-"""Joins the autopilot's clock (time since its boot) to this computer's monotonic clock."""
+"""Joins a sender's clock (an autopilot's, a camera's) to this computer's monotonic clock."""
 
 import math
 from collections import deque
@@ -22,13 +22,13 @@ _FRESH_S = 0.3  # stamps and an answer that came together speak of the same cloc
 _FRESH_STAMPS = 15
 _SLOWER_STAMPS_S = 0.02  # by so much stamps may be slower than answers, at their best
 
-Point = tuple[float, float]  # time on the autopilot's clock, how much later it is on ours
+Point = tuple[float, float]  # time on the sender's clock, how much later it is on ours
 
 
-class BootClock:
-    """Estimates offset and rate of `monotonic - boot` from latencies that are never negative.
+class SenderClock:
+    """Estimates offset and rate of `monotonic - stamp` from latencies that are never negative.
 
-    A message stamped by the autopilot cannot have arrived before it was sent: ours is never later
+    What is stamped by the sender cannot have arrived before it was sent: ours is never later
     than all of the stamps say. With the rate found as the slope of their lower hull (Moon, Skelly,
     Towsley: Estimation and removal of clock skew from network delay measurements, INFOCOM 1999) the
     least late stamp of a while is an upper bound of the offset. An answer to TIMESYNC cannot have
@@ -41,13 +41,13 @@ class BootClock:
     nobody answers, in stamps that are all late for seconds: what came before is forgotten.
 
     Attributes:
-        restarts: how often the autopilot has started anew.
+        restarts: how often the sender has started anew.
     """
 
     def __init__(self) -> None:
         self.restarts = 0
-        self._newest_boot_s = -math.inf
-        self._drift = 0.0  # seconds by which ours gains on the autopilot's, a second
+        self._newest_stamp_s = -math.inf
+        self._drift = 0.0  # seconds by which ours gains on the sender's, a second
         self._lower_s = self._upper_s = 0.0  # of how late the newest stamp is at least, and at most
         self._spent_s: deque[float] = deque(maxlen=_RECENT_TRIPS)
         self._strange: deque[Point] = deque(maxlen=_NEW_CLOCK)
@@ -58,40 +58,40 @@ class BootClock:
         """The longest of the last few questions with their answers; None before the first."""
         return max(self._spent_s, default=None)
 
-    def handle_stamp(self, boot_s: float, received_s: float) -> bool:
-        """Learn from a message stamped at `boot_s`; False when that is no time of this clock."""
-        if self._stamps and self._is_strange(boot_s, received_s):
-            self._strange.append((boot_s, received_s - boot_s))
+    def handle_stamp(self, stamp_s: float, received_s: float) -> bool:
+        """Learn from a message stamped at `stamp_s`; False when that is no time of this clock."""
+        if self._stamps and self._is_strange(stamp_s, received_s):
+            self._strange.append((stamp_s, received_s - stamp_s))
             if not _agree(self._strange):
                 return False
-            self.restarts += boot_s < self._newest_boot_s
+            self.restarts += stamp_s < self._newest_stamp_s
             self._forget()
         self._strange.clear()
         if self._stamps:
-            self._carry_on(max(boot_s - self._newest_boot_s, 0.0))
-        self._newest_boot_s = max(self._newest_boot_s, boot_s)
-        self._add_stamp(boot_s, received_s - boot_s)
+            self._carry_on(max(stamp_s - self._newest_stamp_s, 0.0))
+        self._newest_stamp_s = max(self._newest_stamp_s, stamp_s)
+        self._add_stamp(stamp_s, received_s - stamp_s)
         return True
 
-    def handle_round_trip(self, sent_s: float, autopilot_s: float, received_s: float) -> None:
+    def handle_round_trip(self, sent_s: float, stamp_s: float, received_s: float) -> None:
         """Learn from a TIMESYNC answer: asked and received here, answered there in between."""
         if not 0.0 <= received_s - sent_s < _WINDOW_S:
             return
         self._spent_s.append(received_s - sent_s)
-        if not math.isfinite(autopilot_s) or abs(autopilot_s - self._newest_boot_s) > _WINDOW_S:
+        if not math.isfinite(stamp_s) or abs(stamp_s - self._newest_stamp_s) > _WINDOW_S:
             return
-        point = (autopilot_s, sent_s - autopilot_s)
+        point = (stamp_s, sent_s - stamp_s)
         self._verdicts.append(self._agrees_with_stamps(point, received_s - sent_s))
         if self._verdicts[-1]:
             self._answers.append(point)
             self._fit()
 
-    def to_monotonic(self, boot_s: float) -> float | None:
-        """The moment `boot_s` of the autopilot on this computer's clock; None before any news."""
+    def to_monotonic(self, stamp_s: float) -> float | None:
+        """The moment `stamp_s` of the sender on this computer's clock; None before any news."""
         if not self._stamps:
             return None
         offset_s = 0.5 * (self._lower_s + self._upper_s)
-        return boot_s + offset_s + self._drift * (boot_s - self._newest_boot_s)
+        return stamp_s + offset_s + self._drift * (stamp_s - self._newest_stamp_s)
 
     def _forget(self) -> None:
         self._stamps = _Buckets()
@@ -99,29 +99,29 @@ class BootClock:
         self._verdicts: deque[bool] = deque(maxlen=_VERDICTS)
         self._fresh: deque[Point] = deque(maxlen=_FRESH_STAMPS)
         self._answers: deque[Point] = deque()
-        self._newest_boot_s, self._drift = -math.inf, 0.0
+        self._newest_stamp_s, self._drift = -math.inf, 0.0
 
-    def _is_strange(self, boot_s: float, received_s: float) -> bool:
-        expected_s = self.to_monotonic(boot_s)
+    def _is_strange(self, stamp_s: float, received_s: float) -> bool:
+        expected_s = self.to_monotonic(stamp_s)
         assert expected_s is not None
-        return boot_s < self._newest_boot_s - _REBOOT_S or expected_s > received_s + _AHEAD_S
+        return stamp_s < self._newest_stamp_s - _REBOOT_S or expected_s > received_s + _AHEAD_S
 
     def _carry_on(self, step_s: float) -> None:
         """Both bounds, to a stamp that is newer by so much: what is old bounds less sharply."""
         self._lower_s += (self._drift - _WANDER) * step_s
         self._upper_s += (self._drift + _WANDER) * step_s
 
-    def _add_stamp(self, boot_s: float, late_s: float) -> None:
-        point = (boot_s, late_s)
+    def _add_stamp(self, stamp_s: float, late_s: float) -> None:
+        point = (stamp_s, late_s)
         self._fresh.append(point)
-        _drop_before(self._answers, boot_s - _WINDOW_S)
+        _drop_before(self._answers, stamp_s - _WINDOW_S)
         if self._stamps and self._residual_s(point) > self._upper_s + _LATE_S:
             self._add_late(point)
         else:
             if self._late:
                 self._end_lateness()
             if self._stamps.add(point, self._drift):
-                _drop_before(self._stamps, boot_s - _WINDOW_S)
+                _drop_before(self._stamps, stamp_s - _WINDOW_S)
                 self._drift = self._stamps.trusted_slope()
         self._fit()
 
@@ -137,16 +137,16 @@ class BootClock:
     def _end_lateness(self) -> None:
         """What was carried on stands for what has grown too old meanwhile."""
         self._late = _Buckets()
-        before_s = self._newest_boot_s - _BUCKET_S
-        _drop_before(self._stamps, self._newest_boot_s - _WINDOW_S)
+        before_s = self._newest_stamp_s - _BUCKET_S
+        _drop_before(self._stamps, self._newest_stamp_s - _WINDOW_S)
         if not self._stamps:
             self._stamps.add((before_s, self._upper_s - self._drift * _BUCKET_S), self._drift)
         if self._answers and self._honest:
             self._answers.append((before_s, self._lower_s - self._drift * _BUCKET_S))
 
-    def _asked_since(self, boot_s: float) -> bool:
+    def _asked_since(self, stamp_s: float) -> bool:
         """Honest answers have come since: had the clock slipped, they would contradict the line."""
-        return self._honest and bool(self._answers) and self._answers[-1][0] >= boot_s
+        return self._honest and bool(self._answers) and self._answers[-1][0] >= stamp_s
 
     def _take_late_for_true(self) -> None:
         self._stamps, self._late = self._late, _Buckets()
@@ -187,8 +187,8 @@ class BootClock:
 
     def _residual_s(self, point: Point) -> float:
         """How late a point says that the newest stamp is."""
-        boot_s, late_s = point
-        return late_s + self._drift * (self._newest_boot_s - boot_s)
+        stamp_s, late_s = point
+        return late_s + self._drift * (self._newest_stamp_s - stamp_s)
 
     def _agrees_with_stamps(self, answer: Point, round_trip_s: float) -> bool:
         """Stamps of the same moment slip with the clock: an answer that they deny is a lie."""
@@ -201,8 +201,8 @@ class BootClock:
         return -_CONTRADICTION_S <= ahead_s <= round_trip_s + _SLOWER_STAMPS_S
 
 
-def _drop_before(points: deque[Point], boot_s: float) -> None:
-    while points and points[0][0] < boot_s:
+def _drop_before(points: deque[Point], stamp_s: float) -> None:
+    while points and points[0][0] < stamp_s:
         points.popleft()
 
 
@@ -227,15 +227,15 @@ class _Buckets(deque[Point]):
 
     def add(self, point: Point, drift: float) -> bool:
         """Take a stamp in; True when it began a new bucket."""
-        boot_s, late_s = point
-        if boot_s < self._begun_s:
+        stamp_s, late_s = point
+        if stamp_s < self._begun_s:
             return False  # overtaken on its way: a hull wants points in order
-        if not self or boot_s - self._begun_s >= _BUCKET_S:
-            self._begun_s = boot_s
+        if not self or stamp_s - self._begun_s >= _BUCKET_S:
+            self._begun_s = stamp_s
             self.append(point)
             return True
-        least_boot_s, least_s = self[-1]
-        if late_s < least_s + drift * (boot_s - least_boot_s):
+        least_stamp_s, least_s = self[-1]
+        if late_s < least_s + drift * (stamp_s - least_stamp_s):
             self[-1] = point
         return False
 
@@ -250,8 +250,8 @@ class _Buckets(deque[Point]):
         if len(self) < 2:
             return 0.0
         hull = _lower_hull(self)
-        middle_s = sum(boot_s for boot_s, _ in self) / len(self)
-        right = max(next(i for i, (boot_s, _) in enumerate(hull) if boot_s >= middle_s), 1)
+        middle_s = sum(stamp_s for stamp_s, _ in self) / len(self)
+        right = max(next(i for i, (stamp_s, _) in enumerate(hull) if stamp_s >= middle_s), 1)
         (left_s, left_late_s), (right_s, right_late_s) = hull[right - 1], hull[right]
         slope = (right_late_s - left_late_s) / (right_s - left_s)
         return min(max(slope, -_MOST_DRIFT), _MOST_DRIFT)

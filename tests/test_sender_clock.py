@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vwnav.mavlink.telemetry.boot_clock import BootClock
+from vwnav.sender_clock import SenderClock
 
 LATENCIES_S = st.lists(st.floats(0.0, 0.2), min_size=5, max_size=45)
 PERIOD_S = 0.02
@@ -26,7 +26,7 @@ class Autopilot:
             asks,
         )
         self.rng = random.Random(seed)
-        self.clock, self.t_s = BootClock(), 1000.0
+        self.clock, self.t_s = SenderClock(), 1000.0
         self.boot_zero_s = 990.0  # of ours, when its clock showed zero
         self.late_until_s = 0.0
         self.up_s = self.down_s = 0.0  # longer than usual is the way to it, and from it
@@ -101,7 +101,7 @@ def test_a_rate_that_changes_is_followed():
 
 @given(st.floats(-1e5, 1e5), LATENCIES_S)
 def test_at_first_the_offset_is_right_to_the_least_latency(offset_s, latencies_s):
-    clock = BootClock()
+    clock = SenderClock()
     for i, latency_s in enumerate(latencies_s):
         clock.handle_stamp(i * 0.02, i * 0.02 + offset_s + latency_s)
     newest_s = (len(latencies_s) - 1) * 0.02
@@ -147,7 +147,7 @@ def test_answers_that_are_garbage_change_nothing(kind, asks):
 
 @pytest.mark.parametrize("trip", [(5.0, 1.0), (1000.0, 5.0), (float("nan"), 5.0)])
 def test_a_round_trip_that_cannot_be_is_no_witness(trip):
-    clock = BootClock()
+    clock = SenderClock()
     sent_s, spent_s = trip
     clock.handle_stamp(1.0, 1000.0)
     clock.handle_round_trip(sent_s, 1.0, sent_s - spent_s)
@@ -155,7 +155,7 @@ def test_a_round_trip_that_cannot_be_is_no_witness(trip):
 
 
 def test_a_crystal_that_drifts_is_followed():
-    clock, drift = BootClock(), 50e-6
+    clock, drift = SenderClock(), 50e-6
     for i in range(20_000):
         boot_s = i * 0.02
         clock.handle_stamp(boot_s, boot_s * (1 + drift) + 5.0 + 0.001 * (i % 7))
@@ -183,7 +183,7 @@ def test_one_stamp_that_cannot_be_is_not_believed(stamp_s):
 
 
 def test_a_stamp_that_was_overtaken_is_no_point_of_the_hull():
-    clock = BootClock()
+    clock = SenderClock()
     for boot_s, received_s in ((10.0, 1000.0), (10.3, 1000.3), (10.0, 999.99), (10.6, 1000.6)):
         clock.handle_stamp(boot_s, received_s)
     assert clock.to_monotonic(10.6) == pytest.approx(1000.6)
@@ -195,7 +195,7 @@ NEWS = st.tuples(st.booleans(), SECONDS, SECONDS, st.floats(0.0, 2.0))
 
 @given(st.lists(NEWS, max_size=60))
 def test_whatever_is_told_in_whatever_order_gives_a_time(news):
-    clock = BootClock()
+    clock = SenderClock()
     for is_stamp, boot_s, t_s, spent_s in news:
         if is_stamp:
             clock.handle_stamp(boot_s, t_s)
@@ -206,7 +206,7 @@ def test_whatever_is_told_in_whatever_order_gives_a_time(news):
 
 
 def test_nothing_is_known_before_any_news():
-    assert BootClock().to_monotonic(1.0) is None
+    assert SenderClock().to_monotonic(1.0) is None
 
 
 @pytest.mark.parametrize(("asks", "within_s"), [(True, 0.7), (False, 4.0)])
@@ -230,7 +230,7 @@ def test_a_simulator_that_stood_still_for_a_while_is_followed():
 
 
 def test_a_burst_of_latency_does_not_move_the_clock():
-    clock = BootClock()
+    clock = SenderClock()
     for i in range(1000):
         t_s = i * 0.02
         late_s = 0.2 if 10.0 < t_s < 12.5 else 0.002
@@ -275,7 +275,7 @@ def test_a_longer_way_of_crystals_that_part_is_followed_slowly():
 
 
 def test_stamps_that_are_times_of_no_clock_are_not_kept():
-    clock, rng = BootClock(), random.Random(1)
+    clock, rng = SenderClock(), random.Random(1)
     clock.handle_stamp(1e6, 1e6)
     tracemalloc.start()
     for _ in range(20_000):
