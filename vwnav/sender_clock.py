@@ -86,6 +86,16 @@ class SenderClock:
             self._answers.append(point)
             self._fit()
 
+    def date(self, stamp_s: float, received_s: float) -> float | None:
+        """When what is stamped so was sent, on our clock and not after it was received.
+
+        None for a stamp that is no time of this clock. Learns from it as `handle_stamp` does.
+        """
+        if not self.handle_stamp(stamp_s, received_s):
+            return None
+        sent_s = self.to_monotonic(stamp_s)
+        return None if sent_s is None else min(sent_s, received_s)
+
     def to_monotonic(self, stamp_s: float) -> float | None:
         """The moment `stamp_s` of the sender on this computer's clock; None before any news."""
         if not self._stamps:

@@ -11,6 +11,8 @@ SDP = (
     "v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=-\r\nt=0 0\r\nm=video 0 RTP/AVP 26\r\na=control:track\r\n"
 )
 PACKET = 1400
+FIRST_STAMP = 7000  # at 90 kHz; of zero FFmpeg makes the second one
+FPS = 30
 
 
 class RtspServer(socketserver.ThreadingTCPServer):
@@ -56,13 +58,15 @@ class Session(socketserver.StreamRequestHandler):
         return (method, number) if method else None
 
     def _play(self) -> None:
-        sequence = 0
+        sequence, begun_s = 0, time.monotonic()
         for image, jpeg in enumerate(self.server.images()):
             tables, scan = parts_of(jpeg)
             for offset in range(0, len(scan), PACKET):
                 piece = scan[offset : offset + PACKET]
                 last = offset + PACKET >= len(scan)
-                head = struct.pack(">BBHII", 0x80, 26 | last << 7, sequence, image * 3000, 1)
+                head = struct.pack(
+                    ">BBHII", 0x80, 26 | last << 7, sequence, FIRST_STAMP + image * 3000, 1
+                )
                 width, height = (side // 8 for side in self.server.size_wh)
                 head += struct.pack(">II", offset, 1 << 24 | 255 << 16 | width << 8 | height)
                 head += struct.pack(">HH", 0, len(tables)) + tables if offset == 0 else b""
@@ -72,7 +76,7 @@ class Session(socketserver.StreamRequestHandler):
                     self.connection.sendall(b"$\0" + struct.pack(">H", len(packet)) + packet)
                 except (TimeoutError, OSError):
                     return
-            time.sleep(0.03)
+            time.sleep(max(0.0, begun_s + (image + 1) / FPS - time.monotonic()))
 
 
 def parts_of(jpeg: bytes) -> tuple[bytes, bytes]:

@@ -13,7 +13,8 @@ import pytest
 from rtsp_server import RtspServer, bright
 
 from vwnav.cameras import gstreamer
-from vwnav.cameras.live import AskedImages, V4l2Grabber
+from vwnav.cameras.gstreamer import GstreamerGrabber
+from vwnav.cameras.live import AskedImages, StreamGrabber, V4l2Grabber
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
 
@@ -123,10 +124,12 @@ def test_a_pipeline_of_gstreamer_comes_through_a_pipe(tmp_path, monkeypatch):
     launch = tmp_path / "gst-launch-1.0"
     launch.write_text(
         f"#!{sys.executable}\n"
-        "import sys, pathlib, time\n"
+        "import struct, sys, pathlib, time\n"
         f"pathlib.Path({str(tmp_path / 'said')!r}).write_text(' '.join(sys.argv[1:]))\n"
         "for n in range(200):\n"
-        "    sys.stdout.buffer.write((bytes([n] * 158) + b'xx') * 120)\n"
+        "    header = struct.pack('>4xHIQ44x', 1, 160 * 120, n * 10_000_000)\n"
+        "    sys.stdout.buffer.write(struct.pack('>4xHIQ44x', 2, 5, 0) + b'video')\n"
+        "    sys.stdout.buffer.write(header + (bytes([n] * 158) + b'xx') * 120)\n"
         "    sys.stdout.flush(); time.sleep(0.01)\n"
     )
     launch.chmod(0o755)
@@ -138,7 +141,7 @@ def test_a_pipeline_of_gstreamer_comes_through_a_pipe(tmp_path, monkeypatch):
     assert all(np.all(frame.image == frame.index) for frame in frames)
     said = (tmp_path / "said").read_text()
     assert said.startswith("-q videotestsrc pattern=ball ! queue ! videoconvert")
-    assert "format=GRAY8,width=158,height=120 ! fdsink" in said
+    assert "format=GRAY8,width=158,height=120 ! gdppay ! fdsink" in said
 
 
 def test_a_pipeline_that_fails_says_why_in_one_line(tmp_path, monkeypatch):
@@ -174,13 +177,43 @@ def test_a_pipeline_whose_quotes_do_not_close_is_one_clear_line(tmp_path, monkey
         open_source("gst:640x480:libcamerasrc camera-name='imx")
 
 
-@pytest.mark.skipif(shutil.which("gst-launch-1.0") is None, reason="GStreamer is not installed")
+GSTREAMER = pytest.mark.skipif(
+    shutil.which("gst-launch-1.0") is None, reason="GStreamer is not installed"
+)
+
+
+@GSTREAMER
 def test_the_real_gstreamer_gives_images():
     source = open_source("gst:322x240@30:videotestsrc is-live=true pattern=white")
     frames = [source.next_frame() for _ in range(3)]
     source.close()
     assert frames[2].image.shape == (240, 322)
     assert frames[2].image.min() > 200
+
+
+@GSTREAMER
+def test_an_image_of_the_real_gstreamer_that_is_read_late_keeps_its_time():
+    grabber = GstreamerGrabber("videotestsrc is-live=true ! queue", 322, 240, 30.0)
+    times_s = [grabber.grab()[0] for _ in range(60)]
+    time.sleep(0.5)  # a busy processor: what came meanwhile waits
+    times_s += [grabber.grab()[0] for _ in range(10)]
+    grabber.close()
+    gaps_s = np.diff(times_s[30:])
+    assert np.allclose(gaps_s, 1 / 30, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "broken", ["b'x' * 5000", "struct.pack('>4xHIQ44x', 1, 99, 0) + b'x' * 99"]
+)
+def test_what_a_pipe_says_and_is_no_image_is_one_clear_line(tmp_path, monkeypatch, broken):
+    launch = tmp_path / "gst-launch-1.0"
+    launch.write_text(
+        f"#!{sys.executable}\nimport struct, sys\nsys.stdout.buffer.write({broken})\n"
+    )
+    launch.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(SourceError, match="gives no picture: it ended"):
+        open_source("gst:640x480:libcamerasrc")
 
 
 def test_an_rtsp_camera_is_seen():
@@ -199,3 +232,27 @@ def test_an_rtsp_camera_is_seen():
     levels = [float(frame.image.mean()) for frame in frames]
     assert all(abs(level % 5.0 - 0.0) < 1.5 or abs(level % 5.0 - 5.0) < 1.5 for level in levels)
     assert len(set(levels)) == 4
+
+
+def test_an_rtsp_image_that_is_read_late_keeps_the_time_at_which_it_was_sent():
+    sent_s = []
+
+    def images():
+        for number in itertools.count():
+            jpeg = cv2.imencode(".jpg", bright(number))[1].tobytes()
+            sent_s.append(time.monotonic())
+            yield jpeg
+
+    with RtspServer(images, (160, 120)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        grabber = StreamGrabber(server.url)
+        grabbed = [grabber.grab() for _ in range(75)]
+        time.sleep(0.5)  # a busy processor: what came meanwhile waits
+        waited_s = time.monotonic()
+        grabbed += [grabber.grab() for _ in range(10)]
+        assert time.monotonic() - waited_s < 0.3
+        grabber.close()
+        server.shutdown()
+    early_s = [sent_s[i] - t_s for i, (t_s, _) in enumerate(grabbed)][60:]
+    assert max(early_s) - min(early_s) < 0.05
+    assert 0.0 < np.median(early_s) < 0.1

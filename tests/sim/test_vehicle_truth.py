@@ -2,6 +2,7 @@
 
 import math
 import random
+import select
 import socket
 import threading
 import time
@@ -27,12 +28,16 @@ def hil(north_deg: float = 41.0, usec: int = 0, w: float = -1.0, x: float = 0.0)
     return bytes(message.pack(PACKER))
 
 
-def sim_state() -> bytes:
+def sim_state(north_deg: float = 41.0000001) -> bytes:
     message = mavlink.MAVLink_sim_state_message(
         *(1.0, 0.0, 0.0, 0.0), *([0.0] * 3), *([0.0] * 3), *([0.0] * 3),
-        41.0, 29.0, 50.0, 0.0, 0.0, 1.0, 2.0, 3.0, 410000001, 290000002,
+        41.0, 29.0, 50.0, 0.0, 0.0, 1.0, 2.0, 3.0, round(north_deg * 1e7), 290000002,
     )  # fmt: skip
     return bytes(message.pack(PACKER))
+
+
+def system_time(t_s: float) -> bytes:
+    return bytes(mavlink.MAVLink_system_time_message(0, round(t_s * 1e3)).pack(PACKER))
 
 
 class Sender:
@@ -48,11 +53,22 @@ class Sender:
         self.socket.sendto(data, ("127.0.0.1", self.port))
 
     def heard(self, kind: str) -> Any:
-        parser = mavlink.MAVLink(None)
         for _ in range(20):
-            for message in parser.parse_buffer(self.socket.recv(1000)) or []:
-                if message.get_type() == kind:
-                    return message
+            if (message := self._next(kind)) is not None:
+                return message
+        return None
+
+    def asked(self, kind: str) -> Any:
+        """One that has come already."""
+        while select.select([self.socket], [], [], 0.0)[0]:
+            if (message := self._next(kind)) is not None:
+                return message
+        return None
+
+    def _next(self, kind: str) -> Any:
+        for message in mavlink.MAVLink(None).parse_buffer(self.socket.recv(1000)) or []:
+            if message.get_type() == kind:
+                return message
         return None
 
 
@@ -135,12 +151,22 @@ def test_it_interpolates_between_two_states(sender: Sender) -> None:
     assert middle.lat_deg == pytest.approx(41.5, abs=1e-6)
 
 
-def test_a_burst_after_a_stall_is_spread_by_the_senders_stamps(sender: Sender) -> None:
-    sender.send(hil(41.0, usec=1_000_000))
+def stamped(autopilot: int, i: int) -> bytes:
+    """The state of 0.02 s times `i` after the first, as either simulator stamps it."""
+    if autopilot == mavlink.MAV_AUTOPILOT_PX4:
+        return hil(41.0 + i, usec=1_000_000 + 20_000 * i)
+    return system_time(1.0 + 0.02 * i) + sim_state(41.0 + i)
+
+
+@pytest.mark.parametrize("autopilot", [12, 3])
+def test_a_burst_after_a_stall_is_spread_by_the_senders_stamps(
+    sender: Sender, autopilot: int
+) -> None:
+    sender.send(stamped(autopilot, 0))
     sender.reader.wait(2.0)
     time.sleep(0.2)
     for i in range(1, 11):
-        sender.send(hil(41.0 + i, usec=1_000_000 + 20_000 * i))
+        sender.send(stamped(autopilot, i))
     time.sleep(0.2)
     first, last = sender.reader.at(0.0), sender.reader.latest()
     assert first is not None
@@ -149,6 +175,35 @@ def test_a_burst_after_a_stall_is_spread_by_the_senders_stamps(sender: Sender) -
     middle = sender.reader.at(first.t_s + 0.1)
     assert middle is not None
     assert middle.lat_deg == pytest.approx(46.0, abs=2.5)
+
+
+def test_a_state_without_a_time_among_stamped_ones_is_left_out(sender: Sender) -> None:
+    sender.send(system_time(1.0) + sim_state(41.0) + sim_state(42.0))
+    time.sleep(0.2)
+    state = sender.reader.latest()
+    assert state is not None
+    assert state.lat_deg == pytest.approx(41.0)
+
+
+def test_a_simulator_that_falls_behind_for_good_is_followed_by_its_answers(sender: Sender) -> None:
+    """0.2 s behind: late messages look the same, its answers to TIMESYNC do not."""
+    zero_s = time.monotonic() - 1.0  # when its clock showed zero
+    for i in range(60):
+        if i == 30:
+            time.sleep(0.2)
+            zero_s += 0.2  # it stood still meanwhile
+        now_s = time.monotonic() - zero_s
+        sender.send(hil(41.0 + i, usec=round(now_s * 1e6)))
+        if (question := sender.asked("TIMESYNC")) is not None:
+            answer = mavlink.MAVLink_timesync_message(
+                round((time.monotonic() - zero_s) * 1e9), question.ts1
+            )
+            sender.send(bytes(answer.pack(PACKER)))
+        time.sleep(0.02)
+    time.sleep(0.1)
+    state = sender.reader.latest()
+    assert state is not None
+    assert state.t_s - zero_s == pytest.approx(now_s, abs=0.03)
 
 
 def state_at(t_s: float, w: float = 1.0, lon_deg: float = 0.0) -> TruthState:

@@ -1,10 +1,12 @@
 """Images of a GStreamer pipeline, through a pipe: OpenCV's wheels are built without GStreamer."""
 
 import contextlib
+import math
 import os
 import select
 import shlex
 import shutil
+import struct
 import subprocess
 import tempfile
 import time
@@ -12,9 +14,19 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras.stream_times import StreamTimes
 from vwnav.errors import SourceError
 
 _LAUNCH = "gst-launch-1.0"
+_NEEDED = (
+    "sudo apt install gstreamer1.0-tools gstreamer1.0-plugins-good gstreamer1.0-plugins-bad "
+    "gstreamer1.0-libcamera"
+)
+# GStreamer Data Protocol 1.0, before each packet: its kind, the length of what follows, and the
+# time of a buffer in ns (gstdataprotocol, dp-private.h); big-endian, 62 bytes.
+_HEADER = struct.Struct(">4xHIQ44x")
+_BUFFER, _NO_TIME = 1, 2**64 - 1
+_MOST_BYTES = 1 << 16  # of a packet that is no image: events and formats are a few hundred
 _CLOSE_S = 2.0
 _SILENT_S = 10.0  # a pipeline that runs, and gives nothing for so long, has failed
 
@@ -22,7 +34,9 @@ _SILENT_S = 10.0  # a pipeline that runs, and gives nothing for so long, has fai
 class GstreamerGrabber:
     """Gray images of a pipeline that `gst-launch-1.0` runs; the end of it is ours.
 
-    Images are stamped at arrival less one period, as those of a stream are.
+    GStreamer Data Protocol (its `gdppay`) tells the time of each: an image that waited for us, on
+    a busy machine, keeps the time that the pipeline gave it. As of a stream, one that comes as fast
+    as any is taken to be one period old.
 
     Raises:
         SourceError: GStreamer is not there, or the pipeline gives no image.
@@ -30,14 +44,11 @@ class GstreamerGrabber:
 
     def __init__(self, pipeline: str, width_px: int, height_px: int, fps: float) -> None:
         if shutil.which(_LAUNCH) is None:
-            raise SourceError(
-                f"{_LAUNCH} is not there: `sudo apt install gstreamer1.0-tools "
-                "gstreamer1.0-plugins-good gstreamer1.0-libcamera`"
-            )
+            raise SourceError(f"{_LAUNCH} is not there: `{_NEEDED}`")
         self._size_wh, self._period_s = (width_px, height_px), 1.0 / fps
         self._stride = -(-width_px // 4) * 4  # GStreamer's rows begin at multiples of four
         gray = f"video/x-raw,format=GRAY8,width={width_px},height={height_px}"
-        ours = f"videoconvert ! videoscale ! {gray} ! fdsink fd=1 sync=false"
+        ours = f"videoconvert ! videoscale ! {gray} ! gdppay ! fdsink fd=1 sync=false"
         try:
             command = [_LAUNCH, "-q", *shlex.split(f"{pipeline} ! {ours}")]
         except ValueError as error:
@@ -50,6 +61,7 @@ class GstreamerGrabber:
             stderr=self._said,
             bufsize=0,
         )
+        self._times = StreamTimes()
         self._first = self._read()
         if self._first is None:
             why = self._complaint()
@@ -58,9 +70,8 @@ class GstreamerGrabber:
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
-        image, self._first = self._first, None
-        image = self._read() if image is None else image
-        return None if image is None else (time.monotonic() - self._period_s, image)
+        first, self._first = self._first, None
+        return self._read() if first is None else first
 
     def close(self) -> None:
         """End the pipeline."""
@@ -73,18 +84,44 @@ class GstreamerGrabber:
             self._process.stdout.close()
         self._said.close()
 
-    def _read(self) -> NDArray[np.uint8] | None:
-        assert self._process.stdout is not None
+    def _read(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """The next image, and when it was exposed; None when no more comes."""
         width_px, height_px = self._size_wh
+        while (packet := self._packet()) is not None:
+            kind, time_ns, data = packet
+            if kind != _BUFFER:
+                continue
+            if len(data) != self._stride * height_px:
+                return None
+            arrival_s = time.monotonic()
+            stamp_s = math.nan if time_ns == _NO_TIME else time_ns * 1e-9
+            rows = np.frombuffer(data, np.uint8).reshape(height_px, self._stride)
+            image = np.ascontiguousarray(rows[:, :width_px])
+            return self._times.sent_s(stamp_s, arrival_s) - self._period_s, image
+        return None
+
+    def _packet(self) -> tuple[int, int, bytearray] | None:
+        """(kind, time in the pipeline in ns, what it carries)."""
+        header = self._bytes(_HEADER.size)
+        if header is None:
+            return None
+        kind, length, time_ns = _HEADER.unpack(header)
+        if length > max(_MOST_BYTES, self._stride * self._size_wh[1]):
+            return None
+        data = self._bytes(length)
+        return None if data is None else (kind, time_ns, data)
+
+    def _bytes(self, count: int) -> bytearray | None:
+        """So many of the pipe; None when it has ended, or gives nothing."""
+        assert self._process.stdout is not None
         pipe, data = self._process.stdout.fileno(), bytearray()
-        while (lacking := self._stride * height_px - len(data)) > 0:
+        while (lacking := count - len(data)) > 0:
             comes, _, _ = select.select([pipe], [], [], _SILENT_S)
             part = os.read(pipe, lacking) if comes else b""
             if not part:
                 return None
             data += part
-        rows = np.frombuffer(data, np.uint8).reshape(height_px, self._stride)
-        return np.ascontiguousarray(rows[:, :width_px])
+        return data
 
     def _complaint(self) -> str:
         """What GStreamer says of it, one line."""

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras.stream_times import StreamTimes
 from vwnav.cameras.video_file import quieten_decoder
 from vwnav.errors import SourceError
 from vwnav.types import Frame
@@ -235,8 +236,12 @@ class V4l2Grabber:
 class StreamGrabber:
     """A network stream (RTSP, HTTP); images are stamped at arrival less one period.
 
-    A stream has no clock of ours: its true latency (100 to 500 ms for RTSP) is for the camera's
-    set-up to keep small.
+    RTSP tells when an image was sent, on the camera's clock (RTP's time stamp, RFC 3550): one that
+    is read late, on a busy machine, was not exposed late. What another protocol tells is counted
+    from a rate by FFmpeg and says nothing.
+
+    The latency of the network and the coder (100 to 500 ms for RTSP) is for the camera's set-up to
+    keep small, and for its calibration to find.
 
     Raises:
         SourceError: it cannot be opened.
@@ -254,13 +259,22 @@ class StreamGrabber:
         if not self._video.isOpened():
             raise SourceError(f"cannot open the stream {url}: is the camera on and reachable?")
         self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or 30.0)
+        self._tells_time = url.lower().startswith("rtsp")
+        self._is_live = False
+        self._times = StreamTimes()
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
+        asked_s = time.monotonic()
         good, image = self._video.read()
         if not good:
             return None
-        return time.monotonic() - self._period_s, np.asarray(image, dtype=np.uint8)
+        t_s = time.monotonic()
+        # What FFmpeg read beforehand to know the stream lies ready: its arrival is none.
+        self._is_live = self._is_live or t_s - asked_s > 0.5 * self._period_s
+        if self._tells_time and self._is_live:
+            t_s = self._times.sent_s(self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3, t_s)
+        return t_s - self._period_s, np.asarray(image, dtype=np.uint8)
 
     def close(self) -> None:
         """Hang up."""

@@ -10,12 +10,14 @@ import threading
 import time
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.clock import Clock, WallClock
 from vwnav.errors import ConfigError, LinkError
+from vwnav.sender_clock import SenderClock
 from vwnav.sim.mavlink.link import datagram_parser
 from vwnav.sim.truth_state import TruthState, between, from_hil_state_quaternion, from_sim_state
 
@@ -23,20 +25,25 @@ _log = logging.getLogger(__name__)
 _HISTORY_S = 5.0
 _SOURCE_SYSTEM, _SOURCE_COMPONENT = 245, 191
 _AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
-_HIL_STATE_QUATERNION, _SIM_STATE = 115, 108
+_HIL_STATE_QUATERNION, _SIM_STATE, _SYSTEM_TIME = 115, 108, 2
 # ArduPilot answers a request for the other one with a text to every ground station, each time.
 _TRUTH_OF = {
     mavlink.MAV_AUTOPILOT_PX4: (_HIL_STATE_QUATERNION,),
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: (_SIM_STATE,),
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: (_SIM_STATE, _SYSTEM_TIME),
 }
 _ASK_EVERY_S = 1.0
+_STAMPS_GONE_S = 1.0  # no SYSTEM_TIME for so long: states are dated by their arrival
 _WAIT_S = 0.2
-_LEAK = 0.005  # seconds per second by which the sender's clock may fall behind ours
-_MAX_SMOOTHING_S = 0.25
+_QUESTION_EVERY_S = 0.2
+_QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 
 
 class TruthReader:
     """Reads truth in a thread of its own, until `close`.
+
+    States are dated by the simulator's own time, joined to ours as an autopilot's is: one that is
+    read late on a busy machine was so when it says. SIM_STATE has no time: ArduPilot sends what is
+    due at one moment together, SYSTEM_TIME first (its `ap_message` order), and that dates it.
 
     Args:
         url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT, or as MAVSDK writes them: "//"
@@ -63,8 +70,10 @@ class TruthReader:
         self._stop = threading.Event()
         self._vehicle: tuple[int, int] | None = None
         self._wanted: tuple[int, ...] = (_HIL_STATE_QUATERNION, _SIM_STATE)
-        self._offset_s: float | None = None
-        self._stamp_s = 0.0
+        self._sender = SenderClock()
+        self._asked_ns: deque[int] = deque(maxlen=_QUESTIONS)
+        self._stamp_s: float | None = None  # of SYSTEM_TIME, until a state has taken it
+        self._stamped_s = -math.inf
         self._thread = threading.Thread(target=self._run, name="truth", daemon=True)
         self._thread.start()
 
@@ -103,9 +112,12 @@ class TruthReader:
         self._socket.close()
 
     def _run(self) -> None:
-        asked_s = -math.inf
+        asked_s = questioned_s = -math.inf
         while not self._stop.is_set():
             now_s = self._clock()
+            if now_s - questioned_s >= _QUESTION_EVERY_S:
+                questioned_s = now_s
+                self._question(now_s)
             if now_s - asked_s >= _ASK_EVERY_S:
                 asked_s = now_s
                 self._ask(now_s)
@@ -141,10 +153,15 @@ class TruthReader:
             self._peer = peer or self._peer
             if kind == "HEARTBEAT":
                 self._meet(message)
+            elif kind == "TIMESYNC":
+                self._learn(message, now_s)
             elif kind == "HIL_STATE_QUATERNION":
-                self._add(from_hil_state_quaternion(message, self._time(message.time_usec, now_s)))
+                stamp_s = message.time_usec * 1e-6 if message.time_usec else None
+                self._add(from_hil_state_quaternion, message, self._time(stamp_s, now_s))
+            elif kind == "SYSTEM_TIME" and message.get_srcComponent() == _AUTOPILOT:
+                self._stamp_s, self._stamped_s = message.time_boot_ms * 1e-3, now_s
             elif kind == "SIM_STATE":
-                self._add(from_sim_state(message, now_s))
+                self._add(from_sim_state, message, self._time_of_sim_state(now_s))
 
     def _meet(self, heartbeat: Any) -> None:
         """A vehicle, not the ground stations, gimbals and companions beside it."""
@@ -154,7 +171,10 @@ class TruthReader:
         self._vehicle = source
         self._wanted = _TRUTH_OF.get(heartbeat.autopilot, (_HIL_STATE_QUATERNION, _SIM_STATE))
 
-    def _add(self, state: TruthState | None) -> None:
+    def _add(
+        self, read: Callable[[Any, float], TruthState | None], message: Any, t_s: float | None
+    ) -> None:
+        state = None if t_s is None else read(message, t_s)
         if state is None:
             return
         with self._lock:
@@ -164,18 +184,26 @@ class TruthReader:
             while self._states[0].t_s < state.t_s - _HISTORY_S:
                 self._states.popleft()
 
-    def _time(self, time_usec: int, now_s: float) -> float:
-        """Arrival with its jitter taken out: no message can arrive before it is sent."""
-        if time_usec == 0:
-            return now_s
-        stamp_s = time_usec * 1e-6
-        offset_s = now_s - stamp_s
-        if self._offset_s is not None:
-            offset_s = min(offset_s, self._offset_s + _LEAK * max(0.0, stamp_s - self._stamp_s))
-        if not 0.0 <= now_s - stamp_s - offset_s < _MAX_SMOOTHING_S:
-            offset_s = now_s - stamp_s
-        self._offset_s, self._stamp_s = offset_s, stamp_s
-        return stamp_s + offset_s
+    def _time(self, stamp_s: float | None, now_s: float) -> float | None:
+        """Of a state on our clock: its arrival where it has no stamp, None for a wrong one."""
+        return now_s if stamp_s is None else self._sender.date(stamp_s, now_s)
+
+    def _time_of_sim_state(self, now_s: float) -> float | None:
+        """None for one without a stamp of its own, while others have one."""
+        stamp_s, self._stamp_s = self._stamp_s, None
+        if stamp_s is None and now_s - self._stamped_s < _STAMPS_GONE_S:
+            return None
+        return self._time(stamp_s, now_s)
+
+    def _question(self, now_s: float) -> None:
+        """Ask what time it is there (TIMESYNC)."""
+        self._asked_ns.append(round(now_s * 1e9))
+        self._send(mavlink.MAVLink_timesync_message(0, self._asked_ns[-1]))
+
+    def _learn(self, answer: Any, now_s: float) -> None:
+        if answer.tc1 != 0 and answer.ts1 in self._asked_ns:  # others ask on this link, too
+            self._asked_ns.remove(answer.ts1)
+            self._sender.handle_round_trip(answer.ts1 / 1e9, answer.tc1 / 1e9, now_s)
 
     def _ask(self, now_s: float) -> None:
         """A heartbeat, and requests while the truth is missing or slow."""

@@ -10,8 +10,7 @@ class TruthState:
     """Where the vehicle really is.
 
     Attributes:
-        t_s: when it was so, on the reader's clock: the arrival, smoothed by the sender's time
-            stamps where it has any.
+        t_s: when it was so, on the reader's clock.
         quat_wxyz: of R_ned_body, w may be negative.
         rates_rad_s: of the body, forward-right-down.
     """

@@ -278,8 +278,8 @@ UNASKED_HZ: dict[int, float] = {0: 1.0}
 
 
 def truth_rates(rate_hz: float) -> dict[int, float]:
-    """The truth link carries a heartbeat and SIM_STATE only."""
-    return {0: 1.0, 108: rate_hz}
+    """The truth link carries a heartbeat, SIM_STATE and the time that it lacks."""
+    return {0: 1.0, 2: rate_hz, 108: rate_hz}
 
 
 def schedule_of(rates_hz: dict[int, float]) -> Schedule:
