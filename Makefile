@@ -34,7 +34,8 @@ test: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m "not long"
 
 test-long: .venv/.dev
-	$(BIN)/python -m pytest -n 2 -m "long or not long"
+	$(BIN)/python -m pytest -m alone; alone=$$?; \
+	$(BIN)/python -m pytest -n 2 -m "not alone" && exit $$alone
 
 # AARCH64 names another folder for the emulated system
 AARCH64 ?= .aarch64

@@ -227,6 +227,7 @@ def test_a_watchdog_that_hangs_is_replaced_and_the_aircraft_lands_near_by(tmp_pa
 
 
 @pytest.mark.long
+@pytest.mark.alone
 def test_setpoints_come_steadily_for_ten_minutes_beside_a_busy_loop(tmp_path):
     times_s: list[float] = []
 

@@ -287,6 +287,7 @@ def test_a_link_that_cannot_be_opened_is_one_clear_line():
 
 
 @pytest.mark.long  # a busy machine's processor time is longer
+@pytest.mark.alone
 def test_the_relay_costs_little_at_the_rate_of_a_px4_link(flown):
     muted(flown)
     packet = bytes(mavlink.MAVLink_attitude_message(1, *[0.1] * 6).pack(MAV))
