@@ -201,7 +201,9 @@ class TruthReader:
         self._send(mavlink.MAVLink_timesync_message(0, self._asked_ns[-1]))
 
     def _learn(self, answer: Any, now_s: float) -> None:
-        if answer.tc1 != 0 and answer.ts1 in self._asked_ns:  # others ask on this link, too
+        """ArduPilot hands what we ask on to others, and they answer, too."""
+        is_its = answer.get_srcComponent() == _AUTOPILOT and answer.tc1 != 0
+        if is_its and answer.ts1 in self._asked_ns:
             self._asked_ns.remove(answer.ts1)
             self._sender.handle_round_trip(answer.ts1 / 1e9, answer.tc1 / 1e9, now_s)
 
