@@ -8,7 +8,7 @@ import pytest
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
 from vwnav.bench.flights.thesis.plots import save_plots
-from vwnav.bench.flights.thesis.report import statistics, steps
+from vwnav.bench.flights.thesis.report import report_on, statistics, steps
 from vwnav.bench.flights.thesis.samples import Sample, write_csv
 from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, in_manners
 
@@ -56,6 +56,14 @@ def test_each_autopilot_flies_the_failsafe_test_in_its_own_modes():
     assert test.modes == ("OFFBOARD", "MANUAL", "OFFBOARD", "RETURN")
     faults = [type(each.fault) for each in test.scenario.breaks]
     assert faults == [PilotSwitches, PilotHandsBack, RadioOff]  # a stick does not end GUIDED
+
+
+def test_a_flight_that_never_leaves_the_ground_is_judged_and_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    samples = [replace(ON_THE_GROUND, t_s=0.1 * i) for i in range(50)]
+    report = report_on(HOVER, samples, ["not ready to fly"], tmp_path)
+    assert not report.passed
+    assert all((tmp_path / name).stat().st_size > 100 for name in report.files)
 
 
 def test_files_are_a_table_and_three_images(tmp_path):

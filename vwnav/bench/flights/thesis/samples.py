@@ -55,8 +55,9 @@ def write_csv(samples: Sequence[Sample], path: Path) -> None:
 
 
 def columns(samples: Sequence[Sample], *names: str) -> Array:
-    """(n, k) of the named values."""
-    return np.array([[getattr(each, name) for name in names] for each in samples], np.float64)
+    """(n, k) of the named values, of no samples too."""
+    values = [[getattr(each, name) for name in names] for each in samples]
+    return np.array(values, np.float64).reshape(-1, len(names))
 
 
 def _cells(sample: Sample) -> list[str]:
