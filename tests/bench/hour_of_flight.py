@@ -3,7 +3,8 @@
     python hour_of_flight.py RECORDING [SECONDS]
 
 One line of JSON a minute: simulated seconds, resident megabytes, what of the heap is in use and
-what is free, fixes until then. At the end it waits to be killed: the recording is never closed.
+what is free, fixes until then, by how much the height is wrong and its sigma. At the end it waits
+to be killed: the recording is never closed.
 """
 
 import ctypes
@@ -76,12 +77,16 @@ class Minutes:
         world.navigator.record.steps.clear()
         gc.collect()
         give_back_free_memory()  # once a minute, as `vwnav fly` does
+        estimate = world.navigator.pipeline.estimate(world.t_s)
+        assert estimate is not None
         told = {
             "t_s": round(world.t_s),
             "resident_mb": round(resident_mb(), 2),
             **heap_mb(),
             "tiles": world.camera.renderer.tiles_in_memory,
             "fixes": world.navigator.pipeline.accepted,
+            "down_error_m": round(float(estimate.position_ned_m[2]) - world.core.vehicle.body.d, 2),
+            "sigma_down_m": round(float(estimate.covariance[2, 2]) ** 0.5, 2),
             "phase": world.navigator.flight.phase.value,
         }
         print(json.dumps(told), flush=True)

@@ -1,4 +1,4 @@
-"""An hour in the air: memory stays what it was, and the recording of a killed process is whole."""
+"""An hour in the air: memory stays what it was, the height within its sigmas, a recording whole."""
 
 import json
 import signal
@@ -31,6 +31,7 @@ def test_an_hour_of_flight_does_not_grow_and_leaves_its_recording_readable(tmp_p
 
     assert [each["t_s"] for each in minutes] == list(range(60, HOUR_S + 1, 60))
     assert all(b["fixes"] - a["fixes"] > 100 for a, b in pairwise(minutes[1:]))  # it flies
+    assert all(abs(each["down_error_m"]) < 5.0 * each["sigma_down_m"] for each in minutes), minutes
     resident_mb = [each["resident_mb"] for each in minutes]
     assert max(resident_mb[5:]) - resident_mb[4] < 15.0, minutes
     assert max(resident_mb[-20:]) - resident_mb[-21] < 1.0, minutes
