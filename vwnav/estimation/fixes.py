@@ -7,14 +7,7 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import (
-    agreeing,
-    convinces,
-    freed,
-    range_doubted,
-    remember,
-    turned,
-)
+from vwnav.estimation.disputes import agreeing, convinces, freed, range_doubted, remember, turned
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.integrals import Exposure
@@ -37,6 +30,7 @@ from vwnav.types import Array
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
+_MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _TURNED_COS = math.cos(math.radians(40.0))
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
@@ -329,17 +323,25 @@ def apply_agl(
     variance = sigma_m**2 + (state.relief_m**2 if by_map else 0.0)
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[variance]]))
     fused, innovation = fuse(state, measurement)
-    if innovation.verdict is Verdict.FUSED:
+    trust = state.range_trust
+    heard = by_map and trust.agreed_ne_m is not None and trust.doubted_s is None
+    drawn = heard and abs(float(fused.x[States.MAP_SCALE])) > _MOST_SCALE * config.map_scale
+    if innovation.verdict is Verdict.FUSED and not drawn:
         return replace(fused, rejected_agls=()), innovation
-    rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
-    state = replace(state, rejected_agls=rejected)
-    if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
-        return state, innovation
+    if drawn:  # inside its gate a height gives way each time, and the map's scale takes it
+        x = state.x.copy()
+        x[States.MAP_SCALE] = 0.0
+        state = freed(replace(state, x=x), States.MAP_SCALE, config.map_scale)
+        measurement = replace(measurement, residual=agl_m - H @ state.x)
+    else:
+        rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
+        state = replace(state, rejected_agls=rejected)
+        if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
+            return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, open_m), States.ANCHOR_TERRAIN, open_m)
-    trust = state.range_trust
-    if by_map and trust.agreed_ne_m is not None and trust.doubted_s is None:
+    if heard:
         state = range_doubted(state, abs(float(measurement.residual[0])))
     fused = correct(state, measurement)
     return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
