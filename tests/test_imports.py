@@ -16,13 +16,14 @@ PACKAGE = ROOT / "vwnav"
 RIVAL = Path("bench/features/xfeat.py")
 
 # Each room with the rooms it may import. `cli` may import all of them.
-BASE = {"errors", "types", "vehicle", "clock", "pace"}
+BASE = {"errors", "types", "vehicle", "clock", "pace", "sender_clock"}
 ALLOWED = {
     "errors": set(),
     "types": set(),
     "vehicle": {"types"},
     "clock": set(),
     "pace": {"clock"},
+    "sender_clock": set(),
     "geometry": BASE,
     "maps": BASE | {"geometry"},
     "vision": BASE | {"geometry", "maps"},
