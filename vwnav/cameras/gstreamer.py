@@ -131,4 +131,5 @@ class GstreamerGrabber:
             return f"it runs, and gave none for {_SILENT_S:.0f} s"
         self._said.seek(0)
         lines = self._said.read().decode(errors="replace").splitlines()
-        return next((line for line in lines if "ERROR" in line or "WARNING" in line), "it ended")
+        why = next((line for line in lines if "ERROR" in line or "WARNING" in line), "it ended")
+        return f"{why}: `{_NEEDED}`" if "gdppay" in why else why

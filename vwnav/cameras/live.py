@@ -234,11 +234,11 @@ class V4l2Grabber:
 
 
 class StreamGrabber:
-    """A network stream (RTSP, HTTP); images are stamped at arrival less one period.
+    """A network stream (RTSP, HTTP); images are stamped one period before they were sent.
 
     RTSP tells when an image was sent, on the camera's clock (RTP's time stamp, RFC 3550): one that
     is read late, on a busy machine, was not exposed late. What another protocol tells is counted
-    from a rate by FFmpeg and says nothing.
+    from a rate by FFmpeg and says nothing: their arrival counts.
 
     The latency of the network and the coder (100 to 500 ms for RTSP) is for the camera's set-up to
     keep small, and for its calibration to find.
@@ -260,19 +260,15 @@ class StreamGrabber:
             raise SourceError(f"cannot open the stream {url}: is the camera on and reachable?")
         self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or 30.0)
         self._tells_time = url.lower().startswith("rtsp")
-        self._is_live = False
         self._times = StreamTimes()
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
-        asked_s = time.monotonic()
         good, image = self._video.read()
         if not good:
             return None
         t_s = time.monotonic()
-        # What FFmpeg read beforehand to know the stream lies ready: its arrival is none.
-        self._is_live = self._is_live or t_s - asked_s > 0.5 * self._period_s
-        if self._tells_time and self._is_live:
+        if self._tells_time:
             t_s = self._times.sent_s(self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3, t_s)
         return t_s - self._period_s, np.asarray(image, dtype=np.uint8)
 

@@ -1,22 +1,30 @@
 """When the images of a stream were sent: one that is read late was not exposed late."""
 
-import math
-
 from vwnav.sender_clock import SenderClock
+
+_AT_ITS_PACE = 0.8  # of the time between two stamps: images that lay ready come faster
 
 
 class StreamTimes:
-    """Dates images by the stamps that they carry, on a clock of the stream's own."""
+    """Dates images by the stamps that they carry, on a clock of the stream's own.
+
+    What was read before anybody asked (FFmpeg does, to know the stream) comes at once: when that
+    arrives tells nothing, and the clock begins with the first image that had to be waited for.
+    """
 
     def __init__(self) -> None:
-        self._sender, self._stamp_s = SenderClock(), -math.inf
+        self._sender: SenderClock | None = None
+        self._before: tuple[float, float] | None = None  # stamp and arrival of the last image
 
     def sent_s(self, stamp_s: float, arrival_s: float) -> float:
         """On our clock; the arrival where the stamp, or its not being one (NaN), tells nothing."""
-        counts_on = stamp_s > self._stamp_s
-        self._stamp_s = stamp_s
-        if not counts_on:  # anew, or not at all
-            self._sender = SenderClock()
+        before, self._before = self._before, (stamp_s, arrival_s)
+        if before is None or not stamp_s > before[0]:  # the first, or it counts anew or not at all
+            self._sender = None
             return arrival_s
+        if self._sender is None:
+            if arrival_s - before[1] < _AT_ITS_PACE * (stamp_s - before[0]):
+                return arrival_s
+            self._sender = SenderClock()
         sent_s = self._sender.date(stamp_s, arrival_s)
         return arrival_s if sent_s is None else sent_s
