@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import MeasurementStream, sense
@@ -157,6 +159,33 @@ def test_who_stands_comes_to_rest_whatever_was_believed_in_the_landing():
         ekf.handle(Attitude(2.0 + 0.05 * i, LEVEL))
         ekf.handle(Stationary(2.0 + 0.05 * i))
     assert np.hypot(*ekf.estimate(3.0).velocity_ned_m_s[:2]) < 0.1
+
+
+def standing(seconds: float = 2.0) -> Ekf:
+    """An aircraft that stands for so long, and then nothing is heard of it."""
+    ekf = hovering((0.0, 0.0, 0.0), seconds=0.1)
+    for i in range(1, round(10.0 * seconds) + 1):
+        ekf.handle(Attitude(0.1 * i, LEVEL))
+        ekf.handle(Height(0.1 * i, 0.0))
+        ekf.handle(Stationary(0.1 * i))
+    return ekf
+
+
+@given(st.floats(0.0, 0.99))
+def test_who_stood_still_stands_in_a_second_of_silence(silence_s):
+    found = standing().estimate(2.0 + silence_s)
+    assert np.sqrt(np.diag(found.covariance)[3:].max()) < 1.5
+
+
+def test_a_longer_silence_may_have_been_a_take_off():
+    found = standing().estimate(4.0)
+    assert np.sqrt(np.diag(found.covariance)[3:].max()) > 4.0
+
+
+def test_who_flew_a_moment_ago_is_not_known_to_stand():
+    ekf = hovering()
+    sigmas = np.sqrt(np.diag(ekf.estimate(3.0).covariance))
+    assert sigmas[3:].max() > 4.0
 
 
 def test_ways_from_a_forgotten_keyframe_are_told_from_image_to_image():

@@ -8,7 +8,7 @@ from vehicles import FLYING
 
 from vwnav.safety.readiness import Equipment, check_flight, missing
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Estimate
+from vwnav.types import Attitude, Estimate
 from vwnav.vehicle import Finding, FlightMode, Navigation
 
 STANDING = replace(FLYING, armed=False, in_air=False, mode=FlightMode.HOLD)
@@ -41,6 +41,7 @@ def test_nothing_is_missing_when_all_is_well():
         ({"armable": False}, "readiness to arm"),
         ({"local_position_ok": False}, "local position"),
         ({"in_air": True}, "in the air"),
+        ({"attitude": Attitude(9.3, ESTIMATE.quat_wxyz)}, "0.7 s late"),
     ],
 )
 def test_what_the_vehicle_lacks_is_said(changes, word):
@@ -122,4 +123,5 @@ def test_what_the_equipment_lacks_has_its_name(changes, name):
 def test_exactly_enough_is_enough():
     assert trouble(vehicle=replace(STANDING, battery_ratio=0.35)) == ""
     assert trouble(equipment=replace(READY, image_s=9.0)) == ""
+    assert trouble(vehicle=replace(STANDING, attitude=Attitude(9.7, ESTIMATE.quat_wxyz))) == ""
     assert trouble(vehicle=replace(STANDING, armable=False, connected=False)).count("; ") == 1

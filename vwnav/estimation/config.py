@@ -71,6 +71,7 @@ class EkfConfig:
     rangefinder_sigma_ratio: float = 0.02  # of the distance
     stationary_sigma_m_s: float = 0.05
     stationary_sigma_rad_s: float = math.radians(0.4)  # of its turning, by the gyro
+    stationary_s: float = 1.0  # who stood disarmed does not move sooner: rotors spin up first
     stationary_agl_m: float = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: float = 0.15
     blow_agl_m: float = 2.0  # lower than this it may strike the ground, shorter than an IMU hears

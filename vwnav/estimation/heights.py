@@ -248,6 +248,7 @@ def _most_step_m(state: FilterState) -> float:
 def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
     """It does not move, and the ground is right below; what the gyro still says is its bias."""
     config = context.config
+    state = replace(state, stood_s=state.t_s)
     H = np.zeros((3, States.SIZE))
     H[:, States.VELOCITY] = np.eye(3)
     R = config.stationary_sigma_m_s**2 * np.eye(3)

@@ -58,6 +58,7 @@ class TimeStep:
         carried_rad: by how much more the gyro alone has turned the heading on at its end.
         imu: what was felt; None in a silence, and where attitudes are missing.
         relief_m: one sigma of the heights of what stands on the ground.
+        stands: nothing pushes: a moment ago the aircraft stood disarmed.
     """
 
     dt_s: float
@@ -67,6 +68,7 @@ class TimeStep:
     carried_rad: float
     imu: PreintegratedImu | None
     relief_m: float = 0.0
+    stands: bool = False
 
     @property
     def quat_wxyz(self) -> Array:
@@ -82,6 +84,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
     x, P, attitudes = state.x, state.P, context.attitudes
+    stands_s = context.config.stationary_s
     one = state.measured or _measured(attitudes.held(state.t_s), state.t_s, context)
     known = attitudes.knows(state.t_s)
     for i in range(count):
@@ -91,9 +94,9 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
         known0, known = known, held.known
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
-        step = TimeStep(
-            dt_s, zero.quat_wxyz, one.quat_wxyz, known0 and known, carried_rad, imu, state.relief_m
-        )
+        quats, stands = (zero.quat_wxyz, one.quat_wxyz), end_s < state.stood_s + stands_s
+        known_all, relief_m = known0 and known, state.relief_m
+        step = TimeStep(dt_s, *quats, known_all, carried_rad, imu, relief_m, stands)
         x, P = _propagate(x, P, step, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
 
@@ -128,6 +131,8 @@ def thrust_model(x: Array, step: TimeStep, context: Context) -> Transition:
     if not step.attitude_known:
         moved, F, Q = _transition(x, np.zeros(3), np.zeros(2), step, context)
         level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
+        if step.stands:
+            level, vertical = config.acceleration_noise_m_s2**2, config.vertical_noise_m_s2**2
         Q[States.MOTION, States.MOTION] = _white_acceleration(x, level, vertical, dt_s, config)
         Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
         return Transition(moved, F, Q)

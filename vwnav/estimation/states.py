@@ -127,6 +127,7 @@ class FilterState:
         relief_m: one sigma of the heights over their plane of what the newest ways have shown:
             which of it a way, a fix or a rangefinder takes for the ground is not known.
         newest_height: time and height that the barometer told last, believed or not.
+        stood_s: when it was told last that the aircraft stands.
         height_stepped: the heights that are refused began with a step, not with a climb.
         rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
             since the last accepted one.
@@ -146,6 +147,7 @@ class FilterState:
     trusted: TrustedPosition | None = None
     relief_m: float = 0.0
     newest_height: tuple[float, float] | None = None
+    stood_s: float = -math.inf
     height_stepped: bool = False
     reset_counter: int = 0
     rejected_fixes: RejectedInnovations = ()

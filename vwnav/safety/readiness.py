@@ -8,6 +8,7 @@ from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vehicle import Finding, Navigation, VehicleState
 
 _IMAGE_AGE_S = 1.0
+_ATTITUDE_AGE_S = 0.4  # flown: 0.3 s late for 10 s; at 0.5 odometry is lost again and again
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ def check_flight(
 ) -> tuple[Check, ...]:
     """Everything that is looked at before arming, in the order in which it is shown."""
     return (
-        _link(vehicle, equipment),
+        _link(vehicle, equipment, t_s),
         *check_parameters(equipment.findings),
         check_battery(vehicle, config),
         _camera(equipment, t_s),
@@ -81,11 +82,16 @@ def _present(finding: Finding) -> str:
     return "is missing" if finding.present is None else f"is {finding.present:g}"
 
 
-def _link(vehicle: VehicleState, equipment: Equipment) -> Check:
+def _link(vehicle: VehicleState, equipment: Equipment, t_s: float) -> Check:
     if not vehicle.connected:
         return Check("link", "FAIL", "the autopilot is not heard")
     if equipment.link_refusal is not None:
         return Check("link", "FAIL", equipment.link_refusal)
+    attitude = vehicle.attitude
+    age_s = 0.0 if attitude is None else t_s - attitude.t_s
+    if age_s > _ATTITUDE_AGE_S:
+        late = f"the autopilot's attitude comes {age_s:.1f} s late, {_ATTITUDE_AGE_S:g} at most"
+        return Check("link", "FAIL", f"{late}: is the link or this computer overloaded?")
     return Check("link", "PASS", "heard")
 
 

@@ -29,6 +29,21 @@ LATE = [
     flies_on("attitude 0.1 s late", telemetry.TelemetryLate(0.1, ATTITUDES), 10.0),
     flies_on("attitude 0.3 s late", telemetry.TelemetryLate(0.3, ATTITUDES), 10.0),
     flies_on("attitude 1 s late", telemetry.TelemetryLate(1.0, ATTITUDES), after_s=20.0),
+    Scenario(
+        name="telemetry 0.7 s late from the start",
+        setup=setup(None),
+        breaks=(Break(fault=telemetry.TelemetryLate(0.7), at_s=0.0),),
+        limit_s=60.0,
+        ending=Ending.STAYED,
+    ),
+    Scenario(
+        name="telemetry 1.5 s late before take-off",
+        setup=setup(None),
+        breaks=(Break(fault=telemetry.TelemetryLate(1.5), at_s=3.0, for_s=20.0),),
+        limit_s=80.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(60.0, "on route"),),
+    ),
 ]
 WRONG = [
     flies_on("one attitude level and facing north", telemetry.level(), 0.02),
