@@ -625,6 +625,14 @@ def test_a_short_stall_is_taken_back_from_a_braking_watchdog():
     assert scene.flight.phase is Phase.ROUTE
 
 
+def test_a_stall_is_taken_back_and_said_once_a_second_until_the_watchdog_has_heard():
+    scene = on_route()
+    scene.handle.report = WatchdogReport(GuardState.BRAKING, 1, 0.1)
+    scene.go_on(2.5)
+    assert scene.handle.rejoined == 3
+    assert sum("taking over from the watchdog" in each for each in scene.said) == 3
+
+
 def test_the_dead_mans_handle_is_held_exactly_while_we_steer():
     scene = Scene().run()
     assert any(scene.handle.beats)

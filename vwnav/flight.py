@@ -55,6 +55,7 @@ class Flight:
         self._pace = 1.0
         self._announcer = Announcer()
         self._phase_since_s: float | None = None
+        self._rejoined_s = -math.inf
         self._offboard: Request | None = None
         self._landing: Landing | None = None
         self._failsafe = FailsafeRecovery(autopilot, self._steering, safety)
@@ -182,8 +183,10 @@ class Flight:
         if self.phase is Phase.RESUME and self._in_phase_s(t_s) < _REJOIN_S:
             return False  # it stood down, and has not heard of the new claim yet
         if report.state is GuardState.BRAKING:
-            self._say("the control loop had stalled: taking over from the watchdog again")
-            self._keep_alive.rejoin()
+            if t_s >= self._rejoined_s + _REJOIN_S:  # it has not heard of the claim before that
+                self._say("the control loop had stalled: taking over from the watchdog again")
+                self._keep_alive.rejoin()
+                self._rejoined_s = t_s
             return False
         self._release(
             t_s, "the watchdog has the aircraft: the control loop was silent for too long"
