@@ -30,6 +30,7 @@ from vwnav.vehicle import FlightMode
 
 _LOOK_S = 0.05
 _TRUTH_S = 30.0
+_MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
 _GROUND_M = 0.7
 _AT_HOME_M = 200.0  # of the default site: that one is used
 _LINE = re.compile(r"^\s*[\d.]+ s  (?P<text>\S.*)$")
@@ -234,7 +235,7 @@ class LiveFlight:
 def live_flight(
     simulator: Simulator, folder: Path, route: str, breaks: str = "", settings: str = ""
 ) -> Iterator[LiveFlight]:
-    """Start `vwnav fly` from where the aircraft stands; at the end it is gone.
+    """Start `vwnav fly` where the aircraft stands, until it gets ready; at the end it is gone.
 
     Args:
         simulator: that flies.
@@ -259,6 +260,7 @@ def live_flight(
         process = subprocess.Popen(command, stdout=log, stderr=log, env=env)
     flight = LiveFlight(simulator, process, folder)
     try:
+        flight.watch(lambda: bool(flight.track.phases) or flight.has_ended(), _MAP_S)
         yield flight
     finally:
         if process.poll() is None:

@@ -47,6 +47,7 @@ def fly_live_test(
         )
     with live_flight(simulator, folder, route, settings=settings) as flight:
         sampler = LiveSampler(flight)
+        sampler()  # one at least: what did not get ready has ended by now
         flight.see = sampler
         if test.name == "failsafe":
             _play_the_pilot(flight, say)
