@@ -1,6 +1,7 @@
 """A camera that hangs otherwise than was told is no attitude error: an IMU tells them apart."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,21 +9,36 @@ from honesty import worst_sigmas
 
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
-from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.streams import MeasurementEvent, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import States
 
 OFF_DEG = (-2.0, 5.0)
 BY_HAND_DEG = 1.5
 
 
-def flown(seed: int, sigma_deg: float, off_deg: tuple[float, float] = OFF_DEG) -> Run:
-    """Two minutes in wind, with turns, an IMU and fixes."""
+def flown(
+    seed: int,
+    sigma_deg: float,
+    off_deg: tuple[float, float] = OFF_DEG,
+    ahead_m: float = 0.0,
+) -> Run:
+    """Two minutes in wind, with turns, an IMU and fixes that all lie so far ahead of the nose."""
     world = FilterWorld(seconds=120.0, imu_hz=50.0, mount_off_deg=off_deg)
     rng = np.random.default_rng(seed)
     config = EkfConfig(mount_sigma_rad=math.radians(sigma_deg))
-    return play(sense(world, fly(world, [rng])[0], rng), config)
+    stream = sense(world, fly(world, [rng])[0], rng)
+    return play(replace(stream, events=[ahead(each, ahead_m) for each in stream.events]), config)
+
+
+def ahead(event: MeasurementEvent, ahead_m: float) -> MeasurementEvent:
+    fix = event.seen
+    if not isinstance(fix, NedFix) or fix.yaw_rad is None:
+        return event
+    nose = np.array([math.cos(fix.yaw_rad), math.sin(fix.yaw_rad)])
+    return replace(event, seen=replace(fix, position_ne_m=fix.position_ne_m + ahead_m * nose))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -45,3 +61,15 @@ def test_one_that_hangs_as_told_costs_little():
     late = exact.rows.t_s > 60.0
     mean_m = [float(np.hypot(*run.rows.error_ne_m[late].T).mean()) for run in (exact, by_hand)]
     assert mean_m[1] < mean_m[0] + 0.2
+
+
+def test_what_fixes_have_alike_in_every_turn_teaches_nothing_of_a_mount_that_is_known():
+    """It is their own error as well as the mount's, and a tilt is a climb that is none."""
+    known, unknown = (
+        (flown(1, sigma, (0.0, 0.0), 0.5).last.x - flown(1, sigma, (0.0, 0.0)).last.x)[
+            States.CAMERA_TILT
+        ]
+        for sigma in (0.09, 1.0)
+    )
+    assert np.degrees(np.abs(known).max()) < 0.02
+    assert np.degrees(np.abs(unknown).max()) > 0.2

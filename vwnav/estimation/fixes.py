@@ -28,6 +28,7 @@ from vwnav.types import Array
 
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
+_MOUNT = tuple(range(States.SIZE))[States.CAMERA_TILT]
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
@@ -75,7 +76,7 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
                 return found, part
             if part.verdict is Verdict.RELOCATED:
                 state, parts, compass = found, [part], None
-    position = _position(state, fix, exposure, _NOW)
+    position = _position(state, fix, exposure, _NOW, config)
     if not exposure.told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
@@ -126,7 +127,7 @@ def apply_late_fix(
                 return found, part
             if part.verdict is Verdict.RELOCATED:
                 state, compass = found, None
-    position = _position(state, fix, exposure, _THEN)
+    position = _position(state, fix, exposure, _THEN, config)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
@@ -143,7 +144,7 @@ def apply_late_fix(
 
 
 def _position(
-    state: FilterState, fix: NedFix, exposure: Exposure, pose: _PoseSlices
+    state: FilterState, fix: NedFix, exposure: Exposure, pose: _PoseSlices, config: EkfConfig
 ) -> Measurement:
     """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
 
@@ -168,7 +169,9 @@ def _position(
     own_m2 = (max(agl_m, 0.0) * fix.sigma_tilt_rad) ** 2 + fix.sigma_map_m**2
     variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
     rest = np.maximum(variances - own_m2, np.maximum(0.01 * variances, _SMALLEST_SIGMA_M**2))
-    return Measurement(residual, H, axes @ np.diag(rest) @ axes.T)
+    # Their errors are alike in every turn: of the camera's mount they tell no more than so much.
+    is_known = np.diag(state.P)[States.CAMERA_TILT].max() < config.mount_by_fixes_rad**2
+    return Measurement(residual, H, axes @ np.diag(rest) @ axes.T, _MOUNT if is_known else ())
 
 
 def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measurement:
