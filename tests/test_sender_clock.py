@@ -99,6 +99,17 @@ def test_a_rate_that_changes_is_followed():
     assert worst(autopilot.run(10.0)) < 0.005
 
 
+@pytest.mark.parametrize("rate", [0.7, 0.85, 1.3])
+def test_a_simulator_that_falls_behind_by_fits_and_starts_is_followed_where_it_answers(rate):
+    autopilot = Autopilot(1.0)
+    autopilot.run(10.0)
+    for _ in range(3):
+        autopilot.set_rate(rate)
+        assert worst(autopilot.run(5.0)) < 0.1
+        autopilot.set_rate(1.0)
+        assert worst(autopilot.run(5.0)) < 0.1
+
+
 @given(st.floats(-1e5, 1e5), LATENCIES_S)
 def test_at_first_the_offset_is_right_to_the_least_latency(offset_s, latencies_s):
     clock = SenderClock()

@@ -201,14 +201,19 @@ class SenderClock:
         return late_s + self._drift * (self._newest_stamp_s - stamp_s)
 
     def _agrees_with_stamps(self, answer: Point, round_trip_s: float) -> bool:
-        """Stamps of the same moment slip with the clock: an answer that they deny is a lie."""
-        fresh_s = [
-            self._residual_s(stamp) for stamp in self._fresh if answer[0] - stamp[0] < _FRESH_S
-        ]
-        if not fresh_s:
+        """Stamps of the same moment slip with the clock: an answer that they deny is a lie.
+
+        Since a stamp the clock may have slipped on as fast as clocks do.
+        """
+        fresh = [stamp for stamp in self._fresh if answer[0] - stamp[0] < _FRESH_S]
+        if not fresh:
             return False
-        ahead_s = min(fresh_s) - self._residual_s(answer)
-        return -_CONTRADICTION_S <= ahead_s <= round_trip_s + _SLOWER_STAMPS_S
+        late_s = self._residual_s(answer)
+        least_s = min(map(self._residual_s, fresh))
+        most_s = min(self._residual_s(each) + _MOST_DRIFT * (answer[0] - each[0]) for each in fresh)
+        return most_s >= late_s - _CONTRADICTION_S and (
+            least_s <= late_s + round_trip_s + _SLOWER_STAMPS_S
+        )
 
 
 def _drop_before(points: deque[Point], stamp_s: float) -> None:

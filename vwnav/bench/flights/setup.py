@@ -53,6 +53,7 @@ class Setup:
         rc_on: a pilot holds a radio.
         gust_m_s: one sigma of the turbulence; None is a tenth of the wind.
         vehicle_rate: seconds of the vehicle's clock per second.
+        vehicle_fit_s: so long by that rate, then so long by ours, in turns; 0: by that rate always.
         battery_drain_s: time in flight from full to empty.
         arm_m: where the camera sits in the body: forward, right, down.
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
@@ -78,6 +79,7 @@ class Setup:
     gust_m_s: float | None = None
     rc_on: bool = False
     vehicle_rate: float = 1.0
+    vehicle_fit_s: float = 0.0
     battery_drain_s: float = 1500.0
     image_hz: float = 10.0
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -89,6 +91,14 @@ class Setup:
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)
+
+    def vehicle_s(self, t_s: float) -> float:
+        """The time on the vehicle's clock at a time on ours."""
+        if not self.vehicle_fit_s:
+            return self.vehicle_rate * t_s
+        turns, rest_s = divmod(t_s, 2.0 * self.vehicle_fit_s)
+        slow_s = turns * self.vehicle_fit_s + min(rest_s, self.vehicle_fit_s)
+        return t_s - (1.0 - self.vehicle_rate) * slow_s
 
     def true_camera(self, told: Camera) -> Camera:
         """The camera that flies, by what its calibration says of it."""

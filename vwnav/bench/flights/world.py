@@ -123,7 +123,7 @@ class World:
             self.autopilot_link.a, self.clock, self.track, lambda: self.navigator.autopilot.north
         )
         peer = Peer(link, Role.COMPANION)
-        return VehicleCore(config, [peer], lambda: setup.vehicle_rate * self.clock())
+        return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
     def _watchdog(self) -> Watchdog:
         links = WatchdogLinks(

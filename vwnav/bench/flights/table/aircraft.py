@@ -147,4 +147,11 @@ AUTOPILOT = [
         )
         for rate in (0.99, 0.98)
     ),
+    Scenario(
+        name="autopilot's clock 10 % slow by turns of 5 s",
+        setup=setup(vehicle_rate=0.9, vehicle_fit_s=5.0),
+        breaks=(),
+        limit_s=45.0,
+        ending=Ending.FLIES_ON,
+    ),
 ]
