@@ -84,7 +84,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     count = min(max(math.ceil(span_s / _STEP_S), 1), _MOST_STEPS)
     dt_s = span_s / count
     x, P, attitudes = state.x, state.P, context.attitudes
-    stands_s = context.config.stationary_s
+    stands_until_s = state.stood_s + context.config.stationary_s
     one = state.measured or _measured(attitudes.held(state.t_s), state.t_s, context)
     known = attitudes.knows(state.t_s)
     for i in range(count):
@@ -94,9 +94,16 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
         known0, known = known, held.known
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
         carried_rad = one.carried_rad - zero.carried_rad
-        quats, stands = (zero.quat_wxyz, one.quat_wxyz), end_s < state.stood_s + stands_s
-        known_all, relief_m = known0 and known, state.relief_m
-        step = TimeStep(dt_s, *quats, known_all, carried_rad, imu, relief_m, stands)
+        step = TimeStep(
+            dt_s,
+            zero.quat_wxyz,
+            one.quat_wxyz,
+            known0 and known,
+            carried_rad,
+            imu,
+            state.relief_m,
+            stands=end_s < stands_until_s,
+        )
         x, P = _propagate(x, P, step, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
 
