@@ -203,17 +203,18 @@ class SenderClock:
     def _agrees_with_stamps(self, answer: Point, round_trip_s: float) -> bool:
         """Stamps of the same moment slip with the clock: an answer that they deny is a lie.
 
-        Since a stamp the clock may have slipped on as fast as clocks do.
+        Between a stamp and it the clock may have slipped, as fast as clocks do.
         """
         fresh = [stamp for stamp in self._fresh if answer[0] - stamp[0] < _FRESH_S]
         if not fresh:
             return False
         late_s = self._residual_s(answer)
         least_s = min(map(self._residual_s, fresh))
-        most_s = min(self._residual_s(each) + _MOST_DRIFT * (answer[0] - each[0]) for each in fresh)
-        return most_s >= late_s - _CONTRADICTION_S and (
-            least_s <= late_s + round_trip_s + _SLOWER_STAMPS_S
+        slipped_s = min(
+            self._residual_s(stamp) + _MOST_DRIFT * abs(answer[0] - stamp[0]) for stamp in fresh
         )
+        is_slow = least_s > late_s + round_trip_s + _SLOWER_STAMPS_S
+        return late_s <= slipped_s + _CONTRADICTION_S and not is_slow
 
 
 def _drop_before(points: deque[Point], stamp_s: float) -> None:

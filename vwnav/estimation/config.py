@@ -20,7 +20,7 @@ class EkfConfig:
     tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew
     # Of the camera, for good; `vwnav fly` takes them from its file
     mount_sigma_rad: float = math.radians(0.2)  # per axis
-    mount_by_fixes_rad: float = math.radians(0.1)  # fixes and ways part by 6 cm at 50 m in a turn
+    mount_by_fixes_rad: float = math.radians(0.1)  # what they have alike in turns: 9 cm at 50 m
     focal_sigma_ratio: float = 0.001
     baro_walk_m: float = 0.13  # per root second: 3.2 m in 10 minutes, as weather and warming do
     baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air

@@ -28,7 +28,7 @@ from vwnav.types import Array
 
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
-_MOUNT = tuple(range(States.SIZE))[States.CAMERA_TILT]
+_MOUNT = tuple(np.r_[States.CAMERA_TILT].tolist())
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
@@ -180,7 +180,7 @@ def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measureme
     H[:, States.TILT] = 0.0
     wide_m2 = (_UNSEEN_RAD * max(state.agl_m, 0.0)) ** 2 * np.eye(2)
     residual = fix.position_ne_m - H @ state.x
-    return Measurement(residual, H, fix.covariance_ne_m2 + wide_m2)
+    return replace(position, residual=residual, H=H, R=fix.covariance_ne_m2 + wide_m2)
 
 
 def _apply_position(

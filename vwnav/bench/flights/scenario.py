@@ -173,6 +173,15 @@ def said(within_s: float, text: str) -> Follows:
     return Follows(f"says {text!r}", within_s, when)
 
 
+def unsaid(within_s: float, text: str) -> Follows:
+    """The program does not say so."""
+
+    def when(track: FlightTrace, _: float) -> list[float]:
+        return [] if any(text in each.text for each in track.events) else [within_s]
+
+    return Follows(f"no word of {text!r}", within_s, when)
+
+
 def down(within_s: float) -> Follows:
     """On the ground, motors off."""
 

@@ -11,6 +11,7 @@ from vwnav.bench.flights.scenario import (
     flies_route,
     phase,
     setup,
+    unsaid,
 )
 
 ATTITUDES = (telemetry.ATTITUDE, telemetry.ATTITUDE_QUATERNION)
@@ -42,7 +43,7 @@ LATE = [
         breaks=(Break(fault=telemetry.TelemetryLate(1.5), at_s=3.0, for_s=20.0),),
         limit_s=80.0,
         ending=Ending.FLIES_ON,
-        follows=(phase(60.0, "on route"),),
+        follows=(phase(60.0, "on route"), unsaid(77.0, "estimate is not sent")),
     ),
 ]
 WRONG = [
