@@ -31,11 +31,11 @@ fly: .venv/.onboard
 	$(BIN)/vwnav fly --sim $(FLY)
 
 test: .venv/.dev
-	$(BIN)/python -m pytest -n 2 -m "not long"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long"
 
 test-long: .venv/.dev
 	$(BIN)/python -m pytest -m alone; alone=$$?; \
-	$(BIN)/python -m pytest -n 2 -m "not alone" && exit $$alone
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not alone" && exit $$alone
 
 # AARCH64 names another folder for the emulated system
 AARCH64 ?= .aarch64

@@ -20,7 +20,7 @@ class EkfConfig:
     tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew
     # Of the camera, for good; `vwnav fly` takes them from its file
     mount_sigma_rad: float = math.radians(0.2)  # per axis
-    mount_by_fixes_rad: float = math.radians(0.1)  # what they have alike in turns: 9 cm at 50 m
+    fix_lean_rad: float = math.radians(0.2)  # what fixes have alike in turns: 17 cm at 50 m
     focal_sigma_ratio: float = 0.001
     baro_walk_m: float = 0.13  # per root second: 3.2 m in 10 minutes, as weather and warming do
     baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air
@@ -125,6 +125,7 @@ class EkfConfig:
             heading_walk_rad=math.radians(0.5),
             tilt_sigma_rad=math.radians(0.01),
             mount_sigma_rad=math.radians(0.01),
+            fix_lean_rad=math.radians(0.01),
             focal_sigma_ratio=1e-4,
             heading_sigma_rad=math.pi,
             thrust_aided=False,

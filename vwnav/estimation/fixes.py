@@ -28,7 +28,6 @@ from vwnav.types import Array
 
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
-_MOUNT = tuple(np.r_[States.CAMERA_TILT].tolist())
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
@@ -76,7 +75,7 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
                 return found, part
             if part.verdict is Verdict.RELOCATED:
                 state, parts, compass = found, [part], None
-    position = _position(state, fix, exposure, _NOW, config)
+    position = _position(state, fix, exposure, _NOW)
     if not exposure.told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
@@ -127,7 +126,7 @@ def apply_late_fix(
                 return found, part
             if part.verdict is Verdict.RELOCATED:
                 state, compass = found, None
-    position = _position(state, fix, exposure, _THEN, config)
+    position = _position(state, fix, exposure, _THEN)
     position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
@@ -144,11 +143,13 @@ def apply_late_fix(
 
 
 def _position(
-    state: FilterState, fix: NedFix, exposure: Exposure, pose: _PoseSlices, config: EkfConfig
+    state: FilterState, fix: NedFix, exposure: Exposure, pose: _PoseSlices
 ) -> Measurement:
     """The fix is where the camera seems to be: a tilt error moves it by AGL times that angle.
 
-    Of the attitude or of the camera's mount; an IMU tells the one from the other.
+    Of the attitude or of the camera's mount; an IMU tells the one from the other. Ways and slopes
+    lean by the same, but not by what fixes have alike in every turn besides: were that taken for a
+    tilt, a level flight would seem to climb by it, all the way.
 
     With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
     AGL (-d_e, d_n) from the true one. A focal length taken for too long by a share f finds it by
@@ -160,7 +161,7 @@ def _position(
     lever = agl_m * np.array([[-s, -c], [c, -s]])  # R2(yaw) @ [[0, -1], [1, 0]]
     H = np.zeros((2, States.SIZE))
     H[:, pose.ne] = np.eye(2)
-    H[:, pose.tilt] = H[:, States.CAMERA_TILT] = lever
+    H[:, pose.tilt] = H[:, States.CAMERA_TILT] = H[:, States.FIX_LEAN] = lever
     H[:, States.MAP] = np.eye(2)
     H[:, States.FOCAL] = -agl_m * np.array([[c, -s], [s, c]]) @ exposure.lean
     residual = fix.position_ne_m - H @ state.x
@@ -169,9 +170,7 @@ def _position(
     own_m2 = (max(agl_m, 0.0) * fix.sigma_tilt_rad) ** 2 + fix.sigma_map_m**2
     variances, axes = np.linalg.eigh(fix.covariance_ne_m2)
     rest = np.maximum(variances - own_m2, np.maximum(0.01 * variances, _SMALLEST_SIGMA_M**2))
-    # Their errors are alike in every turn: of the camera's mount they tell no more than so much.
-    is_known = np.diag(state.P)[States.CAMERA_TILT].max() < config.mount_by_fixes_rad**2
-    return Measurement(residual, H, axes @ np.diag(rest) @ axes.T, _MOUNT if is_known else ())
+    return Measurement(residual, H, axes @ np.diag(rest) @ axes.T)
 
 
 def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measurement:

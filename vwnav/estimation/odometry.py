@@ -41,6 +41,7 @@ _TAUGHT = np.r_[
     States.ACCELERATION,
     States.TILT,
     States.CAMERA_TILT,
+    States.FIX_LEAN,
     States.ACCELEROMETER_BIAS_LEVEL,
     States.WIND_FORCE,
     States.GUST_FORCE,
