@@ -63,10 +63,13 @@ def test_one_that_hangs_as_told_costs_little():
     assert mean_m[1] < mean_m[0] + 0.2
 
 
-def test_what_fixes_have_alike_in_every_turn_is_no_climb():
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_fixes_have_alike_in_every_turn_is_no_climb(seed):
     """It is their own error as well as a tilt, and a tilt leads a level way up or down.
 
-    By 0.3 m ahead of the nose, for two minutes: 1.4 m of height as long as it was a tilt alone.
+    By 0.3 m ahead of the nose, for two minutes: 1.3 m of height as long as it was a tilt alone.
     """
-    ahead_m, none_m = (flown(1, 0.2, (0.0, 0.0), each).last.x[States.DOWN] for each in (0.3, 0.0))
+    ahead_m, none_m = (
+        flown(seed, 0.2, (0.0, 0.0), each).last.x[States.DOWN] for each in (0.3, 0.0)
+    )
     assert abs(ahead_m - none_m) < 0.6

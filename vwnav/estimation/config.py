@@ -20,8 +20,10 @@ class EkfConfig:
     tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew
     # Of the camera, for good; `vwnav fly` takes them from its file
     mount_sigma_rad: float = math.radians(0.2)  # per axis
-    fix_lean_rad: float = math.radians(0.2)  # what fixes have alike in turns: 17 cm at 50 m
     focal_sigma_ratio: float = 0.001
+    # Of fixes, for good
+    fix_lean_rad: float = math.radians(0.2)  # per axis, alike in every turn: 17 cm at 50 m
+    # Of sensors and air
     baro_walk_m: float = 0.13  # per root second: 3.2 m in 10 minutes, as weather and warming do
     baro_climb_walk_m: float = 0.05  # per root metre of climb: 0.35 m in 50, of warm or cold air
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above

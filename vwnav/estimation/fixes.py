@@ -179,7 +179,7 @@ def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measureme
     H[:, States.TILT] = 0.0
     wide_m2 = (_UNSEEN_RAD * max(state.agl_m, 0.0)) ** 2 * np.eye(2)
     residual = fix.position_ne_m - H @ state.x
-    return replace(position, residual=residual, H=H, R=fix.covariance_ne_m2 + wide_m2)
+    return Measurement(residual, H, fix.covariance_ne_m2 + wide_m2)
 
 
 def _apply_position(

@@ -60,7 +60,7 @@ class States:
     CAMERA_TILT = slice(42, 44)  # rad, error of the camera's mount about the same axes as TILT
     FOCAL = 44  # share by which the camera's focal length is taken for longer than it is
     SLOPE = slice(45, 47)  # rise per metre north and east of the ground, beyond the terrain table
-    FIX_LEAN = slice(47, 49)  # rad, likewise, what fixes alone show as such: dates, lens, matching
+    FIX_LEAN = slice(47, 49)  # rad, as TILT, what fixes alone show as one: dates, lens, matching
     SIZE = 49
 
 
