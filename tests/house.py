@@ -192,7 +192,7 @@ def one_step() -> Entered:
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
-    from vwnav.pipeline import InlineExecutor
+    from vwnav.seams import InlineExecutor
     from vwnav.sim.named_sites import parse_site
     from vwnav.sim.renderer import default_camera
     from vwnav.types import Attitude, Frame, Height, MapFix, OdometryMotion

@@ -1,7 +1,7 @@
 """The one path: what is tried when, what is fused, and which features stand in."""
 
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from vwnav.estimation.events import Untracked
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.pipeline import FeatureChoice, InlineExecutor, Pipeline
-from vwnav.seams import PipelineConfig
+from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.seams import InlineExecutor, PipelineConfig
 from vwnav.types import (
     Attitude,
     Frame,
@@ -66,6 +66,24 @@ class FakeLocalizer:
 
 
 @dataclass
+class Climbing(FakeLocalizer):
+    """Sees itself by a share higher or lower than it is, on the way up from 22 m at 2 m/s.
+
+    Heights that the prior does not reach it does not find.
+    """
+
+    focal_ratio: float = 1.0
+
+    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
+        found = super().localize(frame, prior, seed)
+        seen_m = (22.0 + 2.0 * frame.t_s) / self.focal_ratio
+        reach = 1.1 + 2.5 * prior.sigma_agl_ratio
+        if isinstance(found, Rejected) or not 1.0 / reach < seen_m / prior.agl_m < reach:
+            return Rejected(frame.t_s, RejectReason.FEW_INLIERS, features="learned")
+        return replace(found, agl_m=seen_m)
+
+
+@dataclass
 class NoOdometry:
     """Finds nothing; remembers the attitudes it was handed."""
 
@@ -103,14 +121,25 @@ def make_pipeline(
     ekf_config=None,
     rolling=False,
     odometry=None,
+    recalibrated=None,
 ):
     config = PipelineConfig(fallback_after=3, primary_retry_every=2, most_fixes=most_fixes)
-    choice = FeatureChoice(primary, fallback, config, (said if said is not None else []).append)
+
+    def choose(primary):
+        said_here = said if said is not None else []
+        return FeatureChoice(primary, fallback, config, said_here.append)
+
+    def made_anew(focal_ratio):
+        return choose(recalibrated(focal_ratio)), odometry or NoOdometry()
+
     ekf = Ekf(ekf_config or EkfConfig())
     if start is not None:
         ekf.initialise(start)
     executor = executor or InlineExecutor()
-    return Pipeline(choice, odometry or NoOdometry(), ekf, HOME, 0.02, config, executor, rolling)
+    return Pipeline(
+        choose(primary), odometry or NoOdometry(), ekf, HOME, 0.02, config, executor, rolling,
+        None if recalibrated is None else made_anew,
+    )  # fmt: skip
 
 
 def fly(pipeline, seconds: float, rate_hz: float = 10.0, t0_s: float = 0.0, attitude=LEVEL):
@@ -489,3 +518,25 @@ def test_a_hopeless_search_is_given_up():
 
 def test_gray_and_colour_images_are_taken():
     assert to_gray(IMAGE).shape == to_gray(IMAGE[..., 0]).shape == (48, 64)
+
+
+@pytest.mark.parametrize("focal_ratio", [0.8, 1.25, 1.0])
+def test_a_lens_that_the_map_shows_to_be_another_is_taken_for_that(focal_ratio):
+    """The height stays the barometer's meanwhile; a calibration that is right is left alone."""
+    ratios = []
+
+    def recalibrated(ratio):
+        ratios.append(ratio)
+        return Climbing(focal_ratio=focal_ratio / ratio)
+
+    start = Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -22.0]), sigma_m=5.0, agl_m=22.0)
+    localizer = Climbing(focal_ratio=focal_ratio)
+    pipeline = make_pipeline(localizer, start=start, recalibrated=recalibrated)
+    for i in range(1, 120):
+        t_s = 0.1 * i
+        pipeline.feed(Attitude(t_s, LEVEL))
+        pipeline.feed(Height(t_s, 22.0 + 2.0 * t_s))
+        estimate = pipeline.step(Frame(t_s, IMAGE, i)).estimate
+        assert estimate.agl_m == pytest.approx(22.0 + 2.0 * t_s, abs=1.5)
+    assert ratios == ([] if focal_ratio == 1.0 else [pytest.approx(focal_ratio, rel=0.03)])
+    assert pipeline.accepted > 30

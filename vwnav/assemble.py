@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,11 @@ from vwnav.vision.config import FeaturesConfig
 from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
 from vwnav.vision.odometry.odometry import Odometry
+
+_RECALIBRATED = (
+    "the camera sees {:.2f} times as wide as its calibration says: it is taken for that from now "
+    "on; calibrate it"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +80,28 @@ def assemble(
         ModelError: the pack's features were made by another model.
     """
     pack.check_features(primary)
+    alone = config.ekf.odometry_turns_attitude
 
-    def localizer(extractor: FeatureExtractor) -> Localizer:
-        return Localizer(pack, extractor, camera, config.localizer)
+    def of_camera(camera: Camera) -> tuple[FeatureChoice, Odometry]:
+        first, *others = (
+            Localizer(pack, extractor, camera, config.localizer)
+            for extractor in (primary, fallback)
+            if extractor is not None
+        )
+        choice = FeatureChoice(first, others[0] if others else None, config.pipeline, say)
+        return choice, Odometry(camera, config.odometry, alone)
 
-    choice = FeatureChoice(
-        localizer(primary), localizer(fallback) if fallback else None, config.pipeline, say
-    )
+    def recalibrated(focal_ratio: float) -> tuple[FeatureChoice, Odometry]:
+        say(_RECALIBRATED.format(1.0 / focal_ratio))
+        K = camera.K.copy()
+        K[:2, :2] *= focal_ratio
+        return of_camera(replace(camera, K=K))
+
     ekf = make_ekf(config.ekf, ground_of(pack, local_frame))
     ekf.on_event(say)
-    odometry = Odometry(camera, config.odometry, alone=config.ekf.odometry_turns_attitude)
     pipeline = Pipeline(
-        choice, odometry, ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
-        executor, rolling=bool(camera.readout_s),
+        *of_camera(camera), ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
+        executor, bool(camera.readout_s), None if alone else recalibrated,
     )  # fmt: skip
     return Assembled(pipeline, ekf, pack, primary)
 

@@ -11,13 +11,13 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
+from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.sequences import Sequences
-from vwnav.estimation.events import Exposed, NedFix, Untracked
+from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.states import Verdict
 from vwnav.geometry.camera import to_gray
@@ -39,26 +39,12 @@ from vwnav.types import (
 )
 
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
-MIN_AGL_SIGMA_RATIO = 0.03
 MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
-
-
-class InlineExecutor(Executor):
-    """Runs a call at once in the calling thread: replay is deterministic with it."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Call `fn` now; its result, or what it raised, waits in the returned future."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 class FeatureChoice:
@@ -109,12 +95,13 @@ class FeatureChoice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """An image that is being matched; it `begins` where nothing that is believed says its place."""
+    """An image being matched; it `begins` where nothing believed says its place, as of `then`."""
 
     t_s: float
     localizer: Localizing
     future: Future[MapFix | Rejected]
     begins: bool
+    then: Estimate | None
 
 
 class Pipeline:
@@ -133,6 +120,7 @@ class Pipeline:
         config: PipelineConfig,
         executor: Executor,
         rolling: bool = False,
+        recalibrated: Callable[[float], tuple[FeatureChoice, Tracking]] | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -145,6 +133,7 @@ class Pipeline:
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
+            recalibrated: makes features and odometry anew, for so many times the focal length.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
@@ -154,6 +143,7 @@ class Pipeline:
         self._next_attempt_s = -np.inf
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
+        self._recalibrated, self._lens = recalibrated, LensCheck(recalibrated is not None)
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
         self.attempts = self.accepted = 0
@@ -244,13 +234,12 @@ class Pipeline:
         localizer = self._features.next()
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
         self._lost = begins or self._first_fix.young or searching or prior.sigma_m > LOST_SIGMA_M
-        self._pending = _Attempt(frame.t_s, localizer, future, begins)
+        self._pending = _Attempt(frame.t_s, localizer, future, begins, now)
         return self._collect(frame.t_s)
 
     def _collect(self, t_s: float) -> MapFix | Rejected | None:
         """Fuse the attempt that is under way, if it has ended. One that raised has failed."""
-        attempt = self._pending
-        if attempt is None:
+        if (attempt := self._pending) is None:
             return None
         if not attempt.future.done():
             overdue = t_s - attempt.t_s > self._config.give_up_after_s
@@ -266,7 +255,7 @@ class Pipeline:
         if isinstance(outcome, Rejected) and outcome.weak:
             outcome = self._sequences.join(outcome)
         if isinstance(outcome, MapFix):
-            outcome = self._fuse_fix(outcome, attempt.begins)
+            outcome = self._fuse_fix(outcome, attempt)
         if isinstance(outcome, Rejected) and outcome.reason is RejectReason.UNCONFIRMED:
             self.attempts += 1  # found, which is no failure, and not believed yet
             self._next_attempt_s = attempt.t_s + self._config.fix_interval_s
@@ -280,8 +269,8 @@ class Pipeline:
         if not attempt.future.cancel():
             attempt.localizer.give_up()
         self._count(attempt.localizer, succeeded=False)
-        late_s = t_s - attempt.t_s
-        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, f"given up after {late_s:.0f} s")
+        why = f"given up after {t_s - attempt.t_s:.0f} s"
+        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, why)
 
     def _count(self, localizer: Localizing, succeeded: bool) -> None:
         self.attempts += 1
@@ -289,6 +278,7 @@ class Pipeline:
         self._misses = 0 if succeeded else self._misses + 1
         if not succeeded:
             self._first_fix.missed()
+            self._lens.missed()
         self._features.report(localizer, succeeded)
 
     def _prior(self, now: Estimate | None, R_ned_body: Array | None) -> Prior:
@@ -299,14 +289,13 @@ class Pipeline:
         """
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
         # count it twice if the image were rectified with its corrected attitude.
-        roll_rad, pitch_rad = None, None
-        if R_ned_body is not None:
-            roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
+        unknown = None, None, None
+        roll_rad, pitch_rad, _ = unknown if R_ned_body is None else euler_from_rotation(R_ned_body)
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
         yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
-        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), MIN_AGL_SIGMA_RATIO)
+        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._lens.least_agl_ratio)
         sigma_yaw_rad = now.sigma_yaw_rad * (doubt if now.t_last_fix_s is None else 1.0)
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
@@ -321,30 +310,41 @@ class Pipeline:
         sigma_m = doubt * max(sigma_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 
-    def _fuse_fix(self, fix: MapFix, begins: bool) -> MapFix | Rejected:
+    def _fuse_fix(self, fix: MapFix, attempt: _Attempt) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
+        misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
         told = NedFix(
             t_s=fix.t_s,
             position_ne_m=ned_m[:2],
             covariance_ne_m2=fix.covariance_ne_m2,
             yaw_rad=fix.yaw_rad,
             sigma_yaw_rad=fix.sigma_yaw_rad,
-            agl_m=fix.agl_m,
-            sigma_agl_m=fix.sigma_agl_m,
+            agl_m=None if misseen else fix.agl_m,
+            sigma_agl_m=None if misseen else fix.sigma_agl_m,
             sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
         )
         with self._lock:
-            if begins and not self._first_fix.confirmed(fix):
+            if attempt.begins and not self._first_fix.confirmed(fix):
                 once = RejectReason.UNCONFIRMED
                 return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
-            if begins and (self._ekf.state is None or self._first_fix.doubted):
+            if attempt.begins and (self._ekf.state is None or self._first_fix.doubted):
                 self._ekf.initialise(start_at(fix, ned_m))
                 self._first_fix.began()
             innovation = self._ekf.handle(told)
         if innovation.accepted:
             if self._first_fix.young:
                 self._first_fix.fused()
+            if misseen:
+                self._check_lens()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
+
+    def _check_lens(self) -> None:
+        """Go on with the camera that the map shows, if its calibration cannot be right."""
+        focal_ratio, state = self._lens.told(), self._ekf.state
+        if focal_ratio is not None and self._recalibrated is not None and state is not None:
+            self._features, self._odometry = self._recalibrated(focal_ratio)
+            with self._lock:
+                self._ekf.handle(Recalibrated(state.t_s))

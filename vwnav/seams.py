@@ -1,7 +1,9 @@
 """The pipeline's seams: its settings, what a step brings, asks of its parts, and shows."""
 
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
 from vwnav.vehicle import VehicleState
@@ -51,6 +53,19 @@ class FrameSource(Protocol):
     def close(self) -> None:
         """Free the source."""
         ...
+
+
+class InlineExecutor(Executor):
+    """Runs a call at once in the calling thread: replay is deterministic with it."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call `fn` now; its result, or what it raised, waits in the returned future."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 class Localizing(Protocol):

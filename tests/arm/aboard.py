@@ -56,8 +56,8 @@ def flight(folder: str, model: str) -> dict[str, Any]:
     from vwnav.geometry.calibration import load_camera
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.maps.pack import MapPack
-    from vwnav.pipeline import InlineExecutor
     from vwnav.recording.telemetry_files import load_telemetry
+    from vwnav.seams import InlineExecutor
     from vwnav.types import MapFix, Rejected
 
     cv2.setNumThreads(1)

@@ -12,7 +12,7 @@ from vwnav.config import Config
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import InlineExecutor
+from vwnav.seams import InlineExecutor
 from vwnav.types import Estimate, MapFix, OdometryMotion, Rejected
 
 AGL_M, SPEED_M_S, INTERVAL_S = 80.0, 8.0, 0.5

@@ -21,6 +21,7 @@ from vwnav.estimation.events import (
     Misled,
     NedFix,
     RangeDoubted,
+    Recalibrated,
     Told,
 )
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
@@ -134,14 +135,11 @@ class Ekf:
         Raises:
             ValueError: the start is not finite or a sigma is not positive.
         """
-        self._begin(first_state(start, self._config))
+        self._timeline = Timeline(first_state(start, self._config), self._context)
         self._note(start)
         # A start may be long ago: a first search took its time.
         self._asked_s = max(start.t_s, self._asked_s)
         self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
-
-    def _begin(self, state: FilterState) -> None:
-        self._timeline = Timeline(state, self._context)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
@@ -155,6 +153,8 @@ class Ekf:
                 return self._handle_odometry(seen)
             case NedFix():
                 return self._handle_fix(seen)
+            case Recalibrated():
+                self._odometry_gate.trust_all()
         refusal = self._refusal(seen)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
@@ -231,7 +231,7 @@ class Ekf:
         oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if innovation.accepted:
-            self._odometry_gate.fixed = True
+            self._odometry_gate.fixes += 1
             self._imu_gate.fixes_s.append(fix.t_s)
         return innovation
 
@@ -260,12 +260,12 @@ class Ekf:
     def _take_ways_back(self) -> None:
         """Ways contradict the IMU: those in the history go, and what older ones have taught.
 
-        Not where a map fix had agreed with them: then the older ones were right.
+        Not where map fixes had agreed with them: then the older ones were right.
         """
         assert self._timeline is not None
         newest, believed_s = self._timeline.newest, self._odometry_gate.believed_s
         self._timeline.leave_out(Displacement, NedFix)
-        if newest.t_last_fix_s is None or newest.t_last_fix_s < believed_s:
+        if not self._odometry_gate.borne:
             self._insert(Misled(newest.t_s, max(believed_s, newest.t_s - _MISLED_S)))
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:
@@ -315,7 +315,7 @@ class Ekf:
         newest = self._timeline.newest
         why = outside(newest, self._config)
         if why is not None:
-            self._begin(begun_anew(newest, self._config))
+            self._timeline = Timeline(begun_anew(newest, self._config), self._context)
             again, self._restarted_s = newest.t_s < self._restarted_s + _SAID_S, newest.t_s
             if not again:
                 self._say(f"the estimate left its envelope ({why}) and begins anew")

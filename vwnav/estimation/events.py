@@ -67,6 +67,13 @@ class Untracked:
     t_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class Recalibrated:
+    """The focal length is taken for another from then on, as the map has shown it."""
+
+    t_s: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LateFix:
     """The fix of the image whose pose is cloned, older than the history that begins at `t_s`."""
@@ -101,7 +108,7 @@ class RangeDoubted:
     drawn_m: float
 
 
-Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked
+Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked | Recalibrated
 Event = (
     Told | NewKeyframe | LateFix | Drag | Misled | RangeDoubted
 )  # the others are the filter's own

@@ -13,7 +13,7 @@ import numpy as np
 
 from vwnav.errors import SourceError
 from vwnav.estimation.beginning.starts import Start
-from vwnav.estimation.events import Exposed, NedFix, Untracked
+from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.types import (
     Array,
     Attitude,
@@ -33,13 +33,13 @@ class Asked:
     t_s: float
 
 
-Measurement = Telemetry | NedFix | OdometryMotion | Exposed | Untracked
+Measurement = Telemetry | NedFix | OdometryMotion | Exposed | Untracked | Recalibrated
 Input = Start | Measurement | Asked
 
 _KINDS: dict[str, type[Input]] = {
     "start": Start, "attitude": Attitude, "imu": ImuSample, "height": Height, "range": Range,
     "stationary": Stationary, "fix": NedFix, "odometry": OdometryMotion, "asked": Asked,
-    "exposed": Exposed, "untracked": Untracked,
+    "exposed": Exposed, "untracked": Untracked, "recalibrated": Recalibrated,
 }  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

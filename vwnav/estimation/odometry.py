@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import convinces, remember
+from vwnav.estimation.disputes import convinces, freed, remember
 from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
@@ -27,6 +27,7 @@ from vwnav.estimation.states import (
     tells_heading,
     white_acceleration,
 )
+from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
@@ -159,6 +160,13 @@ def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
     P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
     known = state.heading_known and tells_heading(P)
     return replace(state, P=P, heading_known=known, exposed_s=state.t_s)
+
+
+def apply_recalibrated(state: FilterState) -> FilterState:
+    """The focal length is as the map has shown it, to a lens's that nobody measured."""
+    x = state.x.copy()
+    x[States.FOCAL] = 0.0
+    return freed(replace(state, x=x), States.FOCAL, UNMEASURED_FOCAL_RATIO)
 
 
 def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:

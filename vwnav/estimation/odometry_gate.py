@@ -31,6 +31,7 @@ _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
 _DATE_OFF_S = 0.5  # ... in the time by which images may be dated wrongly
+_BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
@@ -73,8 +74,10 @@ class OdometryGate:
 
     Attributes:
         lost: none is to be believed.
-        fixed: a map fix was where the aircraft is believed since: its images are of here, and
-            upright. Who takes one says so.
+        fixes: map fixes that were where the aircraft is believed, since ways are believed, or
+            lost: its images are of here, and upright. Who takes one counts it.
+        borne: whether enough of them had borne the ways that are lost now; one or two are right of
+            wrong ways too.
         believed_s: time of the first way since they are believed.
     """
 
@@ -84,16 +87,17 @@ class OdometryGate:
         self._newest: OdometryMotion | None = None
         self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
         self._turned = False  # they surely do not
-        self._trust_all()
+        self.trust_all()
 
-    def _trust_all(self) -> None:
+    def trust_all(self) -> None:
+        """Forget what was seen of ways: those that come are another camera's, or uncontradicted."""
         self._seen: deque[_Way] = deque()
         self._begun_s = math.inf  # of what is in the window
         self.believed_s = math.inf
         self._lost_s = -math.inf
         self._agree_s = _AGREE_S
-        self.fixed = True
-        self.lost = False
+        self.fixes = 0
+        self.lost = self.borne = False
 
     def displacement(self, motion: OdometryMotion) -> Displacement:
         """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds.
@@ -136,7 +140,7 @@ class OdometryGate:
             return Verdict.NO_ANCHOR
         heard = event.t_s <= self._attitudes.gyro.newest_s + _IMU_OF_NOW_S
         if not (heard or self._turned):
-            self._trust_all()  # nothing contradicts them any more
+            self.trust_all()
         share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
         along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
         self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
@@ -190,12 +194,12 @@ class OdometryGate:
         if few and (self.lost or not self._turned):
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
-        if self.lost and self.fixed and share >= _TRUSTED and self._proved() and self._along >= 0.0:
-            self.lost, self.believed_s = False, t_s
+        if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
+            self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= _DOUBTED or self._turned):
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S
-            self.lost, self.fixed = True, False
+            self.lost, self.borne, self.fixes = True, self.fixes >= _BEARING, 0
         else:
             return False
         self._lost_s = t_s

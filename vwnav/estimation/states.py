@@ -107,6 +107,11 @@ class RangeTrust:
     drawn_m: float = 0.0
     rejected: RejectedInnovations = ()
 
+    @property
+    def is_borne(self) -> bool:
+        """Whether it measures, and agrees."""
+        return self.agreed_ne_m is not None and self.doubted_s is None
+
     def lost(self, t_s: float, drawn_m: float = 0.0) -> "RangeTrust":
         """Not believed from now on, until it has agreed for a while."""
         return RangeTrust(self.agreed_ne_m, t_s, drawn_m=drawn_m)

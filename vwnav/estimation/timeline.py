@@ -22,6 +22,7 @@ from vwnav.estimation.events import (
     NedFix,
     NewKeyframe,
     RangeDoubted,
+    Recalibrated,
     Told,
     Untracked,
 )
@@ -34,6 +35,7 @@ from vwnav.estimation.odometry import (
     apply_displacement,
     apply_keyframe,
     apply_misled,
+    apply_recalibrated,
     apply_untracked,
 )
 from vwnav.estimation.process import predict
@@ -43,8 +45,8 @@ from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left.
 _ORDER: tuple[type[Event], ...] = (
-    Misled, RangeDoubted, Untracked, LateFix, Stationary, Height, Range, NedFix, Displacement, Drag,
-    NewKeyframe, Exposed,
+    Misled, RangeDoubted, Recalibrated, Untracked, LateFix, Stationary, Height, Range, NedFix,
+    Displacement, Drag, NewKeyframe, Exposed,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
@@ -163,6 +165,8 @@ def _corrected(
             return apply_misled(state, event, config), Innovation(Verdict.FUSED)
         case RangeDoubted(_, drawn_m):
             return range_doubted(state, drawn_m), Innovation(Verdict.FUSED)
+        case Recalibrated():
+            return apply_recalibrated(state), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():

@@ -16,13 +16,13 @@ from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord, Tally
-from vwnav.pipeline import InlineExecutor, Pipeline
+from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import InputLog
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.recording.telemetry_files import load_telemetry
 from vwnav.screen import LiveLine, say
-from vwnav.seams import ATTITUDE_WAIT_S, FrameSource
+from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, InlineExecutor
 from vwnav.types import Attitude, Frame, Telemetry
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it

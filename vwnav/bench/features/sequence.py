@@ -24,7 +24,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import InlineExecutor
+from vwnav.seams import InlineExecutor
 from vwnav.types import Array, Frame, Gray, MapFix
 from vwnav.vision.features.load import load_features
 

@@ -109,13 +109,16 @@ MOUNTED = [
         )
         for name, ratio in (("5 % wider", 0.95), ("5 % narrower", 1.05))
     ),
-    Scenario(
-        name="a lens a fifth wider than calibrated",
-        setup=setup(None, lens_ratio=0.8),
-        breaks=(),
-        limit_s=160.0,
-        lands_within_m=50.0,
-        lands_at_ne_m=HOME,
+    *(
+        Scenario(
+            name=f"a lens a fifth {name} than calibrated",
+            setup=setup(None, lens_ratio=ratio),
+            breaks=(),
+            limit_s=260.0,
+            lands_within_m=within_m,
+            lands_at_ne_m=HOME,
+        )
+        for name, ratio, within_m in (("wider", 0.8, 2.0), ("narrower", 1.25, 8.0))
     ),
     Scenario(
         name="camera 1 m ahead of the autopilot, 0.8 m to its left, 0.2 m below",

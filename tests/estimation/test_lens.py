@@ -1,0 +1,135 @@
+"""A lens that is wrong by a share is told from ground that is wrong by as many metres."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.estimation.beginning.lens import LensCheck
+from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import Recalibrated
+from vwnav.estimation.inputs import decode, encode
+from vwnav.estimation.states import FilterState, RangeTrust, States
+from vwnav.types import Estimate, MapFix
+
+SEEDS = st.integers(0, 2**32 - 1)
+CLIMB_M = np.arange(22.0, 48.0, 1.2)
+
+
+def believed(agl_m: float, sigma_m: float = 0.2, above_start_m: float | None = None) -> Estimate:
+    down_m = -(agl_m if above_start_m is None else above_start_m)
+    return Estimate(
+        0.0, np.array([0.0, 0.0, down_m]), np.zeros(3), np.eye(6), np.array([1.0, 0.0, 0.0, 0.0]),
+        0.02, agl_m, sigma_m, None, 0,
+    )  # fmt: skip
+
+
+def fix(agl_m: float | None) -> MapFix:
+    return MapFix(
+        t_s=0.0, lat_deg=60.4, lon_deg=22.5, covariance_ne_m2=np.eye(2), agl_m=agl_m,
+        sigma_agl_m=0.5, yaw_rad=0.0, sigma_yaw_rad=0.02, point="nadir", features="learned",
+    )  # fmt: skip
+
+
+def of_filter(ranged: bool) -> FilterState:
+    trust = RangeTrust((0.0, 0.0) if ranged else None)
+    unit = np.eye(States.SIZE)
+    return FilterState(0.0, np.zeros(States.SIZE), unit, True, True, 0.0, 0.0, range_trust=trust)
+
+
+def climbed(check: LensCheck, by_map_m, heights_m=CLIMB_M, ranged=False):
+    """By what the focal length is to be multiplied, or None, and how many heights were withheld."""
+    withheld = 0
+    for height_m, seen_m in zip(heights_m, by_map_m, strict=True):
+        then = believed(height_m)
+        if not (check.is_open and check.is_off(fix(seen_m), then, of_filter(ranged))):
+            continue
+        withheld += 1
+        ratio = check.told()
+        if ratio is not None:
+            return ratio, withheld
+    return None, withheld
+
+
+@given(st.sampled_from([0.65, 0.75, 0.8, 0.85, 1.18, 1.25, 1.4]), SEEDS)
+def test_a_lens_that_is_wrong_by_a_share_is_told_within_the_climb(focal_ratio: float, seed: int):
+    noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, len(CLIMB_M))
+    check = LensCheck(is_open=True)
+    ratio, _ = climbed(check, CLIMB_M / focal_ratio * noise)
+    assert ratio == pytest.approx(focal_ratio, rel=0.02)
+    assert not check.is_open  # it is told once
+
+
+@given(st.floats(7.0, 14.0), SEEDS)
+def test_woods_under_which_the_ground_lies_are_no_lens(high_m: float, seed: int):
+    noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, len(CLIMB_M))
+    assert climbed(LensCheck(is_open=True), (CLIMB_M - high_m) * noise)[0] is None
+
+
+def test_who_hovers_learns_nothing_and_does_not_ask_for_ever():
+    check = LensCheck(is_open=True)
+    ratio, withheld = climbed(check, np.full(100, 38.0), np.full(100, 30.0))
+    assert ratio is None
+    assert not check.is_open
+    assert withheld < 30  # after that the map's height is for the filter again
+
+
+@given(st.sampled_from([0.8, 0.9, 1.12, 1.25]), SEEDS)
+def test_beside_a_rangefinder_who_hovers_learns_it_too(focal_ratio: float, seed: int):
+    """It sees the same ground as the camera."""
+    noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, 24)
+    ratio, withheld = climbed(
+        LensCheck(is_open=True), 30.0 / focal_ratio * noise, np.full(24, 30.0), ranged=True
+    )
+    assert ratio == pytest.approx(focal_ratio, rel=0.03)
+    assert withheld < 12
+
+
+def test_three_fixes_that_agree_end_the_question():
+    check = LensCheck(is_open=True)
+    for height_m in (30.0, 31.0, 32.0):
+        assert not check.is_off(fix(height_m), believed(height_m), of_filter(True))
+    assert not check.is_open
+
+
+@pytest.mark.parametrize(
+    ("seen_m", "then"),
+    [
+        (40.0, believed(30.0, sigma_m=4.0)),  # the filter's own height is not sure
+        (40.0, believed(32.0, above_start_m=40.0)),  # the rangefinder is short, the map not
+        (40.0, believed(40.0, above_start_m=32.0)),  # the ground falls away
+        (33.0, believed(30.0)),  # cold air, or what the filter learns by itself
+        (None, believed(30.0)),
+        (40.0, None),
+    ],
+)
+def test_what_others_explain_is_left_to_the_filter(seen_m, then):
+    assert not LensCheck(is_open=True).is_off(fix(seen_m), then, of_filter(False))
+
+
+def test_other_heights_are_looked_at_after_some_looks_in_vain():
+    check = LensCheck(is_open=True)
+    assert check.least_agl_ratio < 0.05
+    for _ in range(4):
+        check.missed()
+    assert check.least_agl_ratio > 0.15
+    for _ in range(3):
+        check.is_off(fix(30.0), believed(30.0), of_filter(True))
+    assert check.least_agl_ratio < 0.05
+
+
+def test_a_filter_that_is_told_of_another_camera_is_open_to_it_and_remembers_being_told():
+    ekf, config = Ekf(EkfConfig()), EkfConfig()
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), agl_m=50.0))
+    told = decode(encode(Recalibrated(0.1)))
+    assert told == Recalibrated(0.1)
+    assert isinstance(told, Recalibrated)
+    assert ekf.handle(told).accepted
+    assert ekf.state is not None
+    sigma = math.sqrt(float(ekf.state.P[States.FOCAL, States.FOCAL]))
+    assert sigma > 10.0 * config.focal_sigma_ratio
+    assert ekf.state.x[States.FOCAL] == 0.0

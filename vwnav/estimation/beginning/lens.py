@@ -1,0 +1,116 @@
+"""Whether the camera sees as wide as its calibration says: the first fixes of a flight tell.
+
+A calibration made in another mode of the camera, or a field of view that was meant along the
+diagonal, is wrong by a fifth. No fix is found then, for the map is looked at in the wrong scale,
+and the ways of images contradict the IMU. So after some looks in vain heights are looked at that
+the barometer cannot mean; fixes that are found there are too high, or too low, by the same share at
+every height of the climb. What is wrong by as many metres at every height is the ground, or woods;
+a rangefinder sees the same ground as the camera does, and rules that out.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vwnav.estimation.states import FilterState
+from vwnav.types import Array, Estimate, MapFix
+
+_SUSPECTED_AFTER = 4  # looks in vain
+_LEAST_RATIO = 0.03  # one sigma of the height that is looked for, as a share of it ...
+_OPEN_RATIO = 0.17  # ... of the height that is looked for then: a third either way
+_SURE_RATIO = 0.06  # of the filter's own height, or it cannot judge
+_AGREES = 0.07  # so far from the filter's height, as a share of it, a fix may be ...
+_AGREEING = 3  # ... and so many in a row end the question
+_OFF = 0.14  # less cold air does to a barometer
+_OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
+_LEAST, _MOST = 4, 24  # fixes that are off
+_SCATTER = 0.025  # of their heights, as a share
+_LEAST_CLIMB = 1.18  # from the lowest of them to the highest, where no rangefinder bears them
+_TELLS_APART = 2.0  # times as much scatter, were it the ground
+
+
+class _Heights(NamedTuple):
+    """Height above ground by the filter, and by a fix, as if the calibration were right.
+
+    `ranged`: a rangefinder bears the filter's, 1.0, or 0.0.
+    """
+
+    agl_m: float
+    by_map_m: float
+    ranged: float
+
+
+class LensCheck:
+    """The question, from the take-off on.
+
+    Attributes:
+        is_open: whether it has to be asked still.
+        least_agl_ratio: one sigma of the height, as a share of it, to look with at least.
+    """
+
+    def __init__(self, is_open: bool) -> None:
+        self.is_open = is_open
+        self.least_agl_ratio = _LEAST_RATIO
+        self._misses = self._agreeing = 0
+        self._off: list[_Heights] = []
+        self._newest = _Heights(math.nan, math.nan, 0.0)
+
+    def missed(self) -> None:
+        """A look gave no fix; after some other heights are looked at."""
+        self._misses += 1
+        if self.is_open and self._misses >= _SUSPECTED_AFTER:
+            self.least_agl_ratio = _OPEN_RATIO
+
+    def is_off(self, fix: MapFix, then: Estimate | None, state: FilterState | None) -> bool:
+        """Whether a fix has a height that may be the lens's fault: it tells the filter none then.
+
+        Where rangefinder and barometer part it is for the filter to say which of them is right.
+
+        Args:
+            fix: found just now.
+            then: what the filter believed at its exposure, before it.
+            state: the filter's, now.
+        """
+        self._misses = 0
+        if fix.agl_m is None or then is None or then.sigma_agl_m > _SURE_RATIO * then.agl_m:
+            return False
+        above_start_m = -float(then.position_ned_m[2])
+        off, off_start = (
+            math.log(fix.agl_m / max(height_m, 1.0)) for height_m in (then.agl_m, above_start_m)
+        )
+        ranged = state is not None and state.range_trust.is_borne
+        self._newest = _Heights(then.agl_m, fix.agl_m, float(ranged))
+        self._agreeing = self._agreeing + 1 if abs(off) < _AGREES else 0
+        if self._agreeing == _AGREEING:
+            self._close()
+        least = _OFF_RANGED if ranged else _OFF
+        return min(abs(off), abs(off_start)) >= least and off * off_start > 0.0
+
+    def told(self) -> float | None:
+        """By what to multiply the focal length, once that is known.
+
+        For each fix that `is_off` and lies where the filter has the aircraft.
+        """
+        self._off.append(self._newest)
+        ratio = _ratio_of(np.array(self._off))
+        if ratio is not None or len(self._off) == _MOST:
+            self._close()
+        return ratio
+
+    def _close(self) -> None:
+        self.is_open, self.least_agl_ratio = False, _LEAST_RATIO
+
+
+def _ratio_of(seen: Array) -> float | None:
+    """The share by which the heights (n, 3) are off, if it is one; None while nothing is sure."""
+    agl_m, by_map_m, ranged = seen.T
+    ratio, ground_m = np.median(agl_m / by_map_m), np.median(agl_m - by_map_m)
+    as_lens, as_ground = (
+        float(np.median(np.abs(by_map_m - expected_m) / agl_m))
+        for expected_m in (agl_m / ratio, agl_m - ground_m)
+    )
+    climbed = agl_m.max() >= _LEAST_CLIMB * agl_m.min()
+    is_no_ground = np.all(ranged) or (climbed and as_ground >= _TELLS_APART * as_lens)
+    sure = len(seen) >= _LEAST and as_lens <= _SCATTER and is_no_ground
+    return float(ratio) if sure else None
