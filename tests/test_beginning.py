@@ -8,8 +8,8 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.pipeline import FeatureChoice, Pipeline
-from vwnav.seams import InlineExecutor, PipelineConfig
+from vwnav.pipeline import Pipeline
+from vwnav.seams import FeatureChoice, InlineExecutor, PipelineConfig
 from vwnav.types import (
     Attitude,
     Frame,

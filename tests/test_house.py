@@ -9,7 +9,7 @@ from tests.house import measure
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.
 BOUNDS = {
     "step_files": 25,
-    "step_functions": 202,
+    "step_functions": 201,
     "step_crossings": 171,
     "import_chain": 12,
     "files_in_a_folder": 14,

@@ -46,7 +46,7 @@ ALLOWED = {
     | {"vision", "estimation", "guidance", "safety", "seams", "mission"}
     | {"recording"},
     "assemble": BASE
-    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config"},
+    | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "config", "seams"},
     "screen": BASE | {"safety"},
     "onboard": BASE
     | {"geometry", "maps", "estimation", "guidance", "safety", "mavlink", "watchdog", "pipeline"}

@@ -13,8 +13,8 @@ from vwnav.estimation.events import Untracked
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
-from vwnav.pipeline import FeatureChoice, Pipeline
-from vwnav.seams import InlineExecutor, PipelineConfig
+from vwnav.pipeline import Pipeline
+from vwnav.seams import FeatureChoice, InlineExecutor, PipelineConfig
 from vwnav.types import (
     Attitude,
     Frame,
@@ -393,6 +393,16 @@ def test_the_fallback_stands_in_and_the_primary_comes_back_by_itself():
     fly(pipeline, 2.0, t0_s=5.0)
     assert len(fallback.priors) == seen
     assert said[-1] == "learned features work again"
+
+
+def test_where_neither_finds_anything_nothing_is_said_of_it():
+    """Low above the ground, in every climb."""
+    primary, said = FakeLocalizer(None), []
+    pipeline = make_pipeline(primary, FakeLocalizer(None), above_home(), said=said)
+    fly(pipeline, 3.0)
+    primary.north_east_m = (0.0, 0.0)
+    fly(pipeline, 2.0, t0_s=3.0)
+    assert said == []
 
 
 def test_the_same_images_give_the_same_estimates():

@@ -15,8 +15,9 @@ from vwnav.estimation.ekf import Ekf
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.pipeline import FeatureChoice, Pipeline
+from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
+from vwnav.seams import FeatureChoice
 from vwnav.types import FeatureExtractor, PointKind
 from vwnav.vision.config import FeaturesConfig
 from vwnav.vision.features.load import load_features

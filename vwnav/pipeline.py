@@ -24,7 +24,7 @@ from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
-from vwnav.seams import FeatureChoiceConfig, Localizing, PipelineConfig, StepResult, Tracking
+from vwnav.seams import FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
     Array,
     Attitude,
@@ -45,52 +45,6 @@ MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
-
-
-class FeatureChoice:
-    """Which localizer comes next: the primary, or the fallback while the primary fails."""
-
-    def __init__(
-        self,
-        primary: Localizing,
-        fallback: Localizing | None,
-        config: FeatureChoiceConfig,
-        say: Callable[[str], None],
-    ) -> None:
-        self._primary, self._fallback = primary, fallback
-        self._config, self._say = config, say
-        self._failures, self._on_fallback, self._fallback_attempts = 0, False, 0
-        self._broken: set[str] = set()  # reasons that were said
-
-    def next(self) -> Localizing:
-        """The localizer to try now."""
-        if not self._on_fallback or self._fallback is None:
-            return self._primary
-        self._fallback_attempts += 1
-        again = self._fallback_attempts % self._config.primary_retry_every == 0
-        return self._primary if again else self._fallback
-
-    def broke(self, used: Localizing, error: Exception) -> None:
-        """A localizer raised: a model that fails at run time. The fallback stands in at once."""
-        reason = f"{type(error).__name__}: {error}"
-        stands_in = used is self._primary and self._fallback is not None
-        if reason not in self._broken:
-            self._broken.add(reason)
-            self._say(f"map matching failed ({reason})" + (": SIFT stands in" if stands_in else ""))
-        if stands_in and not self._on_fallback:
-            self._on_fallback, self._fallback_attempts = True, 0
-
-    def report(self, used: Localizing, succeeded: bool) -> None:
-        """Learn from an attempt: enough failures switch to the fallback, one success back."""
-        if used is not self._primary or self._fallback is None:
-            return
-        self._failures = 0 if succeeded else self._failures + 1
-        if succeeded and self._on_fallback:
-            self._on_fallback = False
-            self._say("learned features work again")
-        elif not self._on_fallback and self._failures >= self._config.fallback_after:
-            self._on_fallback, self._fallback_attempts = True, 0
-            self._say(f"no fix from learned features in {self._failures} attempts: SIFT stands in")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

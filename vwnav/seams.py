@@ -80,6 +80,61 @@ class Localizing(Protocol):
         ...
 
 
+class FeatureChoice:
+    """Which localizer comes next: the primary, or the fallback while the primary fails."""
+
+    def __init__(
+        self,
+        primary: Localizing,
+        fallback: Localizing | None,
+        config: FeatureChoiceConfig,
+        say: Callable[[str], None],
+    ) -> None:
+        self._primary, self._fallback = primary, fallback
+        self._config, self._say = config, say
+        self._failures, self._on_fallback, self._fallback_attempts = 0, False, 0
+        self._broken: set[str] = set()  # reasons that were said
+        self._stood_in = False  # which was said
+
+    def next(self) -> Localizing:
+        """The localizer to try now."""
+        if not self._on_fallback or self._fallback is None:
+            return self._primary
+        self._fallback_attempts += 1
+        again = self._fallback_attempts % self._config.primary_retry_every == 0
+        return self._primary if again else self._fallback
+
+    def broke(self, used: Localizing, error: Exception) -> None:
+        """A localizer raised: a model that fails at run time. The fallback stands in at once."""
+        reason = f"{type(error).__name__}: {error}"
+        stands_in = used is self._primary and self._fallback is not None
+        if reason not in self._broken:
+            self._broken.add(reason)
+            self._say(f"map matching failed ({reason})" + (": SIFT stands in" if stands_in else ""))
+        if stands_in and not self._on_fallback:
+            self._on_fallback, self._fallback_attempts, self._stood_in = True, 0, True
+
+    def report(self, used: Localizing, succeeded: bool) -> None:
+        """Learn from an attempt: enough failures switch to the fallback, one success back.
+
+        It is said when the fallback finds what the primary did not: low above the ground, in every
+        climb, neither finds anything.
+        """
+        if used is not self._primary:
+            if succeeded and not self._stood_in:
+                self._stood_in = True
+                self._say("learned features find nothing here: SIFT stands in")
+            return
+        self._failures = 0 if succeeded else self._failures + 1
+        if succeeded and self._on_fallback:
+            self._on_fallback = False
+            if self._stood_in:
+                self._say("learned features work again")
+            self._stood_in = False
+        elif not self._on_fallback and self._failures >= self._config.fallback_after:
+            self._on_fallback, self._fallback_attempts = True, 0
+
+
 class Tracking(Protocol):
     """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
 

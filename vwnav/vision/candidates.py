@@ -108,7 +108,7 @@ class Candidate:
         )
 
 
-def is_finite(prior: Prior) -> bool:
+def _is_finite(prior: Prior) -> bool:
     """Whether every number of a prior is one, and makes sense."""
     numbers = (
         prior.lat_deg,
@@ -131,9 +131,11 @@ def hypotheses(prior: Prior, agl_range_m: tuple[float, float]) -> list[Hypothesi
     """Headings and heights that cover what the prior leaves open.
 
     Args:
-        prior: finite.
+        prior: one that is not finite gives none.
         agl_range_m: heights to try where it says none.
     """
+    if not _is_finite(prior):
+        return []
     yaws, yaw_bound_rad = _yaws(prior)
     agls, scale_bound = _agls(prior, agl_range_m)
     bounds = SimilarityBounds(scale_bound, yaw_bound_rad)

@@ -37,7 +37,6 @@ from vwnav.vision.candidates import (
     coarse_candidates,
     fine_level,
     hypotheses,
-    is_finite,
     thrifty_first,
 )
 from vwnav.vision.config import LocalizerConfig
@@ -181,12 +180,12 @@ class Localizer:
     def _candidates(self, query: Query) -> list[Candidate] | Rejected:
         """What to try: around a prior at the sharpest level, else everywhere, coarsely."""
         prior, config = query.prior, self._config
-        if not is_finite(prior):
+        todo = hypotheses(prior, config.search_agl_m)
+        if not todo:
             return query.rejected(RejectReason.PRIOR, "the prior holds no finite numbers")
         if query.image.contrast < config.min_contrast:
             detail = f"its gray values differ by {query.image.contrast:.1f} only"
             return query.rejected(RejectReason.TOO_DARK, detail)
-        todo = hypotheses(prior, config.search_agl_m)
         lat_deg, lon_deg = prior.lat_deg, prior.lon_deg
         if lat_deg is not None and lon_deg is not None and None not in (prior.yaw_rad, prior.agl_m):
             radius_m = PRIOR_SIGMAS * prior.sigma_m

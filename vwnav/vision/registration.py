@@ -271,7 +271,7 @@ def fix_of(query: Query, found: Registration) -> MapFix:
         point="nadir" if query.attitude_known else "center",
         features=query.features,
         stats=MatchStats(
-            keypoints=len(found.view.features),
+            keypoints=len(found.view.features.uv),
             matches=consensus.matches,
             inliers=len(consensus.uv_view),
         ),
