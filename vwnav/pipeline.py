@@ -175,6 +175,8 @@ class Pipeline:
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
+        if self._lens.is_open and self._lens.told_by_ways(self._ekf.state):
+            self._recalibrate()
         prior = self._prior(now, R_ned_body)
         state = self._ekf.state
         begins = state is None or not state.position_known or self._first_fix.doubted
@@ -289,16 +291,16 @@ class Pipeline:
         if innovation.accepted:
             if self._first_fix.young:
                 self._first_fix.fused()
-            if misseen:
-                self._check_lens()
+            if misseen and self._lens.told_by_fix():
+                self._recalibrate()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
 
-    def _check_lens(self) -> None:
-        """Go on with the camera that the map shows, if its calibration cannot be right."""
-        focal_ratio, state = self._lens.told(), self._ekf.state
-        if focal_ratio is not None and self._recalibrated is not None and state is not None:
-            self._features, self._odometry = self._recalibrated(focal_ratio)
-            with self._lock:
-                self._ekf.handle(Recalibrated(state.t_s))
+    def _recalibrate(self) -> None:
+        """Go on with the camera that map or ways have shown: its calibration cannot be right."""
+        if self._recalibrated is None or self._ekf.state is None:
+            return
+        self._features, self._odometry = self._recalibrated(self._lens.focal_ratio)
+        with self._lock:
+            self._ekf.handle(Recalibrated(self._ekf.state.t_s))

@@ -1,6 +1,7 @@
 """A lens that is shorter or longer than was told is learned where heights have another witness."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import States
 
 UNMEASURED = 0.015
@@ -42,3 +44,18 @@ def test_one_that_is_as_told_costs_little():
     late = exact.rows.t_s > 60.0
     mean_m = [float(np.hypot(*run.rows.error_ne_m[late].T).mean()) for run in (exact, unmeasured)]
     assert mean_m[1] < mean_m[0] + 0.1
+
+
+@pytest.mark.parametrize(("seed", "off"), [(1, 0.2), (2, -0.2), (3, 0.3), (4, -0.15), (6, -0.25)])
+def test_one_that_is_another_than_was_measured_is_learned_of_ways_before_any_fix(seed, off):
+    """They contradict the IMU, and that ended the flight, down blind and up to 50 m off."""
+    world = FilterWorld(seconds=40.0, imu_hz=50.0, speed_m_s=3.0, leg_s=4.0, focal_off=off)
+    rng = np.random.default_rng(seed)
+    stream = sense(world, fly(world, [rng])[0], rng)
+    events = [each for each in stream.events if not isinstance(each.seen, NedFix)]
+    said: list[str] = []
+    run = play(replace(stream, events=events), say=said.append)
+    assert said == ["what the pictures show contradicts the IMU: the lens may not be as calibrated"]
+    assert run.last.x[States.FOCAL] == pytest.approx(off, abs=0.04)
+    assert float(np.hypot(*run.rows.error_ne_m[-1])) < 8.0
+    assert worst_sigmas(run) < 3.0

@@ -1,6 +1,7 @@
 """A lens that is wrong by a share is told from ground that is wrong by as many metres."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Recalibrated
 from vwnav.estimation.inputs import decode, encode
-from vwnav.estimation.states import FilterState, RangeTrust, States
+from vwnav.estimation.odometry import LENS_DOUBT, apply_lens_doubted
+from vwnav.estimation.states import FilterState, RangeTrust, States, TrustedPosition
 from vwnav.types import Estimate, MapFix
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -49,9 +51,8 @@ def climbed(check: LensCheck, by_map_m, heights_m=CLIMB_M, ranged=False):
         if not (check.is_open and check.is_off(fix(seen_m), then, of_filter(ranged))):
             continue
         withheld += 1
-        ratio = check.told()
-        if ratio is not None:
-            return ratio, withheld
+        if check.told_by_fix():
+            return check.focal_ratio, withheld
     return None, withheld
 
 
@@ -120,6 +121,40 @@ def test_other_heights_are_looked_at_after_some_looks_in_vain():
     for _ in range(3):
         check.is_off(fix(30.0), believed(30.0), of_filter(True))
     assert check.least_agl_ratio < 0.05
+
+
+def with_focal(off: float, sigma: float) -> FilterState:
+    state = of_filter(ranged=True)
+    x, P = state.x.copy(), state.P.copy()
+    x[States.FOCAL], P[States.FOCAL, States.FOCAL] = off, sigma**2
+    return replace(state, x=x, P=P)
+
+
+def test_what_the_filter_has_learned_of_ways_makes_another_camera_and_fixes_tell_the_rest():
+    check = LensCheck(is_open=True)
+    assert not check.told_by_ways(None)
+    assert not check.told_by_ways(with_focal(0.2, 0.1))  # not sure enough
+    assert not check.told_by_ways(with_focal(0.03, 0.01))  # not worth it
+    assert check.told_by_ways(with_focal(0.2, 0.04))
+    assert check.focal_ratio == pytest.approx(0.8)
+    assert check.is_open
+    ratio, _ = climbed(check, CLIMB_M / 0.9, ranged=True)
+    assert ratio == pytest.approx(0.72)
+
+
+def test_a_lens_that_is_doubted_opens_what_its_ways_have_told():
+    """Fixes and ways that tell the focal length tell then how far it was too."""
+    state = of_filter(ranged=True)
+    x = state.x.copy()
+    x[States.POSITION_NE], x[States.VELOCITY_NE] = (10.0, -4.0), (2.0, 0.0)
+    trusted = TrustedPosition(0.0, np.zeros(2), 1.0)
+    before = replace(state, x=x, P=1e-4 * state.P, trusted=trusted)
+    after = apply_lens_doubted(before)
+    north, focal = States.POSITION_NE.start, States.FOCAL
+    assert after.P[focal, focal] == pytest.approx(LENS_DOUBT**2, rel=0.01)
+    assert after.P[north, focal] == pytest.approx(10.0 * LENS_DOUBT**2)
+    assert np.diag(after.P)[States.POSITION_NE] == pytest.approx([4.0, 0.64], rel=0.01)
+    assert np.linalg.eigvalsh(after.P).min() > -1e-12
 
 
 def test_a_filter_that_is_told_of_another_camera_is_open_to_it_and_remembers_being_told():

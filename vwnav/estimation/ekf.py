@@ -18,6 +18,7 @@ from vwnav.estimation.events import (
     Drag,
     Event,
     LateFix,
+    LensDoubted,
     Misled,
     NedFix,
     RangeDoubted,
@@ -73,7 +74,7 @@ class Ekf:
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
-        self._input_log: Callable[[Input], None] | None = None
+        self._input_log: Callable[[Input], None] = lambda _: None
         self._say: Callable[[str], None] = lambda _: None
         self._restarted_s = -math.inf
         self._drag_s = -math.inf
@@ -136,14 +137,14 @@ class Ekf:
             ValueError: the start is not finite or a sigma is not positive.
         """
         self._timeline = Timeline(first_state(start, self._config), self._context)
-        self._note(start)
+        self._input_log(start)
         # A start may be long ago: a first search took its time.
         self._asked_s = max(start.t_s, self._asked_s)
         self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
-        self._note(seen)
+        self._input_log(seen)
         match seen:
             case Attitude():
                 return self._handle_attitude(seen)
@@ -251,7 +252,7 @@ class Ekf:
                 self._imu_changed()
                 gate.forgive()
             elif gate.learn(agrees, self._timeline.newest):
-                if gate.lost:
+                if gate.lost or gate.lens_doubted:
                     self._take_ways_back()
                 self._say(gate.words)
         told = gate.lost and innovation.verdict is not Verdict.IMPOSSIBLE
@@ -265,7 +266,9 @@ class Ekf:
         assert self._timeline is not None
         newest, believed_s = self._timeline.newest, self._odometry_gate.believed_s
         self._timeline.leave_out(Displacement, NedFix)
-        if not self._odometry_gate.borne:
+        if self._odometry_gate.lens_doubted:
+            self._insert(LensDoubted(newest.t_s))
+        elif not self._odometry_gate.borne:
             self._insert(Misled(newest.t_s, max(believed_s, newest.t_s - _MISLED_S)))
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:
@@ -286,7 +289,7 @@ class Ekf:
         """
         if self._timeline is None:
             return None
-        self._note(Asked(t_s))
+        self._input_log(Asked(t_s))
         if math.isfinite(t_s):
             self._asked_s = t_s
         if self._attitudes.newest_s == -math.inf:
@@ -300,10 +303,6 @@ class Ekf:
             patch = self._context.patch(*state.x[States.POSITION_NE].tolist())
             table = table if patch is None else np.array([patch.per_north, patch.per_east])
         return estimate_of(state, held.quat_wxyz, held.open_rad, table)
-
-    def _note(self, seen: Input) -> None:
-        if self._input_log is not None:
-            self._input_log(seen)
 
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""

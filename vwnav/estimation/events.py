@@ -69,7 +69,7 @@ class Untracked:
 
 @dataclass(frozen=True, slots=True)
 class Recalibrated:
-    """The focal length is taken for another from then on, as the map has shown it."""
+    """From then on images are seen with the focal length that map or ways have shown."""
 
     t_s: float
 
@@ -98,6 +98,13 @@ class Misled:
 
 
 @dataclass(frozen=True, slots=True)
+class LensDoubted:
+    """The ways that images told so far may be those of another lens than was calibrated."""
+
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class RangeDoubted:
     """From then on the rangefinder is not believed, nor is what it told in the history.
 
@@ -110,5 +117,5 @@ class RangeDoubted:
 
 Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked | Recalibrated
 Event = (
-    Told | NewKeyframe | LateFix | Drag | Misled | RangeDoubted
+    Told | NewKeyframe | LateFix | Drag | Misled | LensDoubted | RangeDoubted
 )  # the others are the filter's own

@@ -57,6 +57,7 @@ _WAYS_AGREE = 6
 _GRASS_BELOW_M = 10.0  # so low blades and shadows stand out, and nothing tells but them
 _NEWEST = 0.1  # share of the newest image's relief in what is known of it
 _SHORTEST_S = 0.1
+LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 
 
 def apply_keyframe(
@@ -162,11 +163,34 @@ def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
     return replace(state, P=P, heading_known=known, exposed_s=state.t_s)
 
 
+def apply_lens_doubted(state: FilterState) -> FilterState:
+    """Open the focal length, and with it what ways have told so far.
+
+    All of it is too short by the share f that the focal length is too long: place and velocity are
+    off by f times the way flown, and f times the velocity. So what ways tell of f from now on tells
+    how far it was too.
+    """
+    doubted = apply_recalibrated(state)
+    x, begun_ne_m = doubted.x, state.x[States.POSITION_NE]
+    if state.trusted is not None:
+        begun_ne_m = state.trusted.position_ne_m
+    G = np.zeros(States.SIZE)
+    G[States.FOCAL] = 1.0
+    G[States.VELOCITY_NE] = x[States.VELOCITY_NE]
+    for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
+        G[place] = x[place] - begun_ne_m
+    return replace(doubted, P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
+
+
 def apply_recalibrated(state: FilterState) -> FilterState:
-    """The focal length is as the map has shown it, to a lens's that nobody measured."""
+    """The focal length is what it is taken for, but for an error as that of one by a data sheet."""
     x = state.x.copy()
     x[States.FOCAL] = 0.0
-    return freed(replace(state, x=x), States.FOCAL, UNMEASURED_FOCAL_RATIO)
+    sigma = math.sqrt(float(state.P[States.FOCAL, States.FOCAL]))
+    state = replace(state, x=x)
+    if sigma > UNMEASURED_FOCAL_RATIO:
+        return state  # as the ways have told it
+    return freed(state, States.FOCAL, UNMEASURED_FOCAL_RATIO)
 
 
 def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:

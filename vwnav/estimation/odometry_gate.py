@@ -43,6 +43,9 @@ _SHORTEST_S = 0.1  # from fix to fix
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
+_UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
+_SLOW_M_S = 4.0  # as who takes off
+_LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
 
@@ -76,6 +79,9 @@ class OdometryGate:
         lost: none is to be believed.
         fixes: map fixes that were where the aircraft is believed, since ways are believed, or
             lost: its images are of here, and upright. Who takes one counts it.
+        lens_doubted: before the first fix they contradicted the IMU though the camera hangs
+            upright: its lens, perhaps, is not as calibrated. Then they tell the filter of that, and
+            are lost where it does not help.
         borne: whether enough of them had borne the ways that are lost now; one or two are right of
             wrong ways too.
         believed_s: time of the first way since they are believed.
@@ -87,6 +93,7 @@ class OdometryGate:
         self._newest: OdometryMotion | None = None
         self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
         self._turned = False  # they surely do not
+        self.lens_doubted = False
         self.trust_all()
 
     def trust_all(self) -> None:
@@ -170,6 +177,8 @@ class OdometryGate:
     @property
     def words(self) -> str:
         """What a change has come to."""
+        if self.lens_doubted:
+            return _LENS_DOUBTED
         return _CONTRADICTS if self.lost else _AGREES
 
     def learn(self, agrees: bool, state: FilterState) -> bool:
@@ -197,6 +206,11 @@ class OdometryGate:
         if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= _DOUBTED or self._turned):
+            if self._may_be_the_lens(state):
+                self.trust_all()
+                self.lens_doubted = True
+                return True
+            self.lens_doubted = False
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S
             self.lost, self.borne, self.fixes = True, self.fixes >= _BEARING, 0
@@ -205,6 +219,15 @@ class OdometryGate:
         self._lost_s = t_s
         self._begin_anew()
         return True
+
+    def _may_be_the_lens(self, state: FilterState) -> bool:
+        """Whether a lens that is not as calibrated has not been thought of, and may explain it.
+
+        Not at speed, without a fix: to tell wind, heading and lens apart is too much for ways.
+        """
+        asked = self.lens_doubted or state.t_last_fix_s is not None
+        slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
+        return not asked and slow and self._along >= _UPRIGHT_ALONG
 
     def _proved(self) -> bool:
         """Whether a wrong date would have made one in the window disagree."""

@@ -18,6 +18,7 @@ from vwnav.estimation.events import (
     Event,
     Exposed,
     LateFix,
+    LensDoubted,
     Misled,
     NedFix,
     NewKeyframe,
@@ -34,6 +35,7 @@ from vwnav.estimation.inertial.imu import is_felt
 from vwnav.estimation.odometry import (
     apply_displacement,
     apply_keyframe,
+    apply_lens_doubted,
     apply_misled,
     apply_recalibrated,
     apply_untracked,
@@ -45,8 +47,8 @@ from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left.
 _ORDER: tuple[type[Event], ...] = (
-    Misled, RangeDoubted, Recalibrated, Untracked, LateFix, Stationary, Height, Range, NedFix,
-    Displacement, Drag, NewKeyframe, Exposed,
+    Misled, LensDoubted, RangeDoubted, Recalibrated, Untracked, LateFix, Stationary, Height, Range,
+    NedFix, Displacement, Drag, NewKeyframe, Exposed,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
@@ -167,6 +169,8 @@ def _corrected(
             return range_doubted(state, drawn_m), Innovation(Verdict.FUSED)
         case Recalibrated():
             return apply_recalibrated(state), Innovation(Verdict.FUSED)
+        case LensDoubted():
+            return apply_lens_doubted(state), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():

@@ -6,6 +6,9 @@ and the ways of images contradict the IMU. So after some looks in vain heights a
 the barometer cannot mean; fixes that are found there are too high, or too low, by the same share at
 every height of the climb. What is wrong by as many metres at every height is the ground, or woods;
 a rangefinder sees the same ground as the camera does, and rules that out.
+
+Before that ways may have contradicted the IMU. Then the filter learns the focal length from them
+(`OdometryGate.lens_doubted`), to some percent.
 """
 
 import math
@@ -13,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.states import FilterState
+from vwnav.estimation.states import FilterState, States
 from vwnav.types import Array, Estimate, MapFix
 
 _SUSPECTED_AFTER = 4  # looks in vain
@@ -24,6 +27,7 @@ _AGREES = 0.07  # so far from the filter's height, as a share of it, a fix may b
 _AGREEING = 3  # ... and so many in a row end the question
 _OFF = 0.14  # less cold air does to a barometer
 _OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
+_OFF_BY_WAYS, _SURE_BY_WAYS = 0.06, 0.05  # share, and one sigma of it, that is worth a new camera
 _LEAST, _MOST = 4, 24  # fixes that are off
 _SCATTER = 0.025  # of their heights, as a share
 _LEAST_CLIMB = 1.18  # from the lowest of them to the highest, where no rangefinder bears them
@@ -47,11 +51,13 @@ class LensCheck:
     Attributes:
         is_open: whether it has to be asked still.
         least_agl_ratio: one sigma of the height, as a share of it, to look with at least.
+        focal_ratio: of the true focal length to the calibration's, as far as it is known.
     """
 
     def __init__(self, is_open: bool) -> None:
         self.is_open = is_open
         self.least_agl_ratio = _LEAST_RATIO
+        self.focal_ratio = 1.0
         self._misses = self._agreeing = 0
         self._off: list[_Heights] = []
         self._newest = _Heights(math.nan, math.nan, 0.0)
@@ -87,16 +93,28 @@ class LensCheck:
         least = _OFF_RANGED if ranged else _OFF
         return min(abs(off), abs(off_start)) >= least and off * off_start > 0.0
 
-    def told(self) -> float | None:
-        """By what to multiply the focal length, once that is known.
+    def told_by_fix(self) -> bool:
+        """Whether the focal length is known, with one more fix that `is_off`.
 
-        For each fix that `is_off` and lies where the filter has the aircraft.
+        It lies where the filter has the aircraft.
         """
         self._off.append(self._newest)
         ratio = _ratio_of(np.array(self._off))
         if ratio is not None or len(self._off) == _MOST:
             self._close()
-        return ratio
+        self.focal_ratio *= ratio or 1.0
+        return ratio is not None
+
+    def told_by_ways(self, state: FilterState | None) -> bool:
+        """Whether the filter has learned that the focal length is another; fixes will tell more."""
+        if state is None:
+            return False
+        off, sigma = float(state.x[States.FOCAL]), math.sqrt(state.P[States.FOCAL, States.FOCAL])
+        if abs(off) < _OFF_BY_WAYS or sigma > _SURE_BY_WAYS:
+            return False
+        self.focal_ratio *= 1.0 - off
+        self._off.clear()
+        return True
 
     def _close(self) -> None:
         self.is_open, self.least_agl_ratio = False, _LEAST_RATIO
