@@ -105,6 +105,9 @@ def test_three_fixes_that_agree_end_the_question():
         (40.0, believed(40.0, above_start_m=32.0)),  # the ground falls away
         (33.0, believed(30.0)),  # cold air, or what the filter learns by itself
         (None, believed(30.0)),
+        (0.0, believed(30.0)),
+        (-40.0, believed(30.0)),
+        (math.nan, believed(30.0)),
         (40.0, None),
     ],
 )
@@ -140,6 +143,13 @@ def test_what_the_filter_has_learned_of_ways_makes_another_camera_and_fixes_tell
     assert check.is_open
     ratio, _ = climbed(check, CLIMB_M / 0.9, ranged=True)
     assert ratio == pytest.approx(0.72)
+
+
+@pytest.mark.parametrize("off", [-3.0, 0.6, 0.99, 1.0, 1.7, math.inf, math.nan])
+def test_a_lens_that_cannot_be_is_not_flown_with(off):
+    check = LensCheck(is_open=True)
+    assert not check.told_by_ways(with_focal(off, 0.04))
+    assert check.focal_ratio == 1.0
 
 
 def test_a_lens_that_is_doubted_opens_what_its_ways_have_told():

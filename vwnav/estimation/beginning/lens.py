@@ -28,6 +28,7 @@ _AGREEING = 3  # ... and so many in a row end the question
 _OFF = 0.14  # less cold air does to a barometer
 _OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
 _OFF_BY_WAYS, _SURE_BY_WAYS = 0.06, 0.05  # share, and one sigma of it, that is worth a new camera
+_MOST_RATIO = 2.0  # of a focal length to that of its calibration: more is something else
 _LEAST, _MOST = 4, 24  # fixes that are off
 _SCATTER = 0.025  # of their heights, as a share
 _LEAST_CLIMB = 1.18  # from the lowest of them to the highest, where no rangefinder bears them
@@ -79,7 +80,9 @@ class LensCheck:
             state: the filter's, now.
         """
         self._misses = 0
-        if fix.agl_m is None or then is None or then.sigma_agl_m > _SURE_RATIO * then.agl_m:
+        if then is None or then.sigma_agl_m > _SURE_RATIO * then.agl_m:
+            return False
+        if fix.agl_m is None or fix.agl_m <= 0.0:
             return False
         above_start_m = -float(then.position_ned_m[2])
         off, off_start = (
@@ -102,8 +105,7 @@ class LensCheck:
         ratio = _ratio_of(np.array(self._off))
         if ratio is not None or len(self._off) == _MOST:
             self._close()
-        self.focal_ratio *= ratio or 1.0
-        return ratio is not None
+        return ratio is not None and self._takes(ratio)
 
     def told_by_ways(self, state: FilterState | None) -> bool:
         """Whether the filter has learned that the focal length is another; fixes will tell more."""
@@ -112,8 +114,14 @@ class LensCheck:
         off, sigma = float(state.x[States.FOCAL]), math.sqrt(state.P[States.FOCAL, States.FOCAL])
         if abs(off) < _OFF_BY_WAYS or sigma > _SURE_BY_WAYS:
             return False
-        self.focal_ratio *= 1.0 - off
         self._off.clear()
+        return self._takes(1.0 - off)
+
+    def _takes(self, ratio: float) -> bool:
+        """Whether a focal length that much longer than the one flown with can be."""
+        if not 1.0 / _MOST_RATIO < ratio * self.focal_ratio < _MOST_RATIO:
+            return False
+        self.focal_ratio *= ratio
         return True
 
     def _close(self) -> None:
