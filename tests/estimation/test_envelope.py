@@ -16,6 +16,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf, outside
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import States, Verdict
+from vwnav.estimation.timeline import Timeline
 from vwnav.types import Attitude, Height, OdometryMotion, Stationary
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -154,7 +155,7 @@ def test_who_stands_comes_to_rest_whatever_was_believed_in_the_landing():
     state = broken(ekf, States.VELOCITY.start, 4.0)
     P = state.P.copy()
     P[3:6, 3:6] = 0.04 * np.eye(3)
-    ekf._begin(replace(state, P=P))
+    ekf._timeline = Timeline(replace(state, P=P), ekf._context)
     for i in range(1, 20):
         ekf.handle(Attitude(2.0 + 0.05 * i, LEVEL))
         ekf.handle(Stationary(2.0 + 0.05 * i))
