@@ -49,7 +49,10 @@ MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """An image being matched; it `begins` where nothing believed says its place, as of `then`."""
+    """An image that is being matched; it `begins` where nothing that is believed says its place.
+
+    `then` is what was believed at its exposure.
+    """
 
     t_s: float
     localizer: Localizing
@@ -87,7 +90,8 @@ class Pipeline:
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
-            recalibrated: makes features and odometry anew, for so many times the focal length.
+            recalibrated: makes features and odometry anew, for so many times the calibrated focal
+                length; None where no height is known that could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
@@ -97,7 +101,8 @@ class Pipeline:
         self._next_attempt_s = -np.inf
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
-        self._recalibrated, self._lens = recalibrated, LensCheck(recalibrated is not None)
+        self._recalibrated = recalibrated
+        self._lens = LensCheck(is_open=recalibrated is not None)
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
         self.attempts = self.accepted = 0
@@ -245,8 +250,9 @@ class Pipeline:
         """
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
         # count it twice if the image were rectified with its corrected attitude.
-        unknown = None, None, None
-        roll_rad, pitch_rad, _ = unknown if R_ned_body is None else euler_from_rotation(R_ned_body)
+        roll_rad, pitch_rad = None, None
+        if R_ned_body is not None:
+            roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
         yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]

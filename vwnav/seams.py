@@ -1,4 +1,4 @@
-"""The pipeline's seams: its settings, what a step brings, asks of its parts, and shows."""
+"""The pipeline's seams: its settings, what a step brings, asks of which parts, and shows."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -111,8 +111,9 @@ class FeatureChoice:
         if reason not in self._broken:
             self._broken.add(reason)
             self._say(f"map matching failed ({reason})" + (": SIFT stands in" if stands_in else ""))
+        self._stood_in = self._stood_in or stands_in
         if stands_in and not self._on_fallback:
-            self._on_fallback, self._fallback_attempts, self._stood_in = True, 0, True
+            self._on_fallback, self._fallback_attempts = True, 0
 
     def report(self, used: Localizing, succeeded: bool) -> None:
         """Learn from an attempt: enough failures switch to the fallback, one success back.

@@ -114,8 +114,10 @@ class LensCheck:
         off, sigma = float(state.x[States.FOCAL]), math.sqrt(state.P[States.FOCAL, States.FOCAL])
         if abs(off) < _OFF_BY_WAYS or sigma > _SURE_BY_WAYS:
             return False
-        self._off.clear()
-        return self._takes(1.0 - off)
+        taken = self._takes(1.0 - off)
+        if taken:
+            self._off.clear()  # by another camera
+        return taken
 
     def _takes(self, ratio: float) -> bool:
         """Whether a focal length that much longer than the one flown with can be."""
