@@ -17,7 +17,7 @@ from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.odometry import apply_misled
 from vwnav.estimation.odometry_gate import OdometryGate
 from vwnav.estimation.states import FilterState, States, Verdict
-from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -188,6 +188,32 @@ def test_ways_that_no_aircraft_flies_move_nothing_and_are_told_as_such_also_when
         assert bool([each for each in said if "pictures show contradicts" in each]) is lost
         assert ekf.handle(racing).verdict is Verdict.IMPOSSIBLE
         assert np.all(np.abs(ekf.state.x[States.VELOCITY_NE]) < 0.2)
+
+
+def test_what_a_blurred_image_near_the_ground_shows_of_a_climb_does_not_hold_a_descent():
+    """It grew by half of what it should, and was surer than barometer and rangefinder together."""
+    ekf, said, height_m, sinks_m_s = Ekf(EkfConfig()), [], 2.5, 0.0
+    ekf.on_event(said.append)
+    ekf.handle(Attitude(0.0, LEVEL))
+    place = np.array([0.0, 0.0, -height_m])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=place, sigma_m=1.0, agl_m=height_m))
+    seen = {"position_ne_m": np.zeros(2), "covariance_ne_m2": 0.25 * np.eye(2)}
+    ekf.handle(NedFix(t_s=0.0, **seen))
+    for n in range(1, 226):
+        t_s = round(0.02 * n, 6)
+        falls_m_s2 = 1.0 if 25 < n <= 50 else 0.0
+        height_m, sinks_m_s = height_m - 0.02 * sinks_m_s, sinks_m_s + 0.02 * falls_m_s2
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(ImuSample(t_s, np.array([0.0, 0.0, falls_m_s2 - 9.80665]), np.zeros(3)))
+        if n % 5 == 0:
+            ekf.handle(Height(t_s, height_m))
+            ekf.handle(Range(t_s, height_m))
+            way_m = np.array([0.0, 0.0, (0.1 if n < 100 else 0.04) * sinks_m_s])
+            since_s, noise_m2 = round(t_s - 0.1, 6), 0.003**2 * np.eye(3)
+            ekf.handle(OdometryMotion(since_s, t_s, way_m, noise_m2, 0.0, 0.003, height_m, 99))
+    assert not said
+    assert ekf.estimate(t_s).agl_m == pytest.approx(height_m, abs=0.05)
+    assert ekf.estimate(t_s).velocity_ned_m_s[2] == pytest.approx(sinks_m_s, abs=0.05)
 
 
 def test_however_long_images_contradict_an_imu_it_is_not_thought_to_be_off_by_more_than_it_can_be():

@@ -196,3 +196,28 @@ def test_a_height_that_it_has_drawn_along_with_the_barometer_is_given_up_to_fixe
     assert said == ["the rangefinder contradicts map and barometer: it is not believed"]
     assert ekf.estimate(ekf.state.t_s).agl_m == pytest.approx(height_m, rel=0.025)
     assert abs(ekf.state.x[States.MAP_SCALE]) < 0.03
+
+
+@pytest.mark.parametrize("sinks_m_s", [0.4, 0.75, 1.0])
+def test_the_touch_of_the_ground_which_no_imu_hears_is_not_held_against_it(sinks_m_s):
+    """The filter sank on to 0.7 m below the ground, and did not believe the rangefinder."""
+    ekf, said, lowest_m, touch_s = Ekf(EkfConfig()), [], 0.0, 8.0 / sinks_m_s
+    ekf.on_event(said.append)
+    ekf.handle(Attitude(0.0, LEVEL))
+    place = np.array([0.0, 0.0, -8.0])
+    ekf.initialise(
+        Start(t_s=0.0, position_ned_m=place, sigma_m=1.0, agl_m=8.1, sigma_velocity_m_s=1.0)
+    )
+    for n in range(1, round(50.0 * (touch_s + 3.0))):
+        t_s = round(0.02 * n, 6)
+        height_m = max(8.0 - sinks_m_s * t_s, 0.0)
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(ImuSample(t_s, np.array([0.0, 0.0, -9.80665]), np.zeros(3)))
+        if n % 5 == 0:
+            ekf.handle(Height(t_s, height_m))
+            if not touch_s < t_s < touch_s + 1.2:  # it is too near for its pulses, mostly
+                ekf.handle(Range(t_s, height_m + 0.1))
+        lowest_m = min(lowest_m, ekf.estimate(t_s).agl_m)
+    assert not said
+    assert lowest_m > -0.3
+    assert ekf.estimate(t_s).agl_m == pytest.approx(0.1, abs=0.1)

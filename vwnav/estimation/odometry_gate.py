@@ -24,6 +24,8 @@ from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
+_TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
+_BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
 _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
@@ -35,7 +37,6 @@ _BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
-_TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _LEAN_DOUBT_RAD = 0.15
 _ALIKE_S = 1.0  # for so long neighbours are off alike
@@ -110,6 +111,7 @@ class OdometryGate:
         """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds.
 
         A turn is taken for a way across the line of sight, as long as the ground is far along it.
+        Near the ground blurred images do not grow as they should: of a climb they tell little.
         """
         covariance = motion.covariance_ned_m2
         for t_s in (motion.t0_s, motion.t1_s):
@@ -119,6 +121,9 @@ class OdometryGate:
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
             covariance = covariance + off_rad**2 * across_m2
+        if motion.agl_m < _TELLS_FROM_M:
+            climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
+            covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
 
     def admit(

@@ -244,8 +244,11 @@ def _white_acceleration(
     x: Array, level: float, vertical: float, dt_s: float, config: EkfConfig
 ) -> Array:
     """(6, 6) of Q; near the ground it may be struck."""
-    if -x[States.DOWN] - x[States.TERRAIN] < config.blow_agl_m:
-        level = max(level, config.blow_noise_m_s2**2)
+    agl_m, blow = -x[States.DOWN] - x[States.TERRAIN], config.blow_noise_m_s2**2
+    if agl_m < config.blow_agl_m:
+        level = max(level, blow)
+    if agl_m < config.touching_agl_m:
+        vertical = max(vertical, blow)
     return white_acceleration(level, vertical, dt_s)
 
 

@@ -1,6 +1,6 @@
 """Whole flights in which nothing breaks, and wind."""
 
-from vwnav.bench.flights.scenario import HOME, Ending, Scenario, setup
+from vwnav.bench.flights.scenario import HOME, Ending, Scenario, setup, unsaid
 
 WHOLE = [
     Scenario(
@@ -8,6 +8,7 @@ WHOLE = [
         setup=setup(None),
         breaks=(),
         limit_s=220.0,
+        follows=(unsaid(220.0, "contradicts"),),
         lands_within_m=3.0,
         lands_at_ne_m=HOME,
     ),
