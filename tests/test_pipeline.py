@@ -129,7 +129,7 @@ def make_pipeline(
         said_here = said if said is not None else []
         return FeatureChoice(primary, fallback, config, said_here.append)
 
-    def made_anew(focal_ratio):
+    def made_anew(focal_ratio, _):
         return choose(recalibrated(focal_ratio)), odometry or NoOdometry()
 
     ekf = Ekf(ekf_config or EkfConfig())

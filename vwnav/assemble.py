@@ -1,5 +1,6 @@
 """Puts the pipeline together: the one place that chooses implementations."""
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
@@ -24,10 +26,10 @@ from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
 from vwnav.vision.odometry.odometry import Odometry
 
-_RECALIBRATED = (
-    "the camera sees {:.2f} times as wide as its calibration says: it is taken for that from now "
-    "on; calibrate it"
-)
+_WIDE = "sees {:.2f} times as wide as its calibration says"
+_TURNED = "hangs turned by {:.0f} degrees {}clockwise, seen from above, from how its mount is told"
+_RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
+_AFTER_ALL = "the camera sees and hangs as its calibration says, after all"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +94,18 @@ def assemble(
         choice = FeatureChoice(first, others[0] if others else None, config.pipeline, say)
         return choice, Odometry(camera, config.odometry, alone)
 
-    def recalibrated(focal_ratio: float) -> tuple[FeatureChoice, Odometry]:
-        say(_RECALIBRATED.format(1.0 / focal_ratio))
+    def recalibrated(focal_ratio: float, turn_rad: float) -> tuple[FeatureChoice, Odometry]:
+        found = []
+        if focal_ratio != 1.0:
+            found.append(_WIDE.format(1.0 / focal_ratio))
+        if turn_rad != 0.0:
+            way = "counter" if -math.pi < turn_rad < 0.0 else ""
+            found.append(_TURNED.format(abs(math.degrees(turn_rad)), way))
+        say(_RECALIBRATED.format(" and ".join(found)) if found else _AFTER_ALL)
         K = camera.K.copy()
         K[:2, :2] *= focal_ratio
-        return of_camera(replace(camera, K=K))
+        R_body_camera = rotation_from_vector([0.0, 0.0, turn_rad]) @ camera.R_body_camera
+        return of_camera(replace(camera, K=K, R_body_camera=R_body_camera))
 
     ekf = make_ekf(config.ekf, ground_of(pack, local_frame))
     ekf.on_event(say)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vwnav.estimation.beginning.camera_check import CameraCheck
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
-from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
@@ -43,6 +43,7 @@ MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
+_JUDGED = (Verdict.FUSED, Verdict.GATED)
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
@@ -77,7 +78,7 @@ class Pipeline:
         config: PipelineConfig,
         executor: Executor,
         rolling: bool = False,
-        recalibrated: Callable[[float], tuple[FeatureChoice, Tracking]] | None = None,
+        recalibrated: Callable[[float, float], tuple[FeatureChoice, Tracking]] | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -91,7 +92,8 @@ class Pipeline:
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
             recalibrated: makes features and odometry anew, for so many times the calibrated focal
-                length; None where no height is known that could tell of that.
+                length, and a mount turned by so many radians, clockwise as seen from above; None
+                where no telemetry could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
@@ -102,7 +104,7 @@ class Pipeline:
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
         self._recalibrated = recalibrated
-        self._lens = LensCheck(is_open=recalibrated is not None)
+        self._camera = CameraCheck(is_open=recalibrated is not None)
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
         self.attempts = self.accepted = 0
@@ -163,6 +165,14 @@ class Pipeline:
             if isinstance(motion, Rejected):
                 return motion
             verdict = self._ekf.handle(motion).verdict
+        lost = verdict is Verdict.DISTRUSTED
+        if (
+            self._recalibrated is not None
+            and (lost or verdict in _JUDGED)
+            and self._camera.told_by_ways(motion, lost, self._ekf.state)
+        ):
+            self._recalibrate()
+            return Rejected(frame.t_s, RejectReason.NOT_TRIED, "seen by another camera")
         reason = _NO_MOTION.get(verdict)
         if reason is None or self._ekf.counts_heading:  # which does not know its height at first
             return motion
@@ -180,8 +190,6 @@ class Pipeline:
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
-        if self._lens.is_open and self._lens.told_by_ways(self._ekf.state):
-            self._recalibrate()
         prior = self._prior(now, R_ned_body)
         state = self._ekf.state
         begins = state is None or not state.position_known or self._first_fix.doubted
@@ -239,7 +247,7 @@ class Pipeline:
         self._misses = 0 if succeeded else self._misses + 1
         if not succeeded:
             self._first_fix.missed()
-            self._lens.missed()
+            self._camera.missed()
         self._features.report(localizer, succeeded)
 
     def _prior(self, now: Estimate | None, R_ned_body: Array | None) -> Prior:
@@ -257,7 +265,7 @@ class Pipeline:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
         yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
-        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._lens.least_agl_ratio)
+        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._camera.least_agl_ratio)
         sigma_yaw_rad = now.sigma_yaw_rad * (doubt if now.t_last_fix_s is None else 1.0)
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
@@ -275,7 +283,7 @@ class Pipeline:
     def _fuse_fix(self, fix: MapFix, attempt: _Attempt) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
-        misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
+        misseen = self._camera.is_open and self._camera.is_off(fix, attempt.then, self._ekf.state)
         told = NedFix(
             t_s=fix.t_s,
             position_ne_m=ned_m[:2],
@@ -297,7 +305,7 @@ class Pipeline:
         if innovation.accepted:
             if self._first_fix.young:
                 self._first_fix.fused()
-            if misseen and self._lens.told_by_fix():
+            if misseen and self._camera.told_by_fix():
                 self._recalibrate()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
@@ -307,6 +315,7 @@ class Pipeline:
         """Go on with the camera that map or ways have shown: its calibration cannot be right."""
         if self._recalibrated is None or self._ekf.state is None:
             return
-        self._features, self._odometry = self._recalibrated(self._lens.focal_ratio)
+        check = self._camera
+        self._features, self._odometry = self._recalibrated(check.focal_ratio, check.turn_rad)
         with self._lock:
-            self._ekf.handle(Recalibrated(self._ekf.state.t_s))
+            self._ekf.handle(Recalibrated(self._ekf.state.t_s, check.turned_rad))

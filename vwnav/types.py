@@ -235,6 +235,8 @@ class OdometryMotion:
         slope_covariance: (2, 2).
         relief: one sigma of the heights over that slope of what was seen, trees and houses too, as
             a share of the height; None where the way is too short to tell.
+        tilts_turned: (3,) the same as `tilts_along` of a camera that is turned on its mount by 90,
+            180 and 270 degrees from how it is told to hang, clockwise as seen from above.
     """
 
     t0_s: float
@@ -250,6 +252,7 @@ class OdometryMotion:
     slope_ne: Array | None = None
     slope_covariance: Array | None = None
     relief: float | None = None
+    tilts_turned: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -139,6 +139,30 @@ def test_an_upright_camera_tilts_as_the_aircraft_does_and_one_upside_down_the_ot
     assert least < motion.tilts_along < most
 
 
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.7, -0.7, 0.0]])
+def test_of_a_camera_that_is_turned_on_its_mount_images_show_by_how_much(quarters, axis):
+    """The aircraft tilts by one degree; the camera hangs turned clockwise from how it is told."""
+    tilt = rotation_from_vector(math.radians(1.0) * np.array(axis))
+    still = image(ground(3), 0.0)
+    H = (
+        CAMERA.K
+        @ (CAMERA.R_body_camera.T @ tilt.T @ CAMERA.R_body_camera)
+        @ np.linalg.inv(CAMERA.K)
+    )
+    tilted = cv2.warpPerspective(still, H, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+    turn = rotation_from_vector([0.0, 0.0, -0.5 * math.pi * quarters])
+    odometry = Odometry(
+        replace(CAMERA, R_body_camera=turn @ CAMERA.R_body_camera), OdometryConfig()
+    )
+    odometry.step(Frame(0.0, still, 0), LEVEL, AGL_M)
+    motion = odometry.step(Frame(0.1, tilted, 1), tilt, AGL_M)
+    assert isinstance(motion, OdometryMotion)
+    ratios = [motion.tilts_along, *motion.tilts_turned]
+    assert int(np.argmax(ratios)) == quarters
+    assert ratios[quarters] > 5.0
+
+
 def test_a_heading_that_the_autopilot_resets_is_no_tilting_that_the_image_does_not_show():
     """The aircraft leans and moves nowhere; its attitude jumps by 20 degrees about the vertical."""
     leaning = rotation_from_vector([math.radians(10.0), 0.0, 0.0])

@@ -155,7 +155,7 @@ class Ekf:
             case NedFix():
                 return self._handle_fix(seen)
             case Recalibrated():
-                self._odometry_gate.trust_all()
+                self._odometry_gate.other_camera()
         refusal = self._refusal(seen)
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)

@@ -69,9 +69,13 @@ class Untracked:
 
 @dataclass(frozen=True, slots=True)
 class Recalibrated:
-    """From then on images are seen with the focal length that map or ways have shown."""
+    """From then on images are seen with the focal length, or the mount, that they have shown.
+
+    `turned_rad`: by how much the mount is turned for that, clockwise as seen from above.
+    """
 
     t_s: float
+    turned_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ from vwnav.estimation.inertial.attitudes import (
 )
 from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.estimation.states import (
+    HEADINGS,
     FilterState,
     Innovation,
     Measurement,
@@ -57,6 +58,7 @@ _WAYS_AGREE = 6
 _GRASS_BELOW_M = 10.0  # so low blades and shadows stand out, and nothing tells but them
 _NEWEST = 0.1  # share of the newest image's relief in what is known of it
 _SHORTEST_S = 0.1
+_TURN_DOUBT = 0.3  # one sigma of what a mount is turned, as a share of it
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 
 
@@ -191,6 +193,30 @@ def apply_recalibrated(state: FilterState) -> FilterState:
     if sigma > UNMEASURED_FOCAL_RATIO:
         return state  # as the ways have told it
     return freed(state, States.FOCAL, UNMEASURED_FOCAL_RATIO)
+
+
+def apply_turned(state: FilterState, turned_rad: float, config: EkfConfig) -> FilterState:
+    """The camera is turned from how its mount was told: until now its error was the compass'.
+
+    So it was in the heading bias, as far as fixes had told that, and velocity and way since the
+    last fix that is trusted were turned by as much.
+    """
+    state = apply_misled(state, Misled(state.t_s, state.t_s), config)
+    x, P = state.x.copy(), state.P
+    G = np.zeros(States.SIZE)
+    G[States.VELOCITY_NE] = turned_rad * _QUARTER_TURN @ x[States.VELOCITY_NE]
+    if state.trusted is not None:
+        begun_ne_m = state.trusted.position_ne_m
+        for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
+            G[place] = turned_rad * _QUARTER_TURN @ (x[place] - begun_ne_m)
+    P = P + np.outer(G, G)
+    if state.t_last_fix_s is not None:
+        x[HEADINGS] += turned_rad
+        x[States.HEADING_BIAS] = wrap_pi(float(x[States.HEADING_BIAS]))
+        unsure = np.zeros(States.SIZE)
+        unsure[HEADINGS] = _TURN_DOUBT * turned_rad
+        P = P + np.outer(unsure, unsure)
+    return replace(state, x=x, P=P)
 
 
 def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:

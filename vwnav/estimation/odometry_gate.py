@@ -24,7 +24,7 @@ from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
-_TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
+TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
 _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
@@ -45,9 +45,13 @@ _APART_S = 0.5  # neighbours share their errors: so long after each other they a
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 _UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
+_CLEARLY_TURNED = 3.0  # by which one turn has to be likelier than any other, twenty times
 _SLOW_M_S = 4.0  # as who takes off
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
+_TURNED = (
+    _CONTRADICTS + "; the camera looks turned by {} degrees on its mount, clockwise from above"
+)
 _AGREES = "the pictures' ways agree with the IMU again"
 
 
@@ -92,13 +96,19 @@ class OdometryGate:
         self._attitudes = attitudes
         self._config = config
         self._newest: OdometryMotion | None = None
-        self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
-        self._turned = False  # they surely do not
         self.lens_doubted = False
+        self.other_camera()
+
+    def other_camera(self) -> None:
+        """Forget all that was seen: what comes is another camera's."""
+        # Log-likelihood ratio: the images tilt as the attitude does, or not; and as it would
+        # with the camera turned on its mount by 90, 180, 270 degrees.
+        self._turns = np.zeros(4)
+        self._turned = False  # they surely do not tilt as it does
         self.trust_all()
 
     def trust_all(self) -> None:
-        """Forget what was seen of ways: those that come are another camera's, or uncontradicted."""
+        """Forget what was seen of ways: those that come are not contradicted."""
         self._seen: deque[_Way] = deque()
         self._begun_s = math.inf  # of what is in the window
         self.believed_s = math.inf
@@ -121,7 +131,7 @@ class OdometryGate:
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
             covariance = covariance + off_rad**2 * across_m2
-        if motion.agl_m < _TELLS_FROM_M:
+        if motion.agl_m < TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
             covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
@@ -133,7 +143,7 @@ class OdometryGate:
 
         `event` is the `displacement` of `motion`.
         """
-        if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
+        if motion.agl_m < TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
             return Verdict.ON_GROUND  # a take-off is broken off for ways that contradict the IMU
         scale = max(timeline.newest.agl_m, 0.0) / motion.agl_m
         way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
@@ -154,9 +164,10 @@ class OdometryGate:
         if not (heard or self._turned):
             self.trust_all()
         share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
-        along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
-        self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
-        self._turned = self._along == -_SURE_ALONG
+        turned = (0.0, 0.0, 0.0) if motion.tilts_turned is None else motion.tilts_turned
+        told = np.clip([motion.tilts_along, *turned], -_MOST_ALONG, _MOST_ALONG)
+        self._turns = np.clip(self._turns + share * told, -_SURE_ALONG, _SURE_ALONG)
+        self._turned = bool(self._turns[0] == -_SURE_ALONG)
         return event
 
     def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
@@ -184,7 +195,11 @@ class OdometryGate:
         """What a change has come to."""
         if self.lens_doubted:
             return _LENS_DOUBTED
-        return _CONTRADICTS if self.lost else _AGREES
+        if not self.lost:
+            return _AGREES
+        quarters, (*_, next_to_it, likeliest) = int(np.argmax(self._turns)), sorted(self._turns)
+        is_clear = quarters > 0 and likeliest - next_to_it >= _CLEARLY_TURNED
+        return _TURNED.format(90 * quarters) if is_clear else _CONTRADICTS
 
     def learn(self, agrees: bool, state: FilterState) -> bool:
         """Whether a way has made a change of `lost`.
@@ -208,7 +223,13 @@ class OdometryGate:
         if few and (self.lost or not self._turned):
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
-        if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
+        if (
+            self.lost
+            and self.fixes
+            and share >= _TRUSTED
+            and self._proved()
+            and self._turns[0] >= 0.0
+        ):
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= _DOUBTED or self._turned):
             if self._may_be_the_lens(state):
@@ -232,7 +253,7 @@ class OdometryGate:
         """
         asked = self.lens_doubted or state.t_last_fix_s is not None
         slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
-        return not asked and slow and self._along >= _UPRIGHT_ALONG
+        return not asked and slow and self._turns[0] >= _UPRIGHT_ALONG
 
     def _proved(self) -> bool:
         """Whether a wrong date would have made one in the window disagree."""

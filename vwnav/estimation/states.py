@@ -64,7 +64,7 @@ class States:
     SIZE = 49
 
 
-_HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
+HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,7 +292,7 @@ def _corrected(state: FilterState, measurement: Measurement, K: Array) -> Filter
     P = A @ state.P @ A.T
     P += (K @ measurement.R) @ K.T
     x = state.x + K @ measurement.residual
-    x[_HEADINGS] = (x[_HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
+    x[HEADINGS] = (x[HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
     return replace(state, x=x, P=0.5 * (P + P.T))
 
 

@@ -38,6 +38,7 @@ from vwnav.estimation.odometry import (
     apply_lens_doubted,
     apply_misled,
     apply_recalibrated,
+    apply_turned,
     apply_untracked,
 )
 from vwnav.estimation.process import predict
@@ -167,8 +168,10 @@ def _corrected(
             return apply_misled(state, event, config), Innovation(Verdict.FUSED)
         case RangeDoubted(_, drawn_m):
             return range_doubted(state, drawn_m), Innovation(Verdict.FUSED)
-        case Recalibrated():
+        case Recalibrated(_, 0.0):
             return apply_recalibrated(state), Innovation(Verdict.FUSED)
+        case Recalibrated(_, turned_rad):
+            return apply_turned(state, turned_rad, config), Innovation(Verdict.FUSED)
         case LensDoubted():
             return apply_lens_doubted(state), Innovation(Verdict.FUSED)
         case NewKeyframe():
@@ -214,6 +217,7 @@ def sensible(event: Told | Attitude | ImuSample) -> bool:
                 and way.agl_m > 0.0
                 and 0.0 <= way.tilt_share <= 1.0
                 and math.isfinite(way.tilts_along)
+                and (way.tilts_turned is None or bool(np.all(np.isfinite(way.tilts_turned))))
                 and (
                     way.slope_ne is None
                     or (

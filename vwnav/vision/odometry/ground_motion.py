@@ -269,11 +269,12 @@ class TiltSeen:
             motion. With true tilts p and a prior of mean zero and information L, the fit's mean is
             off by -Cov L p (the posterior of a linear model); of that, the way's part along the
             tilt.
-        along: `OdometryMotion.tilts_along`.
+        along, turned: `OdometryMotion.tilts_along`, `.tilts_turned`.
     """
 
     share: float = 0.0
     along: float = 0.0
+    turned: Array | None = None
 
 
 def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) -> TiltSeen:
@@ -284,6 +285,7 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     attitudes' own taken out of its posterior N(m, c), the image says m / k, uncertain by c / k,
     with k = 1 - c / s^2. So it shows w + m / k, and the logarithm of
     N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is (m.w + k w.w / 2) / s^2.
+    A camera that is turned by a shows the turn v = Rz(-a) w: (m.v + k (w.v - w.w / 2)) / s^2.
 
     Args:
         motion: what was fitted.
@@ -297,8 +299,11 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     covariance, variance = motion.covariance, prior.tilt_increment_rad**2
     along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
     k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)
-    ratio = told_rad @ (motion.turn_rad[:2] + 0.5 * k * told_rad) / variance
-    return TiltSeen(min(float(along) / variance, 1.0), float(ratio))
+    north, east = told_rad.tolist()
+    shown_rad = np.array([[north, east], [east, -north], [-north, -east], [-east, north]])
+    seen_rad = motion.turn_rad[:2] + k * told_rad
+    ratios = (shown_rad @ seen_rad - 0.5 * k * told_rad @ told_rad) / variance
+    return TiltSeen(min(float(along) / variance, 1.0), float(ratios[0]), ratios[1:])
 
 
 def _told_slope(slope: Array, C: Array, prior: MotionPrior) -> tuple[Array, Array] | None:

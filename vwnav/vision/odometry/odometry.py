@@ -321,6 +321,7 @@ class Odometry:
             slope_ne=None if slope is None else slope[0],
             slope_covariance=None if slope is None else slope[1],
             relief=motion.relief,
+            tilts_turned=tilt.turned,
         )
 
     def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:

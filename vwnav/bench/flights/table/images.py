@@ -67,28 +67,34 @@ LATE = [
     flies_on("pictures gone for 3 s", broken.CameraTrouble(broken.no_images), 3.0, 13.0),
 ]
 MOUNTED = [
-    *(
-        Scenario(
-            name=f"camera {name}",
-            setup=setup(None),
-            breaks=(Break(fault=broken.CameraTrouble(trouble), at_s=0.0),),
-            limit_s=140.0,
-            follows=(said(40.0, "contradicts the IMU"), down(80.0)),
-            lands_within_m=20.0,
-        )
-        for name, trouble in (
-            ("mounted upside down", broken.upside_down),
-            ("with a mirrored picture", broken.mirrored),
-        )
-    ),
     Scenario(
-        name="camera turned by 90 degrees",
-        setup=setup(None, mount_off_deg=(0.0, 0.0, 90.0)),
-        breaks=(),
+        name="camera with a mirrored picture",
+        setup=setup(None),
+        breaks=(Break(fault=broken.CameraTrouble(broken.mirrored), at_s=0.0),),
         limit_s=140.0,
         follows=(said(40.0, "contradicts the IMU"), down(80.0)),
         lands_within_m=20.0,
+    ),
+    Scenario(
+        name="camera mounted upside down",
+        setup=setup(None),
+        breaks=(Break(fault=broken.CameraTrouble(broken.upside_down), at_s=0.0),),
+        limit_s=260.0,
+        follows=(said(40.0, "hangs turned by 180 degrees"), phase(60.0, "on route")),
+        lands_within_m=2.0,
         lands_at_ne_m=HOME,
+    ),
+    *(
+        Scenario(
+            name=f"camera turned by {degrees:.0f} degrees",
+            setup=setup(None, mount_off_deg=(0.0, 0.0, degrees)),
+            breaks=(),
+            limit_s=260.0,
+            follows=(said(60.0, "hangs turned by"), phase(60.0, "on route")),
+            lands_within_m=2.0,
+            lands_at_ne_m=HOME,
+        )
+        for degrees in (10.0, 45.0, 90.0, 270.0)
     ),
     Scenario(
         name="camera hung 3 degrees nose up by hand",

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.estimation.beginning.lens import LensCheck
+from vwnav.estimation.beginning.camera_check import CameraCheck
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
@@ -43,7 +43,7 @@ def of_filter(ranged: bool) -> FilterState:
     return FilterState(0.0, np.zeros(States.SIZE), unit, True, True, 0.0, 0.0, range_trust=trust)
 
 
-def climbed(check: LensCheck, by_map_m, heights_m=CLIMB_M, ranged=False):
+def climbed(check: CameraCheck, by_map_m, heights_m=CLIMB_M, ranged=False):
     """By what the focal length is to be multiplied, or None, and how many heights were withheld."""
     withheld = 0
     for height_m, seen_m in zip(heights_m, by_map_m, strict=True):
@@ -59,7 +59,7 @@ def climbed(check: LensCheck, by_map_m, heights_m=CLIMB_M, ranged=False):
 @given(st.sampled_from([0.65, 0.75, 0.8, 0.85, 1.18, 1.25, 1.4]), SEEDS)
 def test_a_lens_that_is_wrong_by_a_share_is_told_within_the_climb(focal_ratio: float, seed: int):
     noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, len(CLIMB_M))
-    check = LensCheck(is_open=True)
+    check = CameraCheck(is_open=True)
     ratio, _ = climbed(check, CLIMB_M / focal_ratio * noise)
     assert ratio == pytest.approx(focal_ratio, rel=0.02)
     assert not check.is_open  # it is told once
@@ -68,11 +68,11 @@ def test_a_lens_that_is_wrong_by_a_share_is_told_within_the_climb(focal_ratio: f
 @given(st.floats(7.0, 14.0), SEEDS)
 def test_woods_under_which_the_ground_lies_are_no_lens(high_m: float, seed: int):
     noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, len(CLIMB_M))
-    assert climbed(LensCheck(is_open=True), (CLIMB_M - high_m) * noise)[0] is None
+    assert climbed(CameraCheck(is_open=True), (CLIMB_M - high_m) * noise)[0] is None
 
 
 def test_who_hovers_learns_nothing_and_does_not_ask_for_ever():
-    check = LensCheck(is_open=True)
+    check = CameraCheck(is_open=True)
     ratio, withheld = climbed(check, np.full(100, 38.0), np.full(100, 30.0))
     assert ratio is None
     assert not check.is_open
@@ -84,14 +84,14 @@ def test_beside_a_rangefinder_who_hovers_learns_it_too(focal_ratio: float, seed:
     """It sees the same ground as the camera."""
     noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, 24)
     ratio, withheld = climbed(
-        LensCheck(is_open=True), 30.0 / focal_ratio * noise, np.full(24, 30.0), ranged=True
+        CameraCheck(is_open=True), 30.0 / focal_ratio * noise, np.full(24, 30.0), ranged=True
     )
     assert ratio == pytest.approx(focal_ratio, rel=0.03)
     assert withheld < 12
 
 
 def test_three_fixes_that_agree_end_the_question():
-    check = LensCheck(is_open=True)
+    check = CameraCheck(is_open=True)
     for height_m in (30.0, 31.0, 32.0):
         assert not check.is_off(fix(height_m), believed(height_m), of_filter(True))
     assert not check.is_open
@@ -112,11 +112,11 @@ def test_three_fixes_that_agree_end_the_question():
     ],
 )
 def test_what_others_explain_is_left_to_the_filter(seen_m, then):
-    assert not LensCheck(is_open=True).is_off(fix(seen_m), then, of_filter(False))
+    assert not CameraCheck(is_open=True).is_off(fix(seen_m), then, of_filter(False))
 
 
 def test_other_heights_are_looked_at_after_some_looks_in_vain():
-    check = LensCheck(is_open=True)
+    check = CameraCheck(is_open=True)
     assert check.least_agl_ratio < 0.05
     for _ in range(4):
         check.missed()
@@ -134,7 +134,7 @@ def with_focal(off: float, sigma: float) -> FilterState:
 
 
 def test_what_the_filter_has_learned_of_ways_makes_another_camera_and_fixes_tell_the_rest():
-    check = LensCheck(is_open=True)
+    check = CameraCheck(is_open=True)
     assert not check.told_by_ways(None)
     assert not check.told_by_ways(with_focal(0.2, 0.1))  # not sure enough
     assert not check.told_by_ways(with_focal(0.03, 0.01))  # not worth it
@@ -147,7 +147,7 @@ def test_what_the_filter_has_learned_of_ways_makes_another_camera_and_fixes_tell
 
 @pytest.mark.parametrize("off", [-3.0, 0.6, 0.99, 1.0, 1.7, math.inf, math.nan])
 def test_a_lens_that_cannot_be_is_not_flown_with(off):
-    check = LensCheck(is_open=True)
+    check = CameraCheck(is_open=True)
     assert not check.told_by_ways(with_focal(off, 0.04))
     assert check.focal_ratio == 1.0
 
