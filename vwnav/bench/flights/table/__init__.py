@@ -40,7 +40,7 @@ QUICK = {
     "attitude 0.3 s late",
     "IMU turns on its side in flight",
     "accelerometer 3 m/s^2 off to the right",
-    "camera mounted upside down",
+    "camera with a mirrored picture",
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",
     "navigator stopped for 20 s",
