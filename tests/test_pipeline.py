@@ -2,6 +2,7 @@
 
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,6 +99,27 @@ class NoOdometry:
 
 
 @dataclass
+class Tilting(NoOdometry):
+    """Stays where it is and tilts; a camera turned by so much shows it, known to be by less."""
+
+    turn_rad: float = 0.0
+    known_rad: float = 0.0
+    rng: Any = field(default_factory=lambda: np.random.default_rng(1))
+
+    def step(self, frame, R_ned_body, agl_m):
+        tilt_rad, turns_rad = 0.03 * self.rng.normal(size=2), 0.5 * np.pi * np.arange(4)
+        c, s = np.cos(self.turn_rad - self.known_rad), np.sin(self.turn_rad - self.known_rad)
+        seen_rad = np.array([[c, s], [-s, c]]) @ tilt_rad
+        c, s = np.cos(turns_rad), np.sin(turns_rad)
+        told_rad = np.stack([c * tilt_rad[0] + s * tilt_rad[1], c * tilt_rad[1] - s * tilt_rad[0]])
+        ratios = (seen_rad @ told_rad - 0.5 * tilt_rad @ tilt_rad) / 0.01**2
+        return OdometryMotion(
+            frame.t_s - 0.1, frame.t_s, np.zeros(3), 0.01 * np.eye(3), 0.0, 0.01, agl_m, 80,
+            tilts_along=float(ratios[0]), tilts_turned=ratios[1:],
+        )  # fmt: skip
+
+
+@dataclass
 class Racing(NoOdometry):
     """Tells 50 m/s; counts how often it is told that it mistook the ground."""
 
@@ -129,8 +151,10 @@ def make_pipeline(
         said_here = said if said is not None else []
         return FeatureChoice(primary, fallback, config, said_here.append)
 
-    def made_anew(focal_ratio, _):
-        return choose(recalibrated(focal_ratio)), odometry or NoOdometry()
+    def made_anew(focal_ratio, turn_rad):
+        turned = odometry or NoOdometry()
+        turned.known_rad = turn_rad
+        return choose(recalibrated(focal_ratio)), turned
 
     ekf = Ekf(ekf_config or EkfConfig())
     if start is not None:
@@ -550,3 +574,24 @@ def test_a_lens_that_the_map_shows_to_be_another_is_taken_for_that(focal_ratio):
         assert estimate.agl_m == pytest.approx(22.0 + 2.0 * t_s, abs=1.5)
     assert ratios == ([] if focal_ratio == 1.0 else [pytest.approx(focal_ratio, rel=0.03)])
     assert pipeline.accepted > 30
+
+
+@pytest.mark.parametrize(("degrees", "worth"), [(0.0, False), (3.0, False), (20.0, True)])
+def test_a_mount_that_images_show_to_be_turned_is_taken_for_that(degrees, worth):
+    """And once only: what is left of it is another camera's error, and small."""
+    start = Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -22.0]), sigma_m=5.0, agl_m=22.0)
+    odometry, asked = Tilting(turn_rad=np.radians(degrees)), []
+
+    def recalibrated(ratio):
+        asked.append(ratio)
+        return FakeLocalizer()
+
+    pipeline = make_pipeline(
+        FakeLocalizer(), start=start, odometry=odometry, recalibrated=recalibrated
+    )
+    for i in range(1, 300):
+        pipeline.feed(Attitude(0.1 * i, LEVEL))
+        pipeline.feed(Height(0.1 * i, 22.0))
+        pipeline.step(Frame(0.1 * i, IMAGE, i))
+    assert bool(asked) is worth
+    assert np.degrees(odometry.known_rad) == pytest.approx(degrees if worth else 0.0, abs=6.0)

@@ -14,11 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vwnav.estimation.beginning.camera_check import CameraCheck
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
+from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
+from vwnav.estimation.inertial.attitudes import yaw_of
+from vwnav.estimation.odometry_gate import MountCheck
 from vwnav.estimation.states import Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
@@ -104,7 +106,7 @@ class Pipeline:
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
         self._recalibrated = recalibrated
-        self._camera = CameraCheck(is_open=recalibrated is not None)
+        self._lens, self._mount = LensCheck(is_open=recalibrated is not None), MountCheck()
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
         self.attempts = self.accepted = 0
@@ -165,13 +167,10 @@ class Pipeline:
             if isinstance(motion, Rejected):
                 return motion
             verdict = self._ekf.handle(motion).verdict
-        lost = verdict is Verdict.DISTRUSTED
-        if (
-            self._recalibrated is not None
-            and (lost or verdict in _JUDGED)
-            and self._camera.told_by_ways(motion, lost, self._ekf.state)
-        ):
-            self._recalibrate()
+        is_asked = self._recalibrated is not None and verdict in _JUDGED
+        if is_asked and (turned_rad := self._mount.turned_rad(motion, self.accepted > 0)):
+            self._lens.mount_turned()
+            self._recalibrate(turned_rad)
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "seen by another camera")
         reason = _NO_MOTION.get(verdict)
         if reason is None or self._ekf.counts_heading:  # which does not know its height at first
@@ -191,6 +190,8 @@ class Pipeline:
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
         prior = self._prior(now, R_ned_body)
+        if self._lens.is_open and self._lens.told_by_ways(self._ekf.state):
+            self._recalibrate()
         state = self._ekf.state
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:
@@ -247,7 +248,7 @@ class Pipeline:
         self._misses = 0 if succeeded else self._misses + 1
         if not succeeded:
             self._first_fix.missed()
-            self._camera.missed()
+            self._lens.missed()
         self._features.report(localizer, succeeded)
 
     def _prior(self, now: Estimate | None, R_ned_body: Array | None) -> Prior:
@@ -263,9 +264,9 @@ class Pipeline:
             roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
-        yaw_rad = euler_from_rotation(rotation_from_quat(now.quat_wxyz))[2]
+        yaw_rad = yaw_of(now.quat_wxyz)
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
-        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._camera.least_agl_ratio)
+        agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._lens.least_agl_ratio)
         sigma_yaw_rad = now.sigma_yaw_rad * (doubt if now.t_last_fix_s is None else 1.0)
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
@@ -283,7 +284,7 @@ class Pipeline:
     def _fuse_fix(self, fix: MapFix, attempt: _Attempt) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
-        misseen = self._camera.is_open and self._camera.is_off(fix, attempt.then, self._ekf.state)
+        misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
         told = NedFix(
             t_s=fix.t_s,
             position_ne_m=ned_m[:2],
@@ -305,17 +306,17 @@ class Pipeline:
         if innovation.accepted:
             if self._first_fix.young:
                 self._first_fix.fused()
-            if misseen and self._camera.told_by_fix():
+            if misseen and self._lens.told_by_fix():
                 self._recalibrate()
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
 
-    def _recalibrate(self) -> None:
+    def _recalibrate(self, turned_rad: float = 0.0) -> None:
         """Go on with the camera that map or ways have shown: its calibration cannot be right."""
         if self._recalibrated is None or self._ekf.state is None:
             return
-        check = self._camera
-        self._features, self._odometry = self._recalibrated(check.focal_ratio, check.turn_rad)
+        found = self._recalibrated(self._lens.focal_ratio, self._mount.turn_rad)
+        self._features, self._odometry = found
         with self._lock:
-            self._ekf.handle(Recalibrated(self._ekf.state.t_s, check.turned_rad))
+            self._ekf.handle(Recalibrated(self._ekf.state.t_s, turned_rad))

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from vwnav.estimation.beginning.starts import Start, first_state
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.disputes import of_doubtful_date
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
+from vwnav.estimation.odometry_gate import OdometryGate
 from vwnav.types import Attitude, OdometryMotion
 
 SURE_M2 = 0.01**2

@@ -13,6 +13,7 @@ import numpy as np
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground
+from vwnav.estimation.disputes import of_doubtful_date
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -31,7 +32,7 @@ from vwnav.estimation.inertial.drag import explained_m_s2
 from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
-from vwnav.estimation.odometry_gate import OdometryGate, of_doubtful_date
+from vwnav.estimation.odometry_gate import OdometryGate
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict, estimate_of
 from vwnav.estimation.timeline import Timeline, sensible

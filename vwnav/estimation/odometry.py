@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import convinces, freed, remember
+from vwnav.estimation.disputes import convinces, remember
 from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
     TURNING_RAD_S,
@@ -18,7 +18,6 @@ from vwnav.estimation.inertial.attitudes import (
 )
 from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.estimation.states import (
-    HEADINGS,
     FilterState,
     Innovation,
     Measurement,
@@ -28,7 +27,6 @@ from vwnav.estimation.states import (
     tells_heading,
     white_acceleration,
 )
-from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
@@ -58,8 +56,6 @@ _WAYS_AGREE = 6
 _GRASS_BELOW_M = 10.0  # so low blades and shadows stand out, and nothing tells but them
 _NEWEST = 0.1  # share of the newest image's relief in what is known of it
 _SHORTEST_S = 0.1
-_TURN_DOUBT = 0.3  # one sigma of what a mount is turned, as a share of it
-LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 
 
 def apply_keyframe(
@@ -163,60 +159,6 @@ def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
     P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
     known = state.heading_known and tells_heading(P)
     return replace(state, P=P, heading_known=known, exposed_s=state.t_s)
-
-
-def apply_lens_doubted(state: FilterState) -> FilterState:
-    """Open the focal length, and with it what ways have told so far.
-
-    All of it is too short by the share f that the focal length is too long: place and velocity are
-    off by f times the way flown, and f times the velocity. So what ways tell of f from now on tells
-    how far it was too.
-    """
-    doubted = apply_recalibrated(state)
-    x, begun_ne_m = doubted.x, state.x[States.POSITION_NE]
-    if state.trusted is not None:
-        begun_ne_m = state.trusted.position_ne_m
-    G = np.zeros(States.SIZE)
-    G[States.FOCAL] = 1.0
-    G[States.VELOCITY_NE] = x[States.VELOCITY_NE]
-    for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
-        G[place] = x[place] - begun_ne_m
-    return replace(doubted, P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
-
-
-def apply_recalibrated(state: FilterState) -> FilterState:
-    """The focal length is what it is taken for, but for an error as that of one by a data sheet."""
-    x = state.x.copy()
-    x[States.FOCAL] = 0.0
-    sigma = math.sqrt(float(state.P[States.FOCAL, States.FOCAL]))
-    state = replace(state, x=x)
-    if sigma > UNMEASURED_FOCAL_RATIO:
-        return state  # as the ways have told it
-    return freed(state, States.FOCAL, UNMEASURED_FOCAL_RATIO)
-
-
-def apply_turned(state: FilterState, turned_rad: float, config: EkfConfig) -> FilterState:
-    """The camera is turned from how its mount was told: until now its error was the compass'.
-
-    So it was in the heading bias, as far as fixes had told that, and velocity and way since the
-    last fix that is trusted were turned by as much.
-    """
-    state = apply_misled(state, Misled(state.t_s, state.t_s), config)
-    x, P = state.x.copy(), state.P
-    G = np.zeros(States.SIZE)
-    G[States.VELOCITY_NE] = turned_rad * _QUARTER_TURN @ x[States.VELOCITY_NE]
-    if state.trusted is not None:
-        begun_ne_m = state.trusted.position_ne_m
-        for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
-            G[place] = turned_rad * _QUARTER_TURN @ (x[place] - begun_ne_m)
-    P = P + np.outer(G, G)
-    if state.t_last_fix_s is not None:
-        x[HEADINGS] += turned_rad
-        x[States.HEADING_BIAS] = wrap_pi(float(x[States.HEADING_BIAS]))
-        unsure = np.zeros(States.SIZE)
-        unsure[HEADINGS] = _TURN_DOUBT * turned_rad
-        P = P + np.outer(unsure, unsure)
-    return replace(state, x=x, P=P)
 
 
 def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:

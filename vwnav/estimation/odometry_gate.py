@@ -6,7 +6,9 @@ agree for a while and a map fix does. That has to be while the aircraft changes 
 images that are dated wrongly agree as long as it flies steadily.
 
 The images themselves tell it earlier, and need no filter for it: those of a camera upside down
-tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`).
+tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`). So they tell by how
+much a camera is turned on its mount (`MountCheck`). Taken for the compass' error, 10 degrees made
+an estimate wrong by 4.7 sigmas, and 45 degrees cost the aircraft.
 """
 
 import bisect
@@ -18,13 +20,14 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.events import Displacement, Event, NedFix, NewKeyframe
+from vwnav.estimation.disputes import DATE_OFF_S
+from vwnav.estimation.events import Displacement, Event, NewKeyframe
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
-TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
+_TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
 _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
@@ -32,26 +35,29 @@ _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
-_DATE_OFF_S = 0.5  # ... in the time by which images may be dated wrongly
 _BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
-_LEAN_DOUBT_RAD = 0.15
-_ALIKE_S = 1.0  # for so long neighbours are off alike
-_SHORTEST_S = 0.1  # from fix to fix
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 _UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
 _CLEARLY_TURNED = 3.0  # by which one turn has to be likelier than any other, twenty times
 _SLOW_M_S = 4.0  # as who takes off
+# Of a mount: worth a new camera, and, after a fix, what a compass errs by at most.
+_LEAST_TURN_RAD, _MOST_TURN_RAD = math.radians(6.0), math.radians(45.0)
+_SURE_TURN = 6.0  # log-likelihood ratio to a camera that hangs as told: 3.5 sigmas of the turn
+_SHOWN = 0.7  # of what the attitudes tell: images of another moment show as much by chance only
+_LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
+_MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
+_OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
+_MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
+_QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
-_TURNED = (
-    _CONTRADICTS + "; the camera looks turned by {} degrees on its mount, clockwise from above"
-)
+_TURNED = _CONTRADICTS + "; the camera looks turned by {} degrees clockwise on its mount"
 _AGREES = "the pictures' ways agree with the IMU again"
 
 
@@ -131,7 +137,7 @@ class OdometryGate:
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
             covariance = covariance + off_rad**2 * across_m2
-        if motion.agl_m < TELLS_FROM_M:
+        if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
             covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
@@ -143,7 +149,7 @@ class OdometryGate:
 
         `event` is the `displacement` of `motion`.
         """
-        if motion.agl_m < TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
+        if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
             return Verdict.ON_GROUND  # a take-off is broken off for ways that contradict the IMU
         scale = max(timeline.newest.agl_m, 0.0) / motion.agl_m
         way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
@@ -258,7 +264,7 @@ class OdometryGate:
     def _proved(self) -> bool:
         """Whether a wrong date would have made one in the window disagree."""
         ways = list(self._seen)
-        befores = (bisect.bisect_left(ways, way.t_s - _DATE_OFF_S, key=_time) for way in ways)
+        befores = (bisect.bisect_left(ways, way.t_s - DATE_OFF_S, key=_time) for way in ways)
         changes = [
             math.dist(way.velocity_ne_m_s, ways[i].velocity_ne_m_s) / way.sigma_m_s
             for i, way in zip(befores, ways, strict=True)
@@ -268,6 +274,60 @@ class OdometryGate:
     def _begin_anew(self) -> None:
         self._seen.clear()
         self._begun_s = math.inf
+
+
+class MountCheck:
+    """How the camera is turned on its mount, which images tell alone.
+
+    Whenever the aircraft tilts they show it tilt, about an axis that is turned by as much. With w
+    the turn that the attitudes tell, z what an image shows and V its variance, the likelihood of a
+    camera turned by a, N(z; Rz(-a) w, V), is largest at a = atan2(S, C), C = sum z.w / V,
+    S = sum z x w / V (the mean direction of von Mises' distribution).
+
+    Attributes:
+        turn_rad: clockwise as seen from above, from how the mount is told, as far as it is known.
+    """
+
+    def __init__(self) -> None:
+        self.turn_rad, self._turns = 0.0, 0
+        self._tilts = np.zeros(4)  # sums of z.w / V, z x w / V, w.w / V and of the time
+        self._tilted_s = math.inf
+
+    def turned_rad(self, motion: OdometryMotion, had_fix: bool) -> float:
+        """By how much more, with one more image, the camera is known to be turned; 0 if by none.
+
+        Args:
+            motion: one that is believed; pictures of another moment tilt this way and that.
+            had_fix: a map fix has been believed.
+        """
+        told = motion.tilts_turned
+        if told is None or motion.agl_m < _TELLS_FROM_M or self._turns == _MOST_TURNS:
+            return 0.0
+        quarter, half, three = told.tolist()
+        tilted = -(motion.tilts_along + half)
+        along = tilted + (0.5 * (motion.tilts_along - half) - tilted) / _OVERSTATED
+        across = 0.5 * (quarter - three) / _OVERSTATED
+        weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
+        share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE)
+        self._tilted_s = motion.t1_s
+        self._tilts += share * np.array(
+            [weight * along, weight * across, weight * tilted, _APART_S]
+        )
+        along, across, tilted, seen_s = self._tilts.tolist()
+        shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
+        is_quarter = abs(turned_rad) > _MOST_TURN_RAD
+        if shown - along < _SURE_TURN or shown < _SHOWN * tilted or (is_quarter and had_fix):
+            return 0.0
+        least_s = _LEAST_LIFTING_S if is_quarter else _LEAST_TILTED_S
+        if seen_s < least_s or abs(turned_rad) < _LEAST_TURN_RAD:
+            return 0.0
+        quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
+        if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
+            turned_rad = quarter_rad
+        self._tilts[:] = 0.0
+        self._turns += 1
+        self.turn_rad = wrap_pi(self.turn_rad + turned_rad)
+        return turned_rad
 
 
 def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
@@ -287,20 +347,3 @@ def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
         slope_ne=None,
         slope_covariance=None,
     )
-
-
-def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
-    """Of an image whose ways contradict the IMU: it may be from another moment than it says.
-
-    The aircraft was elsewhere then, and leaned otherwise: as it does for a second or so, so that
-    neighbours are off alike. Of samples of a first-order Gauss-Markov error, whose correlation from
-    one to the next is r, each after the first adds (1 - r) / (1 + r) of what that one told (the
-    least-squares mean of an autoregression).
-    """
-    flown_m = _DATE_OFF_S * state.x[States.VELOCITY_NE]
-    leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
-    doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
-    since_s = math.inf if state.t_last_fix_s is None else abs(fix.t_s - state.t_last_fix_s)
-    r = math.exp(-max(since_s, _SHORTEST_S) / _ALIKE_S)
-    doubt_m2 *= (1.0 + r) / (1.0 - r)
-    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)

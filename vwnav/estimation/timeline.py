@@ -10,6 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.beginning.other_camera import (
+    apply_lens_doubted,
+    apply_recalibrated,
+    apply_turned,
+)
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import range_doubted
 from vwnav.estimation.events import (
@@ -35,10 +40,7 @@ from vwnav.estimation.inertial.imu import is_felt
 from vwnav.estimation.odometry import (
     apply_displacement,
     apply_keyframe,
-    apply_lens_doubted,
     apply_misled,
-    apply_recalibrated,
-    apply_turned,
     apply_untracked,
 )
 from vwnav.estimation.process import predict

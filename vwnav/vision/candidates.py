@@ -210,8 +210,10 @@ def thrifty_first(pack: MapReader, query: Query, fine: list[Candidate]) -> list[
         return fine
     level = fine_level(pack, query, first.hypothesis.agl_m, THRIFTY_VIEW_AREA_PX)
     coarser = level if level.m_per_px > first.level.m_per_px else first.level
-    after = [replace(each, tests=each.tests + 1) for each in fine]
-    return [replace(first, level=coarser, thrifty=True), *after]
+    looks = [replace(first, level=coarser, thrifty=True)]
+    for each in fine:
+        looks.append(replace(each, tests=each.tests + 1))
+    return looks
 
 
 def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Candidate]:
