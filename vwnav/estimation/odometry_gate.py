@@ -48,7 +48,7 @@ _CLEARLY_TURNED = 3.0  # by which one turn has to be likelier than any other, tw
 _SLOW_M_S = 4.0  # as who takes off
 # Of a mount: worth a new camera, and, after a fix, what a compass errs by at most.
 _LEAST_TURN_RAD, _MOST_TURN_RAD = math.radians(6.0), math.radians(45.0)
-_SURE_TURN = 6.0  # log-likelihood ratio to a camera that hangs as told: 3.5 sigmas of the turn
+_SURE_TURN, _SURE_AGAIN = 6.0, 2.0  # log-likelihood ratio to as told: 3.5 sigmas; then 2
 _SHOWN = 0.7  # of what the attitudes tell: images of another moment show as much by chance only
 _LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
 _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
@@ -316,7 +316,8 @@ class MountCheck:
         along, across, tilted, seen_s = self._tilts.tolist()
         shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
         is_quarter = abs(turned_rad) > _MOST_TURN_RAD
-        if shown - along < _SURE_TURN or shown < _SHOWN * tilted or (is_quarter and had_fix):
+        sure = _SURE_AGAIN if self._turns else _SURE_TURN
+        if shown - along < sure or shown < _SHOWN * tilted or (is_quarter and had_fix):
             return 0.0
         least_s = _LEAST_LIFTING_S if is_quarter else _LEAST_TILTED_S
         if seen_s < least_s or abs(turned_rad) < _LEAST_TURN_RAD:
