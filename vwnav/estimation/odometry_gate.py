@@ -44,7 +44,6 @@ _APART_S = 0.5  # neighbours share their errors: so long after each other they a
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 _UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
-_CLEARLY_TURNED = 3.0  # by which one turn has to be likelier than any other, twenty times
 _SLOW_M_S = 4.0  # as who takes off
 # Of a mount: worth a new camera, and, after a fix, what a compass errs by at most.
 _LEAST_TURN_RAD, _MOST_TURN_RAD = math.radians(6.0), math.radians(45.0)
@@ -57,7 +56,6 @@ _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
-_TURNED = _CONTRADICTS + "; the camera looks turned by {} degrees clockwise on its mount"
 _AGREES = "the pictures' ways agree with the IMU again"
 
 
@@ -107,10 +105,8 @@ class OdometryGate:
 
     def other_camera(self) -> None:
         """Forget all that was seen: what comes is another camera's."""
-        # Log-likelihood ratio: the images tilt as the attitude does, or not; and as it would
-        # with the camera turned on its mount by 90, 180, 270 degrees.
-        self._turns = np.zeros(4)
-        self._turned = False  # they surely do not tilt as it does
+        self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
+        self._turned = False  # they surely do not
         self.trust_all()
 
     def trust_all(self) -> None:
@@ -170,10 +166,9 @@ class OdometryGate:
         if not (heard or self._turned):
             self.trust_all()
         share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
-        turned = (0.0, 0.0, 0.0) if motion.tilts_turned is None else motion.tilts_turned
-        told = np.clip([motion.tilts_along, *turned], -_MOST_ALONG, _MOST_ALONG)
-        self._turns = np.clip(self._turns + share * told, -_SURE_ALONG, _SURE_ALONG)
-        self._turned = bool(self._turns[0] == -_SURE_ALONG)
+        along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
+        self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
+        self._turned = self._along == -_SURE_ALONG
         return event
 
     def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
@@ -201,11 +196,7 @@ class OdometryGate:
         """What a change has come to."""
         if self.lens_doubted:
             return _LENS_DOUBTED
-        if not self.lost:
-            return _AGREES
-        quarters, (*_, next_to_it, likeliest) = int(np.argmax(self._turns)), sorted(self._turns)
-        is_clear = quarters > 0 and likeliest - next_to_it >= _CLEARLY_TURNED
-        return _TURNED.format(90 * quarters) if is_clear else _CONTRADICTS
+        return _CONTRADICTS if self.lost else _AGREES
 
     def learn(self, agrees: bool, state: FilterState) -> bool:
         """Whether a way has made a change of `lost`.
@@ -229,13 +220,7 @@ class OdometryGate:
         if few and (self.lost or not self._turned):
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
-        if (
-            self.lost
-            and self.fixes
-            and share >= _TRUSTED
-            and self._proved()
-            and self._turns[0] >= 0.0
-        ):
+        if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= _DOUBTED or self._turned):
             if self._may_be_the_lens(state):
@@ -259,7 +244,7 @@ class OdometryGate:
         """
         asked = self.lens_doubted or state.t_last_fix_s is not None
         slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
-        return not asked and slow and self._turns[0] >= _UPRIGHT_ALONG
+        return not asked and slow and self._along >= _UPRIGHT_ALONG
 
     def _proved(self) -> bool:
         """Whether a wrong date would have made one in the window disagree."""
@@ -310,9 +295,8 @@ class MountCheck:
         weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
         share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE)
         self._tilted_s = motion.t1_s
-        self._tilts += share * np.array(
-            [weight * along, weight * across, weight * tilted, _APART_S]
-        )
+        seen = weight * np.array([along, across, tilted])
+        self._tilts += share * np.array([*seen, _APART_S])
         along, across, tilted, seen_s = self._tilts.tolist()
         shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
         is_quarter = abs(turned_rad) > _MOST_TURN_RAD
