@@ -27,7 +27,7 @@ from vwnav.vision.localizer import Localizer
 from vwnav.vision.odometry.odometry import Odometry
 
 _WIDE = "sees {:.2f} times as wide as its calibration says"
-_TURNED = "hangs turned by {:.0f} degrees {}clockwise, seen from above, from how its mount is told"
+_TURNED = "hangs turned by {:.0f} degrees {}clockwise, seen from above, from its mount_rpy_deg"
 _RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
 _AFTER_ALL = "the camera sees and hangs as its calibration says, after all"
 

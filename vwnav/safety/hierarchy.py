@@ -103,7 +103,7 @@ def _blind_for_good(now: Situation, config: SafetyConfig) -> str | None:
 
 
 def _never_right(now: Situation, config: SafetyConfig) -> str | None:
-    """A camera that is mounted upside down is found out at take-off, a few metres up."""
+    """A camera whose pictures are mirrored is found out at take-off, a few metres up."""
     wrong = now.contradicted and not now.had_fix
     return "the camera shows what contradicts the IMU" if wrong else None
 
