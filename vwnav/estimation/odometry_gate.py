@@ -1,9 +1,9 @@
 """Whether the ways that images tell are those of the aircraft, as the IMU feels it fly.
 
-A camera whose pictures are mirrored, or that shows what is not there, tells ways that the filter refuses
-one by one, and believes now and then. When most of them are refused none is believed, until they
-agree for a while and a map fix does. That has to be while the aircraft changes its speed: ways of
-images that are dated wrongly agree as long as it flies steadily.
+A camera whose pictures are mirrored, or that shows what is not there, tells ways that the filter
+refuses one by one, and believes now and then. When most of them are refused none is believed, until
+they agree for a while and a map fix does. That has to be while the aircraft changes its speed: ways
+of images that are dated wrongly agree as long as it flies steadily.
 
 The images themselves tell it earlier, and need no filter for it: those of a camera upside down
 tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`). So they tell by how
