@@ -225,6 +225,16 @@ def test_a_filter_that_is_told_of_a_turned_mount_takes_it_out_of_the_compass():
     assert unfixed.x[HEADINGS] == pytest.approx([-0.3] * 3)  # what the compass says of itself
 
 
+@pytest.mark.parametrize(("bias_m", "is_lens"), [(0.0, True), (1.0, True), (-3.0, False)])
+def test_a_rangefinder_that_fix_and_barometer_contradict_alike_is_no_lens(bias_m, is_lens):
+    """10 % long, it had drawn the barometer's bias along: a right lens was taken for another."""
+    state = of_filter(ranged=True)
+    x = state.x.copy()
+    x[States.BARO] = bias_m  # of what the barometer says, 30 m and this
+    found = LensCheck(is_open=True).is_off(fix(27.0), believed(30.0), replace(state, x=x))
+    assert found is is_lens
+
+
 def with_focal(off: float, sigma: float) -> FilterState:
     state = of_filter(ranged=True)
     x, P = state.x.copy(), state.P.copy()

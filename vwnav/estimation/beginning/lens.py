@@ -90,6 +90,10 @@ class LensCheck:
             math.log(fix.agl_m / max(height_m, 1.0)) for height_m in (then.agl_m, above_start_m)
         )
         ranged = state is not None and state.range_trust.is_borne
+        if state is not None and ranged:
+            barometer_m = max(then.agl_m + float(state.x[States.BARO]), 1.0)
+            if abs(math.log(fix.agl_m / barometer_m)) < abs(math.log(then.agl_m / barometer_m)):
+                return False  # which bears the fix: it is the rangefinder that is off
         self._newest = _Heights(then.agl_m, fix.agl_m, float(ranged))
         self._agreeing = self._agreeing + 1 if abs(off) < _AGREES else 0
         if self._agreeing == _AGREEING:
