@@ -66,7 +66,8 @@ def test_a_lens_that_is_wrong_by_a_share_is_told_within_the_climb(focal_ratio: f
     noise = 1.0 + np.random.default_rng(seed).normal(0.0, 0.01, len(CLIMB_M))
     check = LensCheck(is_open=True)
     ratio, _ = climbed(check, CLIMB_M / focal_ratio * noise)
-    assert ratio == pytest.approx(focal_ratio, rel=0.02)
+    # Five sigmas of the median of four heights of 1 %; at 0.02, 3.4 of them, some seeds fail.
+    assert ratio == pytest.approx(focal_ratio, rel=0.03)
     assert not check.is_open  # it is told once
 
 
