@@ -45,7 +45,7 @@ MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
-_JUDGED = (Verdict.FUSED, Verdict.GATED)
+_JUDGED = (Verdict.FUSED, Verdict.GATED)  # of a way that was held against the IMU
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
@@ -189,9 +189,9 @@ class Pipeline:
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
-        prior = self._prior(now, R_ned_body)
         if self._lens.is_open and self._lens.told_by_ways(self._ekf.state):
             self._recalibrate()
+        prior = self._prior(now, R_ned_body)
         state = self._ekf.state
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:

@@ -119,10 +119,11 @@ class FeatureChoice:
         """Learn from an attempt: enough failures switch to the fallback, one success back.
 
         It is said when the fallback finds what the primary did not: low above the ground, in every
-        climb, neither finds anything.
+        climb, neither finds anything. What was made for another camera than is flown with tells
+        nothing.
         """
         if used is not self._primary:
-            if succeeded and not self._stood_in:
+            if succeeded and used is self._fallback and not self._stood_in:
                 self._stood_in = True
                 self._say("learned features find nothing here: SIFT stands in")
             return

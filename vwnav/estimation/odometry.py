@@ -35,7 +35,7 @@ _CLONE_SIGMA_M = 0.01
 # What odometry measures in units of height.
 _SCALED = np.r_[States.POSITION_NE, States.VELOCITY, States.ACCELERATION, States.ANCHOR_NE]
 _LEAST_AGL_M = 0.1
-_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
+QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 # What of sensors and air the ways teach; that of the vertical is the barometer's.
 _TAUGHT = np.r_[
     States.ACCELERATION,
@@ -290,8 +290,8 @@ def _displacement(
     by_tilt0 = turned_m @ level0
     # Of a change of the tilt error, in a turn with the body too, odometry takes a share for motion.
     by_tilt1 = np.zeros((3, 2))
-    by_tilt1[:2] = motion.tilt_share * agl_m * _QUARTER_TURN @ level1
-    by_tilt0[:2] -= motion.tilt_share * agl_m * _QUARTER_TURN @ level0
+    by_tilt1[:2] = motion.tilt_share * agl_m * QUARTER_TURN @ level1
+    by_tilt0[:2] -= motion.tilt_share * agl_m * QUARTER_TURN @ level0
     H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
     H[:, States.CAMERA_TILT] = by_tilt0 + by_tilt1  # the same at both ends, about the body
     shifted_m = (2.0 - motion.tilt_share) * agl_m * (level0 @ anchor.lean - level1 @ lean)

@@ -8,14 +8,14 @@ import numpy as np
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import freed
 from vwnav.estimation.events import Misled
-from vwnav.estimation.odometry import apply_misled
+from vwnav.estimation.odometry import QUARTER_TURN, apply_misled
 from vwnav.estimation.states import HEADINGS, FilterState, States
 from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
 from vwnav.geometry.rotations import wrap_pi
+from vwnav.types import Array
 
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 _TURN_DOUBT = 0.3  # one sigma of what a mount is turned, as a share of it
-_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # what points north points east
 
 
 def apply_lens_doubted(state: FilterState) -> FilterState:
@@ -26,14 +26,8 @@ def apply_lens_doubted(state: FilterState) -> FilterState:
     how far it was too.
     """
     doubted = apply_recalibrated(state)
-    x, begun_ne_m = doubted.x, state.x[States.POSITION_NE]
-    if state.trusted is not None:
-        begun_ne_m = state.trusted.position_ne_m
-    G = np.zeros(States.SIZE)
+    G = _told_by_ways(state, np.eye(2))
     G[States.FOCAL] = 1.0
-    G[States.VELOCITY_NE] = x[States.VELOCITY_NE]
-    for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
-        G[place] = x[place] - begun_ne_m
     return replace(doubted, P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
 
 
@@ -55,18 +49,23 @@ def apply_turned(state: FilterState, turned_rad: float, config: EkfConfig) -> Fi
     last fix that is trusted were turned by as much.
     """
     state = apply_misled(state, Misled(state.t_s, state.t_s), config)
-    x, P = state.x.copy(), state.P
-    G = np.zeros(States.SIZE)
-    G[States.VELOCITY_NE] = turned_rad * _QUARTER_TURN @ x[States.VELOCITY_NE]
-    if state.trusted is not None:
-        begun_ne_m = state.trusted.position_ne_m
-        for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
-            G[place] = turned_rad * _QUARTER_TURN @ (x[place] - begun_ne_m)
-    P = P + np.outer(G, G)
+    G = _told_by_ways(state, turned_rad * QUARTER_TURN)
+    x, P = state.x.copy(), state.P + np.outer(G, G)
     if state.t_last_fix_s is not None:
-        x[HEADINGS] += turned_rad
-        x[States.HEADING_BIAS] = wrap_pi(float(x[States.HEADING_BIAS]))
+        x[HEADINGS] = [wrap_pi(each + turned_rad) for each in x[HEADINGS].tolist()]
         unsure = np.zeros(States.SIZE)
         unsure[HEADINGS] = _TURN_DOUBT * turned_rad
         P = P + np.outer(unsure, unsure)
     return replace(state, x=x, P=P)
+
+
+def _told_by_ways(state: FilterState, change: Array) -> Array:
+    """(n,) velocity, and the ways since the last fix that is trusted, under a `change` (2, 2)."""
+    x, begun_ne_m = state.x, state.x[States.POSITION_NE]
+    if state.trusted is not None:
+        begun_ne_m = state.trusted.position_ne_m
+    G = np.zeros(States.SIZE)
+    G[States.VELOCITY_NE] = change @ x[States.VELOCITY_NE]
+    for place in (States.POSITION_NE, States.ANCHOR_NE, States.EXPOSED_POSITION):
+        G[place] = change @ (x[place] - begun_ne_m)
+    return G
