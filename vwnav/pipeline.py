@@ -16,11 +16,11 @@ import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.lens import LensCheck
+from vwnav.estimation.beginning.mount import MountCheck
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
-from vwnav.estimation.odometry_gate import MountCheck
 from vwnav.estimation.states import Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.estimation.beginning.lens import LensCheck
+from vwnav.estimation.beginning.mount import MountCheck
 from vwnav.estimation.beginning.other_camera import LENS_DOUBT, apply_lens_doubted, apply_turned
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Recalibrated
 from vwnav.estimation.inputs import decode, encode
-from vwnav.estimation.odometry_gate import MountCheck
 from vwnav.estimation.states import HEADINGS, FilterState, RangeTrust, States, TrustedPosition
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Estimate, MapFix, OdometryMotion
