@@ -13,7 +13,7 @@ from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Untracked
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
+from vwnav.geometry.rotations import euler_from_rotation, quat_from_rotation, rotation_from_euler
 from vwnav.pipeline import Pipeline
 from vwnav.seams import FeatureChoice, InlineExecutor, PipelineConfig
 from vwnav.types import (
@@ -151,9 +151,9 @@ def make_pipeline(
         said_here = said if said is not None else []
         return FeatureChoice(primary, fallback, config, said_here.append)
 
-    def made_anew(focal_ratio, turn_rad):
+    def made_anew(focal_ratio, R_mount):
         turned = odometry or NoOdometry()
-        turned.known_rad = turn_rad
+        turned.known_rad = euler_from_rotation(R_mount)[2]
         return choose(recalibrated(focal_ratio)), turned
 
     ekf = Ekf(ekf_config or EkfConfig())

@@ -15,12 +15,12 @@ from vwnav.estimation.context import Ground
 from vwnav.estimation.ekf import Ekf
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import rotation_from_vector
+from vwnav.geometry.rotations import euler_from_rotation
 from vwnav.maps.pack import MapPack
 from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
 from vwnav.seams import FeatureChoice
-from vwnav.types import FeatureExtractor, PointKind
+from vwnav.types import Array, FeatureExtractor, PointKind
 from vwnav.vision.config import FeaturesConfig
 from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
@@ -28,7 +28,11 @@ from vwnav.vision.odometry.odometry import Odometry
 
 _WIDE = "sees {:.2f} times as wide as its calibration says"
 _TURNED = "hangs turned by {:.0f} degrees {}clockwise, seen from above, from its mount_rpy_deg"
+_TILTED = "looks {:.0f} degrees further {} than its mount_rpy_deg says"
 _RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
+_TOLD_RAD = math.radians(2.0)  # by which a mount is off that is told of
+_HALF_TURN_RAD = math.pi - 1e-6
+_MINOR = 0.4  # share of a tilt that is not told besides the rest
 _AFTER_ALL = "the camera sees and hangs as its calibration says, after all"
 
 
@@ -94,18 +98,12 @@ def assemble(
         choice = FeatureChoice(first, others[0] if others else None, config.pipeline, say)
         return choice, Odometry(camera, config.odometry, alone)
 
-    def recalibrated(focal_ratio: float, turn_rad: float) -> tuple[FeatureChoice, Odometry]:
-        found = []
-        if focal_ratio != 1.0:
-            found.append(_WIDE.format(1.0 / focal_ratio))
-        if turn_rad != 0.0:
-            way = "counter" if -math.pi < turn_rad < 0.0 else ""
-            found.append(_TURNED.format(abs(math.degrees(turn_rad)), way))
+    def recalibrated(focal_ratio: float, R_mount: Array) -> tuple[FeatureChoice, Odometry]:
+        found = [*_lens_in_words(focal_ratio), *_mount_in_words(R_mount)]
         say(_RECALIBRATED.format(" and ".join(found)) if found else _AFTER_ALL)
         K = camera.K.copy()
         K[:2, :2] *= focal_ratio
-        R_body_camera = rotation_from_vector([0.0, 0.0, turn_rad]) @ camera.R_body_camera
-        return of_camera(replace(camera, K=K, R_body_camera=R_body_camera))
+        return of_camera(replace(camera, K=K, R_body_camera=R_mount @ camera.R_body_camera))
 
     ekf = make_ekf(config.ekf, ground_of(pack, local_frame))
     ekf.on_event(say)
@@ -114,6 +112,28 @@ def assemble(
         executor, bool(camera.readout_s), None if alone else recalibrated,
     )  # fmt: skip
     return Assembled(pipeline, ekf, pack, primary)
+
+
+def _lens_in_words(focal_ratio: float) -> list[str]:
+    return [] if focal_ratio == 1.0 else [_WIDE.format(1.0 / focal_ratio)]
+
+
+def _mount_in_words(R_mount: Array) -> list[str]:
+    """How far (3, 3) turns about down, and where it makes who looks down look, in body axes."""
+    ahead, right, down = R_mount[:, 2].tolist()
+    tilt_rad, turn_rad = math.acos(min(down, 1.0)), euler_from_rotation(R_mount)[2]
+    found = []
+    if abs(turn_rad) > _TOLD_RAD:
+        way = "counter" if -_HALF_TURN_RAD < turn_rad < 0.0 else ""
+        found.append(_TURNED.format(abs(math.degrees(turn_rad)), way))
+    if tilt_rad > _TOLD_RAD:
+        ways = [
+            ("ahead" if ahead > 0.0 else "back", ahead),
+            ("right" if right > 0.0 else "left", right),
+        ]
+        where = " and ".join(way for way, far in ways if abs(far) > _MINOR * math.sin(tilt_rad))
+        found.append(_TILTED.format(math.degrees(tilt_rad), where))
+    return found
 
 
 def about_run(assembled: Assembled, features: str, point: PointKind) -> About:

@@ -16,16 +16,21 @@ import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.lens import LensCheck
-from vwnav.estimation.beginning.mount import MountCheck
+from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
-from vwnav.estimation.states import Verdict
+from vwnav.estimation.odometry_gate import MountCheck
+from vwnav.estimation.states import FilterState, States, Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    rotation_from_quat,
+    rotation_from_vector,
+)
 from vwnav.seams import FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
     Array,
@@ -45,7 +50,6 @@ MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
-_JUDGED = (Verdict.FUSED, Verdict.GATED)  # of a way that was held against the IMU
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
 
@@ -80,7 +84,7 @@ class Pipeline:
         config: PipelineConfig,
         executor: Executor,
         rolling: bool = False,
-        recalibrated: Callable[[float, float], tuple[FeatureChoice, Tracking]] | None = None,
+        recalibrated: Callable[[float, Array], tuple[FeatureChoice, Tracking]] | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -94,8 +98,8 @@ class Pipeline:
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
             recalibrated: makes features and odometry anew, for so many times the calibrated focal
-                length, and a mount turned by so many radians, clockwise as seen from above; None
-                where no telemetry could tell of that.
+                length, and a mount that is turned in the body by a rotation (3, 3); None where no
+                telemetry could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
@@ -106,7 +110,9 @@ class Pipeline:
         self._misses = 0  # attempts since the last fix
         self._first_fix = FirstFix()
         self._recalibrated = recalibrated
-        self._lens, self._mount = LensCheck(is_open=recalibrated is not None), MountCheck()
+        is_open = recalibrated is not None
+        self._lens, self._mount = LensCheck(is_open), MountCheck(is_open)
+        self._R_mount = np.eye(3)  # beyond what it was told
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
         self.attempts = self.accepted = 0
@@ -165,12 +171,14 @@ class Pipeline:
                 if isinstance(motion, Rejected):
                     self._ekf.handle(Untracked(frame.t_s))
             if isinstance(motion, Rejected):
+                self._mount.broke(frame.t_s)
                 return motion
-            verdict = self._ekf.handle(motion).verdict
-        is_asked = self._recalibrated is not None and verdict in _JUDGED
-        if is_asked and (turned_rad := self._mount.turned_rad(motion, self.accepted > 0)):
+            innovation = self._ekf.handle(motion)
+        verdict = innovation.verdict
+        turned = self._mount.turned(motion, innovation, self.accepted > 0)
+        if turned is not None:
             self._lens.mount_turned()
-            self._recalibrate(turned_rad)
+            self._recalibrate(turned)
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "seen by another camera")
         reason = _NO_MOTION.get(verdict)
         if reason is None or self._ekf.counts_heading:  # which does not know its height at first
@@ -189,10 +197,12 @@ class Pipeline:
         now = self.estimate(frame.t_s)
         if now is not None and now.agl_m < MIN_AGL_M:
             return None
-        if self._lens.is_open and self._lens.told_by_ways(self._ekf.state):
-            self._recalibrate()
-        prior = self._prior(now, R_ned_body)
         state = self._ekf.state
+        if state is not None and self._lens.is_open and self._lens.told_by_ways(state):
+            self._recalibrate(Recalibrated(state.t_s))
+        elif state is not None and np.hypot(*state.x[States.CAMERA_TILT]) > LEAST_TILT_RAD:
+            self._straighten(state)
+        prior = self._prior(now, R_ned_body)
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:
             prior = self._first_fix.prior(prior, frame.t_s)
@@ -306,17 +316,24 @@ class Pipeline:
         if innovation.accepted:
             if self._first_fix.young:
                 self._first_fix.fused()
-            if misseen and self._lens.told_by_fix():
-                self._recalibrate()
+            if misseen and self._lens.told_by_fix() and (state := self._ekf.state) is not None:
+                self._recalibrate(Recalibrated(state.t_s))
             return fix
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
 
-    def _recalibrate(self, turned_rad: float = 0.0) -> None:
+    def _straighten(self, state: FilterState) -> None:
+        """Go on with the camera hung as the filter has it, where it is sure of that."""
+        if (event := tilted(state)) is not None:
+            self._recalibrate(event)
+
+    def _recalibrate(self, event: Recalibrated) -> None:
         """Go on with the camera that map or ways have shown: its calibration cannot be right."""
-        if self._recalibrated is None or self._ekf.state is None:
+        if self._recalibrated is None:
             return
-        found = self._recalibrated(self._lens.focal_ratio, self._mount.turn_rad)
+        off_rad = [event.forward_rad, event.right_rad, event.turned_rad]
+        self._R_mount = rotation_from_vector(off_rad) @ self._R_mount
+        found = self._recalibrated(self._lens.focal_ratio, self._R_mount)
         self._features, self._odometry = found
         with self._lock:
-            self._ekf.handle(Recalibrated(self._ekf.state.t_s, turned_rad))
+            self._ekf.handle(event)

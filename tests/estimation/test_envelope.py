@@ -13,10 +13,10 @@ from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.beginning.starts import Start, begun_anew
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.ekf import Ekf, outside
+from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import States, Verdict
-from vwnav.estimation.timeline import Timeline
+from vwnav.estimation.timeline import Timeline, outside
 from vwnav.types import Attitude, Height, OdometryMotion, Stationary
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

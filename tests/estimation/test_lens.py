@@ -1,7 +1,4 @@
-"""A lens that is wrong by a share is told from ground that is wrong by as many metres.
-
-And a camera that is turned on its mount from a compass that errs.
-"""
+"""A lens that is wrong by a share is told from ground that is wrong by as many metres."""
 
 import math
 from dataclasses import replace
@@ -12,16 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.estimation.beginning.lens import LensCheck
-from vwnav.estimation.beginning.mount import MountCheck
-from vwnav.estimation.beginning.other_camera import LENS_DOUBT, apply_lens_doubted, apply_turned
+from vwnav.estimation.beginning.other_camera import LENS_DOUBT, apply_lens_doubted
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Recalibrated
 from vwnav.estimation.inputs import decode, encode
-from vwnav.estimation.states import HEADINGS, FilterState, RangeTrust, States, TrustedPosition
-from vwnav.geometry.rotations import wrap_pi
-from vwnav.types import Estimate, MapFix, OdometryMotion
+from vwnav.estimation.states import FilterState, RangeTrust, States, TrustedPosition
+from vwnav.types import Estimate, MapFix
 
 SEEDS = st.integers(0, 2**32 - 1)
 CLIMB_M = np.arange(22.0, 48.0, 1.2)
@@ -132,98 +127,11 @@ def test_other_heights_are_looked_at_after_some_looks_in_vain():
     assert check.least_agl_ratio < 0.05
 
 
-def shown(t_s: float, tilt_rad: np.ndarray, seen_rad: np.ndarray, sigma_rad: float):
-    """A way whose attitudes tell a tilt (2,), and whose image shows another.
-
-    What `ground_motion.tilt_seen` makes of it: logarithms of N(z; Rz(-a) w, V) / N(z; 0, V) for
-    a of 0, 90, 180 and 270 degrees.
-    """
-    ratios = []
-    for quarters in range(4):
-        c, s = math.cos(0.5 * math.pi * quarters), math.sin(0.5 * math.pi * quarters)
-        w = np.array([[c, s], [-s, c]]) @ tilt_rad
-        ratios.append(float(w @ seen_rad - 0.5 * w @ w) / sigma_rad**2)
-    return OdometryMotion(
-        t_s - 0.1, t_s, np.zeros(3), np.eye(3), 0.0, 0.01, 30.0, 99,
-        tilts_along=ratios[0], tilts_turned=np.array(ratios[1:]),
-    )  # fmt: skip
-
-
-UNTOLD = replace(shown(0.0, np.zeros(2), np.zeros(2), 1.0), tilts_turned=None)
-
-
-def turns_told(seed: int, seen_of, sigma_rad=0.01, seconds=60.0, had_fix=False) -> list[float]:
-    """What is told while it tilts this way and that, an image ten times a second."""
-    rng, check, told = np.random.default_rng(seed), MountCheck(), []
-    for i in range(round(10.0 * seconds)):
-        tilt_rad = 0.03 * rng.normal(size=2)
-        seen_rad = seen_of(tilt_rad, check.turn_rad) + sigma_rad * rng.normal(size=2)
-        if check.turned_rad(shown(0.1 * i, tilt_rad, seen_rad, sigma_rad), had_fix):
-            told.append(check.turn_rad)
-    return told
-
-
-def turned_by(turn_rad: float, overstated: float = 1.25):
-    """What an image of a camera shows that is turned by so much, and is thought to be by less.
-
-    It overstates by how much it contradicts the attitudes.
-    """
-
-    def seen(tilt_rad: np.ndarray, known_rad: float) -> np.ndarray:
-        c, s = math.cos(turn_rad - known_rad), math.sin(turn_rad - known_rad)
-        return tilt_rad + overstated * (np.array([[c, s], [-s, c]]) @ tilt_rad - tilt_rad)
-
-    return seen
-
-
-@given(
-    st.sampled_from([-170.0, -120.0, -35.0, -12.0, 8.0, 10.0, 25.0, 45.0, 75.0, 90.0, 180.0]),
-    st.floats(1.1, 1.5),
-    SEEDS,
-)
-def test_a_camera_that_is_turned_on_its_mount_is_told_to_a_few_degrees(degrees, overstated, seed):
-    told = turns_told(seed, turned_by(math.radians(degrees), overstated))
-    assert told
-    assert abs(math.degrees(wrap_pi(told[-1] - math.radians(degrees)))) < 7.0
-
-
-@given(st.floats(-3.0, 3.0), SEEDS)
-def test_one_that_hangs_as_told_but_for_some_degrees_is_left_alone(degrees, seed):
-    assert not turns_told(seed, turned_by(math.radians(degrees)))
-
-
-@given(SEEDS)
-def test_images_that_show_no_tilting_or_that_of_another_moment_tell_no_turn(seed):
-    assert not turns_told(seed, lambda *_: np.zeros(2))
-    other = np.random.default_rng([seed, 1])
-    assert not turns_told(seed, lambda *_: 0.03 * other.normal(size=2), had_fix=True)
-
-
 def test_a_focal_length_that_the_ways_of_another_mount_had_told_is_forgotten_with_it():
     check = LensCheck(is_open=True)
     assert check.told_by_ways(with_focal(0.2, 0.04))
     check.mount_turned()
     assert (check.focal_ratio, check.is_open) == (1.0, True)
-
-
-def test_a_filter_that_is_told_of_a_turned_mount_takes_it_out_of_the_compass():
-    """And of the velocity, and of the way since the last fix that is trusted."""
-    state = of_filter(ranged=True)
-    x = state.x.copy()
-    x[States.POSITION_NE], x[States.VELOCITY_NE], x[States.TILT] = (10.0, 0.0), (8.0, 0.0), 0.02
-    x[HEADINGS] = -0.3
-    trusted = TrustedPosition(0.0, np.zeros(2), 1.0)
-    before = replace(state, x=x, P=1e-4 * state.P, trusted=trusted)
-    config = EkfConfig()
-    fixed = apply_turned(replace(before, t_last_fix_s=-1.0), 0.3, config)
-    assert fixed.x[HEADINGS] == pytest.approx(np.zeros(3))
-    assert math.sqrt(fixed.P[States.HEADING_BIAS, States.HEADING_BIAS]) > 0.05
-    east = States.POSITION_NE.start + 1
-    assert math.sqrt(fixed.P[east, east]) == pytest.approx(3.0, rel=0.01)
-    assert np.all(fixed.x[States.TILT] == 0.0)
-    assert np.linalg.eigvalsh(fixed.P).min() > -1e-12
-    unfixed = apply_turned(before, 0.3, config)
-    assert unfixed.x[HEADINGS] == pytest.approx([-0.3] * 3)  # what the compass says of itself
 
 
 @pytest.mark.parametrize(("bias_m", "is_lens"), [(0.0, True), (1.0, True), (-3.0, False)])
@@ -245,7 +153,6 @@ def with_focal(off: float, sigma: float) -> FilterState:
 
 def test_what_the_filter_has_learned_of_ways_makes_another_camera_and_fixes_tell_the_rest():
     check = LensCheck(is_open=True)
-    assert not check.told_by_ways(None)
     assert not check.told_by_ways(with_focal(0.2, 0.1))  # not sure enough
     assert not check.told_by_ways(with_focal(0.03, 0.01))  # not worth it
     assert check.told_by_ways(with_focal(0.2, 0.04))

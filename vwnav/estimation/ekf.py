@@ -42,7 +42,9 @@ _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _RANGE_DOUBTED = "the rangefinder contradicts map and barometer: it is not believed"
 _RANGE_AGAIN = "the rangefinder agrees with map and barometer again: it is believed"
+_TILTED = "the camera hangs otherwise than its mount_rpy_deg says: the map tells how"
 _MISLED_S = 10.0  # for so long at most wrong ways are believed
+_DOUBTED_AGAIN_S = 10.0  # after a mount was doubted
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 
 
@@ -72,6 +74,7 @@ class Ekf:
         self._attitude_gate = AttitudeGate(self._attitudes, self._imu)
         self._imu_gate = ImuGate(self._attitudes, self._imu)
         self._odometry_gate = OdometryGate(self._attitudes, config)
+        self._mount_doubted_s = -math.inf
         self._context = Context(config, self._attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
@@ -232,10 +235,23 @@ class Ekf:
         # At the beginning of the history: an image taken since may have been cloned in its place.
         oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
-        if innovation.accepted:
-            self._odometry_gate.fixes += 1
-            self._imu_gate.fixes_s.append(fix.t_s)
+        if not innovation.accepted:
+            return self._doubt_mount(self._timeline) or innovation
+        self._odometry_gate.fixes += 1
+        self._imu_gate.fixes_s.append(fix.t_s)
         return innovation
+
+    def _doubt_mount(self, timeline: Timeline) -> Innovation | None:
+        """Go on as if the camera hung otherwise, where fixes that are refused are right then."""
+        again = timeline.newest.t_s < self._mount_doubted_s + _DOUBTED_AGAIN_S
+        if again or self._odometry_gate.lost or self.counts_heading:
+            return None
+        other = timeline.with_mount_doubted()
+        if other is None:
+            return None
+        self._timeline, self._mount_doubted_s = other, other.newest.t_s
+        self._say(_TILTED)
+        return Innovation(Verdict.FUSED)
 
     def _handle_odometry(self, motion: OdometryMotion) -> Innovation:
         """Take the motion since a keyframe, in NED as the autopilot's own heading has it.
@@ -313,7 +329,7 @@ class Ekf:
         if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
             self._range_changed(doubted)
         newest = self._timeline.newest
-        why = outside(newest, self._config)
+        why = self._timeline.outside
         if why is not None:
             self._timeline = Timeline(begun_anew(newest, self._config), self._context)
             again, self._restarted_s = newest.t_s < self._restarted_s + _SAID_S, newest.t_s
@@ -332,19 +348,3 @@ class Ekf:
             return None if isinstance(seen, Attitude | ImuSample) else Verdict.NOT_STARTED
         newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
         return Verdict.AHEAD if seen.t_s > newest_s + self._config.ahead_s else None
-
-
-def outside(state: FilterState, config: EkfConfig) -> str | None:
-    """Why a state cannot be that of an aircraft; None while it can."""
-    x, variances = state.x, np.diag(state.P)
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
-        return "it is not finite"
-    north, east, down = x[States.VELOCITY].tolist()
-    if math.hypot(north, east) > config.most_speed_m_s:
-        return f"{math.hypot(north, east):.0f} m/s"
-    if abs(down) > config.most_climb_m_s:
-        return f"{-down:.0f} m/s of climb"
-    tilt_rad = float(np.linalg.norm(x[States.TILT]))
-    if tilt_rad > config.most_tilt_rad:
-        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
-    return None

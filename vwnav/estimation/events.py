@@ -71,11 +71,19 @@ class Untracked:
 class Recalibrated:
     """From then on images are seen with the focal length, or the mount, that they have shown.
 
-    `turned_rad`: by how much the mount is turned for that, clockwise as seen from above.
+    Attributes:
+        turned_rad, sigma_turned_rad: by how much the mount is turned for that, clockwise as seen
+            from above.
+        forward_rad, right_rad: by how much it is tilted for that, about the body's axes.
+        knocked: it has turned just then; else it was so from the start, or nobody knows since when.
     """
 
     t_s: float
     turned_rad: float = 0.0
+    sigma_turned_rad: float = 0.0
+    forward_rad: float = 0.0
+    right_rad: float = 0.0
+    knocked: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +117,13 @@ class LensDoubted:
 
 
 @dataclass(frozen=True, slots=True)
+class MountDoubted:
+    """The camera hangs otherwise than it is taken to: from then on, or from the start."""
+
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class RangeDoubted:
     """From then on the rangefinder is not believed, nor is what it told in the history.
 
@@ -121,5 +136,5 @@ class RangeDoubted:
 
 Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked | Recalibrated
 Event = (
-    Told | NewKeyframe | LateFix | Drag | Misled | LensDoubted | RangeDoubted
+    Told | NewKeyframe | LateFix | Drag | Misled | LensDoubted | MountDoubted | RangeDoubted
 )  # the others are the filter's own

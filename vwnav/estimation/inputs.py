@@ -88,7 +88,7 @@ def _or_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 _BY_TYPE: dict[Any, Callable[[Any], Any]] = {
-    int: int, float: float, Array: _array,
+    int: int, bool: bool, float: float, Array: _array,
     float | None: _or_none(float), Array | None: _or_none(_array),
 }  # fmt: skip
 _READERS = {

@@ -309,3 +309,22 @@ def _displacement(
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, considered=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))
+
+
+def between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
+    """The way from one image to a later one that were both compared with the same keyframe.
+
+    For a keyframe that the filter has forgotten: over a spot where nothing changes odometry keeps
+    it for minutes, and a filter that begins anew meanwhile would have no ways at all. How the
+    ground rises all of these ways show by that one keyframe, and err in alike.
+    """
+    return replace(
+        after,
+        t0_s=before.t1_s,
+        displacement_ned_m=after.displacement_ned_m - before.displacement_ned_m,
+        covariance_ned_m2=after.covariance_ned_m2 + before.covariance_ned_m2,
+        yaw_increment_rad=wrap_pi(after.yaw_increment_rad - before.yaw_increment_rad),
+        sigma_yaw_rad=math.hypot(after.sigma_yaw_rad, before.sigma_yaw_rad),
+        slope_ne=None,
+        slope_covariance=None,
+    )

@@ -6,7 +6,9 @@ they agree for a while and a map fix does. That has to be while the aircraft cha
 of images that are dated wrongly agree as long as it flies steadily.
 
 The images themselves tell it earlier, and need no filter for it: those of a camera upside down
-tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`).
+tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`). So they tell by how
+much a camera is turned on its mount (`MountCheck`). Taken for the compass' error, 10 degrees made
+an estimate wrong by 4.7 sigmas, and 45 degrees cost the aircraft.
 """
 
 import bisect
@@ -17,16 +19,18 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from vwnav.estimation.beginning.mount import APART_S, TELLS_FROM_M
+from vwnav.estimation.beginning.mount import LEAST_TURN_RAD, KnockCheck
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import DATE_OFF_S
-from vwnav.estimation.events import Displacement, Event, NewKeyframe
+from vwnav.estimation.events import Displacement, Event, NewKeyframe, Recalibrated
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.odometry import between
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
+_TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
@@ -38,10 +42,23 @@ _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
+_APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 _UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
 _SLOW_M_S = 4.0  # as who takes off
+# Of a mount, after a fix: what a compass errs by at most.
+_MOST_TURN_RAD = math.radians(45.0)
+_SURE_TURN, _SURE_AGAIN = 6.0, 2.0  # log-likelihood ratio to as told: 3.5 sigmas; then 2
+_SHOWN = 0.7  # of what the attitudes tell: images of another moment show as much by chance only
+_LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
+_MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
+_OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
+_MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
+_QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
+_TURN_DOUBT = 0.3  # one sigma of what images have told by their tilts, as a share of it
+_FRESH_S = 10.0  # after an image that could not be followed
+_JUDGED = (Verdict.FUSED, Verdict.GATED)  # of a way that was held against the IMU
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
@@ -121,7 +138,7 @@ class OdometryGate:
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
             covariance = covariance + off_rad**2 * across_m2
-        if motion.agl_m < TELLS_FROM_M:
+        if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
             covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
@@ -133,7 +150,7 @@ class OdometryGate:
 
         `event` is the `displacement` of `motion`.
         """
-        if motion.agl_m < TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
+        if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
             return Verdict.ON_GROUND  # a take-off is broken off for ways that contradict the IMU
         scale = max(timeline.newest.agl_m, 0.0) / motion.agl_m
         way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
@@ -144,7 +161,7 @@ class OdometryGate:
         if not known and motion.t0_s < timeline.oldest.t_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Verdict.NO_ANCHOR
-            event = self.displacement(_between(before, motion))
+            event = self.displacement(between(before, motion))
             known = timeline.keyframe_known(event.motion.t0_s)
         if not self._seen_upright(event.motion, known):
             return Verdict.NO_ATTITUDE
@@ -153,7 +170,7 @@ class OdometryGate:
         heard = event.t_s <= self._attitudes.gyro.newest_s + _IMU_OF_NOW_S
         if not (heard or self._turned):
             self.trust_all()
-        share = min((motion.t1_s - before.t1_s) / APART_S, 1.0) if before is not None else 0.0
+        share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
         along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
         self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
         self._turned = self._along == -_SURE_ALONG
@@ -249,20 +266,79 @@ class OdometryGate:
         self._begun_s = math.inf
 
 
-def _between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:
-    """The way from one image to a later one that were both compared with the same keyframe.
+class MountCheck:
+    """How the camera is turned on its mount, which images tell alone.
 
-    For a keyframe that the filter has forgotten: over a spot where nothing changes odometry keeps
-    it for minutes, and a filter that begins anew meanwhile would have no ways at all. How the
-    ground rises all of these ways show by that one keyframe, and err in alike.
+    Whenever the aircraft tilts they show it tilt, about an axis that is turned by as much. With w
+    the turn that the attitudes tell, z what an image shows and V its variance, the likelihood of a
+    camera turned by a, N(z; Rz(-a) w, V), is largest at a = atan2(S, C), C = sum z.w / V,
+    S = sum z x w / V (the mean direction of von Mises' distribution).
     """
-    return replace(
-        after,
-        t0_s=before.t1_s,
-        displacement_ned_m=after.displacement_ned_m - before.displacement_ned_m,
-        covariance_ned_m2=after.covariance_ned_m2 + before.covariance_ned_m2,
-        yaw_increment_rad=wrap_pi(after.yaw_increment_rad - before.yaw_increment_rad),
-        sigma_yaw_rad=math.hypot(after.sigma_yaw_rad, before.sigma_yaw_rad),
-        slope_ne=None,
-        slope_covariance=None,
-    )
+
+    def __init__(self, is_open: bool) -> None:
+        """`is_open`: it has to be asked."""
+        self._is_open = is_open
+        self._turns = 0
+        self._knocks = KnockCheck()
+        self._broke_s = -math.inf  # when an image could not be followed
+        self._tilts = np.zeros(4)  # sums of z.w / V, z x w / V, w.w / V and of the time
+        self._tilted_s = math.inf
+
+    def broke(self, t_s: float) -> None:
+        """An image could not be followed: from then on the camera may hang otherwise."""
+        self._broke_s = t_s
+        self._tilts[:] = 0.0
+
+    def turned(
+        self, motion: OdometryMotion, told: Innovation, had_fix: bool
+    ) -> Recalibrated | None:
+        """How it is known to be turned, with one more image; None while it is not, or as told.
+
+        Pictures of another moment tilt this way and that: those are asked that are believed.
+
+        Args:
+            motion: by which it moved.
+            told: what the filter said of that, the heading first.
+            had_fix: a map fix has been believed.
+        """
+        if not self._is_open or told.verdict not in _JUDGED or self._turns == _MOST_TURNS:
+            return None
+        found = None
+        if told.verdict is Verdict.GATED or self._knocks.knock is not None:
+            found = self._knocks.turned(motion, told)
+        tilts = motion.tilts_turned
+        if found is None and tilts is not None and motion.agl_m >= _TELLS_FROM_M:
+            found = self._tilted(motion, tilts, had_fix)
+        if found is not None:
+            self._tilts[:] = 0.0
+            self._turns += 1
+        return found
+
+    def _tilted(self, motion: OdometryMotion, tilts: Array, had_fix: bool) -> Recalibrated | None:
+        """By how much images tilt otherwise than the aircraft, `tilts` (3,) as odometry has it."""
+        quarter, half, three = tilts.tolist()
+        tilted = -(motion.tilts_along + half)
+        along = tilted + (0.5 * (motion.tilts_along - half) - tilted) / _OVERSTATED
+        across = 0.5 * (quarter - three) / _OVERSTATED
+        weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
+        share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE)
+        self._tilted_s = motion.t1_s
+        seen = weight * np.array([along, across, tilted])
+        self._tilts += share * np.array([*seen, _APART_S])
+        along, across, tilted, seen_s = self._tilts.tolist()
+        shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
+        is_quarter = abs(turned_rad) > _MOST_TURN_RAD
+        is_fresh = motion.t1_s < self._broke_s + _FRESH_S
+        sure = _SURE_AGAIN if self._turns else _SURE_TURN
+        if shown - along < sure or shown < _SHOWN * tilted or abs(turned_rad) < LEAST_TURN_RAD:
+            return None
+        if is_quarter and had_fix and not is_fresh:
+            return None
+        if seen_s < (_LEAST_LIFTING_S if is_quarter or is_fresh else _LEAST_TILTED_S):
+            return None
+        quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
+        if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
+            turned_rad = quarter_rad
+        sigma_rad, knocked = _TURN_DOUBT * abs(turned_rad), had_fix and is_fresh
+        since_s = self._broke_s if knocked else motion.t1_s
+        return Recalibrated(since_s, wrap_pi(turned_rad), sigma_rad, knocked=knocked)

@@ -6,15 +6,18 @@ came after it is applied again.
 
 import bisect
 import math
+from copy import copy
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
 from vwnav.estimation.beginning.other_camera import (
     apply_lens_doubted,
+    apply_mount_doubted,
     apply_recalibrated,
-    apply_turned,
 )
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import range_doubted
 from vwnav.estimation.events import (
@@ -25,6 +28,7 @@ from vwnav.estimation.events import (
     LateFix,
     LensDoubted,
     Misled,
+    MountDoubted,
     NedFix,
     NewKeyframe,
     RangeDoubted,
@@ -47,11 +51,13 @@ from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 
+_REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
-# Order of events at the same time; clones are last, so that they copy what others left.
+# Order of events at the same time; clones are last, so that they copy what others left, and what
+# was seen then was seen by the camera of before.
 _ORDER: tuple[type[Event], ...] = (
-    Misled, LensDoubted, RangeDoubted, Recalibrated, Untracked, LateFix, Stationary, Height, Range,
-    NedFix, Displacement, Drag, NewKeyframe, Exposed,
+    Misled, LensDoubted, MountDoubted, RangeDoubted, Untracked, LateFix, Stationary, Height, Range,
+    NedFix, Displacement, Drag, NewKeyframe, Exposed, Recalibrated,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
@@ -66,10 +72,12 @@ class Timeline:
     Attributes:
         oldest: the state before all events; what is earlier is too late.
         newest: the state after all of them.
+        outside: why the newest one cannot be that of an aircraft; None while it can.
     """
 
     def __init__(self, start: FilterState, context: Context) -> None:
         self.oldest = self.newest = start
+        self.outside: str | None = None
         self._context = context
         self._orders: list[tuple[float, int]] = []  # time and rank of each event
         self._events: list[Event] = []
@@ -86,6 +94,8 @@ class Timeline:
 
     def insert(self, event: Event) -> Innovation:
         """Apply an event at its time, and everything after it again."""
+        if isinstance(event, Recalibrated) and event.knocked:
+            event = self._knocked(event)
         if event.t_s < self.oldest.t_s:
             return Innovation(Verdict.TOO_LATE)
         order = (event.t_s, _RANKS[type(event)])
@@ -99,6 +109,7 @@ class Timeline:
         if i + 1 < len(self._events):
             self._apply_again(i + 1)
         self.newest = self._states[-1]
+        self.outside = outside(self.newest, self._context.config)
         old = bisect.bisect_left(
             self._orders, (self.newest.t_s - self._context.config.history_s, 0)
         )
@@ -113,13 +124,40 @@ class Timeline:
         i = bisect.bisect_left(self._orders, (event.t_s, _RANKS[type(event)]))
         return apply(self._states[i], event, self._context)[1]
 
-    def leave_out(self, *kinds: type[Event]) -> None:
-        """As if no event of these kinds had come in the history."""
-        kept = [i for i, event in enumerate(self._events) if not isinstance(event, kinds)]
+    def leave_out(self, *kinds: type[Event], since_s: float = -math.inf) -> list[Event]:
+        """As if no event of these kinds had come in the history, `since_s`; those there were."""
+        goes = [isinstance(each, kinds) and each.t_s >= since_s for each in self._events]
+        out = list(compress(self._events, goes))
+        kept = [i for i, gone in enumerate(goes) if not gone]
         self._orders = [self._orders[i] for i in kept]
         self._events = [self._events[i] for i in kept]
         self._apply_again(0)
         self.oldest, self.newest = self._states[0], self._states[-1]
+        return out
+
+    def with_mount_doubted(self) -> "Timeline | None":
+        """What it were had the mount been doubted before the fixes that it refuses.
+
+        None where these would not all be right then, or are few.
+        """
+        rejected = self.newest.rejected_fixes
+        if len(rejected) < _REFUSED:
+            return None
+        event = MountDoubted(max(rejected[0].t_s, self.oldest.t_s))
+        other = copy(self)
+        other._orders, other._events = self._orders.copy(), self._events.copy()
+        fixes = other.leave_out(NedFix, since_s=event.t_s)
+        other.insert(event)
+        fused = [other.insert(fix).verdict is Verdict.FUSED for fix in fixes]
+        return other if len(fused) >= _EXPLAINED and all(fused) else None
+
+    def _knocked(self, event: Recalibrated) -> Recalibrated:
+        """What was seen since by a camera that hung otherwise goes, and what it has taught."""
+        self.leave_out(Displacement, NedFix, since_s=event.t_s)
+        if event.t_s >= self.oldest.t_s:
+            return event
+        self.insert(Misled(self.oldest.t_s, event.t_s))
+        return replace(event, t_s=self.oldest.t_s)
 
     def _apply_again(self, first: int) -> None:
         """The events from `first` on, now that the past is another."""
@@ -170,10 +208,12 @@ def _corrected(
             return apply_misled(state, event, config), Innovation(Verdict.FUSED)
         case RangeDoubted(_, drawn_m):
             return range_doubted(state, drawn_m), Innovation(Verdict.FUSED)
-        case Recalibrated(_, 0.0):
-            return apply_recalibrated(state), Innovation(Verdict.FUSED)
-        case Recalibrated(_, turned_rad):
-            return apply_turned(state, turned_rad, config), Innovation(Verdict.FUSED)
+        case Recalibrated():
+            return apply_recalibrated(state, event, config), Innovation(Verdict.FUSED)
+        case MountDoubted(t_s):
+            yaw_rad = attitudes.exposure(t_s).yaw_rad - float(state.x[States.HEADING_BIAS])
+            doubted = apply_mount_doubted(state, yaw_rad, config)
+            return doubted, Innovation(Verdict.FUSED)
         case LensDoubted():
             return apply_lens_doubted(state), Innovation(Verdict.FUSED)
         case NewKeyframe():
@@ -230,6 +270,22 @@ def sensible(event: Told | Attitude | ImuSample) -> bool:
             )
         case _:
             return True
+
+
+def outside(state: FilterState, config: EkfConfig) -> str | None:
+    """Why a state cannot be that of an aircraft; None while it can."""
+    x, variances = state.x, np.diag(state.P)
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
+        return "it is not finite"
+    north, east, down = x[States.VELOCITY].tolist()
+    if math.hypot(north, east) > config.most_speed_m_s:
+        return f"{math.hypot(north, east):.0f} m/s"
+    if abs(down) > config.most_climb_m_s:
+        return f"{-down:.0f} m/s of climb"
+    tilt_rad = float(np.linalg.norm(x[States.TILT]))
+    if tilt_rad > config.most_tilt_rad:
+        return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
+    return None
 
 
 def _normal(mean: Array, covariance: Array, n: int) -> bool:

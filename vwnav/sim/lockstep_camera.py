@@ -52,6 +52,7 @@ class LockstepCamera:
         period_s: between exposures.
         latency_s: from the exposure to the image.
         trouble: None while it works.
+        R_body_mount: (3, 3) by which it was knocked out of its mount.
         drawn: how many images were.
     """
 
@@ -63,6 +64,7 @@ class LockstepCamera:
         self.period_s = period_s
         self.latency_s = latency_s
         self.trouble: Trouble | None = None
+        self.R_body_mount: Array = np.eye(3)
         self.drawn = 0
         self._index = 0
         self._next_s = 0.0
@@ -106,8 +108,8 @@ class LockstepCamera:
         self.drawn += 1
         return self.renderer.render(
             pose.position_ned_m,
-            rotation_from_quat(pose.quat_wxyz),
+            rotation_from_quat(pose.quat_wxyz) @ self.R_body_mount,
             pose.t_s,
             pose.velocity_ned_m_s,
-            pose.rate_body_rad_s,
+            self.R_body_mount.T @ pose.rate_body_rad_s,
         )

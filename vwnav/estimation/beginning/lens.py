@@ -89,6 +89,8 @@ class LensCheck:
         off, off_start = (
             math.log(fix.agl_m / max(height_m, 1.0)) for height_m in (then.agl_m, above_start_m)
         )
+        if state is not None and state.range_trust.doubted_s is not None:
+            return False
         ranged = state is not None and state.range_trust.is_borne
         if state is not None and ranged:
             barometer_m = max(then.agl_m + float(state.x[States.BARO]), 1.0)
@@ -112,10 +114,8 @@ class LensCheck:
             self._close()
         return ratio is not None and self._takes(ratio)
 
-    def told_by_ways(self, state: FilterState | None) -> bool:
+    def told_by_ways(self, state: FilterState) -> bool:
         """Whether the filter has learned that the focal length is another; fixes will tell more."""
-        if state is None:
-            return False
         off, sigma = float(state.x[States.FOCAL]), math.sqrt(state.P[States.FOCAL, States.FOCAL])
         if abs(off) < _OFF_BY_WAYS or sigma > _SURE_BY_WAYS:
             return False

@@ -7,7 +7,8 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import freed
-from vwnav.estimation.events import Misled
+from vwnav.estimation.events import Misled, Recalibrated
+from vwnav.estimation.inertial.attitudes import level_axes
 from vwnav.estimation.odometry import QUARTER_TURN, apply_misled
 from vwnav.estimation.states import HEADINGS, FilterState, States
 from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
@@ -15,7 +16,7 @@ from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
-_TURN_DOUBT = 0.3  # one sigma of what a mount is turned, as a share of it
+_TILT_DOUBT_RAD = 0.12  # per axis, of a mount that may hang otherwise
 
 
 def apply_lens_doubted(state: FilterState) -> FilterState:
@@ -25,13 +26,27 @@ def apply_lens_doubted(state: FilterState) -> FilterState:
     off by f times the way flown, and f times the velocity. So what ways tell of f from now on tells
     how far it was too.
     """
-    doubted = apply_recalibrated(state)
+    doubted = _refocused(state)
     G = _told_by_ways(state, np.eye(2))
     G[States.FOCAL] = 1.0
     return replace(doubted, P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
 
 
-def apply_recalibrated(state: FilterState) -> FilterState:
+def apply_recalibrated(state: FilterState, event: Recalibrated, config: EkfConfig) -> FilterState:
+    """What is seen from now on is seen by another camera: what it was wrong by before is not left.
+
+    Of the mount, as far as the event says; else of the focal length.
+    """
+    if event.turned_rad != 0.0:
+        return _turned(state, event, config)
+    if event.forward_rad == event.right_rad == 0.0:
+        return _refocused(state)
+    x = state.x.copy()
+    x[States.CAMERA_TILT] += event.forward_rad, event.right_rad
+    return replace(state, x=x)
+
+
+def _refocused(state: FilterState) -> FilterState:
     """The focal length is what it is taken for, but for an error as that of one by a data sheet."""
     x = state.x.copy()
     x[States.FOCAL] = 0.0
@@ -42,21 +57,42 @@ def apply_recalibrated(state: FilterState) -> FilterState:
     return freed(state, States.FOCAL, UNMEASURED_FOCAL_RATIO)
 
 
-def apply_turned(state: FilterState, turned_rad: float, config: EkfConfig) -> FilterState:
+def _turned(state: FilterState, event: Recalibrated, config: EkfConfig) -> FilterState:
     """The camera is turned from how its mount was told: until now its error was the compass'.
 
     So it was in the heading bias, as far as fixes had told that, and velocity and way since the
-    last fix that is trusted were turned by as much.
+    last fix that is trusted were turned by as much. Of one that was knocked just now neither was.
+    """
+    x, P = state.x.copy(), state.P
+    if not event.knocked:
+        state = apply_misled(state, Misled(state.t_s, state.t_s), config)
+        G = _told_by_ways(state, event.turned_rad * QUARTER_TURN)
+        x, P = state.x.copy(), state.P + np.outer(G, G)
+    if state.t_last_fix_s is not None:
+        unsure = np.zeros(States.SIZE)
+        unsure[HEADINGS] = event.sigma_turned_rad
+        P = P + np.outer(unsure, unsure)
+        if not event.knocked:
+            x[HEADINGS] = [wrap_pi(each + event.turned_rad) for each in x[HEADINGS].tolist()]
+    return replace(state, x=x, P=P, anchor=None if event.knocked else state.anchor)
+
+
+def apply_mount_doubted(state: FilterState, yaw_rad: float, config: EkfConfig) -> FilterState:
+    """Open how the camera is tilted on its mount, now, and from the start with what that has told.
+
+    With d = (d_f, d_r) the error of the mount, fixes lay AGL (d_r forward, -d_f to the right) from
+    the aircraft, and ways v seemed to be v + d x v. A keyframe may be of before: it is forgotten.
     """
     state = apply_misled(state, Misled(state.t_s, state.t_s), config)
-    G = _told_by_ways(state, turned_rad * QUARTER_TURN)
-    x, P = state.x.copy(), state.P + np.outer(G, G)
-    if state.t_last_fix_s is not None:
-        x[HEADINGS] = [wrap_pi(each + turned_rad) for each in x[HEADINGS].tolist()]
-        unsure = np.zeros(States.SIZE)
-        unsure[HEADINGS] = _TURN_DOUBT * turned_rad
-        P = P + np.outer(unsure, unsure)
-    return replace(state, x=x, P=P)
+    level = level_axes(yaw_rad)
+    north, east, down = (_TILT_DOUBT_RAD * state.x[States.VELOCITY]).tolist()
+    now = np.zeros((States.SIZE, 2))
+    now[States.CAMERA_TILT] = _TILT_DOUBT_RAD * np.eye(2)
+    always = now.copy()
+    always[States.VELOCITY] = -np.array([[0.0, down], [-down, 0.0], [east, -north]]) @ level
+    lever_m = _TILT_DOUBT_RAD * max(state.agl_m, 0.0) * QUARTER_TURN @ level
+    always[States.POSITION_NE] = always[States.EXPOSED_POSITION] = -lever_m
+    return replace(state, P=state.P + now @ now.T + always @ always.T, anchor=None)
 
 
 def _told_by_ways(state: FilterState, change: Array) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vwnav.bench.flights.stage import FlightStage
 from vwnav.errors import SourceError
+from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.types import Frame
 
 Image = NDArray[np.uint8]
@@ -64,6 +65,21 @@ class ImagesLate:
         """As before."""
         world.camera.latency_s -= self.seconds
         world.camera.trouble = None
+
+
+@dataclass(frozen=True)
+class CameraKnocked:
+    """A screw gives way: from then on it hangs otherwise by roll, pitch and yaw."""
+
+    off_deg: tuple[float, float, float]
+
+    def begin(self, world: FlightStage) -> None:
+        """It hangs loose."""
+        world.camera.R_body_mount = rotation_from_euler(*map(math.radians, self.off_deg))
+
+    def end(self, world: FlightStage) -> None:
+        """As it was mounted."""
+        world.camera.R_body_mount = np.eye(3)
 
 
 def no_images() -> Trouble:

@@ -136,4 +136,22 @@ MOUNTED = [
         lands_at_ne_m=HOME,
     ),
 ]
-IMAGES = [*USELESS, *POOR, *LATE, *MOUNTED]
+KNOCKED = [
+    Scenario(
+        name=f"camera knocked in flight, {how}",
+        setup=setup(),
+        breaks=(Break(fault=broken.CameraKnocked(off_deg), at_s=15.0),),
+        limit_s=160.0,
+        follows=(said(5.0, words),),
+        lands_within_m=2.0,
+        lands_at_ne_m=HOME,
+    )
+    for how, off_deg, words in (
+        ("8 degrees nose up", (0.0, 8.0, 0.0), "the camera hangs otherwise"),
+        ("12 degrees to the right", (-12.0, 0.0, 0.0), "the camera hangs otherwise"),
+        ("round by 20 degrees", (0.0, 0.0, 20.0), "hangs turned by"),
+        ("round by 90 degrees", (0.0, 0.0, 90.0), "hangs turned by 90 degrees clockwise"),
+        ("round by 15 and aslant by 5", (-3.0, 4.0, 15.0), "hangs turned by"),
+    )
+]
+IMAGES = [*USELESS, *POOR, *LATE, *MOUNTED, *KNOCKED]

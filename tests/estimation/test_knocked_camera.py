@@ -1,0 +1,269 @@
+"""A camera that is turned or tilted on its mount is told from a compass or a place that errs."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vwnav.estimation.beginning.mount import tilted
+from vwnav.estimation.beginning.other_camera import apply_recalibrated
+from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix, Recalibrated
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
+from vwnav.estimation.odometry_gate import MountCheck
+from vwnav.estimation.states import (
+    HEADINGS,
+    FilterState,
+    Innovation,
+    States,
+    TrustedPosition,
+    Verdict,
+)
+from vwnav.geometry.rotations import quat_from_vector, wrap_pi
+from vwnav.types import Attitude, Height, ImuSample, OdometryMotion
+
+SEEDS = st.integers(0, 2**32 - 1)
+AGREES = Innovation(Verdict.FUSED)
+TURNED = Recalibrated(0.0, 0.3, 0.09)
+AGL_M, FIX_SIGMA_M = 50.0, 0.3
+
+
+def of_filter() -> FilterState:
+    return FilterState(0.0, np.zeros(States.SIZE), np.eye(States.SIZE), True, True, 0.0, 0.0)
+
+
+def shown(t_s: float, tilt_rad: np.ndarray, seen_rad: np.ndarray, sigma_rad: float):
+    """A way whose attitudes tell a tilt (2,), and whose image shows another.
+
+    What `ground_motion.tilt_seen` makes of it: logarithms of N(z; Rz(-a) w, V) / N(z; 0, V) for
+    a of 0, 90, 180 and 270 degrees.
+    """
+    ratios = []
+    for quarters in range(4):
+        c, s = math.cos(0.5 * math.pi * quarters), math.sin(0.5 * math.pi * quarters)
+        w = np.array([[c, s], [-s, c]]) @ tilt_rad
+        ratios.append(float(w @ seen_rad - 0.5 * w @ w) / sigma_rad**2)
+    return OdometryMotion(
+        t_s - 0.1, t_s, np.zeros(3), np.eye(3), 0.0, 0.01, 30.0, 99,
+        tilts_along=ratios[0], tilts_turned=np.array(ratios[1:]),
+    )  # fmt: skip
+
+
+def turns_told(seed: int, seen_of, sigma_rad=0.01, seconds=60.0, had_fix=False) -> list[float]:
+    """What is told while it tilts this way and that, an image ten times a second."""
+    rng, check, told = np.random.default_rng(seed), MountCheck(is_open=True), [0.0]
+    for i in range(round(10.0 * seconds)):
+        tilt_rad = 0.03 * rng.normal(size=2)
+        seen_rad = seen_of(tilt_rad, told[-1]) + sigma_rad * rng.normal(size=2)
+        turn = check.turned(shown(0.1 * i, tilt_rad, seen_rad, sigma_rad), AGREES, had_fix)
+        if turn is not None:
+            told.append(told[-1] + turn.turned_rad)
+    return told[1:]
+
+
+def turned_by(turn_rad: float, overstated: float = 1.25):
+    """What an image of a camera shows that is turned by so much, and is thought to be by less.
+
+    It overstates by how much it contradicts the attitudes.
+    """
+
+    def seen(tilt_rad: np.ndarray, known_rad: float) -> np.ndarray:
+        c, s = math.cos(turn_rad - known_rad), math.sin(turn_rad - known_rad)
+        return tilt_rad + overstated * (np.array([[c, s], [-s, c]]) @ tilt_rad - tilt_rad)
+
+    return seen
+
+
+@given(
+    st.sampled_from([-170.0, -120.0, -35.0, -12.0, 8.0, 10.0, 25.0, 45.0, 75.0, 90.0, 180.0]),
+    st.floats(1.1, 1.5),
+    SEEDS,
+)
+def test_a_camera_that_is_turned_on_its_mount_is_told_to_a_few_degrees(degrees, overstated, seed):
+    told = turns_told(seed, turned_by(math.radians(degrees), overstated))
+    assert told
+    assert abs(math.degrees(wrap_pi(told[-1] - math.radians(degrees)))) < 7.0
+
+
+@given(st.floats(-3.0, 3.0), SEEDS)
+def test_one_that_hangs_as_told_but_for_some_degrees_is_left_alone(degrees, seed):
+    assert not turns_told(seed, turned_by(math.radians(degrees)))
+
+
+@given(SEEDS)
+def test_images_that_show_no_tilting_or_that_of_another_moment_tell_no_turn(seed):
+    assert not turns_told(seed, lambda *_: np.zeros(2))
+    other = np.random.default_rng([seed, 1])
+    assert not turns_told(seed, lambda *_: 0.03 * other.normal(size=2), had_fix=True)
+
+
+def way(t0_s: float, t1_s: float) -> OdometryMotion:
+    return OdometryMotion(t0_s, t1_s, np.zeros(3), np.eye(3), 0.0, 0.01, 30.0, 99)
+
+
+def heading(verdict: Verdict, residual_rad: float) -> Innovation:
+    part = Innovation(verdict, residual=np.array([residual_rad]))
+    return Innovation(verdict, parts=(part,))
+
+
+def knock_told(residuals_rad: list[float], keyframe_s=None) -> list[Recalibrated]:
+    """Of images of one keyframe each, or all of one of before."""
+    check, told = MountCheck(is_open=True), []
+    for i, residual_rad in enumerate(residuals_rad):
+        t_s = 0.1 * i
+        verdict = Verdict.FUSED if abs(residual_rad) < 0.01 else Verdict.GATED
+        motion = way(t_s - 0.1 if keyframe_s is None else keyframe_s, t_s)
+        turn = check.turned(motion, heading(verdict, residual_rad), had_fix=True)
+        told += [] if turn is None else [turn]
+    return told
+
+
+@given(st.floats(0.12, 3.0), st.sampled_from([-1.0, 1.0]))
+def test_one_image_that_turned_as_no_gyro_felt_is_that_of_a_camera_that_was_knocked(by_rad, sign):
+    (turn,) = knock_told([0.0, 0.0, -sign * by_rad, 0.0, 0.0, 0.0, 0.0])
+    assert turn.t_s == pytest.approx(0.2)
+    assert turn.turned_rad == pytest.approx(sign * by_rad)
+    assert turn.knocked
+
+
+@pytest.mark.parametrize(
+    ("residuals_rad", "keyframe_s"),
+    [
+        ([0.0, 0.05, 0.0, 0.0, 0.0, 0.0], None),  # less than is worth another camera
+        ([0.0, 0.4, 0.4, 0.4, 0.4, 0.4], None),  # again and again: not by a knock
+        ([0.0, 0.4, 0.0, 0.0, 0.0, 0.0], -0.1),  # those after it agree with one of before it
+    ],
+)
+def test_what_else_turns_an_image_moves_no_mount(residuals_rad, keyframe_s):
+    assert not knock_told(residuals_rad, keyframe_s)
+
+
+def test_what_was_seen_before_an_image_that_cannot_be_followed_is_no_witness_of_the_mount():
+    """A quarter turn after a fix is believed only then, and counts from there."""
+    rng, check, told = np.random.default_rng(1), MountCheck(is_open=True), []
+    for i in range(400):
+        tilt_rad = 0.03 * rng.normal(size=2)
+        if i == 300:
+            check.broke(30.0)
+        as_told = turned_by(0.0 if i < 300 else 0.5 * math.pi)
+        known_rad = sum(turn.turned_rad for turn in told)
+        seen_rad = as_told(tilt_rad, known_rad) + 0.01 * rng.normal(size=2)
+        turn = check.turned(shown(0.1 * i, tilt_rad, seen_rad, 0.01), AGREES, had_fix=True)
+        told += [] if turn is None else [turn]
+    assert [turn.t_s for turn in told] == [30.0]
+    assert told[0].turned_rad == pytest.approx(0.5 * math.pi)
+
+
+def test_a_filter_that_is_told_of_a_turned_mount_takes_it_out_of_the_compass():
+    """And of the velocity, and of the way since the last fix that is trusted."""
+    state = of_filter()
+    x = state.x.copy()
+    x[States.POSITION_NE], x[States.VELOCITY_NE], x[States.TILT] = (10.0, 0.0), (8.0, 0.0), 0.02
+    x[HEADINGS] = -0.3
+    trusted = TrustedPosition(0.0, np.zeros(2), 1.0)
+    before = replace(state, x=x, P=1e-4 * state.P, trusted=trusted)
+    config = EkfConfig()
+    fixed = apply_recalibrated(replace(before, t_last_fix_s=-1.0), TURNED, config)
+    assert fixed.x[HEADINGS] == pytest.approx(np.zeros(3))
+    assert math.sqrt(fixed.P[States.HEADING_BIAS, States.HEADING_BIAS]) > 0.05
+    east = States.POSITION_NE.start + 1
+    assert math.sqrt(fixed.P[east, east]) == pytest.approx(3.0, rel=0.01)
+    assert np.all(fixed.x[States.TILT] == 0.0)
+    assert np.linalg.eigvalsh(fixed.P).min() > -1e-12
+    unfixed = apply_recalibrated(before, TURNED, config)
+    assert unfixed.x[HEADINGS] == pytest.approx([-0.3] * 3)  # what the compass says of itself
+
+
+def test_a_mount_that_was_knocked_just_now_was_not_the_compass_error():
+    state = replace(of_filter(), t_last_fix_s=-1.0)
+    after = apply_recalibrated(state, replace(TURNED, knocked=True), EkfConfig())
+    assert np.all(after.x == state.x)
+    assert after.P[States.VELOCITY, States.VELOCITY] == pytest.approx(np.eye(3))
+
+
+def tilt_of(event: Recalibrated) -> np.ndarray:
+    return np.array([event.forward_rad, event.right_rad])
+
+
+class Hover:
+    """Hovers, turns by and by, and is told where its camera looks: a tilted one looks beside it."""
+
+    def __init__(self, seed: int, yaw_rad: float) -> None:
+        self.rng, self.yaw_rad, self.t_s = np.random.default_rng(seed), yaw_rad, 0.0
+        self.said: list[str] = []
+        self.worst_sigmas = 0.0
+        self.ekf = Ekf(EkfConfig())
+        self.ekf.on_event(self.said.append)
+        self.ekf.initialise(
+            Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -AGL_M]), agl_m=AGL_M, sigma_m=2.0)
+        )
+
+    def fly(self, seconds: float, tilt_rad: np.ndarray, turns_rad_s: float = 0.0) -> None:
+        """With a camera that hangs tilted about forward and right by `tilt_rad`."""
+        for _ in range(round(50.0 * seconds)):
+            self.t_s, self.yaw_rad = self.t_s + 0.02, self.yaw_rad + 0.02 * turns_rad_s
+            self.ekf.handle(Attitude(self.t_s, quat_from_vector([0.0, 0.0, self.yaw_rad])))
+            felt = np.array([0.0, 0.0, -GRAVITY_M_S2]) + 0.05 * self.rng.normal(size=3)
+            self.ekf.handle(ImuSample(self.t_s, felt, np.array([0.0, 0.0, turns_rad_s])))
+            if round(50.0 * self.t_s) % 5 == 0:
+                self.ekf.handle(Height(self.t_s, AGL_M + 0.1 * self.rng.normal()))
+            if round(50.0 * self.t_s) % 20 == 0:
+                self._fix(tilt_rad)
+
+    def _fix(self, tilt_rad: np.ndarray) -> None:
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        ahead_m, right_m = AGL_M * np.array([-tilt_rad[1], tilt_rad[0]])
+        place = np.array([c * ahead_m - s * right_m, s * ahead_m + c * right_m])
+        seen = place + FIX_SIGMA_M * self.rng.normal(size=2)
+        covariance = FIX_SIGMA_M**2 * np.eye(2)
+        self.ekf.handle(NedFix(t_s=self.t_s, position_ne_m=seen, covariance_ne_m2=covariance))
+        estimate = self.ekf.estimate(self.t_s)
+        assert estimate is not None
+        north_east, P = estimate.position_ned_m[:2], estimate.covariance[:2, :2]
+        sigmas = math.sqrt(float(north_east @ np.linalg.solve(P, north_east)))
+        self.worst_sigmas = max(self.worst_sigmas, sigmas)
+
+
+@settings(max_examples=20)
+@given(SEEDS, st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(6.0, 13.0))
+def test_a_camera_that_is_knocked_aslant_moves_no_place_and_is_known_once_it_has_turned(
+    seed, yaw_rad, towards_rad, degrees
+):
+    off_rad = math.radians(degrees) * np.array([math.cos(towards_rad), math.sin(towards_rad)])
+    hover = Hover(seed, yaw_rad)
+    hover.fly(6.0, np.zeros(2))
+    hover.fly(6.0, -off_rad)
+    assert any("hangs otherwise" in each for each in hover.said)
+    hover.fly(8.0, -off_rad, turns_rad_s=0.4)
+    assert hover.worst_sigmas < 4.5
+    told = tilted(hover.ekf.state)
+    assert told is not None
+    assert np.degrees(tilt_of(told) - off_rad) == pytest.approx(np.zeros(2), abs=2.5)
+
+
+@settings(max_examples=20)
+@given(SEEDS, st.floats(-3.1, 3.1), st.floats(0.0, 1.0))
+def test_a_camera_that_hangs_as_told_is_not_doubted(seed, yaw_rad, turns_rad_s):
+    hover = Hover(seed, yaw_rad)
+    hover.fly(20.0, np.zeros(2), turns_rad_s)
+    assert hover.said == []
+    assert tilted(hover.ekf.state) is None
+
+
+def test_a_mount_that_is_tilted_as_the_filter_had_it_is_not_tilted_any_more():
+    state = of_filter()
+    x = state.x.copy()
+    x[States.CAMERA_TILT] = -0.1, 0.05
+    before = replace(state, x=x, P=1e-5 * state.P)
+    event = tilted(before)
+    assert event is not None
+    assert tilt_of(event) == pytest.approx([0.1, -0.05])
+    after = apply_recalibrated(before, event, EkfConfig())
+    assert after.x[States.CAMERA_TILT] == pytest.approx(np.zeros(2))
+    assert tilted(after) is None
+    assert tilted(replace(before, P=state.P)) is None  # that is not sure
