@@ -287,6 +287,11 @@ def site_pairs(folder: Path) -> Iterator[Scene]:
             yield scene("site", "site", [read(path_a), read(path_b)], label_noise=0.1)
 
 
+def has_terms(scene: Scene, terms: Terms) -> bool:
+    """Whether its licence allows such a use."""
+    return terms == "all" or scene.source in OPEN_SOURCES
+
+
 def load_scenes(
     folder: Path | None, sites: Path, registrations: Path, terms: Terms = "all"
 ) -> tuple[list[Scene], list[Scene]]:
@@ -312,7 +317,6 @@ def load_scenes(
             *series(folder),
         ]
     training = [s for s in scenes if s.place not in KEPT_PLACES]
-    if terms == "open":
-        training = [s for s in training if s.source in OPEN_SOURCES]
+    training = [s for s in training if has_terms(s, terms)]
     kept = [s for s in scenes if s.place in KEPT_PLACES and s.group in ("pair", "overlap")]
     return training + list(site_pairs(sites)), kept

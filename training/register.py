@@ -1,6 +1,6 @@
 """Register the real pairs again, place by place: one homography a pair leaves pixels of error.
 
-python training/register.py [--weights models/vwnav_default.ckpt] [-o runs/registered]
+python training/register.py [--weights CHECKPOINT] [--terms open] [-o runs/registered]
 
 What stands up is displaced between two viewpoints, and homographies from a few marked points are
 off. Features of an earlier training match each pair densely at three scales; where neighbouring
@@ -10,6 +10,7 @@ labels of the next.
 """
 
 import argparse
+import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +28,9 @@ from training.data import (
     ROOT,
     WEAK_PAIRS,
     Scene,
+    Terms,
     data_folder,
+    has_terms,
     overlapping,
     real_pairs,
     save_registration,
@@ -126,11 +129,12 @@ def register_again(pair: Scene, extract: Extract) -> NDArray[np.float32] | None:
     return offset_field(found, size_wh) / np.float32(scale)
 
 
-def pairs_to_register(folder: Path) -> Iterator[Scene]:
-    """All real pairs: of two dates, and of two viewpoints."""
-    yield from real_pairs(folder)
-    yield from real_pairs(folder, listing=WEAK_PAIRS)
-    yield from overlapping(list(single_images(folder, "drone")))
+def pairs_to_register(folder: Path, terms: Terms = "all") -> Iterator[Scene]:
+    """The real pairs of such terms: of two dates, and of two viewpoints."""
+    frames = [f for f in single_images(folder, "drone") if has_terms(f, terms)]
+    labelled = itertools.chain(real_pairs(folder), real_pairs(folder, listing=WEAK_PAIRS))
+    yield from (pair for pair in labelled if has_terms(pair, terms))
+    yield from overlapping(frames)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -149,6 +153,9 @@ def main(arguments: list[str] | None = None) -> None:
         help="checkpoint of an earlier training",
     )
     parser.add_argument("--data", default="", help="folder that holds train/ and pairs.json")
+    parser.add_argument(
+        "--terms", choices=["all", "open"], default="all", help="which pairs, by their licence"
+    )
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "runs/registered")
     given = parser.parse_args(arguments)
     folder = data_folder(given.data)
@@ -159,7 +166,7 @@ def main(arguments: list[str] | None = None) -> None:
         given.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SystemExit(str(error)) from error
-    for pair in pairs_to_register(folder):
+    for pair in pairs_to_register(folder, given.terms):
         offsets = register_again(pair, extract)
         if offsets is None:
             print(f"{pair.name}: too few matches that agree; the label stays")
