@@ -48,17 +48,19 @@ def made_unsure_m2(lean: Rotation, agl_m: float, rate_rad_s: float):
     st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(-3.0, 3.0),
     st.floats(5.0, 100.0), st.floats(0.0, 2.0),
 )  # fmt: skip
-def test_a_wrong_date_shows_a_way_across_the_lines_of_sight(roll, pitch, yaw, agl_m, rate_rad_s):
+def test_a_wrong_date_shows_a_way_across_the_lines_of_sight_and_aslant_along_them(roll, pitch, yaw, agl_m, rate_rad_s):
     lean = Rotation.from_euler("ZYX", [yaw, pitch, roll])
     sight = lean.apply([0.0, 0.0, 1.0])
     added_m2 = made_unsure_m2(lean, agl_m, rate_rad_s)
     turned_rad = EkfConfig().picture_date_s * rate_rad_s
     leaning, level = agl_m * turned_rad / sight[2], agl_m * turned_rad
-    # Along the leaning image's sight only the level one adds, along the level one's the other.
-    along = level**2 * (1.0 - sight[2] ** 2)
-    assert sight @ added_m2 @ sight == pytest.approx(along, rel=1e-3, abs=1e-9)
-    assert added_m2[2, 2] == pytest.approx(leaning**2 * (1.0 - sight[2] ** 2), rel=1e-3, abs=1e-9)
-    assert np.trace(added_m2) == pytest.approx(2.0 * (leaning**2 + level**2), rel=1e-3, abs=1e-9)
+    # Across a leaning image's sight only the level one's adds along it, and so the other way round.
+    sin2, along = 1.0 - sight[2] ** 2, leaning**2 * (1.0 - sight[2] ** 2) / sight[2] ** 2
+    expected = level**2 * sin2 + along
+    assert sight @ added_m2 @ sight == pytest.approx(expected, rel=1e-3, abs=1e-9)
+    assert added_m2[2, 2] == pytest.approx(2.0 * leaning**2 * sin2, rel=1e-3, abs=1e-9)
+    expected = 2.0 * (leaning**2 + level**2) + along
+    assert np.trace(added_m2) == pytest.approx(expected, rel=1e-3, abs=1e-9)
 
 
 @pytest.mark.parametrize("spacing_s", [0.2, 0.4, 1.0])

@@ -127,8 +127,8 @@ class OdometryGate:
     def displacement(self, motion: OdometryMotion) -> Displacement:
         """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds.
 
-        A turn is taken for a way across the line of sight, as long as the ground is far along it.
-        Near the ground blurred images do not grow as they should: of a climb they tell little.
+        A turn is taken for a way across the line of sight, as long as the ground is far along it,
+        and, as that meets the ground aslant, for one along it by the tangent of the lean. Near the ground blurred images do not grow as they should: of a climb they tell little.
         """
         covariance = motion.covariance_ned_m2
         for t_s in (motion.t0_s, motion.t1_s):
@@ -137,7 +137,8 @@ class OdometryGate:
             c, s = math.cos(yaw_rad), math.sin(yaw_rad)
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
-            covariance = covariance + off_rad**2 * across_m2
+            along_m2 = (forward**2 + right**2) * np.outer(sight_m, sight_m)
+            covariance = covariance + off_rad**2 * (across_m2 + along_m2)
         if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
             covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
