@@ -48,7 +48,9 @@ def made_unsure_m2(lean: Rotation, agl_m: float, rate_rad_s: float):
     st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(-3.0, 3.0),
     st.floats(5.0, 100.0), st.floats(0.0, 2.0),
 )  # fmt: skip
-def test_a_wrong_date_shows_a_way_across_the_lines_of_sight_and_aslant_along_them(roll, pitch, yaw, agl_m, rate_rad_s):
+def test_a_wrong_date_shows_ways_across_the_sight_and_aslant_along_it(
+    roll, pitch, yaw, agl_m, rate_rad_s
+):
     lean = Rotation.from_euler("ZYX", [yaw, pitch, roll])
     sight = lean.apply([0.0, 0.0, 1.0])
     added_m2 = made_unsure_m2(lean, agl_m, rate_rad_s)

@@ -128,7 +128,8 @@ class OdometryGate:
         """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds.
 
         A turn is taken for a way across the line of sight, as long as the ground is far along it,
-        and, as that meets the ground aslant, for one along it by the tangent of the lean. Near the ground blurred images do not grow as they should: of a climb they tell little.
+        and, as that meets the ground aslant, for one along it by the tangent of the lean. Near
+        the ground blurred images do not grow as they should: of a climb they tell little.
         """
         covariance = motion.covariance_ned_m2
         for t_s in (motion.t0_s, motion.t1_s):
