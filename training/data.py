@@ -58,7 +58,6 @@ KEPT_PLACES = {
     *(f"neon_sjer SJER_{number:03d}" for number in range(45, 49)),
     "stanford_drone gates",
     "quake_tr gaziantep",
-    "sztaki SZTAKI",
     "levir test_7",
     "levir test_12",
     "odm_tuniu",
@@ -147,8 +146,8 @@ def place_of(entry: dict[str, Any]) -> str:
             return f"{source} {stem.split('_')[0]}"
         case "cd_LEVIR" | "cd_levir256":  # the small images are cut from the large ones
             return "levir " + "_".join(stem.split("_")[:2])
-        case "sztaki":  # Szada 1 to 7 are neighbours
-            return f"{source} {stem.split('_')[0]}"
+        case "sztaki":  # Szada 1 to 7 are neighbours, and the archive's pair lies in the first
+            return f"{source} Szada"
         case _:
             return f"{source} {stem.removesuffix('_a')}"
 

@@ -122,7 +122,7 @@ def _place(source: str, stem: str) -> str:
     match source:
         case "srif_whu":
             return f"{source} kept" if int(first) <= _KEPT_SRIF else f"{source} rest"
-        case "stanford_drone" | "quake_tr" | "sztaki":  # campus place, town, neighbouring fields
+        case "stanford_drone" | "quake_tr":  # campus place, town
             return f"{source} {first}"
         case "neon_sjer":
             return f"{source} {stem.removesuffix('_a')}"
