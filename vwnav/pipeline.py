@@ -111,7 +111,7 @@ class Pipeline:
         self._first_fix = FirstFix()
         self._recalibrated = recalibrated
         is_open = recalibrated is not None
-        self._lens, self._mount = LensCheck(is_open), MountCheck(is_open)
+        self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, self._feels)
         self._R_mount = np.eye(3)  # beyond what it was told
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
@@ -186,6 +186,11 @@ class Pipeline:
         if verdict is Verdict.IMPOSSIBLE:
             self._odometry.mistook()
         return Rejected(frame.t_s, reason, verdict.value)
+
+    def _feels(self) -> bool:
+        """Whether an IMU tells how the aircraft turns."""
+        state = self._ekf.state
+        return state is not None and state.measured is not None and state.measured.felt is not None
 
     def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:
         """Start matching this image when it is time to; the outcome if it is there at once."""

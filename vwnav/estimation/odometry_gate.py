@@ -14,6 +14,7 @@ an estimate wrong by 4.7 sigmas, and 45 degrees cost the aircraft.
 import bisect
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -277,11 +278,11 @@ class MountCheck:
     S = sum z x w / V (the mean direction of von Mises' distribution).
     """
 
-    def __init__(self, is_open: bool) -> None:
-        """`is_open`: it has to be asked."""
+    def __init__(self, is_open: bool, feels: Callable[[], bool]) -> None:
+        """`is_open`: it has to be asked. `feels`: whether an IMU tells how the aircraft turns."""
         self._is_open = is_open
         self._turns = 0
-        self._knocks = KnockCheck()
+        self._knocks = KnockCheck(feels)
         self._broke_s = -math.inf  # when an image could not be followed
         self._tilts = np.zeros(4)  # sums of z.w / V, z x w / V, w.w / V and of the time
         self._tilted_s = math.inf

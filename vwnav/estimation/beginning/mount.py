@@ -6,6 +6,7 @@ mount by 8 degrees in flight it was refused for some seconds, and then believed 
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -27,7 +28,9 @@ class KnockCheck:
         knock: what an image has shown, before those after it have agreed; None while none has.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, feels: Callable[[], bool]) -> None:
+        """`feels`: whether an IMU tells how the aircraft turns; a compass may be reset."""
+        self._feels = feels
         self.knock: Recalibrated | None = None
         self._after = 0
 
@@ -45,7 +48,7 @@ class KnockCheck:
             self.knock = None
         elif knock is not None and told.verdict is Verdict.FUSED and motion.t0_s >= knock.t_s:
             self._after += 1
-            return knock if self._after == _AGAIN else None
+            return knock if self._after == _AGAIN and self._feels() else None
         return None
 
 
