@@ -284,13 +284,14 @@ class MountCheck:
         self._turns = 0
         self._knocks = KnockCheck(feels)
         self._broke_s = -math.inf  # when an image could not be followed
-        self._tilts = np.zeros(4)  # sums of z.w / V, z x w / V, w.w / V and of the time
+        # From the start, and since it broke: sums of z.w / V, z x w / V, w.w / V and of the time
+        self._tilts = np.zeros((2, 4))
         self._tilted_s = math.inf
 
     def broke(self, t_s: float) -> None:
         """An image could not be followed: from then on the camera may hang otherwise."""
         self._broke_s = t_s
-        self._tilts[:] = 0.0
+        self._tilts[1] = 0.0
 
     def turned(
         self, motion: OdometryMotion, told: Innovation, had_fix: bool
@@ -326,22 +327,22 @@ class MountCheck:
         weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
         share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE)
         self._tilted_s = motion.t1_s
-        seen = weight * np.array([along, across, tilted])
-        self._tilts += share * np.array([*seen, _APART_S])
-        along, across, tilted, seen_s = self._tilts.tolist()
-        shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
-        is_quarter = abs(turned_rad) > _MOST_TURN_RAD
-        is_fresh = motion.t1_s < self._broke_s + _FRESH_S
-        sure = _SURE_AGAIN if self._turns else _SURE_TURN
-        if shown - along < sure or shown < _SHOWN * tilted or abs(turned_rad) < LEAST_TURN_RAD:
-            return None
-        if is_quarter and had_fix and not is_fresh:
-            return None
-        if seen_s < (_LEAST_LIFTING_S if is_quarter or is_fresh else _LEAST_TILTED_S):
-            return None
-        quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
-        if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
-            turned_rad = quarter_rad
-        sigma_rad, knocked = _TURN_DOUBT * abs(turned_rad), had_fix and is_fresh
-        since_s = self._broke_s if knocked else motion.t1_s
-        return Recalibrated(since_s, wrap_pi(turned_rad), sigma_rad, knocked=knocked)
+        self._tilts += share * np.array([*(weight * np.array([along, across, tilted])), _APART_S])
+        is_fresh = had_fix and motion.t1_s < self._broke_s + _FRESH_S
+        for knocked in (True, False) if is_fresh else (False,):
+            along, across, tilted, seen_s = self._tilts[int(knocked)].tolist()
+            shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
+            is_quarter = abs(turned_rad) > _MOST_TURN_RAD
+            sure = _SURE_AGAIN if self._turns and not knocked else _SURE_TURN
+            least_s = _LEAST_LIFTING_S if is_quarter or knocked else _LEAST_TILTED_S
+            if shown - along < sure or shown < _SHOWN * tilted or seen_s < least_s:
+                continue
+            if abs(turned_rad) < LEAST_TURN_RAD or (is_quarter and had_fix and not knocked):
+                continue
+            quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
+            if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
+                turned_rad = wrap_pi(quarter_rad)
+            since_s = self._broke_s if knocked else motion.t1_s
+            sigma_rad = _TURN_DOUBT * abs(turned_rad)
+            return Recalibrated(since_s, turned_rad, sigma_rad, knocked=knocked)
+        return None
