@@ -30,6 +30,7 @@ from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
+_HARD_LEAN = 0.25  # tangent; of less the along part is within what odometry says of itself
 _BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
 _TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _WINDOW_S = 1.2
@@ -129,7 +130,7 @@ class OdometryGate:
         """As unsure as an aircraft that tilts fast makes it: images are dated to milliseconds.
 
         A turn is taken for a way across the line of sight, as long as the ground is far along it,
-        and, as that meets the ground aslant, for one along it by the tangent of the lean. Near
+        and, where that meets the ground aslant, for one along it by the tangent of the lean. Near
         the ground blurred images do not grow as they should: of a climb they tell little.
         """
         covariance = motion.covariance_ned_m2
@@ -139,8 +140,9 @@ class OdometryGate:
             c, s = math.cos(yaw_rad), math.sin(yaw_rad)
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
-            along_m2 = (forward**2 + right**2) * np.outer(sight_m, sight_m)
-            covariance = covariance + off_rad**2 * (across_m2 + along_m2)
+            if (lean2 := forward**2 + right**2) > _HARD_LEAN**2:
+                across_m2 = across_m2 + lean2 * np.outer(sight_m, sight_m)
+            covariance = covariance + off_rad**2 * across_m2
         if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
             covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
