@@ -51,7 +51,8 @@ from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 
-_REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount
+_REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount ...
+_LEAST_TILT_RAD = math.radians(4.0)  # ... and by how much it hangs otherwise then
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left, and what
 # was seen then was seen by the camera of before.
@@ -138,7 +139,8 @@ class Timeline:
     def with_mount_doubted(self) -> "Timeline | None":
         """What it were had the mount been doubted before the fixes that it refuses.
 
-        None where these would not all be right then, or are few.
+        None where these would not all be right then, or are few, or where the camera would not
+        hang by much: on a starved machine some are refused for other reasons.
         """
         rejected = self.newest.rejected_fixes
         if len(rejected) < _REFUSED:
@@ -149,7 +151,9 @@ class Timeline:
         fixes = other.leave_out(NedFix, since_s=event.t_s)
         other.insert(event)
         fused = [other.insert(fix).verdict is Verdict.FUSED for fix in fixes]
-        return other if len(fused) >= _EXPLAINED and all(fused) else None
+        tilt_rad = float(np.linalg.norm(other.newest.x[States.CAMERA_TILT]))
+        explained = len(fused) >= _EXPLAINED and all(fused) and tilt_rad > _LEAST_TILT_RAD
+        return other if explained else None
 
     def _knocked(self, event: Recalibrated) -> Recalibrated:
         """What was seen since by a camera that hung otherwise goes, and what it has taught."""
@@ -212,8 +216,7 @@ def _corrected(
             return apply_recalibrated(state, event, config), Innovation(Verdict.FUSED)
         case MountDoubted(t_s):
             yaw_rad = attitudes.exposure(t_s).yaw_rad - float(state.x[States.HEADING_BIAS])
-            doubted = apply_mount_doubted(state, yaw_rad, config)
-            return doubted, Innovation(Verdict.FUSED)
+            return apply_mount_doubted(state, yaw_rad), Innovation(Verdict.FUSED)
         case LensDoubted():
             return apply_lens_doubted(state), Innovation(Verdict.FUSED)
         case NewKeyframe():

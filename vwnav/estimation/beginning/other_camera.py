@@ -77,13 +77,13 @@ def _turned(state: FilterState, event: Recalibrated, config: EkfConfig) -> Filte
     return replace(state, x=x, P=P, anchor=None if event.knocked else state.anchor)
 
 
-def apply_mount_doubted(state: FilterState, yaw_rad: float, config: EkfConfig) -> FilterState:
+def apply_mount_doubted(state: FilterState, yaw_rad: float) -> FilterState:
     """Open how the camera is tilted on its mount, now, and from the start with what that has told.
 
     With d = (d_f, d_r) the error of the mount, fixes lay AGL (d_r forward, -d_f to the right) from
     the aircraft, and ways v seemed to be v + d x v. A keyframe may be of before: it is forgotten.
+    What else was learned stays: an estimate whose velocity is opened is not flown on.
     """
-    state = apply_misled(state, Misled(state.t_s, state.t_s), config)
     level = level_axes(yaw_rad)
     north, east, down = (_TILT_DOUBT_RAD * state.x[States.VELOCITY]).tolist()
     now = np.zeros((States.SIZE, 2))
