@@ -145,7 +145,7 @@ class OdometryGate:
             covariance = covariance + off_rad**2 * across_m2
         if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
-            covariance = covariance + np.diag([0.0, 0.0, climbs_m**2])
+            covariance = covariance + np.diag([0.0, 0.0, climbs_m * climbs_m])  # never raises
         return Displacement(motion.t1_s, replace(motion, covariance_ned_m2=covariance))
 
     def admit(
