@@ -333,12 +333,15 @@ class Pipeline:
             self._recalibrate(event)
 
     def _recalibrate(self, event: Recalibrated) -> None:
-        """Go on with the camera that map or ways have shown: its calibration cannot be right."""
+        """Go on with the camera that map or ways have shown: its calibration cannot be right.
+
+        The filter first: were it not told, it would take the new camera's error for the old one's.
+        """
         if self._recalibrated is None:
             return
+        with self._lock:
+            if not self._ekf.handle(event).accepted:
+                return
         off_rad = [event.forward_rad, event.right_rad, event.turned_rad]
         self._R_mount = rotation_from_vector(off_rad) @ self._R_mount
-        found = self._recalibrated(self._lens.focal_ratio, self._R_mount)
-        self._features, self._odometry = found
-        with self._lock:
-            self._ekf.handle(event)
+        self._features, self._odometry = self._recalibrated(self._lens.focal_ratio, self._R_mount)

@@ -9,12 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vwnav.estimation.beginning.mount import tilted
-from vwnav.estimation.beginning.other_camera import apply_recalibrated
+from vwnav.estimation.beginning.other_camera import apply_mount_doubted, apply_recalibrated
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix, Recalibrated
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
+from vwnav.estimation.inputs import decode, encode
 from vwnav.estimation.odometry_gate import MountCheck
 from vwnav.estimation.states import (
     HEADINGS,
@@ -272,3 +273,24 @@ def test_a_mount_that_is_tilted_as_the_filter_had_it_is_not_tilted_any_more():
     assert after.x[States.CAMERA_TILT] == pytest.approx(np.zeros(2))
     assert tilted(after) is None
     assert tilted(replace(before, P=state.P)) is None  # that is not sure
+
+
+@given(st.floats(-3.1, 3.1))
+def test_a_mount_that_is_doubted_leaves_the_level_velocity_as_sure_as_it_was(yaw_rad):
+    """Opened by 2 m/s it was not sent any more, and the aircraft came down blind."""
+    state = of_filter()
+    x = state.x.copy()
+    x[States.VELOCITY_NE], x[States.DOWN] = (8.0, 0.0), -AGL_M
+    before = replace(state, x=x, P=1e-2 * state.P)
+    after = apply_mount_doubted(before, yaw_rad)
+    level = States.VELOCITY_NE
+    assert after.P[level, level] == pytest.approx(before.P[level, level])
+    assert np.diag(after.P)[States.CAMERA_TILT].min() > 0.1**2
+    place_m = np.sqrt(np.diag(after.P)[States.POSITION_NE])
+    assert np.all((place_m > 0.1 * AGL_M) & (place_m < 0.15 * AGL_M))
+    assert np.linalg.eigvalsh(after.P).min() > -1e-12
+
+
+def test_what_is_told_of_a_mount_is_remembered_as_it_was():
+    told = Recalibrated(0.1, 0.3, 0.09, -0.1, 0.05, knocked=True)
+    assert decode(encode(told)) == told

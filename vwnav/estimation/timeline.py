@@ -12,6 +12,7 @@ from itertools import compress
 
 import numpy as np
 
+from vwnav.estimation.beginning.mount import LEAST_TILT_RAD
 from vwnav.estimation.beginning.other_camera import (
     apply_lens_doubted,
     apply_mount_doubted,
@@ -51,8 +52,7 @@ from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 
-_REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount ...
-_LEAST_TILT_RAD = math.radians(4.0)  # ... and by how much it hangs otherwise then
+_REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left, and what
 # was seen then was seen by the camera of before.
@@ -152,7 +152,7 @@ class Timeline:
         other.insert(event)
         fused = [other.insert(fix).verdict is Verdict.FUSED for fix in fixes]
         tilt_rad = float(np.linalg.norm(other.newest.x[States.CAMERA_TILT]))
-        explained = len(fused) >= _EXPLAINED and all(fused) and tilt_rad > _LEAST_TILT_RAD
+        explained = len(fused) >= _EXPLAINED and all(fused) and tilt_rad > LEAST_TILT_RAD
         return other if explained else None
 
     def _knocked(self, event: Recalibrated) -> Recalibrated:

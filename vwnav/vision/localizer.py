@@ -190,8 +190,8 @@ class Localizer:
         if lat_deg is not None and lon_deg is not None and None not in (prior.yaw_rad, prior.agl_m):
             radius_m = PRIOR_SIGMAS * prior.sigma_m
             fine: list[Candidate] = []
-            for each in todo[: config.max_guesses]:
-                fine.append(self._fine(query, each, (lat_deg, lon_deg), radius_m, len(fine) + 1))
+            for tests, each in enumerate(todo[: config.max_guesses], 1):
+                fine.append(self._fine(query, each, (lat_deg, lon_deg), radius_m, tests))
             if radius_m <= config.max_track_radius_px * fine[0].level.m_per_px:
                 return thrifty_first(self._pack, query, fine)
         coarse = coarse_candidates(self._pack, query, todo)

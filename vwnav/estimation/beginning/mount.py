@@ -17,7 +17,7 @@ from vwnav.types import OdometryMotion
 LEAST_TURN_RAD = math.radians(6.0)  # that is worth a new camera; less is the compass' error
 _SIGMA_RAD = math.radians(0.5)  # of what one image has shown by turning
 _AGAIN, _WITHIN_S = 3, 1.0  # ways that agree again, and within what time
-LEAST_TILT_RAD = math.radians(4.0)
+LEAST_TILT_RAD = math.radians(4.0)  # that is worth a new camera, and doubting a mount
 _TILT_SIGMA_RAD, _TILT_SIGMAS = math.radians(0.8), 5.0
 
 

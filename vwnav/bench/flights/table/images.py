@@ -142,16 +142,28 @@ KNOCKED = [
         setup=setup(),
         breaks=(Break(fault=broken.CameraKnocked(off_deg), at_s=15.0),),
         limit_s=160.0,
-        follows=(said(5.0, words),),
+        follows=tuple(said(within_s, words) for within_s, words in told),
         lands_within_m=2.0,
         lands_at_ne_m=HOME,
     )
-    for how, off_deg, words in (
-        ("8 degrees nose up", (0.0, 8.0, 0.0), "the camera hangs otherwise"),
-        ("12 degrees to the right", (-12.0, 0.0, 0.0), "the camera hangs otherwise"),
-        ("round by 20 degrees", (0.0, 0.0, 20.0), "hangs turned by"),
-        ("round by 90 degrees", (0.0, 0.0, 90.0), "hangs turned by 90 degrees clockwise"),
-        ("round by 15 and aslant by 5", (-3.0, 4.0, 15.0), "hangs turned by"),
+    for how, off_deg, told in (
+        (
+            "8 degrees nose up",
+            (0.0, 8.0, 0.0),
+            ((5.0, "the camera hangs otherwise"), (30.0, "further ahead than its mount")),
+        ),
+        (
+            "12 degrees to the right",
+            (-12.0, 0.0, 0.0),
+            ((5.0, "the camera hangs otherwise"), (30.0, "further right than its mount")),
+        ),
+        ("round by 20 degrees", (0.0, 0.0, 20.0), ((5.0, "hangs turned by"),)),
+        ("round by 90 degrees", (0.0, 0.0, 90.0), ((5.0, "turned by 90 degrees clockwise"),)),
+        (
+            "round by 15 and aslant by 5",
+            (-3.0, 4.0, 15.0),
+            ((5.0, "hangs turned by 15 degrees clockwise"), (30.0, "further ahead and right")),
+        ),
     )
 ]
 IMAGES = [*USELESS, *POOR, *LATE, *MOUNTED, *KNOCKED]
