@@ -30,6 +30,8 @@ _OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
 _OFF_BY_WAYS, _SURE_BY_WAYS = 0.06, 0.05  # share, and one sigma of it, that is worth a new camera
 _MOST_RATIO = 2.0  # of a focal length to that of its calibration: more is something else
 _LEAST, _MOST = 4, 24  # fixes that are off
+# By a ratio that far, as low over woods, more of them: of 4, one climb in 1200 made a lens.
+_FAR, _LEAST_FAR = 1.35, 6
 _SCATTER = 0.025  # of their heights, as a share
 _LEAST_CLIMB = 1.18  # from the lowest of them to the highest, where no rangefinder bears them
 _TELLS_APART = 2.0  # times as much scatter, were it the ground
@@ -151,5 +153,6 @@ def _ratio_of(seen: Array) -> float | None:
     )
     climbed = agl_m.max() >= _LEAST_CLIMB * agl_m.min()
     is_no_ground = np.all(ranged) or (climbed and as_ground >= _TELLS_APART * as_lens)
-    sure = len(seen) >= _LEAST and as_lens <= _SCATTER and is_no_ground
+    least = _LEAST if 1.0 / _FAR < ratio < _FAR else _LEAST_FAR
+    sure = len(seen) >= least and as_lens <= _SCATTER and is_no_ground
     return float(ratio) if sure else None

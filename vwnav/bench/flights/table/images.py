@@ -162,7 +162,7 @@ KNOCKED = [
         (
             "round by 15 and aslant by 5",
             (-3.0, 4.0, 15.0),
-            ((5.0, "hangs turned by 15 degrees clockwise"), (30.0, "further ahead and right")),
+            ((5.0, "degrees clockwise, seen"), (30.0, "further ahead and right")),
         ),
     )
 ]
