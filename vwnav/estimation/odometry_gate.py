@@ -20,6 +20,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from vwnav.estimation.beginning.lens import may_be_the_lens
 from vwnav.estimation.beginning.mount import LEAST_TURN_RAD, KnockCheck
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import DATE_OFF_S
@@ -47,8 +48,6 @@ _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
-_UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
-_SLOW_M_S = 4.0  # as who takes off
 # Of a mount, after a fix: what a compass errs by at most.
 _MOST_TURN_RAD = math.radians(45.0)
 _SURE_TURN, _SURE_AGAIN = 6.0, 2.0  # log-likelihood ratio to as told: 3.5 sigmas; then 2
@@ -233,7 +232,7 @@ class OdometryGate:
         if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= _DOUBTED or self._turned):
-            if self._may_be_the_lens(state):
+            if not self.lens_doubted and may_be_the_lens(state, self._along):
                 self.trust_all()
                 self.lens_doubted = True
                 return True
@@ -246,15 +245,6 @@ class OdometryGate:
         self._lost_s = t_s
         self._begin_anew()
         return True
-
-    def _may_be_the_lens(self, state: FilterState) -> bool:
-        """Whether a lens that is not as calibrated has not been thought of, and may explain it.
-
-        Not at speed, without a fix: to tell wind, heading and lens apart is too much for ways.
-        """
-        asked = self.lens_doubted or state.t_last_fix_s is not None
-        slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
-        return not asked and slow and self._along >= _UPRIGHT_ALONG
 
     def _proved(self) -> bool:
         """Whether a wrong date would have made one in the window disagree."""

@@ -35,6 +35,8 @@ _FAR, _LEAST_FAR = 1.35, 6
 _SCATTER = 0.025  # of their heights, as a share
 _LEAST_CLIMB = 1.18  # from the lowest of them to the highest, where no rangefinder bears them
 _TELLS_APART = 2.0  # times as much scatter, were it the ground
+_UPRIGHT_ALONG = 4.0  # of a camera that hangs as it should
+_SLOW_M_S = 4.0  # as who takes off
 
 
 class _Heights(NamedTuple):
@@ -156,3 +158,15 @@ def _ratio_of(seen: Array) -> float | None:
     least = _LEAST if 1.0 / _FAR < ratio < _FAR else _LEAST_FAR
     sure = len(seen) >= least and as_lens <= _SCATTER and is_no_ground
     return float(ratio) if sure else None
+
+
+def may_be_the_lens(state: FilterState, along: float) -> bool:
+    """Whether one that is not as calibrated may be why ways contradict the IMU before a fix.
+
+    Not at speed, without a fix: to tell wind, heading and lens apart is too much for ways.
+
+    Args:
+        along: how the images tilt with the aircraft, all of them (`OdometryMotion.tilts_along`).
+    """
+    slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
+    return state.t_last_fix_s is None and slow and along >= _UPRIGHT_ALONG
