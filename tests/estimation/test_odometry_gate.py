@@ -245,3 +245,28 @@ def test_so_are_not_those_of_which_a_third_is():
     for n in range(60):
         t_s = tell(gate, t_s, 0.1, n % 3 != 0)
     assert not gate.lost
+
+
+@pytest.mark.parametrize(("keyframes", "lost"), [(1, False), (6, True)])
+def test_one_keyframe_that_was_dated_wrongly_makes_no_camera_upside_down(keyframes, lost):
+    """Every image that hovers on it shows another tilt than the attitudes tell: that of one."""
+    ekf, said = Ekf(EkfConfig()), []
+    ekf.on_event(said.append)
+    ekf.handle(Attitude(0.0, LEVEL))
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -20.0]), agl_m=20.0))
+    for n in range(1, 301):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, LEVEL))
+        ekf.handle(ImuSample(t_s, np.array([0.0, 0.0, -9.80665]), np.zeros(3)))
+        if n % 5 == 0:
+            ekf.handle(Height(t_s, 20.0))
+            each_s = 6.0 / keyframes
+            since_s = round(max(t_s - 0.1, 0.1) // each_s * each_s + 0.1, 6)
+            if since_s < t_s:
+                way = OdometryMotion(
+                    since_s, t_s, np.zeros(3), 1e-4 * np.eye(3), 0.0, 0.003, 20.0, 99,
+                    tilts_along=-5.0,
+                )  # fmt: skip
+                ekf.handle(way)
+        ekf.estimate(t_s)
+    assert any("pictures show contradicts" in line for line in said) is lost

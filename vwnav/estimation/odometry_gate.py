@@ -46,7 +46,7 @@ _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
-_MOST_ALONG = 5.0  # what one says at most
+_MOST_ALONG = 5.0  # what those of one keyframe say at most
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 # Of a mount, after a fix: what a compass errs by at most.
 _MOST_TURN_RAD = math.radians(45.0)
@@ -55,6 +55,7 @@ _SHOWN = 0.7  # of what the attitudes tell: images of another moment show as muc
 _LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
 _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
 _OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
+_MOST_OF_ONE = 4.0  # witnesses that share a keyframe, and the error of its attitude
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
 _TURN_DOUBT = 0.3  # one sigma of what images have told by their tilts, as a share of it
@@ -112,6 +113,7 @@ class OdometryGate:
     def other_camera(self) -> None:
         """Forget all that was seen: what comes is another camera's."""
         self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
+        self._by_keyframe = (-math.inf, 0.0)  # what those of the last keyframe have said of it
         self._turned = False  # they surely do not
         self.trust_all()
 
@@ -175,8 +177,12 @@ class OdometryGate:
         if not (heard or self._turned):
             self.trust_all()
         share = min((motion.t1_s - before.t1_s) / _APART_S, 1.0) if before is not None else 0.0
-        along = self._along + share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
-        self._along = min(max(along, -_SURE_ALONG), _SURE_ALONG)
+        # Images of one keyframe share its attitude's error: a hover on one says it at each.
+        keyframe_s, said = self._by_keyframe
+        said = said if motion.t0_s == keyframe_s else 0.0
+        says = min(max(said + share * motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
+        self._by_keyframe = (motion.t0_s, says)
+        self._along = min(max(self._along + says - said, -_SURE_ALONG), _SURE_ALONG)
         self._turned = self._along == -_SURE_ALONG
         return event
 
@@ -279,6 +285,7 @@ class MountCheck:
         # From the start, and since it broke: sums of z.w / V, z x w / V, w.w / V and of the time
         self._tilts = np.zeros((2, 4))
         self._tilted_s = math.inf
+        self._keyframe_s, self._left = -math.inf, _MOST_OF_ONE
 
     def broke(self, t_s: float) -> None:
         """An image could not be followed: from then on the camera may hang otherwise."""
@@ -317,8 +324,10 @@ class MountCheck:
         along = tilted + (0.5 * (motion.tilts_along - half) - tilted) / _OVERSTATED
         across = 0.5 * (quarter - three) / _OVERSTATED
         weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
-        share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE)
-        self._tilted_s = motion.t1_s
+        if motion.t0_s != self._keyframe_s:
+            self._keyframe_s, self._left = motion.t0_s, _MOST_OF_ONE
+        share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE, self._left)
+        self._tilted_s, self._left = motion.t1_s, self._left - share
         self._tilts += share * np.array([*(weight * np.array([along, across, tilted])), _APART_S])
         is_fresh = had_fix and motion.t1_s < self._broke_s + _FRESH_S
         for knocked in (True, False) if is_fresh else (False,):

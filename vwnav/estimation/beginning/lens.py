@@ -166,6 +166,7 @@ def may_be_the_lens(state: FilterState, along: float) -> bool:
     Not at speed, without a fix: to tell wind, heading and lens apart is too much for ways.
 
     Args:
+        state: the filter's.
         along: how the images tilt with the aircraft, all of them (`OdometryMotion.tilts_along`).
     """
     slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
