@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.bench.flights import fly as flying
 from vwnav.bench.flights import lockstep_place
+from vwnav.bench.flights.blame import blamed_wrongly
 from vwnav.bench.flights.faults import camera, telemetry
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
@@ -142,6 +143,35 @@ def test_an_error_of_the_map_is_no_error_of_the_estimate():
     log = flight_log.FlightLog(estimates=sent, truth=truth)
     assert estimate_sigmas(log)[0][1] == pytest.approx(np.hypot(0.3, 0.3))
     assert estimate_sigmas(replace(log, map_off_m=0.5))[0][1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "rightly"),
+    [
+        (
+            "the camera hangs turned by 9 degrees clockwise, seen from above, from its "
+            "mount_rpy_deg: it is taken for that from now on; calibrate it",
+            "camera knocked in flight, round by 20 degrees",
+        ),
+        (
+            "the camera sees 1.25 times as wide as its calibration says: it is taken for that",
+            "a lens a fifth wider than calibrated",
+        ),
+        (
+            "the autopilot's north is 60 degrees off: it is told its own, calibrate its compass",
+            "compass 60 degrees off",
+        ),
+        (
+            "the rangefinder contradicts map and barometer: it is not believed",
+            "rangefinder 20 % short for good",
+        ),
+    ],
+)
+def test_no_part_is_blamed_that_is_as_it_should_be(text, rightly):
+    """A mount was said to be turned by 9 degrees where the map showed another place."""
+    for name, wrong in ((rightly, 0), ("map of another place", 1)):
+        row = next(each for each in TABLE if each.name == name)
+        assert len(list(blamed_wrongly(row, ["on route", text]))) == wrong
 
 
 def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from vwnav.bench.flights.blame import blamed_wrongly
 from vwnav.bench.flights.log import flight_log
 from vwnav.bench.flights.scenario import Ending, FlightVerdict, Flown
 from vwnav.bench.flights.track import FlightTrace, Truth
@@ -34,6 +35,7 @@ def judge(flown: Flown) -> FlightVerdict:
         *_followed(flown),
         *_broken_rules(flown, log),
         *_too_fast(flown, fastest_m_s),
+        *blamed_wrongly(flown.scenario, [each.text for each in track.events]),
     ]
     worst_sigmas = max((count for _, count in estimate_sigmas(log)), default=0.0)
     return FlightVerdict(tuple(wrong), off_m, fastest_m_s, worst_sigmas)
