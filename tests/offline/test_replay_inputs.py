@@ -103,7 +103,7 @@ class Mission:
 
 @dataclass
 class Localizer:
-    """Late fixes, each fourth of them a rejection."""
+    """Late fixes, each fourth of them a rejection, and each third one found by correlation."""
 
     began_s: float
     tries: int = 0
@@ -115,10 +115,14 @@ class Localizer:
             return Rejected(frame.t_s, RejectReason.FEW_INLIERS, "3 of 9", "learned")
         north_m = SPEED_M_S * (frame.t_s - self.began_s) + 0.3 * np.sin(self.tries)
         lat_deg, lon_deg, _ = HOME.to_geodetic(np.array([north_m, 1.0, -50.0]))
-        return MapFix(
+        fix = MapFix(
             frame.t_s, float(lat_deg), float(lon_deg), 0.3 * np.eye(2), 0.1, 0.02, 50.2, 1.0,
             "nadir", "learned",
         )  # fmt: skip
+        if self.tries % 3 == 0:
+            nothing = dict.fromkeys(("yaw_rad", "sigma_yaw_rad", "agl_m", "sigma_agl_m"))
+            return replace(fix, **nothing, placed_by="correlation")
+        return fix
 
 
 @dataclass

@@ -22,7 +22,8 @@ from vwnav.types import MapFix, MatchStats, PointKind, Rejected, RejectReason
 
 INPUT_TOPIC, IMAGE_TOPIC = "/filter", "/picture"
 _ABOUT = "run"
-_FIX_NUMBERS = ("t_s", "lat_deg", "lon_deg", "yaw_rad", "sigma_yaw_rad")
+_PLACE = ("t_s", "lat_deg", "lon_deg")
+_HEADING_AND_HEIGHT = ("yaw_rad", "sigma_yaw_rad", "agl_m", "sigma_agl_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +144,9 @@ def _outcome(values: dict[str, Any]) -> MapFix | Rejected:
     values["stats"] = MatchStats(**values["stats"])
     if not values.pop("fix"):
         return Rejected(**values | {"reason": RejectReason[values["reason"].upper()]})
-    numbers = {name: float(values[name]) for name in _FIX_NUMBERS}
+    numbers = {name: float(values[name]) for name in _PLACE}
+    # A place found by correlation has no heading and no height.
+    told = [name for name in _HEADING_AND_HEIGHT if values[name] is not None]
+    numbers |= {name: float(values[name]) for name in told}
     covariance = np.array(values["covariance_ne_m2"], np.float64)
     return MapFix(**values | numbers | {"covariance_ne_m2": covariance})
