@@ -26,7 +26,7 @@ def made_unsure_m2(lean: Rotation, agl_m: float, rate_rad_s: float):
     attitudes.gyro.begin(0.0)
     turn_rad = np.array([0.0, 0.01 * rate_rad_s, 0.0])
     for n in range(1, 101):
-        attitudes.gyro.turn(0.01 * n, turn_rad)
+        attitudes.gyro.turn(0.01 * n, turn_rad, 0.01)
     quats = (lean.as_quat(scalar_first=True), np.array([1.0, 0.0, 0.0, 0.0]))
     for t_s, quat in zip((0.5, 0.6), quats, strict=True):
         attitudes.add(Attitude(t_s, quat))

@@ -24,7 +24,7 @@ def turning(until_s: float, gyro_until_s: float) -> AttitudeHistory:
     gyro = attitudes.gyro
     gyro.begin(0.0)
     for i in range(round(50 * gyro_until_s)):
-        gyro.turn(0.02 * (i + 1), 0.02 * RATE)
+        gyro.turn(0.02 * (i + 1), 0.02 * RATE, 0.02)
     for i in range(round(50 * until_s) + 1):
         attitudes.add(Attitude(0.02 * i, quat_from_vector(0.02 * i * RATE)))
     return attitudes

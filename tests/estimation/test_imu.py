@@ -19,11 +19,13 @@ from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.context import Context
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.preintegration import preintegrated
-from vwnav.estimation.states import States
+from vwnav.estimation.process import predict
+from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import (
     euler_from_rotation,
     quat_from_rotation,
@@ -104,6 +106,30 @@ def test_a_correction_of_our_clock_makes_no_turn_longer():
     imu = preintegrated(history.until(0.0), history.until(STEP_S * 49 + 0.04))
     assert 2.0 * math.atan2(imu.turn_wxyz[3], imu.turn_wxyz[0]) == pytest.approx(STEP_S * 49)
     assert imu.span_s == pytest.approx(STEP_S * 49)
+
+
+@given(
+    st.floats(2.0, 15.0),
+    st.lists(st.floats(0.0005, 0.6), min_size=1, max_size=8),
+    st.floats(0.001, 0.09),
+)
+def test_an_aircraft_flies_for_as_long_as_the_sensors_own_clock_says(speed_m_s, apart_s, ahead_s):
+    """Dates that lie apart are a simulator's that stood, or slips of a link: 4.5 m by 0.6 s."""
+    attitudes = AttitudeHistory(10.0)
+    imu = ImuHistory(attitudes, 10.0)
+    context = Context(EkfConfig(), attitudes, imu)
+    dates_s = np.cumsum([0.0, *[0.02] * 20, *apart_s])
+    for date_s in dates_s.tolist():
+        attitudes.add(Attitude(date_s, np.array([1.0, 0.0, 0.0, 0.0])))
+        imu.add(ImuSample(date_s, AT_REST, np.zeros(3), 0.02))
+    x = np.zeros(States.SIZE)
+    x[States.DRAG] = context.config.drag_per_s
+    x[States.POSITION], x[States.VELOCITY_NE] = (0.0, 0.0, -50.0), (speed_m_s, 0.0)
+    state = FilterState(0.0, x, np.eye(States.SIZE), True, True, 0.0, 0.0)
+    newest_s = float(dates_s[-1])
+    state = predict(predict(state, newest_s, context), newest_s + ahead_s, context)
+    flown_s = 0.02 * (len(dates_s) - 1) + ahead_s
+    assert state.x[States.POSITION_NE] == pytest.approx([speed_m_s * flown_s, 0.0], abs=0.01)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.06])

@@ -189,8 +189,7 @@ class Ekf:
     def _handle_imu(self, sample: ImuSample) -> Innovation:
         """Take a sample of the IMU, in order of time and after the attitude of its moment.
 
-        While samples come, they move the estimate between measurements, instead of the attitude's
-        thrust and the slow acceleration.
+        While samples come, they move the estimate between measurements, instead of the thrust.
         """
         refusal = self._refusal(sample)
         if refusal is not None:
@@ -200,10 +199,11 @@ class Ekf:
         verdict = self._imu_gate.take(sample)
         if self._imu_gate.lost != was_lost:
             self._imu_changed()
-        due_s = self._drag_s + self._config.drag_interval_s
-        if self._timeline is not None and sample.t_s >= due_s:
-            self._drag_s = sample.t_s
-            self._meet_air(verdict, sample.t_s)
+        if self._timeline is not None:
+            self._timeline.slipped(self._imu.slipped_s)
+            if sample.t_s >= self._drag_s + self._config.drag_interval_s:
+                self._drag_s = sample.t_s
+                self._meet_air(verdict, sample.t_s)
         return Innovation(verdict)
 
     def _meet_air(self, verdict: Verdict, t_s: float) -> None:

@@ -118,6 +118,13 @@ class Timeline:
         self.oldest = self._states[0]
         return innovation
 
+    def slipped(self, seconds: float) -> None:
+        """The aircraft's time stood for so long: who was told that it flew on is told anew."""
+        speed_m_s = float(np.linalg.norm(self.newest.x[States.VELOCITY]))
+        if seconds * speed_m_s > self._context.config.jump_m:
+            self.newest = replace(self.newest, reset_counter=self.newest.reset_counter + 1)
+            self._states[-1] = self.newest
+
     def test(self, event: Event) -> Innovation:
         """What `insert` would say of an event, which is left out."""
         if event.t_s < self.oldest.t_s:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from vwnav.bench.flights.faults.aircraft import SimulatorStands
 from vwnav.bench.flights.scenario import Flown
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
@@ -16,14 +17,21 @@ from vwnav.rules.flight_log import (
     Said,
     Vector,
 )
+from vwnav.rules.temporal import inside
 from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix, OdometryMotion
+
+_ANSWERED_S = 0.5
 
 
 def flight_log(flown: Flown) -> FlightLog:
     """Times are those of the world's clock."""
     track, heard, begun_s = flown.track, flown.track.heard, flown.begun_s
     steps = [*flown.steps, *flown.second_steps]
+    broken = [(lo + begun_s, hi + begun_s) for lo, hi in flown.broken]
+    # Of a time that a simulator did not have, and until a TIMESYNC answer can tell of it.
+    stands = any(isinstance(each.fault, SimulatorStands) for each in flown.scenario.breaks)
+    stood = [(lo, hi + _ANSWERED_S) for lo, hi in broken] if stands else []
     return FlightLog(
         bounds=bounds_of(flown.scenario.setup.config),
         vehicle=[
@@ -36,7 +44,7 @@ def flight_log(flown: Flown) -> FlightLog:
             )
             for row in track.truth
         ],
-        estimates=heard.estimates,
+        estimates=[each for each in heard.estimates if not inside(each.stamp_s, stood)],
         setpoints=heard.setpoints,
         commands=heard.commands,
         answers=heard.answers,
@@ -63,7 +71,7 @@ def flight_log(flown: Flown) -> FlightLog:
             LoggedTruth(row.t_s, _vector(row.position_ned_m), _vector(row.velocity_ned_m_s))
             for row in track.truth
         ],
-        broken=[(lo + begun_s, hi + begun_s) for lo, hi in flown.broken],
+        broken=broken,
     )
 
 

@@ -85,6 +85,10 @@ class Aircraft(Protocol):
         """Start again with the parameters as they are."""
         ...
 
+    def wait(self, seconds: float) -> None:
+        """Its time stands still for so long."""
+        ...
+
 
 class FlightStage(Protocol):
     """All that a fault may touch; `wall_clock` is the computer's date as it was before a fault."""

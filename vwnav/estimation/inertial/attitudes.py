@@ -38,6 +38,7 @@ class GyroHistory:
         self._turned: list[Array] = []
         self._series: list[int] = []  # samples between silences share a number
         self._first_series = 0
+        self._span_s = 0.0  # from the sample before to the newest
 
     @property
     def newest(self) -> Array:
@@ -58,8 +59,12 @@ class GyroHistory:
         turned = self._turned[-1] if self._turned else np.array([1.0, 0.0, 0.0, 0.0])
         self._append(t_s, series, turned)
 
-    def turn(self, t_s: float, rotation_rad: Array) -> None:
-        """Take a sample, until which the body turned by a rotation vector (3,) about its axes."""
+    def turn(self, t_s: float, rotation_rad: Array, span_s: float) -> None:
+        """Take a sample, until which the body turned by a rotation vector (3,) about its axes.
+
+        `span_s` since the one before is by the sensor's own clock: dates may lie together or apart.
+        """
+        self._span_s = span_s
         turned = quat_multiply(self._turned[-1], quat_from_vector(rotation_rad))
         self._append(t_s, self._series[-1], turned / math.sqrt(turned @ turned))
 
@@ -96,7 +101,9 @@ class GyroHistory:
         if self._series[i] != self._series[i - 1]:
             return (self._series[i], self._turned[i]) if t_s >= self._times_s[i] else None
         t0_s, t1_s = self._times_s[i - 1], self._times_s[i]
-        fraction = (t_s - t0_s) / (t1_s - t0_s)
+        fraction = (min(t_s, t1_s) - t0_s) / (t1_s - t0_s)
+        if t_s > t1_s:
+            fraction += (t_s - t1_s) / self._span_s
         turned = (1.0 - fraction) * self._turned[i - 1] + fraction * self._turned[i]
         return self._series[i], turned / math.sqrt(turned @ turned)
 

@@ -21,7 +21,11 @@ _SUDDEN_M_S2, _SUDDEN_RAD_S = 30.0, 8.0
 
 
 class ImuHistory:
-    """Running integrals over the samples: any span is a difference of two of them."""
+    """Running integrals over the samples: any span is a difference of two of them.
+
+    Attributes:
+        slipped_s: by how much the newest was dated later than the sensor's own clock says.
+    """
 
     def __init__(self, attitudes: AttitudeHistory, length_s: float) -> None:
         """Prepare; the gyro of the attitudes is told every sample."""
@@ -36,6 +40,7 @@ class ImuHistory:
         self._sudden: tuple[float, Array] | None = None  # the newest sample, believed or not
         self._doubted = np.zeros(2)  # variances that refused samples since the newest one add
         self._series = 0  # of the first sample
+        self.slipped_s = 0.0
 
     @property
     def heard(self) -> bool:
@@ -82,6 +87,7 @@ class ImuHistory:
             return False
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
         span_s = self._span_s(sample)
+        self.slipped_s = 0.0 if span_s is None else sample.t_s - self._times_s[-1] - span_s
         self._turn(sample.t_s, values[3:], span_s)
         held = self._attitudes.held(sample.t_s)
         R = rotation_from_quat(held.quat_wxyz)
@@ -118,7 +124,10 @@ class ImuHistory:
         zero, t0_s = self._felt[i - 1], self._times_s[i - 1]
         if zero.series != one.series:
             return one if t_s >= self._times_s[i] else None
-        fraction = (t_s - t0_s) / (self._times_s[i] - t0_s)
+        t1_s = self._times_s[i]
+        fraction = (min(t_s, t1_s) - t0_s) / (t1_s - t0_s)
+        if t_s > t1_s:  # by the sensor's own clock: its dates may lie together, or apart
+            fraction += (t_s - t1_s) / (one.span_s - zero.span_s)
         turned = (1.0 - fraction) * zero.turned + fraction * one.turned
         return ImuIntegrals(
             one.series,
@@ -142,7 +151,7 @@ class ImuHistory:
         if span_s is None:
             self._gyro.begin(t_s)
         else:
-            self._gyro.turn(t_s, (0.5 * span_s) * (self._newest[1][3:] + rates_rad_s))
+            self._gyro.turn(t_s, (0.5 * span_s) * (self._newest[1][3:] + rates_rad_s), span_s)
 
     def _next(self, span_s: float | None, leans: bool, now: Array, values: Array) -> ImuIntegrals:
         """Add a sample to the integrals, by the trapezoidal rule; `leans`: it is known how."""

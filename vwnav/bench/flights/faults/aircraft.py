@@ -139,6 +139,25 @@ class Reboots(Lasting):
 
 
 @dataclass(frozen=True)
+class SimulatorStands:
+    """A simulator gets no processor: for so long neither aircraft nor camera nor their time go on.
+
+    What it sends next follows on what it sent last, as if nothing had been.
+    """
+
+    seconds: float
+
+    def begin(self, world: FlightStage) -> None:
+        """It stands."""
+        world.core.wait(self.seconds)
+        world.camera.trouble = lambda frame: None
+
+    def end(self, world: FlightStage) -> None:
+        """It goes on."""
+        world.camera.trouble = None
+
+
+@dataclass(frozen=True)
 class PilotSwitches(Lasting):
     """The pilot flips the mode switch to Position and flies."""
 

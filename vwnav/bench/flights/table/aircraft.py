@@ -6,6 +6,7 @@ from vwnav.bench.flights.faults.aircraft import (
     PilotHandsBack,
     PilotSwitches,
     Reboots,
+    SimulatorStands,
 )
 from vwnav.bench.flights.faults.telemetry import BootClockJumps, battery_unknown
 from vwnav.bench.flights.scenario import (
@@ -18,6 +19,7 @@ from vwnav.bench.flights.scenario import (
     Break,
     Ending,
     Scenario,
+    again_and_again,
     down,
     flies_on,
     mode,
@@ -147,10 +149,21 @@ AUTOPILOT = [
         )
         for rate in (0.99, 0.98)
     ),
+    *(
+        Scenario(
+            name=f"autopilot's clock {100 * (1.0 - rate):.0f} % slow by turns of 5 s",
+            setup=setup(vehicle_rate=rate, vehicle_fit_s=5.0),
+            breaks=(),
+            limit_s=45.0,
+            ending=Ending.FLIES_ON,
+        )
+        for rate in (0.9, 0.7)
+    ),
+    flies_on("simulator stands still for 0.6 s", SimulatorStands(0.6), 0.6, after_s=15.0),
     Scenario(
-        name="autopilot's clock 10 % slow by turns of 5 s",
-        setup=setup(vehicle_rate=0.9, vehicle_fit_s=5.0),
-        breaks=(),
+        name="simulator stands still for 0.4 s every 5 s",
+        setup=setup(),
+        breaks=again_and_again(SimulatorStands(0.4), 5.0, 0.4, 5),
         limit_s=45.0,
         ending=Ending.FLIES_ON,
     ),
