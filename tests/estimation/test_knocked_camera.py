@@ -14,6 +14,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix, Recalibrated
+from vwnav.estimation.fixes import apply_agl
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
 from vwnav.estimation.inputs import decode, encode
 from vwnav.estimation.odometry_gate import MountCheck
@@ -308,3 +309,19 @@ def test_a_mount_that_is_doubted_leaves_the_level_velocity_as_sure_as_it_was(yaw
 def test_what_is_told_of_a_mount_is_remembered_as_it_was():
     told = Recalibrated(0.1, 0.3, 0.09, -0.1, 0.05, knocked=True)
     assert decode(encode(told)) == told
+
+
+def test_a_height_by_the_map_is_as_unsure_as_the_square_of_a_tilt_makes_it():
+    """By 9 degrees 1.2 m of 50; a rangefinder that was right was blamed for them."""
+    x = np.zeros(States.SIZE)
+    x[States.DOWN] = -AGL_M
+    told = {}
+    for tilt_rad in (0.0, 0.155):
+        tilted_x = x.copy()
+        tilted_x[States.CAMERA_TILT] = tilt_rad, 0.0
+        state = replace(of_filter(), x=tilted_x, P=0.01 * np.eye(States.SIZE))
+        for by_map in (False, True):
+            fused, _ = apply_agl(state, AGL_M + 1.2, 0.5, EkfConfig(), by_map)
+            told[by_map, tilt_rad] = fused.agl_m - AGL_M
+    assert told[True, 0.155] < 0.3 * told[True, 0.0]
+    assert told[False, 0.155] == told[False, 0.0]

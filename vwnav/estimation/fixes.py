@@ -316,13 +316,14 @@ def apply_agl(
 
     A cliff or a quarry is refused at first; when several agree, the terrain height is freed, and a
     rangefinder that may have held the height has to bear them, or it would hold it again.
-    Heights `by_map` share the errors of its scale and of the focal length, and are those over what
-    was matched, roofs or the street.
+    Heights `by_map` share the errors of its scale and of the focal length, are those over what was
+    matched, roofs or the street, and as wrong as the square of a camera's tilt makes them.
     """
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
     H[0, [States.MAP_SCALE, States.FOCAL]] = state.agl_m if by_map else 0.0
-    variance = sigma_m**2 + (state.relief_m**2 if by_map else 0.0)
+    bent_m = state.agl_m * float(state.x[States.CAMERA_TILT] @ state.x[States.CAMERA_TILT])
+    variance = sigma_m**2 + (state.relief_m**2 + bent_m**2 if by_map else 0.0)
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[variance]]))
     fused, innovation = fuse(state, measurement)
     trust = state.range_trust
