@@ -230,6 +230,21 @@ def test_a_simulator_that_fell_behind_is_followed(asks, within_s):
     assert autopilot.clock.restarts == 0
 
 
+@given(st.floats(0.3, 2.0), st.floats(0.0, 0.2), st.integers(0, 1000))
+def test_one_that_stood_with_questions_waiting_is_dated_rightly_soon_after(stood_s, phase_s, seed):
+    """They are answered all at once, before a stamp tells: taken for lies it took a second more."""
+    autopilot = Autopilot(seed=seed)
+    autopilot.run(8.0 + phase_s)
+    asked_s = [autopilot.t_s + 0.2 * i - phase_s for i in range(1, math.ceil(stood_s / 0.2))]
+    autopilot.fall_behind(stood_s)
+    autopilot.t_s += stood_s
+    for sent_s in asked_s:
+        boot_s = autopilot.boot_s(autopilot.t_s)
+        autopilot.clock.handle_round_trip(sent_s, boot_s, autopilot.t_s + WIRE_S)
+    autopilot.run(0.3)
+    assert worst(autopilot.run(1.0)) < 0.02
+
+
 def test_a_simulator_that_stood_still_for_a_while_is_followed():
     autopilot = Autopilot()
     autopilot.run(10.0)

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 _WINDOW_S = 8.0
 _BUCKET_S = 0.25
@@ -81,7 +81,11 @@ class SenderClock:
         if not math.isfinite(stamp_s) or abs(stamp_s - self._newest_stamp_s) > _WINDOW_S:
             return
         point = (stamp_s, sent_s - stamp_s)
-        self._verdicts.append(self._agrees_with_stamps(point, received_s - sent_s))
+        since_s = received_s - _FRESH_S  # a clock that stood has slipped since older ones
+        fresh = [stamp for stamp in self._fresh if sum(stamp) > since_s]
+        if not fresh:
+            return
+        self._verdicts.append(self._agrees_with(fresh, point, received_s - sent_s))
         if self._verdicts[-1]:
             self._answers.append(point)
             self._fit()
@@ -200,14 +204,11 @@ class SenderClock:
         stamp_s, late_s = point
         return late_s + self._drift * (self._newest_stamp_s - stamp_s)
 
-    def _agrees_with_stamps(self, answer: Point, round_trip_s: float) -> bool:
+    def _agrees_with(self, fresh: Sequence[Point], answer: Point, round_trip_s: float) -> bool:
         """Stamps of the same moment slip with the clock: an answer that they deny is a lie.
 
         Between a stamp and it the clock may have slipped, as fast as clocks do.
         """
-        fresh = [stamp for stamp in self._fresh if answer[0] - stamp[0] < _FRESH_S]
-        if not fresh:
-            return False
         late_s = self._residual_s(answer)
         least_s = min(map(self._residual_s, fresh))
         slipped_s = min(
