@@ -321,9 +321,9 @@ def apply_agl(
     """
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN] = H[0, States.TERRAIN] = -1.0
-    H[0, [States.MAP_SCALE, States.FOCAL]] = state.agl_m if by_map else 0.0
-    bent_m = state.agl_m * float(state.x[States.CAMERA_TILT] @ state.x[States.CAMERA_TILT])
-    variance = sigma_m**2 + (state.relief_m**2 + bent_m**2 if by_map else 0.0)
+    H[0, [States.MAP_SCALE, States.FOCAL]] = scaled_m = state.agl_m if by_map else 0.0
+    bent_m = scaled_m * float(state.x[States.CAMERA_TILT] @ state.x[States.CAMERA_TILT])
+    variance = sigma_m**2 + (state.relief_m**2 if by_map else 0.0) + bent_m**2
     measurement = Measurement(agl_m - H @ state.x, H, np.array([[variance]]))
     fused, innovation = fuse(state, measurement)
     trust = state.range_trust
