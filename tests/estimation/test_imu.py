@@ -23,6 +23,7 @@ from vwnav.estimation.context import Context
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inertial.preintegration import preintegrated
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, States
@@ -275,3 +276,14 @@ def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
     imu = preintegrated(guessed, history.until(newest_s + 0.0905))
     assert imu.velocity_variance_m2_s2 >= 0.0
     assert imu.turn_variance_rad2 >= 0.0
+
+
+def test_a_sample_that_is_refused_after_a_slip_counts_it_no_second_time():
+    attitudes = level_attitudes()
+    history = ImuHistory(attitudes, 10.0)
+    gate = ImuGate(attitudes, history)
+    slips_s = []
+    for t_s, force in ((0.0, AT_REST), (0.02, AT_REST), (0.62, AT_REST), (0.64, 50.0 * AT_REST)):
+        gate.take(ImuSample(t_s, force, np.zeros(3), 0.02))
+        slips_s.append(history.slipped_s)
+    assert slips_s == pytest.approx([0.0, 0.0, 0.58, 0.0])

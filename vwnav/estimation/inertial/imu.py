@@ -24,7 +24,8 @@ class ImuHistory:
     """Running integrals over the samples: any span is a difference of two of them.
 
     Attributes:
-        slipped_s: by how much the newest was dated later than the sensor's own clock says.
+        slipped_s: by how much the last one was dated later than the sensor's own clock says; 0
+            where it was refused.
     """
 
     def __init__(self, attitudes: AttitudeHistory, length_s: float) -> None:
@@ -60,6 +61,7 @@ class ImuHistory:
 
     def believes(self, sample: ImuSample) -> bool:
         """Whether an aircraft can feel this; what comes suddenly must be felt twice."""
+        self.slipped_s = 0.0
         if sample.t_s <= self.newest_s:
             return True  # too late to be compared, and to be added
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
