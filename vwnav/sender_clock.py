@@ -20,6 +20,7 @@ _VERDICTS = 10  # on answers: a liar is right now and then
 _CONTRADICTION_S = 0.001
 _FRESH_S = 0.3  # stamps and an answer that came together speak of the same clock
 _FRESH_STAMPS = 15
+_WAITED_S = 0.05  # of a question, beyond twice the least of the last few
 _SLOWER_STAMPS_S = 0.02  # by so much stamps may be slower than answers, at their best
 
 Point = tuple[float, float]  # time on the sender's clock, how much later it is on ours
@@ -77,7 +78,11 @@ class SenderClock:
         """Learn from a TIMESYNC answer: asked and received here, answered there in between."""
         if not 0.0 <= received_s - sent_s < _WINDOW_S:
             return
-        self._spent_s.append(received_s - sent_s)
+        spent_s = received_s - sent_s
+        least_s = min(self._spent_s, default=spent_s)
+        self._spent_s.append(spent_s)
+        if spent_s > 2.0 * least_s + _WAITED_S:
+            return  # it waited: the middle of its way says little
         if not math.isfinite(stamp_s) or abs(stamp_s - self._newest_stamp_s) > _WINDOW_S:
             return
         point = (stamp_s, sent_s - stamp_s)
@@ -85,7 +90,7 @@ class SenderClock:
         fresh = [stamp for stamp in self._fresh if sum(stamp) > since_s]
         if not fresh:
             return
-        self._verdicts.append(self._agrees_with(fresh, point, received_s - sent_s))
+        self._verdicts.append(self._agrees_with(fresh, point, spent_s))
         if self._verdicts[-1]:
             self._answers.append(point)
             self._fit()

@@ -108,15 +108,15 @@ def test_images_that_show_no_tilting_or_that_of_another_moment_tell_no_turn(seed
     assert not turns_told(seed, lambda *_: 0.03 * other.normal(size=2), had_fix=True)
 
 
-@given(st.floats(0.02, 0.06), st.floats(-math.pi, math.pi), SEEDS)
+@given(st.floats(0.02, 0.04), st.floats(-math.pi, math.pi), SEEDS)
 def test_a_keyframe_whose_attitude_is_off_turns_no_mount_however_long_it_is_hovered_on(
     off_rad, way_rad, seed
 ):
-    """In 23 s above one place, 0.4 degrees off, it had turned a right mount by 9."""
+    """In 23 s above one place it had turned a right mount by 9 degrees."""
     rng, check = np.random.default_rng(seed), MountCheck(is_open=True, feels=lambda: True)
     off = off_rad * np.array([math.cos(way_rad), math.sin(way_rad)])
     for i in range(1, 400):
-        tilt_rad = 0.03 * rng.normal(size=2) + 0.03
+        tilt_rad = 0.01 * rng.normal(size=2) + 0.06
         motion = shown(0.1 * i, tilt_rad + off, tilt_rad + 0.01 * rng.normal(size=2), 0.01)
         motion = replace(motion, t0_s=0.0)
         assert check.turned(motion, AGREES, had_fix=False) is None

@@ -187,10 +187,7 @@ class Ekf:
         return Innovation(self._attitude_gate.take(attitude))
 
     def _handle_imu(self, sample: ImuSample) -> Innovation:
-        """Take a sample of the IMU, in order of time and after the attitude of its moment.
-
-        While samples come, they move the estimate between measurements, instead of the thrust.
-        """
+        """Take a sample of the IMU, in order of time and after the attitude of its moment."""
         refusal = self._refusal(sample)
         if refusal is not None:
             return Innovation(refusal)
@@ -200,7 +197,8 @@ class Ekf:
         if self._imu_gate.lost != was_lost:
             self._imu_changed()
         if self._timeline is not None:
-            self._timeline.slipped(self._imu.slipped_s)
+            if self._timeline.slipped(self._imu.slipped_s):
+                self._odometry_gate.forgive()
             if sample.t_s >= self._drag_s + self._config.drag_interval_s:
                 self._drag_s = sample.t_s
                 self._meet_air(verdict, sample.t_s)

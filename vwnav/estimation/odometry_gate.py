@@ -55,7 +55,7 @@ _SHOWN = 0.7  # of what the attitudes tell: images of another moment show as muc
 _LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
 _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
 _OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
-_MOST_OF_ONE = 4.0  # witnesses that share a keyframe, and the error of its attitude
+_MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than is asked for
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
 _TURN_DOUBT = 0.3  # one sigma of what images have told by their tilts, as a share of it
@@ -203,7 +203,7 @@ class OdometryGate:
         return timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
 
     def forgive(self) -> None:
-        """What was refused was right: the IMU that it contradicted is not believed any more."""
+        """What was refused was right: the IMU that it contradicted is not believed, or stood."""
         self._begin_anew()
 
     @property

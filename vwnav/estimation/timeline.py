@@ -39,7 +39,7 @@ from vwnav.estimation.events import (
 )
 from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
-from vwnav.estimation.inertial.attitudes import is_rotation
+from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, is_rotation
 from vwnav.estimation.inertial.drag import apply_drag
 from vwnav.estimation.inertial.imu import is_felt
 from vwnav.estimation.odometry import (
@@ -118,12 +118,20 @@ class Timeline:
         self.oldest = self._states[0]
         return innovation
 
-    def slipped(self, seconds: float) -> None:
-        """The aircraft's time stood for so long: who was told that it flew on is told anew."""
-        speed_m_s = float(np.linalg.norm(self.newest.x[States.VELOCITY]))
-        if seconds * speed_m_s > self._context.config.jump_m:
-            self.newest = replace(self.newest, reset_counter=self.newest.reset_counter + 1)
-            self._states[-1] = self.newest
+    def slipped(self, seconds: float) -> bool:
+        """Whether the aircraft's time stood for so long: what came since was met where it was not.
+
+        Who was told meanwhile that it flew on is told anew.
+        """
+        if seconds < LONGEST_GAP_S:
+            return False
+        counter, flown_m = self.newest.reset_counter, seconds * self.newest.x[States.VELOCITY]
+        self._apply_again(0)
+        self.newest = self._states[-1]
+        jumped = float(np.linalg.norm(flown_m)) > self._context.config.jump_m
+        if jumped and self.newest.reset_counter == counter:
+            self._states[-1] = self.newest = replace(self.newest, reset_counter=counter + 1)
+        return True
 
     def test(self, event: Event) -> Innovation:
         """What `insert` would say of an event, which is left out."""

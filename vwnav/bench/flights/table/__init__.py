@@ -49,6 +49,7 @@ QUICK = {
     "model raises in flight",
     "pilot takes over while on the route",
     "take-off refused",
+    "simulator stands still for 0.6 s",
     "lens covered for good, and then the link cut for 2 s",
 }
 
