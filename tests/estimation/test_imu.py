@@ -35,7 +35,7 @@ from vwnav.geometry.rotations import (
 )
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
-from vwnav.types import Attitude, Estimate, Height, ImuSample, Stationary
+from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Stationary
 
 RATE = st.floats(-3.0, 3.0)
 AT_REST = np.array([0.0, 0.0, -9.80665])
@@ -287,3 +287,32 @@ def test_a_sample_that_is_refused_after_a_slip_counts_it_no_second_time():
         gate.take(ImuSample(t_s, force, np.zeros(3), 0.02))
         slips_s.append(history.slipped_s)
     assert slips_s == pytest.approx([0.0, 0.0, 0.58, 0.0])
+
+
+@pytest.mark.parametrize("refused", [50.0 * AT_REST, np.full(3, math.nan)])
+def test_where_samples_are_refused_the_dates_tell_how_long_it_flew(refused):
+    """Else every one that is not a number would cost a fiftieth of a second of the way."""
+    ekf = Ekf(EkfConfig())
+    level = np.array([1.0, 0.0, 0.0, 0.0])
+    ekf.handle(Attitude(0.0, level))
+    place = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(
+        Start(t_s=0.0, position_ned_m=place, agl_m=50.0, sigma_velocity_m_s=8.0),
+    )
+    for n in range(1, 301):
+        t_s = round(0.02 * n, 6)
+        ekf.handle(Attitude(t_s, level))
+        force = refused if n % 3 == 0 and t_s > 2.0 else AT_REST
+        ekf.handle(ImuSample(t_s, force, np.zeros(3), STEP_S))
+        if t_s <= 2.0 and n % 5 == 0:
+            way_m = np.array([0.8, 0.0, 0.0])
+            ekf.handle(
+                OdometryMotion(
+                    round(t_s - 0.1, 6), t_s, way_m, 1e-4 * np.eye(3), 0.0, 0.003, 50.0, 99
+                )
+            )
+        if n == 100:
+            before = ekf.estimate(t_s)
+    flown_m = (ekf.estimate(6.0).position_ned_m - before.position_ned_m)[0]
+    assert before.velocity_ned_m_s[0] == pytest.approx(8.0, abs=0.1)
+    assert flown_m == pytest.approx(32.0, abs=0.5)

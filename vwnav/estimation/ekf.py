@@ -190,6 +190,7 @@ class Ekf:
         """Take a sample of the IMU, in order of time and after the attitude of its moment."""
         refusal = self._refusal(sample)
         if refusal is not None:
+            self._imu.miss()
             return Innovation(refusal)
         self._attitude_gate.heard(sample.t_s)
         was_lost = self._imu_gate.lost

@@ -42,6 +42,7 @@ class ImuHistory:
         self._doubted = np.zeros(2)  # variances that refused samples since the newest one add
         self._series = 0  # of the first sample
         self.slipped_s = 0.0
+        self._missed = False  # one was refused since the newest
 
     @property
     def heard(self) -> bool:
@@ -74,7 +75,12 @@ class ImuHistory:
                 return _within(values - before[1], _SUDDEN_M_S2, _SUDDEN_RAD_S)
         if not silent:
             self._doubt(values - self._newest[1], sample.t_s - self.newest_s)
+        self.miss()
         return False
+
+    def miss(self) -> None:
+        """One was refused: of the next one's own clock nobody knows how long it has counted."""
+        self.slipped_s, self._missed = 0.0, True
 
     def _doubt(self, change: Array, span_s: float) -> None:
         """A sample is refused: wrong, or a blow too short for others."""
@@ -90,6 +96,7 @@ class ImuHistory:
         values = np.concatenate([sample.specific_force_m_s2, sample.rates_rad_s])
         span_s = self._span_s(sample)
         self.slipped_s = 0.0 if span_s is None else sample.t_s - self._times_s[-1] - span_s
+        self._missed = False
         self._turn(sample.t_s, values[3:], span_s)
         held = self._attitudes.held(sample.t_s)
         R = rotation_from_quat(held.quat_wxyz)
@@ -144,7 +151,7 @@ class ImuHistory:
         if not self._times_s:
             return None
         span_s = sample.span_s
-        if span_s is None or self._doubted.any():  # its own clock counts from the one refused
+        if span_s is None or self._missed:
             span_s = sample.t_s - self._times_s[-1]
         return span_s if span_s <= LONGEST_GAP_S else None
 
