@@ -46,7 +46,7 @@ _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
-_MOST_ALONG = 5.0  # what those of one keyframe say at most
+_MOST_ALONG = 5.0  # what one says at most, and those of one keyframe
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
 # Of a mount, after a fix: what a compass errs by at most.
 _MOST_TURN_RAD = math.radians(45.0)
@@ -180,7 +180,8 @@ class OdometryGate:
         # Images of one keyframe share its attitude's error: a hover on one says it at each.
         keyframe_s, said = self._by_keyframe
         said = said if motion.t0_s == keyframe_s else 0.0
-        says = min(max(said + share * motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
+        told = share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
+        says = min(max(said + told, -_MOST_ALONG), _MOST_ALONG)
         self._by_keyframe = (motion.t0_s, says)
         self._along = min(max(self._along + says - said, -_SURE_ALONG), _SURE_ALONG)
         self._turned = self._along == -_SURE_ALONG
