@@ -76,9 +76,9 @@ class SenderClock:
 
     def handle_round_trip(self, sent_s: float, stamp_s: float, received_s: float) -> None:
         """Learn from a TIMESYNC answer: asked and received here, answered there in between."""
-        if not 0.0 <= received_s - sent_s < _WINDOW_S:
-            return
         spent_s = received_s - sent_s
+        if not 0.0 <= spent_s < _WINDOW_S:
+            return
         least_s = min(self._spent_s, default=spent_s)
         self._spent_s.append(spent_s)
         if spent_s > 2.0 * least_s + _WAITED_S:

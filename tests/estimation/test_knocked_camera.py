@@ -112,7 +112,11 @@ def test_images_that_show_no_tilting_or_that_of_another_moment_tell_no_turn(seed
 def test_a_keyframe_whose_attitude_is_off_turns_no_mount_however_long_it_is_hovered_on(
     off_rad, way_rad, seed
 ):
-    """In 23 s above one place it had turned a right mount by 9 degrees."""
+    """In 23 s above one place it had turned a right mount by 9 degrees.
+
+    One that is off by more than the aircraft tilts may show 45 degrees still: those are believed
+    after half a second, for they cost a take-off.
+    """
     rng, check = np.random.default_rng(seed), MountCheck(is_open=True, feels=lambda: True)
     off = off_rad * np.array([math.cos(way_rad), math.sin(way_rad)])
     for i in range(1, 400):

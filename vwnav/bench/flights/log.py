@@ -21,7 +21,7 @@ from vwnav.rules.temporal import inside
 from vwnav.seams import StepResult
 from vwnav.types import Array, MapFix, OdometryMotion
 
-_ANSWERED_S = 0.5
+_ANSWERED_S = 0.5  # asked five times a second, on a link that has to catch up
 
 
 def flight_log(flown: Flown) -> FlightLog:

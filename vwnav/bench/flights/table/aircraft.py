@@ -161,9 +161,9 @@ AUTOPILOT = [
     ),
     flies_on("simulator stands still for 0.6 s", SimulatorStands(0.6), 0.6, after_s=15.0),
     Scenario(
-        name="simulator stands still for 0.4 s every 5 s",
+        name="simulator stands still for 0.6 s every 5 s",
         setup=setup(),
-        breaks=again_and_again(SimulatorStands(0.4), 5.0, 0.4, 5),
+        breaks=again_and_again(SimulatorStands(0.6), 5.0, 0.6, 5),
         limit_s=45.0,
         ending=Ending.FLIES_ON,
     ),
