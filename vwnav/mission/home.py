@@ -1,10 +1,13 @@
 """Where the aircraft stood, known once fixes say where that was; and the way it has flown since."""
 
+import math
+
 import numpy as np
 
 from vwnav.types import Array, Estimate
 
 _AGREES_M = 3.0  # a home that was given is right when the way flown from it ends this near
+_CORRELATED_S = 2.5  # an error of the velocity lasts as long, until images tell another way
 _SPACING_M = 20.0
 
 
@@ -18,13 +21,15 @@ class Home:
     def __init__(self, given_ne_m: Array | None) -> None:
         self._given_ne_m = given_ne_m
         self._way_ne_m: Array = np.zeros(2)
+        self._way_m2 = 0.0  # its variance
         self._settled = False
         self.place_ne_m: Array | None = None
 
-    def flown(self, step_ne_m: Array) -> None:
-        """The way (2,) of one tick, without jumps of the position."""
+    def flown(self, step_ne_m: Array, sigma_m_s: float, dt_s: float) -> None:
+        """The way (2,) of one tick, without jumps of the position, and how sure its velocity is."""
         if not self._settled:
             self._way_ne_m = self._way_ne_m + step_ne_m
+            self._way_m2 += 2.0 * _CORRELATED_S * sigma_m_s**2 * dt_s
 
     def take(self, place_ne_m: Array) -> None:
         """It is known for sure."""
@@ -40,7 +45,7 @@ class Home:
         if self._given_ne_m is None:
             return "home is where the aircraft stood: known now"
         apart_m = float(np.hypot(*(stood_ne_m - self._given_ne_m)))
-        if apart_m <= _AGREES_M:
+        if apart_m <= max(_AGREES_M, math.sqrt(self._way_m2)):
             self.place_ne_m = self._given_ne_m
             return ""
         return f"the aircraft stood {apart_m:.0f} m from the home that was given: it returns there"

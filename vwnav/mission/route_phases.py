@@ -1,5 +1,6 @@
 """The phases that the mission itself flies: from the autopilot's take-off to above the landing."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -71,16 +72,14 @@ class RoutePhases:
             return
         if estimate.t_last_fix_s is not None and estimate.t_last_fix_s != before.t_last_fix_s:
             self._fixes += 1
-        flown_m = (
-            0.5
-            * (estimate.velocity_ned_m_s + before.velocity_ned_m_s)[:2]
-            * (estimate.t_s - before.t_s)
-        )
+        dt_s = estimate.t_s - before.t_s
+        flown_m = 0.5 * dt_s * (estimate.velocity_ned_m_s + before.velocity_ned_m_s)[:2]
         if estimate.reset_counter != before.reset_counter and self._home.place_ne_m is None:
             jump_m = (estimate.position_ned_m - before.position_ned_m)[:2] - flown_m
             self._steering.held_ne_m = self._steering.held_ne_m + jump_m
         if not on_ground:
-            self._home.flown(flown_m)
+            sigma_m_s = math.sqrt(float(np.max(np.diag(estimate.covariance)[3:5])))
+            self._home.flown(flown_m, sigma_m_s, dt_s)
 
     def take_up(self, phase: Phase, estimate: Estimate) -> None:
         """Begin in the air with home given, as if it had flown there: `Flight.take_up`."""
