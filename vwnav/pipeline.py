@@ -7,6 +7,7 @@
 estimates into setpoints.
 """
 
+import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -279,10 +280,11 @@ class Pipeline:
             roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
-        yaw_rad = yaw_of(now.quat_wxyz)
+        yaw_rad = math.remainder(yaw_of(now.quat_wxyz) + now.camera_turn_rad, 2.0 * math.pi)
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
         agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._lens.least_agl_ratio)
-        sigma_yaw_rad = now.sigma_yaw_rad * (doubt if now.t_last_fix_s is None else 1.0)
+        sigma_yaw_rad = now.sigma_seen_yaw_rad or now.sigma_yaw_rad
+        sigma_yaw_rad *= doubt if now.t_last_fix_s is None else 1.0
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
             sigma_yaw_rad=sigma_yaw_rad,

@@ -317,6 +317,9 @@ class Estimate:
         agl_m: height above the ground below.
         t_last_fix_s: exposure of the last map fix that was fused, None before the first.
         reset_counter: counts re-localisations (jumps), nothing else.
+        camera_turn_rad: by how much the camera is turned on its mount from what it is taken for,
+            clockwise seen from above, as far as is known: images show the heading for so much more.
+        sigma_seen_yaw_rad: of the heading that images show; None as that of the heading.
         wind_ne_m_s: (2,) where it blows to; None while it is not known.
         slope_ne: rise of the ground below per metre north and east.
     """
@@ -331,6 +334,8 @@ class Estimate:
     sigma_agl_m: float
     t_last_fix_s: float | None
     reset_counter: int
+    camera_turn_rad: float = 0.0
+    sigma_seen_yaw_rad: float | None = None
     wind_ne_m_s: Array | None = None
     slope_ne: tuple[float, float] = (0.0, 0.0)
 

@@ -132,7 +132,7 @@ def test_a_hundred_fixes_of_one_place_do_not_take_away_what_they_share():
                 )
             )  # fmt: skip
         found = ekf.estimate(t)
-        sigmas.append((found.sigma_yaw_rad, found.sigma_agl_m))
+        sigmas.append((found.sigma_seen_yaw_rad, found.sigma_agl_m))
     (yaw_rad, agl_m), (sure_yaw_rad, sure_agl_m) = sigmas
     assert yaw_rad > EkfConfig().map_turn_rad > 1.5 * sure_yaw_rad
     assert agl_m > 1.3 * sure_agl_m

@@ -20,6 +20,7 @@ class EkfConfig:
     tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew
     # Of the camera, for good; `vwnav fly` takes them from its file
     mount_sigma_rad: float = math.radians(0.2)  # per axis
+    mount_turn_sigma_rad: float = math.radians(4.0)  # less than images show of it at once
     focal_sigma_ratio: float = 0.001
     # Of fixes, for good
     fix_lean_rad: float = math.radians(0.2)  # per axis, alike in every turn: 17 cm at 50 m
@@ -127,6 +128,7 @@ class EkfConfig:
             heading_walk_rad=math.radians(0.5),
             tilt_sigma_rad=math.radians(0.01),
             mount_sigma_rad=math.radians(0.01),
+            mount_turn_sigma_rad=math.radians(0.01),
             fix_lean_rad=math.radians(0.01),
             focal_sigma_ratio=1e-4,
             heading_sigma_rad=math.pi,

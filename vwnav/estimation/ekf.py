@@ -236,7 +236,7 @@ class Ekf:
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if not innovation.accepted:
             return self._doubt_mount(self._timeline) or innovation
-        self._odometry_gate.fixes += 1
+        self._odometry_gate.fixes += fix.agl_m is not None or fix.yaw_rad is None  # in scale
         self._imu_gate.fixes_s.append(fix.t_s)
         return innovation
 

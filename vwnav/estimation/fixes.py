@@ -31,6 +31,8 @@ _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
+_SHARED = [States.CAMERA_TURN, States.MAP_TURN]
+_SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error and of those
 _TURNED_COS = math.cos(math.radians(40.0))
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
@@ -68,7 +70,7 @@ def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[Filter
     if exposure.told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
     if compass is not None and state.heading_known:
-        off_rad = compass[0] - float(state.x[States.HEADING_BIAS] - state.x[States.MAP_TURN])
+        off_rad = compass[0] - float(_SHOWN @ state.x[[_NOW.yaw, *_SHARED]])
         if math.cos(off_rad) < _TURNED_COS:
             found, part = _apply_heading(state, *compass, config, _NOW.yaw)
             if not part.accepted:
@@ -119,7 +121,7 @@ def apply_late_fix(
     if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
         compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
     if compass is not None and state.heading_known:
-        off_rad = compass[0] - float(state.x[_THEN.yaw] - state.x[States.MAP_TURN])
+        off_rad = compass[0] - float(_SHOWN @ state.x[[_THEN.yaw, *_SHARED]])
         if math.cos(off_rad) < _TURNED_COS:
             found, part = _apply_heading(state, *compass, config, _THEN.yaw)
             if not part.accepted:
@@ -162,6 +164,7 @@ def _position(
     H = np.zeros((2, States.SIZE))
     H[:, pose.ne] = np.eye(2)
     H[:, pose.tilt] = H[:, States.CAMERA_TILT] = H[:, States.FIX_LEAN] = lever
+    H[:, States.CAMERA_TURN] = lever @ exposure.lean
     H[:, States.MAP] = np.eye(2)
     H[:, States.FOCAL] = -agl_m * np.array([[c, -s], [s, c]]) @ exposure.lean
     residual = fix.position_ne_m - H @ state.x
@@ -176,7 +179,7 @@ def _position(
 def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measurement:
     """No attitude that is believed tells how the image was turned: by how much, nobody knows."""
     H = position.H.copy()
-    H[:, States.TILT] = 0.0
+    H[:, States.TILT] = H[:, [States.CAMERA_TURN]] = 0.0
     wide_m2 = (_UNSEEN_RAD * max(state.agl_m, 0.0)) ** 2 * np.eye(2)
     residual = fix.position_ne_m - H @ state.x
     return Measurement(residual, H, fix.covariance_ne_m2 + wide_m2)
@@ -194,9 +197,8 @@ def _apply_position(
     before_s = after.t_last_fix_s
     if before_s is not None and 0.0 < fix.t_s - before_s < _AGREEING_S:
         # It agrees with one shortly before it: to begin anew from, should that be.
-        position_ne_m = after.x[States.POSITION_NE].copy()
-        sigma_m = math.sqrt(max(np.diag(after.P)[States.POSITION_NE]))
-        after = replace(after, trusted=TrustedPosition(after.t_s, position_ne_m, sigma_m))
+        place_ne_m, sigma_m = after.x[States.POSITION_NE], math.sqrt(max(np.diag(after.P)[_NOW.ne]))
+        after = replace(after, trusted=TrustedPosition(after.t_s, place_ne_m.copy(), sigma_m))
     return replace(after, t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
 
 
@@ -244,8 +246,7 @@ def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
     """
     jump = np.zeros((States.SIZE, 2))
     jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
-    moved = _moved_along(state, measurement, jump)
-    return replace(moved, position_known=True)
+    return replace(_moved_along(state, measurement, jump), position_known=True)
 
 
 def _on_other_ground(before: FilterState, after: FilterState, context: Context) -> FilterState:
@@ -278,7 +279,7 @@ def _apply_heading(
     A compass that suddenly errs is refused at first; when several fixes agree, the bias is freed.
     """
     H = np.zeros((1, States.SIZE))
-    H[0, yaw], H[0, States.MAP_TURN] = 1.0, -1.0
+    H[0, [yaw, *_SHARED]] = _SHOWN
     residual = np.array([wrap_pi(float(bias_rad - H[0] @ state.x))])
     measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
     jump = np.zeros((States.SIZE, 1))
@@ -293,9 +294,8 @@ def _apply_heading(
         return replace(fused, rejected_headings=()), innovation
     rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
     state = replace(state, rejected_headings=rejected)
-    if not convinces(
-        rejected, config.heading_drift_rad_s, config.offset_count, config.offset_span_s
-    ):
+    drift = config.heading_drift_rad_s
+    if not convinces(rejected, drift, config.offset_count, config.offset_span_s):
         return state, innovation
     if state.t_last_fix_s is None:  # it was off from the start, and so was all that is level
         state = turned(state, -float(residual[0]))

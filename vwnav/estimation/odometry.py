@@ -50,6 +50,7 @@ _TAUGHT = np.r_[
     States.SLOPE,
 ]
 _ATTITUDE_ERRORS = tuple(np.r_[States.TILT, States.ANCHOR_TILT, States.CAMERA_TILT].tolist())
+_HEADINGS = (States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.CAMERA_TURN)
 _MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
@@ -130,7 +131,7 @@ def _apply_slope(
     table = np.zeros(2)
     if context.ground is not None and (patch := context.patch(*state.x[States.POSITION_NE])):
         table = np.array([patch.per_north, patch.per_east])
-    turn = level_axes(-float(state.x[States.ANCHOR_HEADING_BIAS]))
+    turn = level_axes(-float(state.x[States.ANCHOR_HEADING_BIAS] + state.x[States.CAMERA_TURN]))
     config = context.config
     way_m = math.hypot(*(state.x[States.POSITION] - state.x[States.ANCHOR_POSITION]))
     P = state.P.copy()
@@ -272,7 +273,7 @@ def _displacement(
     (2 - s) f AGL0 (a0 - a1).
     """
     x = state.x
-    turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS]))
+    turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS] + x[States.CAMERA_TURN]))
     way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
     # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
     # residual and gain alike, and every image would pull height and place to the same side.
@@ -294,11 +295,14 @@ def _displacement(
     by_tilt0[:2] -= motion.tilt_share * agl_m * QUARTER_TURN @ level0
     H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
     H[:, States.CAMERA_TILT] = by_tilt0 + by_tilt1  # the same at both ends, about the body
+    H[:, States.CAMERA_TURN] = H[:, States.ANCHOR_HEADING_BIAS] + by_tilt0 @ anchor.lean
+    H[:, States.CAMERA_TURN] += by_tilt1 @ lean
     shifted_m = (2.0 - motion.tilt_share) * agl_m * (level0 @ anchor.lean - level1 @ lean)
     H[:2, States.FOCAL] = shifted_m - predicted_m[:2]
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     residual -= H[:, States.CAMERA_TILT] @ x[States.CAMERA_TILT]
+    residual -= (by_tilt0 @ anchor.lean + by_tilt1 @ lean) * x[States.CAMERA_TURN]
     residual -= H[:, States.FOCAL] * x[States.FOCAL]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
@@ -308,7 +312,7 @@ def _displacement(
     R += unsure**2 * float(predicted_m @ predicted_m) * np.eye(3)
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
-    return Measurement(residual, H, R, considered=(States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS))
+    return Measurement(residual, H, R, considered=_HEADINGS)
 
 
 def between(before: OdometryMotion, after: OdometryMotion) -> OdometryMotion:

@@ -32,6 +32,7 @@ from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _HARD_LEAN = 0.25  # tangent; of less the along part is within what odometry says of itself
+_STRETCHED = 0.8  # of its height, by the turn of the rows read before and after an image's date
 _BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
 _TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
 _WINDOW_S = 1.2
@@ -94,7 +95,7 @@ class OdometryGate:
     Attributes:
         lost: none is to be believed.
         fixes: map fixes that were where the aircraft is believed, since ways are believed, or
-            lost: its images are of here, and upright. Who takes one counts it.
+            lost: its images are of here, upright and in scale. Who takes one counts it.
         lens_doubted: before the first fix they contradicted the IMU though the camera hangs
             upright: its lens, perhaps, is not as calibrated. Then they tell the filter of that, and
             are lost where it does not help.
@@ -115,6 +116,7 @@ class OdometryGate:
         self._along = 0.0  # log-likelihood ratio: the images tilt as the attitude does, or not
         self._by_keyframe = (-math.inf, 0.0)  # what those of the last keyframe have said of it
         self._turned = False  # they surely do not
+        self._in_scale = False  # a fix has shown the height that is believed
         self.trust_all()
 
     def trust_all(self) -> None:
@@ -132,7 +134,8 @@ class OdometryGate:
 
         A turn is taken for a way across the line of sight, as long as the ground is far along it,
         and, where that meets the ground aslant, for one along it by the tangent of the lean. Near
-        the ground blurred images do not grow as they should: of a climb they tell little.
+        the ground, or in a turn whose rows are read one after the other, images do not grow as they
+        should: of a climb they tell little.
         """
         covariance = motion.covariance_ned_m2
         for t_s in (motion.t0_s, motion.t1_s):
@@ -143,6 +146,7 @@ class OdometryGate:
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
             if (lean2 := forward**2 + right**2) > _HARD_LEAN**2:
                 across_m2 = across_m2 + lean2 * np.outer(sight_m, sight_m)
+            across_m2[2, 2] += (_STRETCHED * motion.agl_m) ** 2
             covariance = covariance + off_rad**2 * across_m2
         if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)
@@ -158,8 +162,8 @@ class OdometryGate:
         """
         if motion.agl_m < _TELLS_FROM_M and timeline.newest.t_last_fix_s is None:
             return Verdict.ON_GROUND  # a take-off is broken off for ways that contradict the IMU
-        scale = max(timeline.newest.agl_m, 0.0) / motion.agl_m
-        way_m = scale * float(np.hypot(*motion.displacement_ned_m[:2]))
+        way_m = float(np.hypot(*motion.displacement_ned_m[:2]))
+        way_m *= max(timeline.newest.agl_m, 0.0) / motion.agl_m
         if not way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s):
             return Verdict.IMPOSSIBLE  # no aircraft flies so far, at the height that is believed
         before, self._newest = self._newest, motion
@@ -189,19 +193,16 @@ class OdometryGate:
 
     def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
         """Whether attitudes that are believed tell how its images were turned to the ground."""
-        refused_s = self._attitudes.refused_s
-        if motion.t0_s in refused_s or motion.t1_s in refused_s:
-            return False
-        if self._attitudes.at(motion.t1_s) is None:
+        refused = {motion.t0_s, motion.t1_s} & self._attitudes.refused_s
+        if refused or self._attitudes.at(motion.t1_s) is None:
             return False
         return known or self._attitudes.at(motion.t0_s) is not None
 
     def _cloned(self, motion: OdometryMotion, timeline: _History) -> bool:
         """Whether its keyframe's pose is cloned now."""
         share = self._config.anchor_share
-        covariance = share * motion.covariance_ned_m2
-        sigma_yaw_rad = math.sqrt(share) * motion.sigma_yaw_rad
-        return timeline.insert(NewKeyframe(motion.t0_s, covariance, sigma_yaw_rad)).accepted
+        covariance, yaw_rad = share * motion.covariance_ned_m2, share**0.5 * motion.sigma_yaw_rad
+        return timeline.insert(NewKeyframe(motion.t0_s, covariance, yaw_rad)).accepted
 
     def forgive(self) -> None:
         """What was refused was right: the IMU that it contradicted is not believed, or stood."""
@@ -221,13 +222,12 @@ class OdometryGate:
             agrees: what the filter's gate said.
             state: the filter's, at the way's end.
         """
-        t_s = state.t_s
+        t_s, self._in_scale = state.t_s, self._in_scale or self.fixes > 0
         window_s = self._agree_s if self.lost else _WINDOW_S
         if self._seen and t_s - self._seen[-1].t_s > _GAP_S:
             self._begin_anew()
-        velocity_m_s, variance = state.x[States.VELOCITY], np.diag(state.P)[States.VELOCITY]
-        sigma_m_s = math.sqrt(float(np.max(variance[:2])))
-        self._seen.append(_Way(t_s, agrees, velocity_m_s[:2], sigma_m_s))
+        sigma_m_s = math.sqrt(float(np.max(np.diag(state.P)[States.VELOCITY_NE])))
+        self._seen.append(_Way(t_s, agrees, state.x[States.VELOCITY_NE], sigma_m_s))
         self._begun_s = min(self._begun_s, t_s)
         self.believed_s = min(self.believed_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
@@ -239,11 +239,11 @@ class OdometryGate:
         if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= _DOUBTED or self._turned):
-            if not self.lens_doubted and may_be_the_lens(state, self._along):
+            can_be = not (self.lens_doubted or self._in_scale)
+            self.lens_doubted = can_be and may_be_the_lens(state, self._along)
+            if self.lens_doubted:
                 self.trust_all()
-                self.lens_doubted = True
                 return True
-            self.lens_doubted = False
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S
             self.lost, self.borne, self.fixes = True, self.fixes >= _BEARING, 0
@@ -345,6 +345,5 @@ class MountCheck:
             if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
                 turned_rad = wrap_pi(quarter_rad)
             since_s = self._broke_s if knocked else motion.t1_s
-            sigma_rad = _TURN_DOUBT * abs(turned_rad)
-            return Recalibrated(since_s, turned_rad, sigma_rad, knocked=knocked)
+            return Recalibrated(since_s, turned_rad, _TURN_DOUBT * abs(turned_rad), knocked=knocked)
         return None

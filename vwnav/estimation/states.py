@@ -61,7 +61,8 @@ class States:
     FOCAL = 44  # share by which the camera's focal length is taken for longer than it is
     SLOPE = slice(45, 47)  # rise per metre north and east of the ground, beyond the terrain table
     FIX_LEAN = slice(47, 49)  # rad, as TILT, what fixes alone show as one: dates, lens, matching
-    SIZE = 49
+    CAMERA_TURN = 49  # rad, by how much images show the heading bias for larger: the mount's
+    SIZE = 50
 
 
 HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
@@ -321,8 +322,8 @@ def estimate_of(
     tangent = sin_pitch / math.sqrt(1.0 - sin_pitch**2)
     yaw, forward = States.HEADING_BIAS, States.TILT.start
     turn = P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward]
-    # The mean wind is w = c / k, told once the drag k is known to a third.
-    drag = float(x[States.DRAG])
+    seen = turn + (2.0 * P[yaw] + P[States.CAMERA_TURN])[States.CAMERA_TURN]
+    drag = float(x[States.DRAG])  # the mean wind is w = c / k, told once k is known to a third
     windless = P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2
     return Estimate(
         t_s=state.t_s,
@@ -335,6 +336,8 @@ def estimate_of(
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
+        camera_turn_rad=-float(x[States.CAMERA_TURN]),
+        sigma_seen_yaw_rad=min(math.sqrt(max(float(seen), 0.0) + turned_rad**2), math.pi),
         wind_ne_m_s=None if windless else x[States.WIND_FORCE] / drag,
         slope_ne=tuple(np.clip(slope_ne + x[States.SLOPE], -_STEEPEST, _STEEPEST).tolist()),
     )

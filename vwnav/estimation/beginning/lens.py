@@ -161,13 +161,13 @@ def _ratio_of(seen: Array) -> float | None:
 
 
 def may_be_the_lens(state: FilterState, along: float) -> bool:
-    """Whether one that is not as calibrated may be why ways contradict the IMU before a fix.
+    """Whether one that is not as calibrated may be why ways contradict the IMU.
 
-    Not at speed, without a fix: to tell wind, heading and lens apart is too much for ways.
+    Not at speed, without a fix in scale: to tell wind, heading and lens apart is too much for ways.
 
     Args:
         state: the filter's.
         along: how the images tilt with the aircraft, all of them (`OdometryMotion.tilts_along`).
     """
     slow = float(np.hypot(*state.x[States.VELOCITY_NE])) < _SLOW_M_S
-    return state.t_last_fix_s is None and slow and along >= _UPRIGHT_ALONG
+    return slow and along >= _UPRIGHT_ALONG

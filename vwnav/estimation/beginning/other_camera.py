@@ -68,12 +68,19 @@ def _turned(state: FilterState, event: Recalibrated, config: EkfConfig) -> Filte
         state = apply_misled(state, Misled(state.t_s, state.t_s), config)
         G = _told_by_ways(state, event.turned_rad * QUARTER_TURN)
         x, P = state.x.copy(), state.P + np.outer(G, G)
-    if state.t_last_fix_s is not None:
-        unsure = np.zeros(States.SIZE)
-        unsure[HEADINGS] = event.sigma_turned_rad
-        P = P + np.outer(unsure, unsure)
-        if not event.knocked:
-            x[HEADINGS] = [wrap_pi(each + event.turned_rad) for each in x[HEADINGS].tolist()]
+    # How the camera hangs is known as well as the event says; what images showed of the heading, as
+    # well as before: its error is that of the turn, the other way.
+    G = np.eye(States.SIZE)
+    unsure = np.zeros(States.SIZE)
+    unsure[States.CAMERA_TURN] = event.sigma_turned_rad
+    if not event.knocked:
+        G[States.CAMERA_TURN] = 0.0
+    if state.t_last_fix_s is not None and not event.knocked:
+        G[HEADINGS, States.CAMERA_TURN] = 1.0
+        unsure[HEADINGS] = -event.sigma_turned_rad
+    x, P = G @ x, G @ P @ G.T + np.outer(unsure, unsure)
+    if state.t_last_fix_s is not None and not event.knocked:
+        x[HEADINGS] = [wrap_pi(each + event.turned_rad) for each in x[HEADINGS].tolist()]
     return replace(state, x=x, P=P, anchor=None if event.knocked else state.anchor)
 
 

@@ -69,6 +69,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.HEADING_BIAS] = config.heading_sigma_rad**2
     variance[States.TILT] = config.tilt_sigma_rad**2
     variance[States.CAMERA_TILT] = config.mount_sigma_rad**2
+    variance[States.CAMERA_TURN] = config.mount_turn_sigma_rad**2
     variance[States.FIX_LEAN] = config.fix_lean_rad**2
     variance[States.SLOPE] = _LEVEL_SLOPE**2
     variance[States.FOCAL] = config.focal_sigma_ratio**2
