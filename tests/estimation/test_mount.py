@@ -17,6 +17,7 @@ from vwnav.estimation.states import States
 
 OFF_DEG = (-2.0, 5.0)
 BY_HAND_DEG = 1.5
+TURN_SIGMA_DEG = math.degrees(EkfConfig().mount_turn_sigma_rad)
 
 
 def flown(
@@ -24,11 +25,15 @@ def flown(
     sigma_deg: float,
     off_deg: tuple[float, float] = OFF_DEG,
     ahead_m: float = 0.0,
+    turn_deg: float = 0.0,
+    sigma_turn_deg: float = TURN_SIGMA_DEG,
 ) -> Run:
     """Two minutes in wind, with turns, an IMU and fixes that all lie so far ahead of the nose."""
-    world = FilterWorld(seconds=120.0, imu_hz=50.0, mount_off_deg=off_deg)
+    world = FilterWorld(seconds=120.0, imu_hz=50.0, mount_off_deg=off_deg, mount_turn_deg=turn_deg)
     rng = np.random.default_rng(seed)
-    config = EkfConfig(mount_sigma_rad=math.radians(sigma_deg))
+    config = EkfConfig(
+        mount_sigma_rad=math.radians(sigma_deg), mount_turn_sigma_rad=math.radians(sigma_turn_deg)
+    )
     stream = sense(world, fly(world, [rng])[0], rng)
     return play(replace(stream, events=[ahead(each, ahead_m) for each in stream.events]), config)
 
@@ -49,6 +54,26 @@ def test_a_mount_that_nobody_measured_is_learned_and_the_place_stays_within_its_
     sigmas = np.sqrt(np.diag(run.last.P)[States.CAMERA_TILT])
     assert np.all(np.abs(off_rad) < 4.0 * sigmas)
     assert np.all(np.degrees(sigmas) < 0.5 * BY_HAND_DEG)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("turn_deg", [-8.0, 5.0])
+def test_one_that_is_turned_is_told_from_a_compass_that_errs(seed, turn_deg):
+    """By how the aircraft gains speed, and by where fixes lie while it leans."""
+    run = flown(seed, 0.2, (0.0, 0.0), turn_deg=turn_deg)
+    assert worst_sigmas(run) < 4.5
+    off_deg = math.degrees(run.last.x[States.CAMERA_TURN]) + turn_deg
+    sigma_deg = math.degrees(math.sqrt(run.last.P[States.CAMERA_TURN, States.CAMERA_TURN]))
+    assert abs(off_deg) < 4.0 * sigma_deg < 8.0
+
+
+def test_a_turn_that_a_filter_knows_nothing_of_is_taken_for_the_compass_error():
+    """What a filter without that state did: and an estimate that is wrong by more than it says."""
+    knows, does_not = (
+        flown(1, 0.2, (0.0, 0.0), turn_deg=10.0, sigma_turn_deg=sigma_deg)
+        for sigma_deg in (TURN_SIGMA_DEG, 0.01)
+    )
+    assert worst_sigmas(knows) < worst_sigmas(does_not) - 1.0
 
 
 def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():

@@ -106,9 +106,13 @@ class _AttitudeErrors:
         white = (white + np.roll(white, 1, 0) + np.roll(white, 2, 0)) / math.sqrt(3.0)
         body = bias + walk + white
         self.tilt_ne = _in_ned(body, truth)
-        self.seen_ne = _in_ned(body + np.radians(world.mount_off_deg), truth)
         down = np.array([rotation_from_quat(quat)[:, 2] for quat in truth.quat_wxyz])
-        self.focal_shift = -world.focal_off * down[:, :2] / down[:, 2:]
+        lean = down[:, :2] / down[:, 2:]
+        # A camera that is turned shows the heading for more, and leans another way than the body.
+        self.mount_turn = math.radians(world.mount_turn_deg)
+        self.seen_ne = _in_ned(body + np.radians(world.mount_off_deg), truth)
+        self.seen_ne -= self.mount_turn * lean
+        self.focal_shift = -world.focal_off * lean
         steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
         self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)
         self.yaw = self.yaw + math.radians(world.yaw_step_deg) * (truth.t_s >= world.yaw_step_s)
@@ -240,7 +244,7 @@ def _odometry(
                 continue
         key, key_noise = i, sigma * rng.normal(size=3)
         key_yaw = world.odometry_yaw_rad * float(rng.normal())
-        turn = rotation_from_vector([0.0, 0.0, errors.yaw[key]])
+        turn = rotation_from_vector([0.0, 0.0, errors.yaw[key] - errors.mount_turn])
         key_turn = turn @ rotation_from_vector([*errors.seen_ne[key], 0.0])
     return events
 
@@ -306,11 +310,12 @@ def _fixes(
         elif random_wrong:
             error = error + offset
         yaw_sigma_rad = math.radians(world.fix_yaw_deg)
+        yaw_rad = errors.map_yaw[i] + errors.mount_turn + map_turn_rad[i]
         fix = NedFix(
             t_s=t_s,
             position_ne_m=truth.position_ned_m[i, :2] + agl_m * errors.nadir_shift[i] + error,
             covariance_ne_m2=covariance,
-            yaw_rad=float(errors.map_yaw[i] + map_turn_rad[i] + yaw_sigma_rad * noise[2]),
+            yaw_rad=wrap_pi(float(yaw_rad + yaw_sigma_rad * noise[2])),
             sigma_yaw_rad=yaw_sigma_rad,
             agl_m=agl_m
             * (1.0 + world.focal_off + float(map_scale[i]) + world.fix_agl_ratio * float(noise[3])),

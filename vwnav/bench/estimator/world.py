@@ -49,6 +49,7 @@ class FilterWorld:
     tilt_drift_deg: float = 0.6  # Gauss-Markov, 20 s
     tilt_noise_deg: float = 0.03
     mount_off_deg: tuple[float, float] = (0.0, 0.0)  # of the camera, about forward and right
+    mount_turn_deg: float = 0.0  # the same about down
     focal_off: float = 0.0  # share by which its focal length is taken for longer than it is
     yaw_bias_deg: float = 5.0
     yaw_walk_deg: float = 0.05  # per root second

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from vwnav.config import Config
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler
@@ -56,6 +58,7 @@ class Setup:
         vehicle_fit_s: so long by that rate, then so long by ours, in turns; 0: by that rate always.
         battery_drain_s: time in flight from full to empty.
         arm_m: where the camera sits in the body: forward, right, down.
+        mount_yaw_deg: how the camera hangs as calibrated: its upper edge from the nose, clockwise.
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
         lens_ratio: its true focal length over the calibrated one.
         relief: of the ground about home, where it has to stand.
@@ -83,6 +86,7 @@ class Setup:
     battery_drain_s: float = 1500.0
     image_hz: float = 10.0
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount_yaw_deg: float = 0.0
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
     relief: Relief = field(default_factory=Relief)
@@ -99,6 +103,15 @@ class Setup:
         turns, rest_s = divmod(t_s, 2.0 * self.vehicle_fit_s)
         slow_s = turns * self.vehicle_fit_s + min(rest_s, self.vehicle_fit_s)
         return t_s - (1.0 - self.vehicle_rate) * slow_s
+
+    def told_camera(self, camera: Camera) -> Camera:
+        """A camera, hung as the calibration of this flight says."""
+        turn = rotation_from_euler(0.0, 0.0, math.radians(self.mount_yaw_deg))
+        return replace(
+            camera,
+            R_body_camera=turn @ camera.R_body_camera,
+            t_body_camera_m=np.array(self.arm_m),
+        )
 
     def true_camera(self, told: Camera) -> Camera:
         """The camera that flies, by what its calibration says of it."""

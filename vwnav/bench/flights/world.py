@@ -81,8 +81,7 @@ class World:
         if setup.copies_map:
             self._folder = TemporaryDirectory(prefix="vwnav-flight-")
             place = replace(place, pack=Path(shutil.copy(place.pack, self._folder.name)))
-        camera = replace(place.camera, t_body_camera_m=np.array(setup.arm_m))
-        self.place = place = replace(place, camera=camera)
+        self.place = place = replace(place, camera=setup.told_camera(place.camera))
         self.wall_clock = time.time
         self.clock = SimulatedClock()
         self.track = FlightTrace()

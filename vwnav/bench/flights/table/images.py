@@ -97,6 +97,23 @@ MOUNTED = [
         for degrees in (10.0, 45.0, 90.0, 270.0)
     ),
     Scenario(
+        name="camera hung 6 degrees round by hand",
+        setup=setup(None, mount_off_deg=(0.0, 0.0, 6.0)),
+        breaks=(),
+        limit_s=260.0,
+        lands_within_m=2.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="camera hung sideways, as calibrated",
+        setup=setup(None, mount_yaw_deg=90.0),
+        breaks=(),
+        limit_s=260.0,
+        follows=(phase(60.0, "on route"),),
+        lands_within_m=2.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
         name="camera hung 3 degrees nose up by hand",
         setup=setup(None, mount_off_deg=(0.0, 3.0, 0.0), config=UNMEASURED),
         breaks=(),
