@@ -1,0 +1,40 @@
+"""Where the aircraft stood, by the way flown from there to the first fixes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vwnav.mission.home import Home
+
+GIVEN_NE_M = np.array([5.0, 5.0])
+
+
+def at(place_ne_m: np.ndarray) -> SimpleNamespace:
+    return SimpleNamespace(position_ned_m=np.array([*place_ne_m, -50.0]))
+
+
+def flown(given_ne_m: np.ndarray | None, sigma_m_s: float) -> Home:
+    """20 s at 1 m/s to the north."""
+    home = Home(given_ne_m)
+    for _ in range(400):
+        home.flown(np.array([0.05, 0.0]), sigma_m_s, 0.05)
+    return home
+
+
+@pytest.mark.parametrize(
+    ("sigma_m_s", "apart_m", "stays"),
+    [(0.2, 2.5, True), (0.2, 6.0, False), (1.0, 6.0, True), (1.0, 40.0, False)],
+)
+def test_a_home_that_was_given_stays_unless_the_way_from_it_is_surer(sigma_m_s, apart_m, stays):
+    home = flown(GIVEN_NE_M, sigma_m_s)
+    stood_ne_m = GIVEN_NE_M + np.array([0.0, apart_m])
+    said = home.settle(at(stood_ne_m + np.array([20.0, 0.0])))
+    assert (said == "") is stays
+    assert home.place_ne_m == pytest.approx(GIVEN_NE_M if stays else stood_ne_m)
+
+
+def test_where_none_was_given_it_is_where_the_aircraft_stood_however_unsure():
+    home = flown(None, 5.0)
+    assert "known now" in home.settle(at(np.array([20.0, 3.0])))
+    assert home.place_ne_m == pytest.approx(np.array([0.0, 3.0]))
