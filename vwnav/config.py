@@ -89,7 +89,13 @@ def with_features(config: Config, name: str | None, model: Path | None) -> Confi
 
 def with_camera(config: Config, mount_sigma_rad: float, focal_sigma_ratio: float) -> Config:
     """The settings with how well mount and focal length are known, as the camera's file says."""
-    ekf = replace(config.ekf, mount_sigma_rad=mount_sigma_rad, focal_sigma_ratio=focal_sigma_ratio)
+    ekf = replace(
+        config.ekf,
+        mount_sigma_rad=mount_sigma_rad,
+        # By eye a camera is turned by more than it is tilted.
+        mount_turn_sigma_rad=max(config.ekf.mount_turn_sigma_rad, 2.0 * mount_sigma_rad),
+        focal_sigma_ratio=focal_sigma_ratio,
+    )
     return config.model_copy(update={"ekf": ekf})
 
 

@@ -20,7 +20,7 @@ class EkfConfig:
     tilt_slew_rad: float = math.radians(0.1)  # while a gyro tells: filters level anew
     # Of the camera, for good; `vwnav fly` takes them from its file
     mount_sigma_rad: float = math.radians(0.2)  # per axis
-    mount_turn_sigma_rad: float = math.radians(4.0)  # less than images show of it at once
+    mount_turn_sigma_rad: float = math.radians(1.5)  # about down: a turned one shows no tilt
     focal_sigma_ratio: float = 0.001
     # Of fixes, for good
     fix_lean_rad: float = math.radians(0.2)  # per axis, alike in every turn: 17 cm at 50 m

@@ -59,8 +59,8 @@ _OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 
 _MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than is asked for
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
-_TURN_DOUBT = 0.3  # one sigma of what images have told by their tilts, as a share of it
-_QUARTER_DOUBT_RAD = math.radians(8.0)  # the same of a quarter turn, as cameras are hung
+_TURN_DOUBT = 0.3  # one sigma of a turn told by tilts, as a share of it; of a quarter:
+_QUARTER_DOUBT_RAD = math.radians(8.0)
 _FRESH_S = 10.0  # after an image that could not be followed
 _JUDGED = (Verdict.FUSED, Verdict.GATED)  # of a way that was held against the IMU
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
@@ -106,8 +106,7 @@ class OdometryGate:
     """
 
     def __init__(self, attitudes: AttitudeHistory, config: EkfConfig) -> None:
-        self._attitudes = attitudes
-        self._config = config
+        self._attitudes, self._config = attitudes, config
         self._newest: OdometryMotion | None = None
         self.lens_doubted = False
         self.other_camera()
@@ -342,10 +341,10 @@ class MountCheck:
                 continue
             if abs(turned_rad) < LEAST_TURN_RAD or (is_quarter and had_fix and not knocked):
                 continue
-            quarter_rad, sigma_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD), math.inf
+            quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
+            sigma_rad = _TURN_DOUBT * abs(turned_rad)
             if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
                 turned_rad, sigma_rad = wrap_pi(quarter_rad), _QUARTER_DOUBT_RAD
-            sigma_rad = min(_TURN_DOUBT * abs(turned_rad), sigma_rad)
             since_s = self._broke_s if knocked else motion.t1_s
             return Recalibrated(since_s, turned_rad, sigma_rad, knocked=knocked)
         return None
