@@ -53,6 +53,8 @@ from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 
 _REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount
+_REFUSED_DATED = 6  # where these lie as far behind as the aircraft flies in such a time ...
+_LATE_S, _ALONG = (0.2, 0.7), 0.3  # ... and beside by less than that share
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left, and what
 # was seen then was seen by the camera of before.
@@ -155,10 +157,17 @@ class Timeline:
         """What it were had the mount been doubted before the fixes that it refuses.
 
         None where these would not all be right then, or are few, or where the camera would not
-        hang by much: on a starved machine some are refused for other reasons.
+        hang by much: on a starved machine some are refused for other reasons. Where they lie behind
+        as those of pictures that are dated wrongly do, it takes longer: ways tell that meanwhile.
         """
-        rejected = self.newest.rejected_fixes
+        rejected, velocity_m_s = self.newest.rejected_fixes, self.newest.x[States.VELOCITY_NE]
         if len(rejected) < _REFUSED:
+            return None
+        off_m = np.mean([each.residual for each in rejected], axis=0)
+        late_s = -float(off_m @ velocity_m_s) / max(float(velocity_m_s @ velocity_m_s), 1.0)
+        beside_m = math.hypot(*(off_m + late_s * velocity_m_s))
+        dated = _LATE_S[0] < late_s < _LATE_S[1] and beside_m < _ALONG * math.hypot(*off_m)
+        if dated and len(rejected) < _REFUSED_DATED:
             return None
         event = MountDoubted(max(rejected[0].t_s, self.oldest.t_s))
         other = copy(self)
