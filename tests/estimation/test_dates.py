@@ -60,11 +60,13 @@ def test_a_wrong_date_shows_ways_across_the_sight_and_aslant_along_it(
     sin2 = 1.0 - sight[2] ** 2
     is_hard = sin2 > (0.25 * sight[2]) ** 2
     along = leaning**2 * sin2 / sight[2] ** 2 if is_hard else 0.0
-    expected = level**2 * sin2 + along
+    # Rows that are read one after the other stretch each of the two: half of that is height.
+    stretched = 2.0 * (0.8 * level) ** 2
+    expected = level**2 * sin2 + along + stretched * sight[2] ** 2
     assert sight @ added_m2 @ sight == pytest.approx(expected, rel=1e-3, abs=1e-9)
-    vertical = (2.0 if is_hard else 1.0) * leaning**2 * sin2
+    vertical = (2.0 if is_hard else 1.0) * leaning**2 * sin2 + stretched
     assert added_m2[2, 2] == pytest.approx(vertical, rel=1e-3, abs=1e-9)
-    expected = 2.0 * (leaning**2 + level**2) + along
+    expected = 2.0 * (leaning**2 + level**2) + along + stretched
     assert np.trace(added_m2) == pytest.approx(expected, rel=1e-3, abs=1e-9)
 
 
