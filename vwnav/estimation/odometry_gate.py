@@ -146,7 +146,7 @@ class OdometryGate:
             across_m2 = sight_m @ sight_m * np.eye(3) - np.outer(sight_m, sight_m)
             if (lean2 := forward**2 + right**2) > _HARD_LEAN**2:
                 across_m2 = across_m2 + lean2 * np.outer(sight_m, sight_m)
-            across_m2[2, 2] += (_STRETCHED * motion.agl_m) ** 2
+            across_m2[2, 2] += (_STRETCHED * sight_m[2]) ** 2
             covariance = covariance + off_rad**2 * across_m2
         if motion.agl_m < _TELLS_FROM_M:
             climbs_m = _BLURRED_CLIMB_M_S * (motion.t1_s - motion.t0_s)

@@ -29,7 +29,7 @@ class Home:
         """The way (2,) of one tick, without jumps of the position, and how sure its velocity is."""
         if not self._settled:
             self._way_ne_m = self._way_ne_m + step_ne_m
-            self._way_m2 += 2.0 * _CORRELATED_S * sigma_m_s**2 * dt_s
+            self._way_m2 += 2.0 * _CORRELATED_S * sigma_m_s * sigma_m_s * dt_s
 
     def take(self, place_ne_m: Array) -> None:
         """It is known for sure."""
