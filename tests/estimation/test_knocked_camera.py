@@ -216,20 +216,32 @@ def tilt_of(event: Recalibrated) -> np.ndarray:
 
 
 class Hover:
-    """Hovers, turns by and by, and is told where its camera looks: a tilted one looks beside it."""
+    """Hovers, or flies north, turns by and by, and is told where its camera looks.
 
-    def __init__(self, seed: int, yaw_rad: float) -> None:
+    A tilted one looks beside it, and a late one behind it.
+    """
+
+    def __init__(self, seed: int, yaw_rad: float, speed_m_s: float = 0.0) -> None:
+        self.velocity_m_s = np.array([speed_m_s, 0.0])
         self.rng, self.yaw_rad, self.t_s = np.random.default_rng(seed), yaw_rad, 0.0
         self.said: list[str] = []
         self.worst_sigmas = 0.0
         self.ekf = Ekf(EkfConfig())
         self.ekf.on_event(self.said.append)
         self.ekf.initialise(
-            Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -AGL_M]), agl_m=AGL_M, sigma_m=2.0)
+            Start(
+                t_s=0.0,
+                position_ned_m=np.array([0.0, 0.0, -AGL_M]),
+                agl_m=AGL_M,
+                sigma_m=2.0,
+                sigma_velocity_m_s=max(speed_m_s, 0.1),
+            )
         )
 
-    def fly(self, seconds: float, tilt_rad: np.ndarray, turns_rad_s: float = 0.0) -> None:
-        """With a camera that hangs tilted about forward and right by `tilt_rad`."""
+    def fly(
+        self, seconds: float, tilt_rad: np.ndarray, turns_rad_s: float = 0.0, late_s: float = 0.0
+    ) -> None:
+        """With a camera that hangs tilted about forward and right, and images dated that late."""
         for _ in range(round(50.0 * seconds)):
             self.t_s, self.yaw_rad = self.t_s + 0.02, self.yaw_rad + 0.02 * turns_rad_s
             self.ekf.handle(Attitude(self.t_s, quat_from_vector([0.0, 0.0, self.yaw_rad])))
@@ -238,19 +250,21 @@ class Hover:
             if round(50.0 * self.t_s) % 5 == 0:
                 self.ekf.handle(Height(self.t_s, AGL_M + 0.1 * self.rng.normal()))
             if round(50.0 * self.t_s) % 20 == 0:
-                self._fix(tilt_rad)
+                self._fix(tilt_rad, late_s)
 
-    def _fix(self, tilt_rad: np.ndarray) -> None:
+    def _fix(self, tilt_rad: np.ndarray, late_s: float) -> None:
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         ahead_m, right_m = AGL_M * np.array([-tilt_rad[1], tilt_rad[0]])
         place = np.array([c * ahead_m - s * right_m, s * ahead_m + c * right_m])
+        place = place + (self.t_s - late_s) * self.velocity_m_s
         seen = place + FIX_SIGMA_M * self.rng.normal(size=2)
         covariance = FIX_SIGMA_M**2 * np.eye(2)
         self.ekf.handle(NedFix(t_s=self.t_s, position_ne_m=seen, covariance_ne_m2=covariance))
         estimate = self.ekf.estimate(self.t_s)
         assert estimate is not None
-        north_east, P = estimate.position_ned_m[:2], estimate.covariance[:2, :2]
-        sigmas = math.sqrt(float(north_east @ np.linalg.solve(P, north_east)))
+        off_m = estimate.position_ned_m[:2] - self.t_s * self.velocity_m_s
+        P = estimate.covariance[:2, :2]
+        sigmas = math.sqrt(float(off_m @ np.linalg.solve(P, off_m)))
         self.worst_sigmas = max(self.worst_sigmas, sigmas)
 
 
@@ -269,6 +283,20 @@ def test_a_camera_that_is_knocked_aslant_moves_no_place_and_is_known_once_it_has
     told = tilted(hover.ekf.state)
     assert told is not None
     assert np.degrees(tilt_of(told) - off_rad) == pytest.approx(np.zeros(2), abs=2.5)
+
+
+@settings(max_examples=20)
+@given(SEEDS, st.floats(0.45, 0.6))
+def test_fixes_that_lie_behind_as_those_of_late_pictures_doubt_a_mount_later(seed, late_s):
+    """Ways tell meanwhile; a camera that shows as much to one side is doubted at once."""
+    off_rad = math.atan(10.0 * late_s / AGL_M)
+    doubted = {}
+    for late, tilt_rad in ((late_s, np.zeros(2)), (0.0, np.array([off_rad, 0.0]))):
+        flight = Hover(seed, 0.0, speed_m_s=10.0)
+        flight.fly(6.0, np.zeros(2))
+        flight.fly(2.1, tilt_rad, late_s=late)
+        doubted[late] = any("hangs otherwise" in each for each in flight.said)
+    assert doubted == {late_s: False, 0.0: True}
 
 
 @settings(max_examples=20)

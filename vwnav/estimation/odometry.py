@@ -295,14 +295,14 @@ def _displacement(
     by_tilt0[:2] -= motion.tilt_share * agl_m * QUARTER_TURN @ level0
     H[:, States.TILT], H[:, States.ANCHOR_TILT] = by_tilt1, by_tilt0
     H[:, States.CAMERA_TILT] = by_tilt0 + by_tilt1  # the same at both ends, about the body
-    H[:, States.CAMERA_TURN] = H[:, States.ANCHOR_HEADING_BIAS] + by_tilt0 @ anchor.lean
-    H[:, States.CAMERA_TURN] += by_tilt1 @ lean
+    by_turn = by_tilt0 @ anchor.lean + by_tilt1 @ lean  # besides what turns the way
+    H[:, States.CAMERA_TURN] = H[:, States.ANCHOR_HEADING_BIAS] + by_turn
     shifted_m = (2.0 - motion.tilt_share) * agl_m * (level0 @ anchor.lean - level1 @ lean)
     H[:2, States.FOCAL] = shifted_m - predicted_m[:2]
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     residual -= H[:, States.CAMERA_TILT] @ x[States.CAMERA_TILT]
-    residual -= (by_tilt0 @ anchor.lean + by_tilt1 @ lean) * x[States.CAMERA_TURN]
+    residual -= by_turn * x[States.CAMERA_TURN]
     residual -= H[:, States.FOCAL] * x[States.FOCAL]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T

@@ -73,13 +73,14 @@ def _turned(state: FilterState, event: Recalibrated, config: EkfConfig) -> Filte
     G = np.eye(States.SIZE)
     unsure = np.zeros(States.SIZE)
     unsure[States.CAMERA_TURN] = event.sigma_turned_rad
+    shown = state.t_last_fix_s is not None and not event.knocked
     if not event.knocked:
         G[States.CAMERA_TURN] = 0.0
-    if state.t_last_fix_s is not None and not event.knocked:
+    if shown:
         G[HEADINGS, States.CAMERA_TURN] = 1.0
         unsure[HEADINGS] = -event.sigma_turned_rad
     x, P = G @ x, G @ P @ G.T + np.outer(unsure, unsure)
-    if state.t_last_fix_s is not None and not event.knocked:
+    if shown:
         x[HEADINGS] = [wrap_pi(each + event.turned_rad) for each in x[HEADINGS].tolist()]
     return replace(state, x=x, P=P, anchor=None if event.knocked else state.anchor)
 
