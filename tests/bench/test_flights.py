@@ -20,7 +20,7 @@ from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.plan_files import load_route
 from vwnav.onboard.simulation import ROUTES
 from vwnav.sim.config import Manners
-from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M
+from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M, MAP_SIGMA_M
 
 CAMPAIGN = Campaign(route_ned_m=((60.0, 0.0, -50.0), (0.0, 80.0, -50.0)), sites=2)
 
@@ -51,6 +51,15 @@ def test_a_flight_is_the_same_however_many_are_flown() -> None:
     copter = CAMPAIGN.scenario(Sortie("copter", 3)).setup
     assert replace(copter, manners="px4") == CAMPAIGN.scenario(Sortie("px4", 3)).setup
     assert [CAMPAIGN.site_of(k) for k in range(3)] == ["sim:1", "sim:2", "sim:1"]
+
+
+def test_an_aircraft_is_off_by_what_its_filter_is_told_it_may_be() -> None:
+    setups = [CAMPAIGN.scenario(each).setup for each in px4(400)]
+    off_deg = np.std([each.mount_off_deg for each in setups], axis=0)
+    assert off_deg == pytest.approx([0.2, 0.2, 1.5], rel=0.15)
+    assert np.std([each.lens_ratio for each in setups]) == pytest.approx(0.001, rel=0.15)
+    assert len({each.map_error for each in setups}) == 400
+    assert setups[0].map_error.sigma_m == MAP_SIGMA_M
 
 
 def test_a_route_off_the_map_is_refused_by_its_waypoint() -> None:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.sim.map_error import MapError
 from vwnav.sim.relief import Relief
 from vwnav.sim.tiles import LEVELS_M_PER_PX, Key, tile_span_m
 from vwnav.types import Array
@@ -105,9 +106,8 @@ def raise_to(
     at c in height H: by fixed-point iteration, which leaves it open what is seen of faces
     that are steeper than the ray.
     """
-    r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
-    west_m = np.float32(region.col0 * span_m + 0.5 * r)
-    north_m = np.float32(-region.row0 * span_m - 0.5 * r)
+    r = LEVELS_M_PER_PX[region.level]
+    north_m, west_m = _corner_m(region)
     below = np.array([(centre[1] - west_m) / r, (north_m - centre[0]) / r], np.float32)
     seen = where[..., 0] > _HAZE_PX
     on_slope = where - below
@@ -115,3 +115,17 @@ def raise_to(
         east, north = west_m + where[..., 0] * r, north_m - where[..., 1] * r
         share = 1.0 - relief.on_slope_m(north, east) / np.float32(height_m)
         np.copyto(where, below + share[..., None] * on_slope, where=seen[..., None])
+
+
+def move_to_map(error: MapError, where: NDArray[np.float32], region: Region) -> None:
+    """Move the pixels (h, w, 2) of the block to those that the map shows there."""
+    r = np.float32(LEVELS_M_PER_PX[region.level])
+    north_m, west_m = _corner_m(region)
+    off_m = error.at_m(north_m - where[..., 1] * r, west_m + where[..., 0] * r)
+    where += off_m[..., ::-1] * np.array([1.0, -1.0], np.float32) / r
+
+
+def _corner_m(region: Region) -> tuple[np.float32, np.float32]:
+    """North and east of the middle of a block's first pixel."""
+    r, span_m = LEVELS_M_PER_PX[region.level], tile_span_m(region.level)
+    return np.float32(-region.row0 * span_m - 0.5 * r), np.float32(region.col0 * span_m + 0.5 * r)

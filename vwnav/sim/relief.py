@@ -1,13 +1,13 @@
 """The shape of the simulated ground: a plane that rises, hills, and woods that stand on it."""
 
 import functools
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-_HALF_M = 512  # of the square about the origin that is shaped, at a metre; its rim goes on for ever
+from vwnav.sim.smooth_noise import HALF_M, smooth_noise
+
 _HILLS_NODE_M, _WOODS_NODE_M = 50, 12  # hills are some 150 m apart, woods some 40 m
 _WOODED = 0.3  # sigmas of the noise from where on there is wood, over ...
 _EDGE = 0.25  # ... so many of which it grows to its height: 2 or 3 m
@@ -41,8 +41,8 @@ class Relief:
         if self.plane:
             return slope_m
         heights = _heights(self.hills_m, self.woods_m, self.seed)
-        row = min(max(north_m + _HALF_M, 0.0), 2.0 * _HALF_M - 1.001)
-        column = min(max(east_m + _HALF_M, 0.0), 2.0 * _HALF_M - 1.001)
+        row = min(max(north_m + HALF_M, 0.0), 2.0 * HALF_M - 1.001)
+        column = min(max(east_m + HALF_M, 0.0), 2.0 * HALF_M - 1.001)
         i, j = int(row), int(column)
         v, u = row - i, column - j
         south = (1.0 - u) * float(heights[i, j]) + u * float(heights[i, j + 1])
@@ -56,7 +56,7 @@ class Relief:
         import cv2  # the command line names a relief, and does without OpenCV
 
         heights = _heights(self.hills_m, self.woods_m, self.seed)
-        where = east_m + np.float32(_HALF_M), north_m + np.float32(_HALF_M)
+        where = east_m + np.float32(HALF_M), north_m + np.float32(HALF_M)
         return np.asarray(
             cv2.remap(heights, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
             np.float32,
@@ -67,21 +67,9 @@ class Relief:
 def _heights(hills_m: float, woods_m: float, seed: int) -> NDArray[np.float32]:
     """(n, n) over the slope, a metre apart: row by row north, column by column east."""
     rng = np.random.default_rng([seed, 11])
-    hills = hills_m * _noise(rng, _HILLS_NODE_M)
-    wooded = np.clip((_noise(rng, _WOODS_NODE_M) - _WOODED) / _EDGE, 0.0, 1.0)
-    axis = np.arange(2 * _HALF_M, dtype=np.float32) - _HALF_M
+    hills = hills_m * smooth_noise(rng, _HILLS_NODE_M)
+    wooded = np.clip((smooth_noise(rng, _WOODS_NODE_M) - _WOODED) / _EDGE, 0.0, 1.0)
+    axis = np.arange(2 * HALF_M, dtype=np.float32) - HALF_M
     far = np.clip((np.hypot(*np.meshgrid(axis, axis)) - _LEVEL_M) / (_SHAPED_M - _LEVEL_M), 0, 1)
-    heights = hills - hills[_HALF_M, _HALF_M] + np.float32(woods_m) * wooded
+    heights = hills - hills[HALF_M, HALF_M] + np.float32(woods_m) * wooded
     return np.asarray(far**2 * (3.0 - 2.0 * far) * heights, np.float32)
-
-
-def _noise(rng: np.random.Generator, node_m: int) -> NDArray[np.float32]:
-    """Smooth, of unit variance: cubic between random nodes."""
-    import cv2
-
-    side_m = 2 * _HALF_M
-    nodes = rng.standard_normal((math.ceil(side_m / node_m) + 3,) * 2).astype(np.float32)
-    side = len(nodes) * node_m
-    smooth = np.asarray(cv2.resize(nodes, (side, side), interpolation=cv2.INTER_CUBIC))
-    part = smooth[node_m : node_m + side_m, node_m : node_m + side_m]
-    return np.asarray(part / part.std(), np.float32)

@@ -20,6 +20,7 @@ from vwnav.sim.rays import (
     between_nodes,
     ground_map,
     intersections,
+    move_to_map,
     raise_to,
     ray_nodes,
 )
@@ -39,6 +40,7 @@ _MAX_TILES = 48
 _AHEAD_S = (1.5, 3.0)
 _HOME_DISCS = ((0, 22.0), (1, 42.0), (2, 80.0), (4, 150.0))  # level, radius in metres
 _ROW_STEP_S = 0.005  # either way, to see how the image moves while it is read
+_MOST_SIGMAS = 4.0  # of a map's error
 _HAZE = (205.0, 200.0, 190.0)
 
 
@@ -151,6 +153,8 @@ class CameraRenderer:
         where = intersections(rays, on_block, a_second, rows_s)
         if not self._config.relief.plane:
             raise_to(self._config.relief, where, centre, height_m, region)
+        if self._config.map_error.sigma_m:
+            move_to_map(self._config.map_error, where, region)
         plain = _sampled(mosaic, between_nodes(where, camera.width_px, camera.height_px))
         return self._sensor.expose(plain, flow, t_s)
 
@@ -202,6 +206,8 @@ class CameraRenderer:
         down = np.maximum(rays_ned[:, 2:], MIN_DOWN)
         deep_m = 2.5 * self._config.relief.hills_m
         ground = centre[:2] + (height_m + deep_m) * rays_ned[:, :2] / down
+        beside_m = _MOST_SIGMAS * self._config.map_error.sigma_m
+        ground = np.vstack([ground - beside_m, ground + beside_m])
         slant_m = height_m / max(float(R_ned_camera[2, 2]), 0.3)
         last = len(LEVELS_M_PER_PX) - 1
         for level in range(self._level(slant_m), last):

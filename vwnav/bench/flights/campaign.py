@@ -9,8 +9,11 @@ from vwnav import __version__
 from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.errors import RouteError
+from vwnav.estimation.config import EkfConfig
 from vwnav.sim.config import Manners
-from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M, SITE_PREFIX
+from vwnav.sim.map_error import MapError
+from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M, MAP_SIGMA_M, SITE_PREFIX
+from vwnav.sim.renderer import default_camera
 from vwnav.sim.site import FIRST_TRAINING_SEED
 from vwnav.types import Array
 
@@ -18,6 +21,7 @@ _MARGIN_M = 90.0  # of map around the route: what the camera sees, and the prior
 _GROUND_S = 240.0  # getting ready, climb, descent and landing
 _SLOWEST_M_S = 2.0  # along the route, on average
 _LANDS_WITHIN_M = 3.0
+_COMPASS_SIGMA_DEG = 5.0
 
 Place3 = tuple[float, float, float]
 
@@ -70,6 +74,7 @@ class Campaign:
             route_ned_m=self.route_ned_m,
             wind_m_s=self.wind_m_s,
             wind_from_deg=float(rng.uniform(0.0, 360.0)),
+            **_off(rng),
         )
         return Scenario(
             name=f"flight {sortie}",
@@ -89,6 +94,18 @@ class Campaign:
     def way_m(self) -> float:
         """Horizontal length of that."""
         return float(np.hypot(*np.diff(self.way_ne_m, axis=0).T).sum())
+
+
+def _off(rng: np.random.Generator) -> dict[str, Any]:
+    """How an aircraft is not as its files say: by what the filter is told that it may be."""
+    camera, ekf = default_camera(), EkfConfig()
+    hangs_rad = camera.sigma_mount_rad, camera.sigma_mount_rad, ekf.mount_turn_sigma_rad
+    return {
+        "mount_off_deg": tuple(np.degrees(rng.normal(0.0, hangs_rad)).tolist()),
+        "lens_ratio": float(rng.normal(1.0, camera.sigma_focal_ratio)),
+        "compass_off_deg": float(rng.normal(0.0, _COMPASS_SIGMA_DEG)),
+        "map_error": MapError(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
+    }
 
 
 def campaign_of(route_ned_m: Array, **changes: Any) -> Campaign:

@@ -343,5 +343,7 @@ def draw(setup: Setup, place: Place) -> CameraRenderer:
 
 def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, told: Camera) -> CameraRenderer:
     camera, rng = setup.true_camera(told), np.random.default_rng(setup.seed)
-    config = RenderConfig(color=False, background=False, relief=setup.relief)
+    config = RenderConfig(
+        color=False, background=False, relief=setup.relief, map_error=setup.map_error
+    )
     return CameraRenderer(ground, camera, config, rng, tiles)
