@@ -270,8 +270,8 @@ class Pipeline:
     def _prior(self, now: Estimate | None, R_ned_body: Array | None) -> Prior:
         """What the filter knows, as the localizer wants it.
 
-        A filter that is sure of itself and finds nothing is doubted: its place, and a compass that
-        no fix has borne, may be wrong by more than it says; what is not looked for is not found.
+        A filter that is sure of itself and finds nothing is doubted: its place and its heading may
+        be wrong by more than it says; what is not looked for is not found.
         """
         # Tilt as the autopilot says it: the filter itself carries the error of that, and would
         # count it twice if the image were rectified with its corrected attitude.
@@ -283,8 +283,7 @@ class Pipeline:
         yaw_rad = math.remainder(yaw_of(now.quat_wxyz) + now.camera_turn_rad, 2.0 * math.pi)
         doubt = min(2.0 ** (self._misses // self._config.doubt_after), MAX_DOUBT)
         agl_ratio = max(now.sigma_agl_m / max(now.agl_m, 1.0), self._lens.least_agl_ratio)
-        sigma_yaw_rad = now.sigma_seen_yaw_rad or now.sigma_yaw_rad
-        sigma_yaw_rad *= doubt if now.t_last_fix_s is None else 1.0
+        sigma_yaw_rad = doubt * (now.sigma_seen_yaw_rad or now.sigma_yaw_rad)
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
             sigma_yaw_rad=sigma_yaw_rad,

@@ -109,10 +109,12 @@ def test_ways_are_not_turned_by_a_heading_that_is_not_known_until_a_fix_tells_it
     assert see(ekf, t_s, t_s + 0.1) is Verdict.HEADING_UNKNOWN
     assert ekf.estimate(t_s + 0.1).sigma_horizontal_m > open_m
     ekf.handle(fix(t_s + 0.1, yaw_rad=0.3))
-    found = ekf.estimate(t_s + 0.1)
-    assert found.sigma_yaw_rad < math.radians(2.0)
+    assert math.radians(10.0) < ekf.estimate(t_s + 0.1).sigma_yaw_rad < math.radians(16.0)
     assert ekf.state.heading_known
-    assert see(ekf, t_s + 0.1, t_s + 0.2) is Verdict.FUSED
+    for later_s in (0.1, 0.2):
+        assert see(ekf, t_s + later_s, t_s + later_s + 0.1) is Verdict.FUSED
+        ekf.handle(fix(t_s + later_s + 0.1, yaw_rad=0.3))
+    assert ekf.estimate(t_s + 0.3).sigma_yaw_rad < math.radians(2.0)
 
 
 def test_an_outage_is_counted_from_the_last_image_that_was_followed():

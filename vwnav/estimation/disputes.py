@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import level_axes
 from vwnav.estimation.states import (
@@ -14,7 +15,9 @@ from vwnav.estimation.states import (
     RejectedInnovation,
     RejectedInnovations,
     States,
+    correct,
 )
+from vwnav.types import Array
 
 _LEVEL_VECTORS = (
     States.VELOCITY_NE,
@@ -82,6 +85,14 @@ def remember(
     return (*recent, newest)[-_MOST_REMEMBERED:]
 
 
+def seen_from(
+    rejected: RejectedInnovations, before: FilterState, after: FilterState, by: Measurement
+) -> RejectedInnovations:
+    """The same innovations about a state that has been moved, by a measurement, to another one."""
+    moved = by.H @ (after.x - before.x)
+    return tuple(replace(each, residual=each.residual - moved) for each in rejected)
+
+
 def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnovations:
     """Those that want the same change as the newest one, itself included.
 
@@ -127,3 +138,41 @@ def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
     r = math.exp(-max(since_s, _SHORTEST_S) / _ALIKE_S)
     doubt_m2 *= (1.0 + r) / (1.0 - r)
     return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
+
+
+def leaning(state: FilterState, measurement: Measurement, sigma_m: float) -> FilterState:
+    """A long pull that nothing confirms yet: believed as far as wrong ones usually are wrong.
+
+    A filter that knows its place to 300 m only is better off with it, and one that knows it to 5 m
+    is hardly moved.
+    """
+    doubted = measurement.R + sigma_m**2 * np.eye(2)
+    return correct(state, replace(measurement, R=doubted))
+
+
+def moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
+    """The measured states, and those tied to them, move so that the measurement fits.
+
+    `jump` (n, m) says which states move with the residual. The new error is e' = G e + jump v with
+    G = I - jump H: what was known of the measured states' own error is forgotten.
+    """
+    G = np.eye(States.SIZE) - jump @ measurement.H
+    P = G @ state.P @ G.T + jump @ measurement.R @ jump.T
+    return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
+
+
+def relocated(state: FilterState, measurement: Measurement, context: Context) -> FilterState:
+    """Horizontal position from the fix alone; all that is known relative to it is kept.
+
+    The keyframe moves along, so displacements measured from it stay good. The ground below is that
+    of the other place, as far as the table knows.
+    """
+    jump = np.zeros((States.SIZE, 2))
+    jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
+    after = moved_along(state, measurement, jump)
+    (n0, e0), (n1, e1) = state.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
+    old, new = context.patch(n0, e0), context.patch(n1, e1)
+    if old is not None and new is not None:
+        after.x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
+    counter = state.reset_counter + 1
+    return replace(after, position_known=True, reset_counter=counter, rejected_fixes=())

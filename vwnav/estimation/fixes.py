@@ -7,7 +7,18 @@ import numpy as np
 
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import agreeing, convinces, freed, range_doubted, remember, turned
+from vwnav.estimation.disputes import (
+    agreeing,
+    convinces,
+    freed,
+    leaning,
+    moved_along,
+    range_doubted,
+    relocated,
+    remember,
+    seen_from,
+    turned,
+)
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.integrals import Exposure
@@ -24,7 +35,6 @@ from vwnav.estimation.states import (
     tells_heading,
 )
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.types import Array
 
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
@@ -34,6 +44,8 @@ _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
 _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error and of those
 _TURNED_COS = math.cos(math.radians(40.0))
+_LONE_SHARE = 1.0 / 3.0  # of a variance, as noise: halves a sigma
+_LONE_HEADING_RAD = math.radians(15.0)  # likewise where nothing was known of the heading
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 
@@ -189,86 +201,62 @@ def _apply_position(
     state: FilterState, fix: NedFix, measurement: Measurement, context: Context
 ) -> tuple[FilterState, Innovation]:
     """Fuse where a fix shows the aircraft, or jump there."""
-    after, innovation = _fused_or_relocated(state, fix, measurement, context.config)
+    config, r = context.config, measurement.residual
+    lone = _alone(state, measurement)
+    after, innovation = fuse(state, lone, config.visual_weight)
+    # A long pull, however wide the gate has become: one wrong fix must not do it.
+    short = measurement.R + config.sudden_sigma_m**2 * np.eye(2)
+    sudden = float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
+    if lone is not measurement or sudden or not (state.position_known and innovation.accepted):
+        after, innovation = _disputed(state, fix, measurement, sudden, context)
+    else:
+        after = replace(after, rejected_fixes=())
     if not innovation.accepted:
         return after, innovation
-    if innovation.verdict is Verdict.RELOCATED:
-        after = _on_other_ground(state, after, context)
     before_s = after.t_last_fix_s
     if before_s is not None and 0.0 < fix.t_s - before_s < _AGREEING_S:
         # It agrees with one shortly before it: to begin anew from, should that be.
         place_ne_m, sigma_m = after.x[States.POSITION_NE], math.sqrt(max(np.diag(after.P)[_NOW.ne]))
         after = replace(after, trusted=TrustedPosition(after.t_s, place_ne_m.copy(), sigma_m))
-    return replace(after, t_last_fix_s=fix.t_s, rejected_fixes=()), innovation
+    return replace(after, t_last_fix_s=fix.t_s), innovation
 
 
-def _fused_or_relocated(
-    state: FilterState, fix: NedFix, measurement: Measurement, config: EkfConfig
+def _disputed(
+    state: FilterState, fix: NedFix, measurement: Measurement, sudden: bool, context: Context
 ) -> tuple[FilterState, Innovation]:
-    fused, innovation = fuse(state, measurement, config.visual_weight)
+    """What a fix tells that is not as was believed, or that tells much: others must agree."""
+    config = context.config
+    lone = _alone(state, measurement)
+    fused, innovation = fuse(state, lone, config.visual_weight)
+    jumped = replace(innovation, verdict=Verdict.RELOCATED)
     if not state.position_known:
-        found = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
-        return found, replace(innovation, verdict=Verdict.RELOCATED)
-    agrees = innovation.verdict is Verdict.FUSED
-    # A long pull, however wide the gate has become: one wrong fix must not do it.
-    r, short = measurement.residual, measurement.R + config.sudden_sigma_m**2 * np.eye(2)
-    sudden = float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
-    if agrees and not sudden:
-        return fused, innovation
+        return relocated(state, measurement, context), jumped
     rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
     drift = config.relocation_drift_m_s
-    if agrees and len(agreeing(rejected, drift)) >= config.sudden_fixes:
-        return fused, innovation
-    state = replace(state, rejected_fixes=rejected)
-    if agrees:
+    if innovation.accepted and len(agreeing(rejected, drift)) >= config.sudden_fixes:
+        return replace(correct(state, measurement), rejected_fixes=()), innovation
+    if innovation.accepted and not sudden:
+        return replace(fused, rejected_fixes=seen_from(rejected, state, fused, lone)), innovation
+    if innovation.accepted:
+        leant = leaning(state, measurement, config.lone_fix_sigma_m)
         unconfirmed = replace(innovation, verdict=Verdict.UNCONFIRMED)
-        return _leaning(state, measurement, config), unconfirmed
+        return replace(leant, rejected_fixes=seen_from(rejected, state, leant, lone)), unconfirmed
+    state = replace(state, rejected_fixes=rejected)
     if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
         return state, innovation
-    jumped = replace(_relocated(state, measurement), reset_counter=state.reset_counter + 1)
-    return jumped, replace(innovation, verdict=Verdict.RELOCATED)
+    return relocated(state, measurement, context), jumped
 
 
-def _leaning(state: FilterState, measurement: Measurement, config: EkfConfig) -> FilterState:
-    """A long pull that nothing confirms yet: believed as far as wrong ones usually are wrong.
+def _alone(state: FilterState, measurement: Measurement) -> Measurement:
+    """What one fix tells that opens as much as this: half of it, until another one agrees.
 
-    A filter that knows its place to 300 m only is better off with it, and one that knows it to 5 m
-    is hardly moved.
+    It may be of ground that looks alike, turned or aside, and as sure of itself as any.
     """
-    doubted = measurement.R + config.lone_fix_sigma_m**2 * np.eye(2)
-    return correct(state, replace(measurement, R=doubted))
-
-
-def _relocated(state: FilterState, measurement: Measurement) -> FilterState:
-    """Horizontal position from the fix alone; all that is known relative to it is kept.
-
-    The keyframe moves along, so displacements measured from it stay good.
-    """
-    jump = np.zeros((States.SIZE, 2))
-    jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
-    return replace(_moved_along(state, measurement, jump), position_known=True)
-
-
-def _on_other_ground(before: FilterState, after: FilterState, context: Context) -> FilterState:
-    """After a jump the ground below is that of the other place, as far as the table knows."""
-    (n0, e0), (n1, e1) = before.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
-    old, new = context.patch(n0, e0), context.patch(n1, e1)
-    if old is None or new is None:
-        return after
-    x = after.x.copy()
-    x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
-    return replace(after, x=x)
-
-
-def _moved_along(state: FilterState, measurement: Measurement, jump: Array) -> FilterState:
-    """The measured states, and those tied to them, move so that the measurement fits.
-
-    `jump` (n, m) says which states move with the residual. The new error is e' = G e + jump v with
-    G = I - jump H: what was known of the measured states' own error is forgotten.
-    """
-    G = np.eye(States.SIZE) - jump @ measurement.H
-    P = G @ state.P @ G.T + jump @ measurement.R @ jump.T
-    return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
+    open_ = _LONE_SHARE * measurement.H @ state.P @ measurement.H.T
+    short = float(np.trace(open_ - measurement.R)) / len(open_)
+    if short <= 0.0:
+        return measurement
+    return replace(measurement, R=measurement.R + short * np.eye(len(open_)))
 
 
 def _apply_heading(
@@ -285,21 +273,29 @@ def _apply_heading(
     jump = np.zeros((States.SIZE, 1))
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
-        found = _moved_along(state, measurement, jump)
+        R, told = measurement.R, replace(measurement, residual=np.zeros(1))
+        found = moved_along(state, replace(measurement, R=R + _LONE_HEADING_RAD**2), jump)
+        once = remember((), state.t_s, told, config.dispute_window_s)
         # That of an image of long ago leaves the heading of now as open as it has been since.
-        found = replace(found, heading_known=tells_heading(found.P))
+        found = replace(found, heading_known=tells_heading(found.P), rejected_headings=once)
         return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
-    fused, innovation = fuse(state, measurement, config.visual_weight)
-    if innovation.verdict is Verdict.FUSED:
+    lone = _alone(state, measurement)
+    fused, innovation = fuse(state, lone, config.visual_weight)
+    agrees, drift = innovation.verdict is Verdict.FUSED, config.heading_drift_rad_s
+    if agrees and lone is measurement:
         return replace(fused, rejected_headings=()), innovation
     rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
+    if agrees and len(agreeing(rejected, drift)) >= config.sudden_fixes:
+        return replace(correct(state, measurement), rejected_headings=()), innovation
+    if agrees:
+        kept = seen_from(rejected, state, fused, lone)
+        return replace(fused, rejected_headings=kept), innovation
     state = replace(state, rejected_headings=rejected)
-    drift = config.heading_drift_rad_s
     if not convinces(rejected, drift, config.offset_count, config.offset_span_s):
         return state, innovation
     if state.t_last_fix_s is None:  # it was off from the start, and so was all that is level
         state = turned(state, -float(residual[0]))
-    found = _moved_along(state, measurement, jump)
+    found = moved_along(state, measurement, jump)
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
     found = freed(found, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
     return replace(found, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)

@@ -137,7 +137,7 @@ class FilterState:
         stood_s: when it was told last that the aircraft stands.
         height_stepped: the heights that are refused began with a step, not with a climb.
         rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
-            since the last accepted one.
+            since the last one that was believed; or, of a fix, found once, and believed by half.
     """
 
     t_s: float

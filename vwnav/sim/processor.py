@@ -136,6 +136,9 @@ class LateExecutor(Executor):
 
     Args:
         cost: seconds of a call, by its arguments.
+
+    Attributes:
+        mistake: what becomes of a result, where the work goes wrong; None: it is right.
     """
 
     def __init__(
@@ -145,6 +148,7 @@ class LateExecutor(Executor):
         self._processor = processor
         self._cost = cost
         self._newest: LateFuture | None = None
+        self.mistake: Callable[[Any], Any] | None = None
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call `fn`; the future tells what became of it when the work would have ended."""
@@ -154,7 +158,8 @@ class LateExecutor(Executor):
         end_s = self._processor.end_of(start_s, self._cost(*args, **kwargs))
         future = self._newest = LateFuture(self._clock, end_s)
         try:
-            future.set_result(fn(*args, **kwargs))
+            result = fn(*args, **kwargs)
+            future.set_result(self.mistake(result) if self.mistake else result)
         except Exception as error:
             future.set_exception(error)
         return future

@@ -1,13 +1,17 @@
 """Faults of the map, as the camera sees them: the ground below is not what the map shows."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vwnav.bench.flights.stage import FlightStage, Lasting
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.sim.named_sites import UNRELATED_HOME_NE_M, parse_site, tiles_folder
 from vwnav.sim.scenery.looks import Season
 from vwnav.sim.site import Site
+from vwnav.types import MapFix, Rejected
 
 _LOW_SUN_RAD = 0.3
 
@@ -37,6 +41,29 @@ class MapOfElsewhere(Lasting):
         world.show(site, tiles_folder(site))
         away = np.array([*UNRELATED_HOME_NE_M, 0.0])
         world.camera.home_ned_m = world.camera.home_ned_m - away
+
+
+@dataclass(frozen=True)
+class OneFixWrong(Lasting):
+    """The next fix is of ground that looks alike: turned, aside, and as sure of itself as ever."""
+
+    turned_deg: float = 0.0
+    ne_m: tuple[float, float] = (0.0, 0.0)
+
+    def begin(self, world: FlightStage) -> None:
+        """The next one, that is."""
+        executor = world.navigator.executor
+
+        def mistaken(found: MapFix | Rejected) -> MapFix | Rejected:
+            if isinstance(found, Rejected) or found.yaw_rad is None:
+                return found
+            executor.mistake = None
+            ned_m = np.array([*self.ne_m, 0.0])
+            lat_deg, lon_deg, _ = LocalFrame(found.lat_deg, found.lon_deg, 0.0).to_geodetic(ned_m)
+            yaw_rad = wrap_pi(found.yaw_rad + math.radians(self.turned_deg))
+            return replace(found, lat_deg=float(lat_deg), lon_deg=float(lon_deg), yaw_rad=yaw_rad)
+
+        executor.mistake = mistaken
 
 
 @dataclass(frozen=True)

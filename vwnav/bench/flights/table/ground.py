@@ -12,6 +12,7 @@ from vwnav.bench.flights.scenario import (
     said,
     setup,
 )
+from vwnav.bench.flights.stage import Fault
 from vwnav.sim.relief import Relief
 
 RELIEF = [
@@ -29,6 +30,19 @@ RELIEF = [
         ("wooded hills", Relief(hills_m=4.0, woods_m=12.0), 0.0),
     )
 ]
+
+
+def _first_fix(how: str, fault: Fault) -> Scenario:
+    return Scenario(
+        name=f"first fix {how}",
+        setup=setup(None),
+        breaks=(Break(fault=fault, at_s=0.0),),
+        limit_s=75.0,
+        ending=Ending.FLIES_ON,
+        follows=(phase(65.0, "on route"),),
+    )
+
+
 MAP = [
     Scenario(
         name="map of another place",
@@ -49,6 +63,11 @@ MAP = [
         lands_at_ne_m=(0.0, 0.0),
         map_off_m=10.0,
     ),
+    _first_fix("turned by 14 degrees", ground.OneFixWrong(turned_deg=-14.0)),
+    _first_fix("turned by 30 degrees", ground.OneFixWrong(turned_deg=30.0)),
+    _first_fix("8 m off", ground.OneFixWrong(ne_m=(6.4, -4.8))),
+    flies_on("one fix turned by 14 degrees", ground.OneFixWrong(turned_deg=14.0)),
+    flies_on("one fix 8 m off", ground.OneFixWrong(ne_m=(6.4, 4.8))),
     flies_on("map of another season", ground.OtherSeason("winter"), after_s=25.0),
     flies_on("map's tiles damaged on disk", computer.MapTilesDamaged(), copies_map=True),
     flies_on("map deleted in flight", computer.MapDeleted(), copies_map=True),
