@@ -143,6 +143,8 @@ def test_an_error_of_the_map_is_no_error_of_the_estimate():
     log = flight_log.FlightLog(estimates=sent, truth=truth)
     assert estimate_sigmas(log)[0][1] == pytest.approx(np.hypot(0.3, 0.3))
     assert estimate_sigmas(replace(log, map_off_m=0.5))[0][1] == 0.0
+    unknown = estimate_sigmas(replace(log, map_sigma_m=1.0))[0][1]
+    assert unknown == pytest.approx(np.hypot(0.3, 0.3) / np.sqrt(2.0))
 
 
 @pytest.mark.parametrize(

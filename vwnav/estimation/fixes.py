@@ -40,6 +40,7 @@ from vwnav.geometry.rotations import wrap_pi
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
+_HOVERS_M_S, _OF_SCALE = 1.0, 0.1  # seen on and on, one place is out of scale, by less than that
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
 _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error and of those
@@ -327,6 +328,9 @@ def apply_agl(
     drawn = heard and abs(float(fused.x[States.MAP_SCALE])) > _MOST_SCALE * config.map_scale
     if innovation.verdict is Verdict.FUSED and not drawn:
         return replace(fused, rejected_agls=()), innovation
+    hovers = float(np.linalg.norm(state.x[States.VELOCITY])) < _HOVERS_M_S
+    if heard and hovers and abs(float(measurement.residual[0])) < _OF_SCALE * state.agl_m:
+        return state, replace(innovation, verdict=Verdict.GATED)  # one place, seen on and on
     if drawn:  # inside its gate a height gives way each time, and the map's scale takes it
         x = state.x.copy()
         x[States.MAP_SCALE] = 0.0

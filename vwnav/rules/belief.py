@@ -21,7 +21,7 @@ _LANDS_S = 2.0  # from the last half metre until it is told to have landed
 def estimate_sigmas(log: FlightLog) -> list[tuple[float, float]]:
     """(arrival, how many of its sigmas it is wrong) of each estimate whose truth is known.
 
-    An error of the map itself is none of the estimate's.
+    An error of the map itself, a shift of all of it, is none of the estimate's.
     """
     rows = []
     for sent in log.estimates:
@@ -32,6 +32,7 @@ def estimate_sigmas(log: FlightLog) -> list[tuple[float, float]]:
         own_share = max(0.0, 1.0 - log.map_off_m / max(math.hypot(north, east), 1e-9))
         north, east = own_share * north, own_share * east
         a, b, c = sent.covariance_ne_m2
+        a, c = a + log.map_sigma_m**2, c + log.map_sigma_m**2
         determinant = a * c - b * b
         if determinant > 0.0:
             square = (c * north**2 - 2.0 * b * north * east + a * east**2) / determinant

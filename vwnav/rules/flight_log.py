@@ -171,6 +171,7 @@ class FlightLog:
         homes: where home is held to be, from when on.
         sampled: estimates and setpoints are a few of all: gaps between them tell nothing.
         map_off_m: how far the map itself is off.
+        map_sigma_m: one sigma of that, per axis, where it is not known.
         broken: when something was broken on purpose: what must be steady need not be then.
     """
 
@@ -192,6 +193,7 @@ class FlightLog:
     unknown: frozenset[str] = frozenset()
     sampled: bool = False
     map_off_m: float = 0.0
+    map_sigma_m: float = 0.0
     broken: Sequence[Span] = ()
 
     @cached_property

@@ -25,6 +25,11 @@ class MapError:
     sigma_m: float = 0.0
     seed: int = 1
 
+    @property
+    def shift_sigma_m(self) -> float:
+        """Of the shift of the whole map, per axis: what nobody on it can tell."""
+        return math.sqrt(_EVERYWHERE) * self.sigma_m
+
     def at_m(
         self, north_m: NDArray[np.float32], east_m: NDArray[np.float32]
     ) -> NDArray[np.float32]:

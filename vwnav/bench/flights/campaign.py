@@ -132,7 +132,8 @@ class FlightScore:
     Attributes:
         wrong: what its judge found, broken rules by name and time; empty for a good flight.
         errors_m, nees: of the estimates sent in the air after the first fix, one a second:
-            horizontal error, and that squared over its covariance (2 is honest).
+            horizontal error, and that squared over its covariance and that of a shift of the whole
+            map, which nobody can tell on it (2 is honest).
         worst_m: the largest error of all of them.
         cross_m: distance of the true place from the route's line while on route, one a second.
         touchdown_m: from home; None where it is not down.
