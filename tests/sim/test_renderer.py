@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
 from vwnav.sim.lens import RenderConfig, Sensor, streak
-from vwnav.sim.map_error import MapError
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
 from vwnav.sim.renderer import CameraRenderer, default_camera
 from vwnav.sim.scenery.landscape import LookName
@@ -120,7 +120,7 @@ def test_corners_of_the_ground_land_where_the_camera_projects_them(
 @pytest.mark.parametrize("seed", range(4))
 def test_what_stands_at_a_place_is_drawn_where_the_map_shows_it(seed: int) -> None:
     """The map's corners are the chess board's: on the ground they stand before its error."""
-    error = MapError(sigma_m=0.5, seed=seed)
+    error = MapWarp(sigma_m=0.5, seed=seed)
     rng = np.random.default_rng(seed)
     R, position = rotation_from_euler(0.1, -0.2, seed), np.array([*rng.uniform(-30, 30, 2), -40.0])
     on_map = 2.0 * np.stack(np.meshgrid(np.arange(-60, 61), np.arange(-60, 61)), -1).reshape(-1, 2)
@@ -137,11 +137,11 @@ def test_what_stands_at_a_place_is_drawn_where_the_map_shows_it(seed: int) -> No
 def test_a_map_is_wrong_by_its_sigma_and_the_same_map_always_alike() -> None:
     places = np.linspace(-300.0, 300.0, 7, dtype=np.float32)
     grid = np.meshgrid(places, places)
-    all_m = np.array([MapError(sigma_m=2.0, seed=seed).at_m(*grid) for seed in range(60)])
+    all_m = np.array([MapWarp(sigma_m=2.0, seed=seed).at_m(*grid) for seed in range(60)])
     assert all_m.std(axis=0).mean() == pytest.approx(2.0, rel=0.1)
     assert all_m.mean(axis=(1, 2)).std() == pytest.approx(2.0 * np.sqrt(0.5), rel=0.25)
-    assert np.array_equal(all_m[3], MapError(sigma_m=2.0, seed=3).at_m(*grid))
-    assert not MapError().at_m(*grid).any()
+    assert np.array_equal(all_m[3], MapWarp(sigma_m=2.0, seed=3).at_m(*grid))
+    assert not MapWarp().at_m(*grid).any()
 
 
 @pytest.mark.parametrize(

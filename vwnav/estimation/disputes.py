@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.context import Context
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import level_axes
 from vwnav.estimation.states import (
@@ -93,6 +92,25 @@ def seen_from(
     return tuple(replace(each, residual=each.residual - moved) for each in rejected)
 
 
+def by_half(
+    state: FilterState,
+    half: FilterState,
+    measurement: Measurement,
+    before: RejectedInnovations,
+    t_s: float,
+    drift_per_s: float,
+) -> tuple[FilterState, RejectedInnovations]:
+    """What a lone fix has told by half, or all of it where the one before it says the same.
+
+    Its innovation is handed back, as it is then, for the next one to meet.
+    """
+    newest = RejectedInnovation(t_s, measurement.residual, measurement.R)
+    twice = len(agreeing((*before[-1:], newest), drift_per_s)) > 1
+    after = correct(state, measurement) if twice else half
+    left = newest.residual - measurement.H @ (after.x - state.x)
+    return after, (replace(newest, residual=left),)
+
+
 def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnovations:
     """Those that want the same change as the newest one, itself included.
 
@@ -161,18 +179,12 @@ def moved_along(state: FilterState, measurement: Measurement, jump: Array) -> Fi
     return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
 
 
-def relocated(state: FilterState, measurement: Measurement, context: Context) -> FilterState:
-    """Horizontal position from the fix alone; all that is known relative to it is kept.
+def relocated(state: FilterState, measurement: Measurement) -> FilterState:
+    """Horizontal position from a fix alone; all that is known relative to it is kept.
 
-    The keyframe moves along, so displacements measured from it stay good. The ground below is that
-    of the other place, as far as the table knows.
+    The keyframe moves along, so displacements measured from it stay good.
     """
     jump = np.zeros((States.SIZE, 2))
     jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
-    after = moved_along(state, measurement, jump)
-    (n0, e0), (n1, e1) = state.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
-    old, new = context.patch(n0, e0), context.patch(n1, e1)
-    if old is not None and new is not None:
-        after.x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
-    counter = state.reset_counter + 1
+    after, counter = moved_along(state, measurement, jump), state.reset_counter + 1
     return replace(after, position_known=True, reset_counter=counter, rejected_fixes=())

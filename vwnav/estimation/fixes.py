@@ -9,6 +9,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import (
     agreeing,
+    by_half,
     convinces,
     freed,
     leaning,
@@ -204,14 +205,17 @@ def _apply_position(
     """Fuse where a fix shows the aircraft, or jump there."""
     config, r = context.config, measurement.residual
     lone = _alone(state, measurement)
-    after, innovation = fuse(state, lone, config.visual_weight)
+    fused, innovation = fuse(state, lone, config.visual_weight)
     # A long pull, however wide the gate has become: one wrong fix must not do it.
     short = measurement.R + config.sudden_sigma_m**2 * np.eye(2)
     sudden = float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
-    if lone is not measurement or sudden or not (state.position_known and innovation.accepted):
-        after, innovation = _disputed(state, fix, measurement, sudden, context)
-    else:
-        after = replace(after, rejected_fixes=())
+    after = replace(fused, rejected_fixes=())
+    if not state.position_known or innovation.verdict is not Verdict.FUSED or sudden:
+        after, innovation = _disputed(state, fix, measurement, innovation, context)
+    elif lone is not measurement:
+        drift, before = config.relocation_drift_m_s, state.rejected_fixes
+        after, once = by_half(state, fused, measurement, before, fix.t_s, drift)
+        after = replace(after, rejected_fixes=once)
     if not innovation.accepted:
         return after, innovation
     before_s = after.t_last_fix_s
@@ -223,29 +227,29 @@ def _apply_position(
 
 
 def _disputed(
-    state: FilterState, fix: NedFix, measurement: Measurement, sudden: bool, context: Context
+    state: FilterState, fix: NedFix, measurement: Measurement, told: Innovation, context: Context
 ) -> tuple[FilterState, Innovation]:
-    """What a fix tells that is not as was believed, or that tells much: others must agree."""
+    """What a fix tells that is not as was believed: others must agree."""
     config = context.config
-    lone = _alone(state, measurement)
-    fused, innovation = fuse(state, lone, config.visual_weight)
-    jumped = replace(innovation, verdict=Verdict.RELOCATED)
-    if not state.position_known:
-        return relocated(state, measurement, context), jumped
-    rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
-    drift = config.relocation_drift_m_s
-    if innovation.accepted and len(agreeing(rejected, drift)) >= config.sudden_fixes:
-        return replace(correct(state, measurement), rejected_fixes=()), innovation
-    if innovation.accepted and not sudden:
-        return replace(fused, rejected_fixes=seen_from(rejected, state, fused, lone)), innovation
-    if innovation.accepted:
-        leant = leaning(state, measurement, config.lone_fix_sigma_m)
-        unconfirmed = replace(innovation, verdict=Verdict.UNCONFIRMED)
-        return replace(leant, rejected_fixes=seen_from(rejected, state, leant, lone)), unconfirmed
-    state = replace(state, rejected_fixes=rejected)
-    if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
-        return state, innovation
-    return relocated(state, measurement, context), jumped
+    if state.position_known:
+        rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
+        drift = config.relocation_drift_m_s
+        if told.accepted and len(agreeing(rejected, drift)) >= config.sudden_fixes:
+            return replace(correct(state, measurement), rejected_fixes=()), told
+        if told.accepted:
+            after = leaning(state, measurement, config.lone_fix_sigma_m)
+            kept = seen_from(rejected, state, after, measurement)
+            told = replace(told, verdict=Verdict.UNCONFIRMED)
+            return replace(after, rejected_fixes=kept), told
+        state = replace(state, rejected_fixes=rejected)
+        if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
+            return state, told
+    after = relocated(state, measurement)
+    (n0, e0), (n1, e1) = state.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
+    old, new = context.patch(n0, e0), context.patch(n1, e1)
+    if old is not None and new is not None:  # the ground below is that of the other place
+        after.x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
+    return after, replace(told, verdict=Verdict.RELOCATED)
 
 
 def _alone(state: FilterState, measurement: Measurement) -> Measurement:
@@ -253,11 +257,9 @@ def _alone(state: FilterState, measurement: Measurement) -> Measurement:
 
     It may be of ground that looks alike, turned or aside, and as sure of itself as any.
     """
-    open_ = _LONE_SHARE * measurement.H @ state.P @ measurement.H.T
-    short = float(np.trace(open_ - measurement.R)) / len(open_)
-    if short <= 0.0:
-        return measurement
-    return replace(measurement, R=measurement.R + short * np.eye(len(open_)))
+    H, R = measurement.H, measurement.R
+    short = float(np.trace(_LONE_SHARE * H @ state.P @ H.T - R)) / len(R)
+    return measurement if short <= 0.0 else replace(measurement, R=R + short * np.eye(len(R)))
 
 
 def _apply_heading(
@@ -274,23 +276,21 @@ def _apply_heading(
     jump = np.zeros((States.SIZE, 1))
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
-        R, told = measurement.R, replace(measurement, residual=np.zeros(1))
-        found = moved_along(state, replace(measurement, R=R + _LONE_HEADING_RAD**2), jump)
-        once = remember((), state.t_s, told, config.dispute_window_s)
+        alone = replace(measurement, R=measurement.R + _LONE_HEADING_RAD**2)
+        found = moved_along(state, alone, jump)
         # That of an image of long ago leaves the heading of now as open as it has been since.
-        found = replace(found, heading_known=tells_heading(found.P), rejected_headings=once)
+        found = replace(found, heading_known=tells_heading(found.P))
         return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
     lone = _alone(state, measurement)
     fused, innovation = fuse(state, lone, config.visual_weight)
     agrees, drift = innovation.verdict is Verdict.FUSED, config.heading_drift_rad_s
     if agrees and lone is measurement:
         return replace(fused, rejected_headings=()), innovation
-    rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
-    if agrees and len(agreeing(rejected, drift)) >= config.sudden_fixes:
-        return replace(correct(state, measurement), rejected_headings=()), innovation
     if agrees:
-        kept = seen_from(rejected, state, fused, lone)
-        return replace(fused, rejected_headings=kept), innovation
+        before = state.rejected_headings
+        after, once = by_half(state, fused, measurement, before, state.t_s, drift)
+        return replace(after, rejected_headings=once), innovation
+    rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
     state = replace(state, rejected_headings=rejected)
     if not convinces(rejected, drift, config.offset_count, config.offset_span_s):
         return state, innovation

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.camera import Camera
-from vwnav.sim.map_error import MapError
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
 from vwnav.types import Array
 
@@ -47,7 +47,7 @@ class RenderConfig:
     read_noise: float = 1.6
     shot_noise: float = 0.035
     relief: Relief = field(default_factory=Relief)
-    map_error: MapError = field(default_factory=MapError)
+    map_error: MapWarp = field(default_factory=MapWarp)
     light_sigma: float = 0.06
     light_tau_s: float = 15.0
     target_level: float = 112.0

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.sim.map_error import MapError
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
 from vwnav.sim.tiles import LEVELS_M_PER_PX, Key, tile_span_m
 from vwnav.types import Array
@@ -117,7 +117,7 @@ def raise_to(
         np.copyto(where, below + share[..., None] * on_slope, where=seen[..., None])
 
 
-def move_to_map(error: MapError, where: NDArray[np.float32], region: Region) -> None:
+def move_to_map(error: MapWarp, where: NDArray[np.float32], region: Region) -> None:
     """Move the pixels (h, w, 2) of the block to those that the map shows there."""
     r = np.float32(LEVELS_M_PER_PX[region.level])
     north_m, west_m = _corner_m(region)

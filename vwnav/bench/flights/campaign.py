@@ -11,7 +11,7 @@ from vwnav.bench.flights.setup import Setup
 from vwnav.errors import RouteError
 from vwnav.estimation.config import EkfConfig
 from vwnav.sim.config import Manners
-from vwnav.sim.map_error import MapError
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.named_sites import MAP_EAST_M, MAP_NORTH_M, MAP_SIGMA_M, SITE_PREFIX
 from vwnav.sim.renderer import default_camera
 from vwnav.sim.site import FIRST_TRAINING_SEED
@@ -104,7 +104,7 @@ def _off(rng: np.random.Generator) -> dict[str, Any]:
         "mount_off_deg": tuple(np.degrees(rng.normal(0.0, hangs_rad)).tolist()),
         "lens_ratio": float(rng.normal(1.0, camera.sigma_focal_ratio)),
         "compass_off_deg": float(rng.normal(0.0, _COMPASS_SIGMA_DEG)),
-        "map_error": MapError(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
+        "map_error": MapWarp(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
     }
 
 

@@ -10,7 +10,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
-from vwnav.sim.map_error import MapError
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
 from vwnav.vehicle import FlightMode
 
@@ -92,7 +92,7 @@ class Setup:
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
     relief: Relief = field(default_factory=Relief)
-    map_error: MapError = field(default_factory=MapError)
+    map_error: MapWarp = field(default_factory=MapWarp)
     range_most_m: float = 100.0
     compass_off_deg: float = 3.0
     copies_map: bool = False

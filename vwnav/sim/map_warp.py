@@ -14,7 +14,7 @@ _EVERYWHERE = 0.5  # of the variance is a shift of the whole map, the rest waves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MapError:
+class MapWarp:
     """What stands at a place is drawn on the map elsewhere, smoothly: a shift, and a warp.
 
     Attributes:
