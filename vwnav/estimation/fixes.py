@@ -46,8 +46,8 @@ _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
 _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error and of those
 _TURNED_COS = math.cos(math.radians(40.0))
-_LONE_SHARE = 1.0 / 3.0  # of a variance, as noise: halves a sigma
-_LONE_HEADING_RAD = math.radians(15.0)  # likewise where nothing was known of the heading
+_LONE_SHARE = 1.0 / 3.0  # of a variance, as noise: halves a sigma, from these sigmas on
+_OPEN_M, _OPEN_RAD, _LONE_HEADING_RAD = 2.0, math.radians(4.0), math.radians(15.0)
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 
@@ -204,7 +204,7 @@ def _apply_position(
 ) -> tuple[FilterState, Innovation]:
     """Fuse where a fix shows the aircraft, or jump there."""
     config, r = context.config, measurement.residual
-    lone = _alone(state, measurement)
+    lone = _alone(state, measurement, _OPEN_M)
     fused, innovation = fuse(state, lone, config.visual_weight)
     # A long pull, however wide the gate has become: one wrong fix must not do it.
     short = measurement.R + config.sudden_sigma_m**2 * np.eye(2)
@@ -213,8 +213,8 @@ def _apply_position(
     if not state.position_known or innovation.verdict is not Verdict.FUSED or sudden:
         after, innovation = _disputed(state, fix, measurement, innovation, context)
     elif lone is not measurement:
-        drift, before = config.relocation_drift_m_s, state.rejected_fixes
-        after, once = by_half(state, fused, measurement, before, fix.t_s, drift)
+        once, drift = state.rejected_fixes, config.relocation_drift_m_s
+        after, once = by_half(state, fused, measurement, once, fix.t_s, drift)
         after = replace(after, rejected_fixes=once)
     if not innovation.accepted:
         return after, innovation
@@ -239,8 +239,7 @@ def _disputed(
         if told.accepted:
             after = leaning(state, measurement, config.lone_fix_sigma_m)
             kept = seen_from(rejected, state, after, measurement)
-            told = replace(told, verdict=Verdict.UNCONFIRMED)
-            return replace(after, rejected_fixes=kept), told
+            return replace(after, rejected_fixes=kept), replace(told, verdict=Verdict.UNCONFIRMED)
         state = replace(state, rejected_fixes=rejected)
         if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
             return state, told
@@ -252,14 +251,16 @@ def _disputed(
     return after, replace(told, verdict=Verdict.RELOCATED)
 
 
-def _alone(state: FilterState, measurement: Measurement) -> Measurement:
-    """What one fix tells that opens as much as this: half of it, until another one agrees.
+def _alone(state: FilterState, measurement: Measurement, open_: float) -> Measurement:
+    """What one fix tells where more is open: half of it, until another one agrees.
 
     It may be of ground that looks alike, turned or aside, and as sure of itself as any.
     """
     H, R = measurement.H, measurement.R
-    short = float(np.trace(_LONE_SHARE * H @ state.P @ H.T - R)) / len(R)
-    return measurement if short <= 0.0 else replace(measurement, R=R + short * np.eye(len(R)))
+    shared = H @ state.P @ H.T
+    short = float(np.trace(_LONE_SHARE * shared - R)) / len(R)
+    tells_much = short > 0.0 and float(np.trace(shared)) > len(R) * open_**2
+    return replace(measurement, R=R + short * np.eye(len(R))) if tells_much else measurement
 
 
 def _apply_heading(
@@ -276,20 +277,19 @@ def _apply_heading(
     jump = np.zeros((States.SIZE, 1))
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:
-        alone = replace(measurement, R=measurement.R + _LONE_HEADING_RAD**2)
-        found = moved_along(state, alone, jump)
+        R = measurement.R + _LONE_HEADING_RAD**2
+        found = moved_along(state, replace(measurement, R=R), jump)
         # That of an image of long ago leaves the heading of now as open as it has been since.
         found = replace(found, heading_known=tells_heading(found.P))
         return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
-    lone = _alone(state, measurement)
+    lone = _alone(state, measurement, _OPEN_RAD)
     fused, innovation = fuse(state, lone, config.visual_weight)
     agrees, drift = innovation.verdict is Verdict.FUSED, config.heading_drift_rad_s
     if agrees and lone is measurement:
         return replace(fused, rejected_headings=()), innovation
     if agrees:
-        before = state.rejected_headings
-        after, once = by_half(state, fused, measurement, before, state.t_s, drift)
-        return replace(after, rejected_headings=once), innovation
+        after, one = by_half(state, fused, measurement, state.rejected_headings, state.t_s, drift)
+        return replace(after, rejected_headings=one), innovation
     rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
     state = replace(state, rejected_headings=rejected)
     if not convinces(rejected, drift, config.offset_count, config.offset_span_s):
