@@ -58,8 +58,8 @@ def test_an_aircraft_is_off_by_what_its_filter_is_told_it_may_be() -> None:
     off_deg = np.std([each.mount_off_deg for each in setups], axis=0)
     assert off_deg == pytest.approx([0.2, 0.2, 1.5], rel=0.15)
     assert np.std([each.lens_ratio for each in setups]) == pytest.approx(0.001, rel=0.15)
-    assert len({each.map_error for each in setups}) == 400
-    assert setups[0].map_error.sigma_m == MAP_SIGMA_M
+    assert len({each.map_warp for each in setups}) == 400
+    assert setups[0].map_warp.sigma_m == MAP_SIGMA_M
 
 
 def test_a_route_off_the_map_is_refused_by_its_waypoint() -> None:

@@ -15,6 +15,7 @@ from vwnav.estimation.beginning.starts import Start, begun_anew
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix
+from vwnav.estimation.inertial.attitudes import yaw_of
 from vwnav.estimation.states import States, Verdict
 from vwnav.estimation.timeline import Timeline, outside
 from vwnav.types import Attitude, Height, OdometryMotion, Stationary
@@ -148,6 +149,37 @@ def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_
         ekf.handle(Attitude(t_s, LEVEL))
     assert ekf.handle(fix(12.2, 100.0)).accepted
     assert ekf.estimate(12.2).sigma_horizontal_m < 2.0
+
+
+@given(
+    st.floats(-38.0, 38.0), st.floats(0.0, 10.0), st.floats(-math.pi, math.pi), st.integers(1, 15)
+)
+def test_a_first_fix_of_ground_that_looks_alike_is_left_at_the_second_right_one(
+    turned_deg, aside_m, bearing_rad, quiet
+):
+    """Turned by 17 degrees it was believed for 10 s, as right ones were refused."""
+    ekf, t_s = Ekf(EkfConfig()), 2.0
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=5.0, agl_m=50.0))
+    go_on(ekf, 0.0, t_s, 50.0)
+    aside = aside_m * np.array([math.cos(bearing_rad), math.sin(bearing_rad)])
+    wrong = aside, math.radians(turned_deg), 1
+    for place, turned_rad, count in (wrong, (np.zeros(2), 0.0, 2)):
+        for _ in range(count):
+            told = NedFix(
+                t_s=t_s, position_ne_m=place, covariance_ne_m2=0.5**2 * np.eye(2),
+                yaw_rad=turned_rad, sigma_yaw_rad=0.012,
+            )  # fmt: skip
+            ekf.handle(told)
+            estimate = ekf.estimate(t_s)
+            off_m, P = estimate.position_ned_m[:2], estimate.covariance[:2, :2]
+            assert off_m @ np.linalg.solve(P, off_m) < 5.0**2
+            yaw_rad = yaw_of(estimate.quat_wxyz)
+            assert abs(yaw_rad) < 5.0 * estimate.sigma_yaw_rad
+            go_on(ekf, t_s, 0.1 * quiet, 50.0)
+            t_s += 0.1 * quiet
+    assert np.hypot(*off_m) < 1.5
+    assert abs(yaw_rad) < math.radians(3.0)
 
 
 def test_who_stands_comes_to_rest_whatever_was_believed_in_the_landing():

@@ -323,13 +323,13 @@ def test_asking_changes_nothing():
 def test_on_a_linear_problem_it_is_the_kalman_filter():
     """A fix on a resting aircraft: position and variance of the textbook's scalar update."""
     ekf = Ekf(EkfConfig(map_sigma_m=1e-6))
-    ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=1.5))
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.zeros(3), sigma_m=2.0))
     ekf.handle(Attitude(0.0, LEVEL))
     ekf.handle(NedFix(t_s=0.0, position_ne_m=np.array([1.0, 0.0]), covariance_ne_m2=np.eye(2)))
     found = ekf.estimate(0.0)
-    gain = 2.25 / (2.25 + 1.0)
+    gain = 4.0 / (4.0 + 1.0)
     assert found.position_ned_m[0] == pytest.approx(gain, abs=1e-3)
-    assert found.covariance[0, 0] == pytest.approx((1.0 - gain) * 2.25, abs=1e-2)
+    assert found.covariance[0, 0] == pytest.approx((1.0 - gain) * 4.0, abs=1e-2)
 
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)

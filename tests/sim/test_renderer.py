@@ -128,7 +128,7 @@ def test_what_stands_at_a_place_is_drawn_where_the_map_shows_it(seed: int) -> No
     for _ in range(3):
         north_m, east_m = truly.astype(np.float32).T[..., None]
         truly = on_map - error.at_m(north_m, east_m)[:, 0]
-    view = view_of(make(CHESS, replace(PERFECT, map_error=error)), position, R)
+    view = view_of(make(CHESS, replace(PERFECT, map_warp=error)), position, R)
     uv = seen_at(truly, position, R)
     assert np.abs(truly - on_map).max() > 0.4
     assert np.median(np.hypot(*(refined(view, uv) - uv).T)) < 0.2

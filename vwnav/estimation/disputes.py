@@ -1,4 +1,4 @@
-"""Innovations that the gates reject may be right after all: enough of them must agree."""
+"""Innovations that are refused, or believed by half: enough must agree, and what follows then."""
 
 import math
 from dataclasses import replace
@@ -107,8 +107,7 @@ def by_half(
     newest = RejectedInnovation(t_s, measurement.residual, measurement.R)
     twice = len(agreeing((*before[-1:], newest), drift_per_s)) > 1
     after = correct(state, measurement) if twice else half
-    left = newest.residual - measurement.H @ (after.x - state.x)
-    return after, (replace(newest, residual=left),)
+    return after, seen_from((newest,), state, after, measurement)
 
 
 def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnovations:

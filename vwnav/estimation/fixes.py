@@ -47,7 +47,7 @@ _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
 _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error and of those
 _TURNED_COS = math.cos(math.radians(40.0))
 _LONE_SHARE = 1.0 / 3.0  # of a variance, as noise: halves a sigma, from these sigmas on
-_OPEN_M, _OPEN_RAD, _LONE_HEADING_RAD = 2.0, math.radians(4.0), math.radians(15.0)
+_OPEN_M, _OPEN_RAD, _LONE_HEADING_RAD = 2.25, math.radians(4.0), math.radians(15.0)
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 

@@ -29,7 +29,7 @@ class RenderConfig:
         vignetting: loss of light in the corners, 0 to 1.
         read_noise: sigma in grey levels in the dark; shot_noise: variance per grey level.
         relief: of the ground.
-        map_error: where the map shows that ground, which is drawn by it.
+        map_warp: where the map shows that ground, which is drawn by it.
         light_sigma: relative sigma of the slow change of light (clouds), over `light_tau_s`.
         target_level: mean grey level that automatic exposure aims at, with a lag of `agc_tau_s`.
         background: draw missing tiles in a thread and show coarse ones meanwhile; False draws
@@ -47,7 +47,7 @@ class RenderConfig:
     read_noise: float = 1.6
     shot_noise: float = 0.035
     relief: Relief = field(default_factory=Relief)
-    map_error: MapWarp = field(default_factory=MapWarp)
+    map_warp: MapWarp = field(default_factory=MapWarp)
     light_sigma: float = 0.06
     light_tau_s: float = 15.0
     target_level: float = 112.0

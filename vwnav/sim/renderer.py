@@ -153,8 +153,8 @@ class CameraRenderer:
         where = intersections(rays, on_block, a_second, rows_s)
         if not self._config.relief.plane:
             raise_to(self._config.relief, where, centre, height_m, region)
-        if self._config.map_error.sigma_m:
-            move_to_map(self._config.map_error, where, region)
+        if self._config.map_warp.sigma_m:
+            move_to_map(self._config.map_warp, where, region)
         plain = _sampled(mosaic, between_nodes(where, camera.width_px, camera.height_px))
         return self._sensor.expose(plain, flow, t_s)
 
@@ -206,7 +206,7 @@ class CameraRenderer:
         down = np.maximum(rays_ned[:, 2:], MIN_DOWN)
         deep_m = 2.5 * self._config.relief.hills_m
         ground = centre[:2] + (height_m + deep_m) * rays_ned[:, :2] / down
-        beside_m = _MOST_SIGMAS * self._config.map_error.sigma_m
+        beside_m = _MOST_SIGMAS * self._config.map_warp.sigma_m
         ground = np.vstack([ground - beside_m, ground + beside_m])
         slant_m = height_m / max(float(R_ned_camera[2, 2]), 0.3)
         last = len(LEVELS_M_PER_PX) - 1

@@ -97,14 +97,17 @@ class Campaign:
 
 
 def _off(rng: np.random.Generator) -> dict[str, Any]:
-    """How an aircraft is not as its files say: by what the filter is told that it may be."""
+    """How an aircraft is not as its files say: by what the filter is told that it may be.
+
+    But for its compass, which errs by less than the filter is prepared for.
+    """
     camera, ekf = default_camera(), EkfConfig()
     hangs_rad = camera.sigma_mount_rad, camera.sigma_mount_rad, ekf.mount_turn_sigma_rad
     return {
         "mount_off_deg": tuple(np.degrees(rng.normal(0.0, hangs_rad)).tolist()),
         "lens_ratio": float(rng.normal(1.0, camera.sigma_focal_ratio)),
         "compass_off_deg": float(rng.normal(0.0, _COMPASS_SIGMA_DEG)),
-        "map_error": MapWarp(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
+        "map_warp": MapWarp(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
     }
 
 

@@ -67,7 +67,7 @@ def flight_log(flown: Flown) -> FlightLog:
         ],
         homes=track.homes,
         map_off_m=flown.scenario.map_off_m,
-        map_sigma_m=flown.scenario.setup.map_error.shift_sigma_m,
+        map_sigma_m=flown.scenario.setup.map_warp.shift_sigma_m,
         truth=[
             LoggedTruth(row.t_s, _vector(row.position_ned_m), _vector(row.velocity_ned_m_s))
             for row in track.truth

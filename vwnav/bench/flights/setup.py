@@ -63,7 +63,7 @@ class Setup:
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
         lens_ratio: its true focal length over the calibrated one.
         relief: of the ground about home, where it has to stand.
-        map_error: of the map that is flown on.
+        map_warp: of the map that is flown on.
         range_most_m: how far the rangefinder reaches; 0: there is none.
         compass_off_deg: constant error of the compass.
         copies_map: fly on a copy of the map's file, for faults that damage it.
@@ -92,7 +92,7 @@ class Setup:
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
     relief: Relief = field(default_factory=Relief)
-    map_error: MapWarp = field(default_factory=MapWarp)
+    map_warp: MapWarp = field(default_factory=MapWarp)
     range_most_m: float = 100.0
     compass_off_deg: float = 3.0
     copies_map: bool = False

@@ -344,6 +344,6 @@ def draw(setup: Setup, place: Place) -> CameraRenderer:
 def _draw(ground: DrawnGround, tiles: Path | None, setup: Setup, told: Camera) -> CameraRenderer:
     camera, rng = setup.true_camera(told), np.random.default_rng(setup.seed)
     config = RenderConfig(
-        color=False, background=False, relief=setup.relief, map_error=setup.map_error
+        color=False, background=False, relief=setup.relief, map_warp=setup.map_warp
     )
     return CameraRenderer(ground, camera, config, rng, tiles)

@@ -47,6 +47,7 @@ QUICK = {
     "link cut for 5 s on the route",
     "navigator stopped for 20 s",
     "processor starved for 1 s",
+    "first fix turned by 30 degrees",
     "model raises in flight",
     "pilot takes over while on the route",
     "take-off refused",
