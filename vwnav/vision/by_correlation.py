@@ -1,16 +1,21 @@
 """Registering a view by correlation alone, where its keypoints do not.
 
 From 25 m a map of 0.3 m/px shows a view of 140 x 107 pixels. A season later some four of its fifty
-matches are right, which may be chance; its edges together still lie as they do on the map.
+matches are right, which may be chance; its edges together still lie as they do on the map. Of slabs
+and rows a dozen matches agree on another of them: there the edges contradict.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vwnav.geometry.camera import Rectification
-from vwnav.geometry.geodesy import lat_lon_from_mercator_px, mercator_px
+from vwnav.geometry.geodesy import (
+    horizontal_distance_m,
+    lat_lon_from_mercator_px,
+    mercator_px,
+)
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.image import MapReader
 from vwnav.types import MapFix
@@ -23,40 +28,51 @@ MAX_YAW_STEPS = 3  # to either side
 YAW_SIGMAS = 2.0
 MAX_REACH_PX = 64  # a place that is known worse is not looked for by correlation alone
 SIGMA_PX = 1.5  # of a place, per axis
+CONTRADICTS_DECADES = 1.0  # that a look must have to speak against matches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Shifted:
-    """A view that lies where it correlates best with the map; `nadir_lat_lon` in degrees."""
+class Correlated:
+    """A view that lies where it correlates best with the map.
+
+    Attributes:
+        peak: of its shifts.
+        view: how it was made.
+        nadir_lat_lon: of the camera, degrees.
+        decades: how rarely unrelated images correlate so well, as a power of ten.
+    """
 
     peak: Peak
     view: Rectification
     nadir_lat_lon: tuple[float, float]
+    decades: float
+
+    def contradicts(self, lat_lon: tuple[float, float], sigmas: float) -> bool:
+        """Whether it speaks for another place than one that correlates by so many deviations.
+
+        It is turned and scaled as the prior has it, which what was found need not be: so it may
+        correlate somewhat less.
+        """
+        apart_m = horizontal_distance_m(*lat_lon, *self.nadir_lat_lon)
+        strong = self.decades >= CONTRADICTS_DECADES and self.peak.sigmas > MAX_RIVALRY * sigmas
+        return strong and apart_m > RING_PX[0] * self.view.m_per_px
 
 
-def fix_by_correlation(
-    pack: MapReader,
-    maker: QueryMaker,
-    query: Query,
-    candidate: Candidate,
-    accept: Acceptance,
-    min_decades: float,
-) -> MapFix | None:
-    """Look for a view within a radius of the prior's place; None where no shift stands out.
+def best_correlated(
+    pack: MapReader, maker: QueryMaker, query: Query, candidate: Candidate
+) -> Correlated | None:
+    """Look for a view within a radius of the prior's place; None where that cannot be.
 
     Headings that the prior leaves open are tried. Each is a test more, but none is measured: the
-    best one is only good to a step. The fix is a position alone: what heading and height the view
-    was made with is no measurement.
+    best one is only good to a step.
 
     Args:
         pack: the map.
         maker: makes the view.
         query: with a prior that holds place and tilt; else None comes back.
         candidate: place, radius, level, heading and height; no other height is tried.
-        accept: holds the errors behind a position.
-        min_decades: unrelated images may pass once in ten to this power.
     """
-    if not query.attitude_known:
+    if candidate.coarse or not query.attitude_known:
         return None
     open_steps = math.floor(YAW_SIGMAS * query.prior.sigma_yaw_rad / YAW_STEP_RAD + 0.5)
     steps = min(open_steps, MAX_YAW_STEPS)
@@ -67,16 +83,32 @@ def fix_by_correlation(
     if not found:
         return None
     best = max(found, key=lambda look: look.peak.sigmas)
-    if best.peak.rival_sigmas > MAX_RIVALRY * best.peak.sigmas:
+    return replace(best, decades=best.decades - math.log10(len(yaws_rad)))
+
+
+def fix_by_correlation(
+    query: Query, look: Correlated | None, accept: Acceptance, min_decades: float
+) -> MapFix | None:
+    """The fix that a look is; None where no shift stands out.
+
+    It is a position alone: what heading and height the view was made with is no measurement.
+
+    Args:
+        query: what was looked for.
+        look: the best one.
+        accept: holds the errors behind a position.
+        min_decades: unrelated images may pass once in ten to this power.
+    """
+    if look is None or look.decades < min_decades:
         return None
-    reach_px = math.ceil(candidate.radius_m / best.view.m_per_px)
-    decades = decades_of_shift(best.peak.sigmas, reach_px) - math.log10(len(yaws_rad))
-    return _fix(query, best, accept) if decades >= min_decades else None
+    if look.peak.rival_sigmas > MAX_RIVALRY * look.peak.sigmas:
+        return None
+    return _fix(query, look, accept)
 
 
 def _correlate(
     pack: MapReader, maker: QueryMaker, query: Query, candidate: Candidate, yaw_rad: float
-) -> _Shifted | None:
+) -> Correlated | None:
     """The best shift with one heading; None where there is too little to compare."""
     lat_deg, lon_deg, zoom = candidate.lat_deg, candidate.lon_deg, candidate.level.zoom
     view = maker.rectify(query, yaw_rad, candidate.hypothesis.agl_m, candidate.m_per_px)
@@ -98,10 +130,11 @@ def _correlate(
         return None
     # The map was cut at whole pixels: what was cut off counts as shift.
     x, y = nadir_px + peak.shift_uv - (corner_px - np.floor(corner_px))
-    return _Shifted(peak, view, lat_lon_from_mercator_px(float(x), float(y), zoom))
+    decades = decades_of_shift(peak.sigmas, reach_px)
+    return Correlated(peak, view, lat_lon_from_mercator_px(float(x), float(y), zoom), decades)
 
 
-def _fix(query: Query, best: _Shifted, accept: Acceptance) -> MapFix:
+def _fix(query: Query, best: Correlated, accept: Acceptance) -> MapFix:
     tilt_m = best.view.agl_m * accept.sigma_tilt_rad
     sigma_m = math.hypot(SIGMA_PX * best.view.m_per_px, tilt_m, accept.sigma_georeference_m)
     return MapFix(

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from vwnav.types import (
     RejectReason,
     WeakFix,
 )
-from vwnav.vision.by_correlation import fix_by_correlation
+from vwnav.vision.by_correlation import Correlated, best_correlated, fix_by_correlation
 from vwnav.vision.candidates import (
     PRIOR_SIGMAS,
     Acceptance,
@@ -42,16 +42,15 @@ from vwnav.vision.candidates import (
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
 from vwnav.vision.lever_arm import LeverArm
-from vwnav.vision.matching import is_mistakable
 from vwnav.vision.query import Query, QueryMaker
 from vwnav.vision.registration import (
+    MAX_RESCALE,
     Registration,
+    ambiguous,
     fix_of,
     implausible,
     may_be_chance,
     register,
-    share_beside,
-    share_turned,
 )
 from vwnav.vision.rivals import best_of
 
@@ -140,6 +139,8 @@ class Localizer:
             return candidates
         refusal: Rejected | None = None
         coarse: list[Registration] = []
+        first = candidates[int(candidates[0].thrifty)]  # of the whole image
+        look = cache(partial(best_correlated, self._pack, self._maker, query, first))
         for made, candidate in enumerate(candidates):
             if self._given_up.is_set():
                 detail = f"after {made} of {len(candidates)} looks"
@@ -150,7 +151,7 @@ class Localizer:
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
-                outcome = self._weighed(query, self._verified(query, found))
+                outcome = self._weighed(query, self._verified(query, look, found))
                 if isinstance(outcome, MapFix):
                     return outcome
                 if outcome.reason in SETTLED and not candidate.thrifty:
@@ -162,11 +163,10 @@ class Localizer:
             if found.reason in HOPELESS and not candidate.coarse:
                 return refusal
         if candidates[0].coarse:
-            best = best_of(query, coarse, len(candidates), partial(self._verified, query))
+            best = best_of(query, coarse, len(candidates), partial(self._verified, query, look))
             return self._weighed(query, best)
-        first = next(each for each in candidates if not each.thrifty)
         accept, decades = self._acceptance(first), self._config.min_decades
-        fix = fix_by_correlation(self._pack, self._maker, query, first, accept, decades)
+        fix = fix_by_correlation(query, look(), accept, decades)
         refusal = refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
         return self._weighed(query, fix or refusal)
 
@@ -283,11 +283,14 @@ class Localizer:
             return again
         return found
 
-    def _verified(self, query: Query, found: Registration) -> Registration | Rejected:
+    def _verified(
+        self, query: Query, look: Callable[[], Correlated | None], found: Registration
+    ) -> Registration | Rejected:
         """Refine and weigh a registration; where matches do not convince, images must correlate.
 
         A coarse one is not believed: what the sharpest level does not show again is not there.
-        Nor is a thrifty one that is not sure: the whole image is there to be asked.
+        Nor is a thrifty one that is not sure: the whole image is there to be asked. Nor one that a
+        look at the prior's place contradicts. What is too weak alone is kept.
         """
         found = self._refined(query, found)
         consensus, decades = found.consensus, self._decades(found)
@@ -298,18 +301,35 @@ class Localizer:
         if decades < needed:
             with query.stage("verify_ms"):
                 decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
-        if decades < needed or found.consensus.log10_nfa > WORTH_LOG10_NFA:
-            self._note(query, found, decades, needed)
+        chance = decades < needed or consensus.log10_nfa > WORTH_LOG10_NFA
+        if chance and decades < WEAKEST_DECADES:
+            return may_be_chance(query, consensus)
+        agl_m, told_m = found.candidate.hypothesis.agl_m * found.pose.scale_ratio, query.prior.agl_m
+        rescaled = abs(math.log(agl_m / (told_m or agl_m))) > math.log(MAX_RESCALE)
+        if (rescaled or decades < SURE_DECADES) and self._contradicted(query, look, found):
             return may_be_chance(query, consensus)
         with query.stage("verify_ms"):
-            return self._ambiguous(query, found) or found
+            refusal = ambiguous(self._pack, self._extractor, query, found)
+        if not chance:
+            return refusal or found
+        if refusal is None:
+            seen_m = max(query.footprint_m(found.hypothesis.agl_m))
+            query.weak.append(WeakFix(fix_of(query, found), decades, needed, seen_m))
+        return may_be_chance(query, consensus)
 
-    def _note(self, query: Query, found: Registration, decades: float, needed: float) -> None:
-        """Keep what is too weak alone, if the map does not show the like of it."""
-        if decades < WEAKEST_DECADES or self._ambiguous(query, found) is not None:
-            return
-        seen_m = max(query.footprint_m(found.hypothesis.agl_m))
-        query.weak.append(WeakFix(fix_of(query, found), decades, needed, seen_m))
+    def _contradicted(
+        self, query: Query, look: Callable[[], Correlated | None], found: Registration
+    ) -> bool:
+        """Whether matches agree on one place, and edges on another.
+
+        Ground that repeats (slabs, rows of vines) has features that agree on the wrong one of them,
+        mostly at another height than the prior's.
+        """
+        if (seen := look()) is None:
+            return False
+        nadir = found.lat_lon_of_view(found.view.rectification.nadir_uv)
+        with query.stage("verify_ms"):
+            return seen.contradicts(nadir, found.correlation_sigmas(self._pack, query))
 
     def _weak(self, query: Query, prior: Prior) -> tuple[WeakFix, ...]:
         """What was kept that is certain and near enough to be a fix, if more spoke for it."""
@@ -318,25 +338,6 @@ class Localizer:
             replace(each, fix=self._arm.fix_of_body(each.fix, prior)) if self._arm else each
             for each in query.weak
             if not implausible(query, each.fix, most_m)
-        )
-
-    def _ambiguous(self, query: Query, found: Registration) -> Rejected | None:
-        """A refusal where the map shows the like at other places, or turned, that are open too."""
-        # A part of the image tells places less apart: twice as many must be unlike.
-        cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
-        share = share_beside(self._pack, self._extractor, query, found)
-        mistakable = is_mistakable(share, cells)
-        if not mistakable and query.heading_open:
-            where = "turned by a quarter or a half"
-            share = share_turned(self._pack, self._extractor, found)
-            mistakable = is_mistakable(share, cells)
-        if not mistakable:
-            return None
-        return query.rejected(
-            RejectReason.AMBIGUOUS,
-            f"{share:.0%} of what was seen is {where} too",
-            matches=found.consensus.matches,
-            inliers=len(found.consensus.uv_view),
         )
 
     def _decades(self, found: Registration) -> float:

@@ -33,7 +33,7 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import match, paired_similarity, share_alike
+from vwnav.vision.matching import is_mistakable, match, paired_similarity, share_alike
 from vwnav.vision.query import Query, View, seen
 
 MIN_KEYPOINTS = 12
@@ -298,7 +298,26 @@ def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | Non
     return query.rejected(RejectReason.PRIOR, detail, matches=matches, inliers=inliers)
 
 
-def share_beside(
+def ambiguous(
+    pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
+) -> Rejected | None:
+    """A refusal where the map shows the like at other places, or turned, that are open too."""
+    # A part of the image tells places less apart: twice as many must be unlike.
+    cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
+    share = _share_beside(pack, extractor, query, found)
+    mistakable = is_mistakable(share, cells)
+    if not mistakable and query.heading_open:
+        where = "turned by a quarter or a half"
+        share = _share_turned(pack, extractor, found)
+        mistakable = is_mistakable(share, cells)
+    if not mistakable:
+        return None
+    reason, matches = RejectReason.AMBIGUOUS, found.consensus.matches
+    detail = f"{share:.0%} of what was seen is {where} too"
+    return query.rejected(reason, detail, matches=matches, inliers=len(found.consensus.uv_view))
+
+
+def _share_beside(
     pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
 ) -> float:
     """Share of the landmarks' cells that the map shows again beside them, where the prior reaches.
@@ -319,7 +338,7 @@ def share_beside(
     return share_alike(landmarks, found.likeness, around.features, within_px)
 
 
-def share_turned(pack: MapReader, extractor: FeatureExtractor, found: Registration) -> float:
+def _share_turned(pack: MapReader, extractor: FeatureExtractor, found: Registration) -> float:
     """The same of the map under and around the view, turned by one, two and three quarters."""
     window, zoom = found.window.grown(max(found.window.shape)), found.candidate.level.zoom
     keypoints = len(pack.features_in(zoom, *window, extractor).features)
