@@ -7,6 +7,7 @@ import numpy as np
 from vwnav.types import Array, Estimate
 
 _AGREES_M = 3.0  # a home that was given is right when the way flown from it ends this near
+_ELSEWHERE_SIGMAS = 2.45  # sqrt(chi2.ppf(0.95, 2)): no nearer can it be told from the one given
 _CORRELATED_S = 2.5  # an error of the velocity lasts as long, until images tell another way
 _SPACING_M = 20.0
 
@@ -45,7 +46,8 @@ class Home:
         if self._given_ne_m is None:
             return "home is where the aircraft stood: known now"
         apart_m = float(np.hypot(*(stood_ne_m - self._given_ne_m)))
-        if apart_m <= max(_AGREES_M, math.sqrt(self._way_m2)):
+        sigma_m = math.hypot(math.sqrt(self._way_m2), estimate.sigma_horizontal_m)
+        if apart_m <= max(_AGREES_M, _ELSEWHERE_SIGMAS * sigma_m):
             self.place_ne_m = self._given_ne_m
             return ""
         return f"the aircraft stood {apart_m:.0f} m from the home that was given: it returns there"
