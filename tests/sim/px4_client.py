@@ -138,18 +138,17 @@ class Companion:
             self.send(mavlink.MAVLink_manual_control_message(1, self.pitch, 0, 500, 0, 0))
 
     def command(self, number: int, *parameters: float, timeout_s: float = 3.0) -> int:
-        """Send a COMMAND_LONG; its MAV_RESULT, -1 without an answer."""
-        before = len(self.acks)
+        """Send a COMMAND_LONG, three times without an answer; its MAV_RESULT, -1 for none."""
+        before, me = len(self.acks), self.config.system_id
         values = [*parameters, *([math.nan] * (7 - len(parameters)))]
-        self.send(
-            mavlink.MAVLink_command_long_message(self.config.system_id, 1, number, 0, *values)
-        )
-        end = time.monotonic() + timeout_s
-        while time.monotonic() < end:
-            for ack in self.acks[before:]:
-                if ack.command == number:
-                    return int(ack.result)
-            time.sleep(0.002)
+        for again in range(3):
+            self.send(mavlink.MAVLink_command_long_message(me, 1, number, again, *values))
+            end = time.monotonic() + timeout_s
+            while time.monotonic() < end:
+                for ack in self.acks[before:]:
+                    if ack.command == number:
+                        return int(ack.result)
+                time.sleep(0.002)
         return -1
 
     def set_origin(self) -> None:

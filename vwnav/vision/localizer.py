@@ -307,7 +307,7 @@ class Localizer:
         agl_m, told_m = found.candidate.hypothesis.agl_m * found.pose.scale_ratio, query.prior.agl_m
         rescaled = abs(math.log(agl_m / (told_m or agl_m))) > math.log(MAX_RESCALE)
         if (rescaled or decades < SURE_DECADES) and self._contradicted(query, look, found):
-            return may_be_chance(query, consensus)
+            return may_be_chance(query, consensus, "on a place that the edges contradict")
         with query.stage("verify_ms"):
             refusal = ambiguous(self._pack, self._extractor, query, found)
         if not chance:

@@ -194,10 +194,10 @@ def _matches(query: Query, view: View, map_: MapFeatures) -> NDArray[np.int64] |
     return pairs
 
 
-def may_be_chance(query: Query, consensus: Consensus) -> Rejected:
+def may_be_chance(query: Query, consensus: Consensus, why: str = "which may be chance") -> Rejected:
     """The refusal of a registration that too little speaks for."""
     matches, inliers = consensus.matches, len(consensus.uv_view)
-    detail = f"{inliers} of {matches} matches agree, which may be chance"
+    detail = f"{inliers} of {matches} matches agree, {why}"
     return query.rejected(RejectReason.FEW_INLIERS, detail, matches=matches, inliers=inliers)
 
 
