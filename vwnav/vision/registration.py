@@ -53,6 +53,7 @@ MAX_PRIOR_SIGMAS = 4.0
 UNKNOWN_TILT = 0.3  # the image's centre may be so far off the nadir, in heights: 17 degrees
 SYSTEMATIC_YAW_RAD = math.radians(0.3)
 SYSTEMATIC_SCALE = 0.01
+SLOPE = 0.1  # one sigma of the ground's: what is seen aside lies higher or lower than the nadir
 QUARTERS = (1, 2, 3)  # turns of the map that are tried
 BESIDE = 2.0  # views around a registration in which its like is looked for
 
@@ -257,8 +258,9 @@ def _pose(
 
 def fix_of(query: Query, found: Registration) -> MapFix:
     """The fix that a registration is."""
-    pose, consensus = found.pose, found.consensus
+    pose, consensus, made = found.pose, found.consensus, found.view.rectification
     lat_deg, lon_deg = found.lat_lon(pose.nadir_px)
+    aside_px = math.dist(found.view.center_uv, made.nadir_uv) * query.attitude_known
     return MapFix(
         t_s=query.t_s,
         lat_deg=lat_deg,
@@ -267,7 +269,9 @@ def fix_of(query: Query, found: Registration) -> MapFix:
         yaw_rad=found.hypothesis.yaw_rad,
         sigma_yaw_rad=math.hypot(pose.sigma_yaw_rad, SYSTEMATIC_YAW_RAD),
         agl_m=pose.agl_m,
-        sigma_agl_m=math.hypot(pose.sigma_agl_m, SYSTEMATIC_SCALE * pose.agl_m),
+        sigma_agl_m=math.hypot(
+            pose.sigma_agl_m, SYSTEMATIC_SCALE * pose.agl_m, SLOPE * aside_px * made.m_per_px
+        ),
         point="nadir" if query.attitude_known else "center",
         features=query.features,
         stats=MatchStats(
@@ -312,9 +316,9 @@ def ambiguous(
         mistakable = is_mistakable(share, cells)
     if not mistakable:
         return None
-    reason, matches = RejectReason.AMBIGUOUS, found.consensus.matches
+    matches, inliers = found.consensus.matches, len(found.consensus.uv_view)
     detail = f"{share:.0%} of what was seen is {where} too"
-    return query.rejected(reason, detail, matches=matches, inliers=len(found.consensus.uv_view))
+    return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
 
 
 def _share_beside(
