@@ -65,6 +65,18 @@ def test_a_known_tilt_is_taken_out(pack, ground, extractor):
     assert np.linalg.norm(error_ne_m(fix, 0.0, 10.0)) < 0.6
 
 
+def test_a_view_that_leans_tells_the_height_below_it_less_surely(pack, ground, learned):
+    """What is seen aside may lie higher or lower: by a tenth of how far, one sigma."""
+    localizer, sigma_m = Localizer(pack, learned, CAMERA), []
+    for lean_deg in (0.0, 12.0):
+        frame = frame_at(ground, 0.0, 0.0, AGL_M, rpy_deg=(lean_deg, 0, 0))
+        prior = prior_at(0.0, 0.0, roll_rad=math.radians(lean_deg))
+        sigma_m.append(localizer.localize(frame, prior, 0).sigma_agl_m)
+    aside_m = AGL_M * math.tan(math.radians(12.0))
+    assert sigma_m[0] < 0.03 * AGL_M
+    assert sigma_m[1] ** 2 - sigma_m[0] ** 2 > (0.1 * aside_m) ** 2  # the fit's own grows too
+
+
 @pytest.mark.parametrize("yaw_off_deg", [0.0, 12.0])
 def test_a_camera_on_an_arm_is_found_and_its_body_is_told(pack, ground, sift, yaw_off_deg):
     """The compass may be off: the heading that was found says to which side the camera sits."""

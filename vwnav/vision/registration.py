@@ -260,7 +260,8 @@ def fix_of(query: Query, found: Registration) -> MapFix:
     """The fix that a registration is."""
     pose, consensus, made = found.pose, found.consensus, found.view.rectification
     lat_deg, lon_deg = found.lat_lon(pose.nadir_px)
-    aside_px = math.dist(found.view.center_uv, made.nadir_uv) * query.attitude_known
+    aside_px = math.dist(found.view.center_uv, made.nadir_uv) if query.attitude_known else 0.0
+    rough_m = math.hypot(SYSTEMATIC_SCALE * pose.agl_m, SLOPE * aside_px * made.m_per_px)
     return MapFix(
         t_s=query.t_s,
         lat_deg=lat_deg,
@@ -269,9 +270,7 @@ def fix_of(query: Query, found: Registration) -> MapFix:
         yaw_rad=found.hypothesis.yaw_rad,
         sigma_yaw_rad=math.hypot(pose.sigma_yaw_rad, SYSTEMATIC_YAW_RAD),
         agl_m=pose.agl_m,
-        sigma_agl_m=math.hypot(
-            pose.sigma_agl_m, SYSTEMATIC_SCALE * pose.agl_m, SLOPE * aside_px * made.m_per_px
-        ),
+        sigma_agl_m=math.hypot(pose.sigma_agl_m, rough_m),
         point="nadir" if query.attitude_known else "center",
         features=query.features,
         stats=MatchStats(
@@ -287,9 +286,8 @@ def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | Non
     prior, sigma_m = query.prior, fix.sigma_m
     matches, inliers = fix.stats.matches, fix.stats.inliers
     if sigma_m > max_sigma_m:
-        geometry = RejectReason.GEOMETRY
         detail = f"the matches fix the position to {sigma_m:.0f} m only"
-        return query.rejected(geometry, detail, matches=matches, inliers=inliers)
+        return query.rejected(RejectReason.GEOMETRY, detail, matches=matches, inliers=inliers)
     if prior.lat_deg is None or prior.lon_deg is None:
         return None
     off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
