@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from vehicles import FLYING
 from vwnav.clock import WallClock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -42,6 +44,7 @@ class Link:
     vehicle = STANDING
     sent: list = field(default_factory=list)
     sent_s: list = field(default_factory=list)
+    texts: list = field(default_factory=list)
     steps: int = 0
     broken_steps: int = 0
     hangs: bool = False
@@ -61,6 +64,9 @@ class Link:
 
     def take_orders(self):
         return (), ()
+
+    def send_text(self, text):
+        self.texts.append(text)
 
     def send_estimate(self, estimate):
         self.sent.append(estimate)
@@ -157,6 +163,8 @@ class Record:
 
     def event(self, text):
         self.events.append(text)
+        if self.full:
+            raise OSError(28, "No space left on device")
 
 
 @dataclass
@@ -170,12 +178,13 @@ class Handle:
         self.left_s.append(time.monotonic())
 
 
-def fly(path=None, mission=None, images=None, link=None, record=None, handle=None):
+def fly(path=None, mission=None, images=None, link=None, record=None, handle=None, notices=()):
     path, mission, link = path or Path(), mission or Mission(), link or Link()
     images, record, handle = images or Images(), record or Record(), handle or Handle()
     runtime = FlightRuntime(
-        path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48), record
-    )
+        path, mission, link, EstimateGuard(), handle, CameraWatch(64, 48),
+        GuardedWatcher(record), deque(notices),
+    )  # fmt: skip
     try:
         end = runtime.run(images, WallClock())
     finally:
@@ -230,6 +239,15 @@ def test_a_disk_that_is_full_ends_no_flight_and_is_said_once():
     assert flown.end.reason is None
     assert flown.path.seen
     assert sum("recording fails" in text for text in flown.record.events) == 1
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_what_the_filter_found_out_is_told_to_the_record_and_to_the_ground_stations(full):
+    found = ["the rangefinder is not believed", "the camera hangs 6 degrees round"]
+    flown = fly(record=Record(full=full), notices=found)
+    assert flown.end.reason is None
+    assert flown.link.texts == found
+    assert [text for text in flown.record.events if text in found] == found
 
 
 def test_a_step_of_the_link_that_fails_is_tried_again():

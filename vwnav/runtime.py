@@ -9,7 +9,8 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 
 from vwnav.clock import Clock
@@ -17,10 +18,11 @@ from vwnav.errors import LinkError, VwnavError
 from vwnav.flight import GONE_S, Flight
 from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import Pipeline
+from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.safety.camera_watch import MOST_AHEAD_S, CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.stall import Stall
-from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, StepResult, Watcher
+from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, StepResult
 from vwnav.types import Frame, MapFix, OdometryMotion, Rejected, RejectReason
 from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
@@ -64,7 +66,8 @@ class FlightRuntime:
         guard: EstimateGuard,
         keep_alive: DeadMansHandle,
         camera: CameraWatch,
-        watcher: Watcher,
+        watcher: GuardedWatcher,
+        notices: deque[str],
     ) -> None:
         self._pipeline = pipeline
         self._flight = flight
@@ -72,7 +75,7 @@ class FlightRuntime:
         self._guard = guard
         self._keep_alive = keep_alive
         self._camera = camera
-        self._watcher = watcher
+        self._watcher, self._notices = watcher, notices
         self._lock = threading.Lock()
         self._navigation = Navigation(None)
         self._seen_s: float | None = None
@@ -119,6 +122,7 @@ class FlightRuntime:
         self._autopilot.step(t_s)
         for measurement in self._autopilot.take_measurements():
             self._pipeline.feed(measurement)
+        self._tell_what_was_noticed()
         self._obey_ground_stations()
         believed = self._pipeline.estimate(t_s)
         vehicle = self._autopilot.state()
@@ -132,15 +136,23 @@ class FlightRuntime:
         if sent is not None:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):
-            self._event(f"the estimate is not sent any more: {lost}" if lost else "estimates again")
+            said = f"the estimate is not sent any more: {lost}" if lost else "estimates again"
+            self._watcher.event(said)
+
+    def _tell_what_was_noticed(self) -> None:
+        """What the filter found out, to the record, the screen and the ground stations."""
+        while self._notices:
+            text = self._notices.popleft()
+            self._watcher.event(text)
+            self._autopilot.send_text(text)
 
     def _obey_ground_stations(self) -> None:
         orders, refused = self._autopilot.take_orders()
         for order in orders:
-            self._event(f"{ASKS} {order.value}")
+            self._watcher.event(f"{ASKS} {order.value}")
             self._flight.obey(order)
         for text in refused:
-            self._event(text)
+            self._watcher.event(text)
 
     def _lose_what_is_not_heard(self, vehicle: VehicleState, t_s: float) -> None:
         """What the guard cannot see: a silent autopilot, a watchdog that hands nothing on.
@@ -158,7 +170,7 @@ class FlightRuntime:
     def _break_link(self, error: Exception) -> None:
         """Nobody is told a place from here on: whoever takes over shall begin now."""
         self.failure, self.link_broke = error, True
-        self._event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
+        self._watcher.event(f"the link broke: vwnav ends, and the watchdog lands it ({error!r})")
         self._keep_alive.leave()
 
     def step_control(self, t_s: float) -> None:
@@ -175,17 +187,17 @@ class FlightRuntime:
         except Exception as error:
             log.exception("the mission broke")
             self.failure = error
-            self._event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
+            self._watcher.event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
             return
         vehicle = self._autopilot.state()
-        self._watch(lambda: self._watcher.saw_tick(t_s, navigation.estimate, vehicle))
+        self._watcher.saw_tick(t_s, navigation.estimate, vehicle)
 
     def _notice_hung_mission(self) -> None:
         """One that waits for good is a broken one: told, and left when the motors have stopped."""
         hangs = self._ticks > 0 and self._mission_stall.look(self._ticks)
         if hangs and self.failure is None:
             self.failure = VwnavError("the loop of the mission hangs")
-            self._event("the mission hangs: the watchdog lands the aircraft")
+            self._watcher.event("the mission hangs: the watchdog lands the aircraft")
 
     def step_vision(self, frame: Frame, t_s: float) -> None:
         """One image through the pipeline; one that breaks it is an image that told nothing."""
@@ -208,7 +220,7 @@ class FlightRuntime:
             )
             if isinstance(motion, OdometryMotion) or isinstance(step.outcome, MapFix):
                 self._seen_s = frame.t_s
-        self._watch(lambda: self._watcher.saw_frame(frame, step))
+        self._watcher.saw_frame(frame, step)
 
     def awaits_telemetry(self, frame: Frame, t_s: float) -> bool:
         """Whether telemetry may still come that reaches to an image's exposure."""
@@ -262,7 +274,7 @@ class FlightRuntime:
 
     def _interrupted(self) -> None:
         if self._flight.phase is Phase.RELEASED:
-            self._event(
+            self._watcher.event(
                 "interrupted, but somebody else flies the aircraft on these estimates: they go on "
                 "until it is disarmed"
             )
@@ -303,7 +315,7 @@ class FlightRuntime:
                 continue
             if frame is None:
                 if not self._stop.is_set():
-                    self._event("the camera has stopped: flying on without pictures")
+                    self._watcher.event("the camera has stopped: flying on without pictures")
                 return
             while self.awaits_telemetry(frame, clock()) and not self._stop.is_set():
                 clock.wait_until(clock() + _ATTITUDE_POLL_S)
@@ -331,20 +343,7 @@ class FlightRuntime:
         nothing = Rejected(frame.t_s, RejectReason.NO_FRAME, trouble)
         return StepResult(frame.t_s, nothing, nothing, self._pipeline.estimate(frame.t_s))
 
-    def _watch(self, see: Callable[[], None]) -> None:
-        try:
-            see()
-        except Exception as error:
-            log.exception("the record failed")
-            self._say_once("record", f"recording fails, the flight goes on: {error!r}")
-
-    def _event(self, text: str) -> None:
-        try:
-            self._watcher.event(text)
-        except Exception:
-            log.exception("could not record: %s", text)
-
     def _say_once(self, about: str, text: str) -> None:
         if about not in self._said:
             self._said.add(about)
-            self._event(text)
+            self._watcher.event(text)

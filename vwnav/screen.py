@@ -1,8 +1,11 @@
 """What a person sees while a command runs: a live line on stderr, a table on stdout at the end."""
 
+import contextlib
+import io
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TextIO, cast
 
 from rich.console import Console
 from rich.live import Live
@@ -21,7 +24,29 @@ from vwnav.safety.check import Check
 
 _FILE_WIDTH = 160
 
-talk = Console(stderr=True, highlight=False)
+
+class _Stderr:
+    """sys.stderr, of which what cannot be written is lost, and ends nothing.
+
+    A terminal that was closed, `tee` that was ended or a log on a full disk raise at the next line,
+    and rich ends the thread that said it (`Console.on_broken_pipe`): in flight the link's, say.
+    """
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, since or before
+            sys.stderr.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            sys.stderr.flush()
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(sys.stderr or _NOWHERE, name)
+
+
+_NOWHERE = io.StringIO()
+talk = Console(file=cast(TextIO, _Stderr()), highlight=False)
 
 
 def say(line: str) -> None:

@@ -5,6 +5,7 @@ import json
 import math
 import shutil
 import time
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
+from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.recording.input_log import About, ImageSeen, InputLog, read_input_log
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
@@ -186,7 +188,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
         record.follow(mission, pipeline)
         runtime = FlightRuntime(
             pipeline, mission, Link(), EstimateGuard(), SimpleNamespace(report=None),
-            CameraWatch(64, 48), record,
+            CameraWatch(64, 48), GuardedWatcher(record), deque(),
         )  # fmt: skip
         runtime.run(Images(), WallClock())
         record.close(SimpleNamespace(sim=False), pipeline, pack.name)

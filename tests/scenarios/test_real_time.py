@@ -58,6 +58,20 @@ def take_measurements(self):
     return whole(self)
 autopilot.LinkedAutopilot.take_measurements = take_measurements
 """
+SCREEN_CLOSED = """
+import os
+import vwnav.flight as flight
+whole = flight.Flight.tick
+def tick(self, t_s, navigation):
+    self.count = getattr(self, "count", 0) + (self.phase is flight.Phase.ROUTE)
+    if self.count == 20:
+        reads, writes = os.pipe()
+        os.close(reads)
+        for number in (1, 2):
+            os.dup2(writes, number)
+    return whole(self, t_s, navigation)
+flight.Flight.tick = tick
+"""
 LOADED = "100/100"  # drawing the site is what it does last
 
 
@@ -190,6 +204,17 @@ def test_a_disk_that_is_full_changes_nothing_in_the_air(tmp_path):
         assert flight.process.wait(150.0) == 0, flight.log.read_text()[-2000:]
         assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
         assert flight.said("recording")
+
+
+@pytest.mark.long
+def test_a_terminal_that_is_closed_changes_nothing_in_the_air(tmp_path):
+    """`vwnav fly | tee log`, and `tee` ends: each line that is said from then on raises."""
+    with real_flight(tmp_path, SCREEN_CLOSED) as flight:
+        flight.wait_until_on_route()
+        flight.process.wait(150.0)
+        assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
+        run = json.loads((flight.folder / "run.json").read_text())
+    assert run["completed"], run["reason"]
 
 
 @pytest.mark.long

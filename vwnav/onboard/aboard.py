@@ -1,6 +1,7 @@
 """Mission and runtime put on board: the same for the navigator and for the one that succeeds it."""
 
 import time
+from collections import deque
 from dataclasses import dataclass
 
 from vwnav.clock import Clock
@@ -9,6 +10,7 @@ from vwnav.mission.mission import Crew, DeadMansHandle
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
+from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
@@ -34,6 +36,7 @@ def put_aboard(
     autopilot: Autopilot,
     keep_alive: DeadMansHandle,
     record: FlightRecord,
+    notices: deque[str],
     arms: bool,
     first_counter: int = 0,
 ) -> Aboard:
@@ -45,18 +48,22 @@ def put_aboard(
         autopilot: the link's driver.
         keep_alive: the sign of life to the watchdog.
         record: hears and keeps everything.
+        notices: where the pipeline puts what it has to say.
         arms: whether it arms by itself.
         first_counter: of resets, where it goes on for another navigator.
     """
     config = plan.config
     camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
-    crew = _crew(autopilot, camera, plan, record, arms)
+    watcher = GuardedWatcher(record)
+    crew = _crew(autopilot, camera, plan, watcher, arms)
     flight = Flight(
         autopilot, plan.mission, keep_alive, crew, config.flight, config.limits, config.safety
     )
     record.follow(flight, pipeline)
     guard = EstimateGuard(config.estimate, first_counter)
-    runtime = FlightRuntime(pipeline, flight, autopilot, guard, keep_alive, camera, record)
+    runtime = FlightRuntime(
+        pipeline, flight, autopilot, guard, keep_alive, camera, watcher, notices
+    )
     return Aboard(flight, runtime)
 
 
@@ -73,7 +80,7 @@ def first_state(autopilot: Autopilot, clock: Clock) -> VehicleState:
 
 
 def _crew(
-    autopilot: Autopilot, camera: CameraWatch, plan: FlightPlan, record: FlightRecord, arms: bool
+    autopilot: Autopilot, camera: CameraWatch, plan: FlightPlan, watcher: GuardedWatcher, arms: bool
 ) -> Crew:
     """Who the mission speaks with: the record, the screen, and the readiness list."""
 
@@ -83,4 +90,4 @@ def _crew(
         )
         return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
 
-    return Crew(record.event, checks, show_checks, arms)
+    return Crew(watcher.event, checks, show_checks, arms)

@@ -4,6 +4,7 @@ import signal
 import socket
 import sys
 import threading
+from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -149,9 +150,10 @@ def _fly(
 ) -> None:
     pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
     executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
+    notices: deque[str] = deque()
     assembled = assemble(
         *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
-        plan.config, executor, say,
+        plan.config, executor, notices.append,
     )  # fmt: skip
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
@@ -163,7 +165,7 @@ def _fly(
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
-    aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, options.arms)
+    aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, notices, options.arms)
     with _stopped_by_signals():
         try:
             if not options.arms:

@@ -8,6 +8,7 @@ would let nothing of that pass: an autopilot that loses its position comes down 
 
 import json
 import sys
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -94,15 +95,17 @@ def stand_by(options: FlyOptions) -> None:
     with ExitStack() as stack:
         plan = plan_flight(options, stack)
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
+        notices: deque[str] = deque()
         assembled = assemble(
             *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
-            plan.config, executor, say,
+            plan.config, executor, notices.append,
         )  # fmt: skip
         _warm(assembled, plan.camera)
         renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()
         if line:
-            _succeed(options, plan, assembled, renderer, Handover.read(line), stack)
+            handover = Handover.read(line)
+            _succeed(options, plan, assembled, notices, renderer, handover, stack)
 
 
 def _warm(assembled: Assembled, camera: Camera) -> None:
@@ -116,6 +119,7 @@ def _succeed(
     options: FlyOptions,
     plan: FlightPlan,
     assembled: Assembled,
+    notices: deque[str],
     renderer: CameraRenderer | None,
     handover: Handover,
     stack: ExitStack,
@@ -140,7 +144,7 @@ def _succeed(
     keep_alive = KeepAlive(UdpChannel(handover.keepalive_port, listens=False), clock)
     stack.callback(keep_alive.close)
     aboard = put_aboard(
-        plan, assembled.pipeline, autopilot, keep_alive, record, arms=False,
+        plan, assembled.pipeline, autopilot, keep_alive, record, notices, arms=False,
         first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)

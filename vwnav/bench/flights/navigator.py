@@ -1,5 +1,6 @@
 """The navigator's process in lockstep: its loops as workers of a simulated processor."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from vwnav.mission.mission import Crew, Mission, Phase
 from vwnav.onboard.succession import last_place, start_after
 from vwnav.pipeline import Pipeline
 from vwnav.recording.flight_recorder import FlightRecorder
+from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
@@ -47,6 +49,7 @@ class Equipped:
         watch: over the camera's images.
         executor: of the pipeline's matching.
         record: takes every line said.
+        notices: where the pipeline puts what it has to say.
         about: the run, in writing.
     """
 
@@ -58,6 +61,7 @@ class Equipped:
     ekf: Ekf
     executor: LateExecutor
     record: LockstepWatcher
+    notices: deque[str]
     about: About
 
 
@@ -93,7 +97,8 @@ class Navigator:
         self.keep_alive = KeepAlive(channel, clock)
         self.pipeline, self.ekf = equipped.pipeline, equipped.ekf
         self._about, self._watch = equipped.about, equipped.watch
-        crew = Crew(self.record.event, self._checks)
+        watcher = GuardedWatcher(self.record)
+        crew = Crew(watcher.event, self._checks)
         self.flight = Flight(
             self.autopilot, equipped.mission, self.keep_alive, crew, config.flight, config.limits,
             config.safety,
@@ -101,7 +106,7 @@ class Navigator:
         self._guard = EstimateGuard(config.estimate, first_counter)
         self.runtime = FlightRuntime(
             self.pipeline, self.flight, self.autopilot, self._guard, self.keep_alive, self._watch,
-            self.record,
+            watcher, equipped.notices,
         )  # fmt: skip
         self._config = config
         frame = equipped.local_frame

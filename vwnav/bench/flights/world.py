@@ -4,6 +4,7 @@ import math
 import random
 import shutil
 import time
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -147,15 +148,16 @@ class World:
         route = np.array(setup.route_ned_m)
         mission = Mission(route, about_home=not setup.home_known, home_ne_m=home_ne_m)
         record = LockstepWatcher(self.note, self.clock)
+        notices: deque[str] = deque()
         executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
         assembled = assemble(
             self.features, place.fallback, MapPack.open(place.pack), camera, self.local_frame,
-            setup.config, executor, record.event,
+            setup.config, executor, notices.append,
         )  # fmt: skip
         return Equipped(
             mission, self.local_frame, setup.config, CameraWatch(camera.width_px, camera.height_px),
             assembled.pipeline, assembled.ekf, executor, record,
-            about_run(assembled, self.features.name, "nadir"),
+            notices, about_run(assembled, self.features.name, "nadir"),
         )  # fmt: skip
 
     def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:

@@ -5,6 +5,7 @@ from vwnav.bench.flights.faults.computer import SlowSearch, Starved
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     HOME,
+    RETURN,
     Break,
     Ending,
     Follows,
@@ -138,6 +139,24 @@ PROCESSOR = [
 
 DISK_AND_CLOCK = [
     flies_on("disk full", computer.DiskFull()),
+    Scenario(
+        name="disk full on the way home",
+        setup=setup(RETURN),
+        breaks=(Break(fault=computer.DiskFull(), at_s=2.0),),
+        limit_s=120.0,
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="disk full, and the model raises",
+        setup=setup(),
+        breaks=(
+            Break(fault=computer.DiskFull(), at_s=BREAKS_AT_S),
+            Break(fault=computer.ModelRaises(), at_s=BREAKS_AT_S + 2.0),
+        ),
+        limit_s=40.0,
+        ending=Ending.FLIES_ON,
+    ),
     flies_on("disk stalled", computer.DiskStalled()),
     flies_on("computer's date jumps by an hour", computer.WallClockJumps(3600.0), 10.0),
     flies_on("computer's date jumps back by a day", computer.WallClockJumps(-86400.0), 10.0),

@@ -1,0 +1,48 @@
+"""What a command says where nobody can hear it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+SAYS_ON = """
+import sys
+import threading
+from vwnav.safety.check import Check
+from vwnav.screen import LiveLine, progress_bar, say, show_checks
+
+def speak():
+    for number in range(300):
+        say(f"line {number} " + 60 * "x")
+    show_checks((Check("link", "PASS", "heard"),))
+    with progress_bar() as report:
+        report("tiles", 1, 2)
+    with LiveLine(every_s=0.0) as line:
+        line.show(1.0, "flies")
+    spoke.append(True)
+
+spoke = []
+thread = threading.Thread(target=speak)
+thread.start()
+thread.join()
+speak()
+open(sys.argv[1], "w").write(str(len(spoke)))
+"""
+
+
+@pytest.mark.parametrize("screen", ["a pipe that nobody reads", "a full disk", "closed"])
+def test_a_screen_that_breaks_ends_no_thread(tmp_path, screen):
+    done = tmp_path / "done"
+    command = [sys.executable, "-c", SAYS_ON, str(done)]
+    if screen == "closed":
+        subprocess.run(["sh", "-c", 'exec "$@" 2>&-', "sh", *command], timeout=60.0)
+    elif screen == "a full disk":
+        with open("/dev/full", "wb") as full:
+            subprocess.run(command, stderr=full, timeout=60.0)
+    else:
+        reads, writes = os.pipe()
+        os.close(reads)
+        subprocess.run(command, stderr=writes, timeout=60.0)
+        os.close(writes)
+    assert done.read_text() == "2"
