@@ -47,6 +47,7 @@ class Link:
     texts: list = field(default_factory=list)
     steps: int = 0
     broken_steps: int = 0
+    backlog: int = 0
     hangs: bool = False
 
     def step(self, t_s):
@@ -60,7 +61,8 @@ class Link:
         return self.vehicle
 
     def take_measurements(self):
-        return (ImuSample(time.monotonic(), np.array([0.0, 0.0, -9.8]), np.zeros(3)),)
+        count, self.backlog = 1 + self.backlog, 0
+        return count * (ImuSample(time.monotonic(), np.array([0.0, 0.0, -9.8]), np.zeros(3)),)
 
     def take_orders(self):
         return (), ()
@@ -81,6 +83,7 @@ class Path:
     stall_s: float = 0.0
     broken: bool = False
     covered: bool = True
+    feed_s: float = 0.0
     fed: list = field(default_factory=list)
     seen: list = field(default_factory=list)
 
@@ -89,6 +92,7 @@ class Path:
 
     def feed(self, measurement):
         self.fed.append(measurement)
+        time.sleep(self.feed_s)
 
     def covers(self, t_s):
         return self.covered
@@ -322,6 +326,13 @@ def test_a_link_that_hangs_or_fails_on_and_on_ends_the_program_at_once(link, err
         fly(Path(stall_s=5.0), mission, link=link, handle=handle)
     assert 15 < len(mission.navigation) < 50
     assert time.monotonic() - handle.left_s[0] < 1.0
+
+
+def test_a_link_that_catches_up_with_much_telemetry_on_a_busy_machine_does_not_hang():
+    link = Link(backlog=350)
+    flown = fly(Path(feed_s=0.01), Mission(ticks=90), link=link)  # 3.5 s of it
+    assert flown.end.reason is None
+    assert len(flown.path.fed) > 350
 
 
 def test_a_mission_that_breaks_beside_an_autopilot_that_is_gone_ends_too():

@@ -122,6 +122,7 @@ class FlightRuntime:
         self._autopilot.step(t_s)
         for measurement in self._autopilot.take_measurements():
             self._pipeline.feed(measurement)
+            self._turns += 1  # who catches up does not hang
         self._tell_what_was_noticed()
         self._obey_ground_stations()
         believed = self._pipeline.estimate(t_s)
