@@ -14,11 +14,10 @@ from vehicles import FLYING
 from vwnav.clock import WallClock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.mission.mission import FlightEnd, Phase
-from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.seams import ATTITUDE_WAIT_S, StepResult
+from vwnav.seams import ATTITUDE_WAIT_S, GuardedWatcher, StepResult
 from vwnav.types import Estimate, Frame, ImuSample, OdometryMotion, Rejected, RejectReason
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

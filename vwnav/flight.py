@@ -89,7 +89,7 @@ class Flight:
         vehicle = self._autopilot.state()
         if self._phase_since_s is None:
             self._phase_since_s = t_s
-        self._keep_alive.beat(self.engaged, self.phase.value)
+        self._keep_alive.beat(self.engaged, self.phase.value, navigation.learned)
         self._route.note(navigation.estimate, on_ground=self.phase is Phase.GET_READY)
         if self._abort_reason and self.phase not in (Phase.LAND, Phase.RELEASED, Phase.FAILSAFE):
             self._abort(t_s, vehicle)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
+from vwnav.estimation.beginning.legacy import left_by
 from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
 from vwnav.estimation.beginning.sequences import Sequences
@@ -27,11 +28,7 @@ from vwnav.estimation.states import FilterState, States, Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import (
-    euler_from_rotation,
-    rotation_from_quat,
-    rotation_from_vector,
-)
+from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, rotation_from_vector
 from vwnav.seams import FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
     Array,
@@ -45,6 +42,7 @@ from vwnav.types import (
     RejectReason,
     Telemetry,
 )
+from vwnav.vehicle import Learned
 
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_PRIOR_SIGMA_M = 3.0
@@ -107,8 +105,7 @@ class Pipeline:
         self._config, self._executor, self._rolling = config, executor, rolling
         self._lock = threading.Lock()
         self._pending: _Attempt | None = None
-        self._next_attempt_s = -np.inf
-        self._misses = 0  # attempts since the last fix
+        self._next_attempt_s, self._misses = -np.inf, 0  # attempts since the last fix
         self._first_fix = FirstFix()
         self._recalibrated = recalibrated
         is_open = recalibrated is not None
@@ -122,6 +119,11 @@ class Pipeline:
         """The estimate predicted to `t_s`; None while there is nothing to predict from."""
         with self._lock:
             return self._ekf.estimate(t_s)
+
+    def learned(self) -> Learned | None:
+        """What another one may begin with, were this one to end."""
+        with self._lock:
+            return left_by(self._ekf.state)
 
     def feed(self, measurement: Telemetry) -> None:
         """Take a measurement of the autopilot; the estimate lives on it when images stall."""

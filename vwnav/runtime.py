@@ -18,11 +18,10 @@ from vwnav.errors import LinkError, VwnavError
 from vwnav.flight import GONE_S, Flight
 from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import Pipeline
-from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.safety.camera_watch import MOST_AHEAD_S, CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.stall import Stall
-from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, StepResult
+from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, GuardedWatcher, StepResult
 from vwnav.types import Frame, MapFix, OdometryMotion, Rejected, RejectReason
 from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
@@ -83,8 +82,7 @@ class FlightRuntime:
         self._heard_s: float | None = None
         self._held_back_since_s = -math.inf
         self._link_fails_since_s: float | None = None
-        self.link_broke = False
-        self._turns, self._ticks = 0, 0
+        self.link_broke, self._turns, self._ticks = False, 0, 0
         self._link_stall = Stall(round(_HANGS_S * TICK_HZ))
         self._mission_stall = Stall(round(_HANGS_S * LINK_HZ))
         self._said: set[str] = set()
@@ -133,7 +131,9 @@ class FlightRuntime:
         lost = self._guard.reason if believed is not None and sent is None else ""
         with self._lock:
             before = self._navigation
-            self._navigation = Navigation(sent, lost, self._seen_s, self._contradicted)
+            self._navigation = Navigation(
+                sent, lost, self._seen_s, self._contradicted, self._pipeline.learned()
+            )
         if sent is not None:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):

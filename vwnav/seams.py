@@ -1,5 +1,6 @@
 """The pipeline's seams: its settings, what a step brings, asks of which parts, and shows."""
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from typing import Any, Protocol
 from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
 from vwnav.vehicle import VehicleState
 
+_log = logging.getLogger(__name__)
 ATTITUDE_WAIT_S = 0.4  # an image waits so long after its exposure for its attitude to come
 
 
@@ -169,3 +171,39 @@ class Watcher(Protocol):
     def event(self, text: str) -> None:
         """Something worth a line."""
         ...
+
+
+class GuardedWatcher:
+    """Hands on to a watcher what happens; what that one raises ends nothing, and is said once.
+
+    All that a flight tells goes through one of these: a full disk or a closed terminal raises
+    wherever something is said, be it between two commands of the mission.
+    """
+
+    def __init__(self, watcher: Watcher) -> None:
+        self._watcher = watcher
+        self._failed = False
+
+    def event(self, text: str) -> None:
+        """Something worth a line."""
+        try:
+            self._watcher.event(text)
+        except Exception:
+            _log.exception("could not record: %s", text)
+
+    def saw_frame(self, frame: Frame, step: StepResult) -> None:
+        """An image went through the pipeline."""
+        self._see(lambda: self._watcher.saw_frame(frame, step))
+
+    def saw_tick(self, t_s: float, estimate: Estimate | None, vehicle: VehicleState) -> None:
+        """The mission ticked."""
+        self._see(lambda: self._watcher.saw_tick(t_s, estimate, vehicle))
+
+    def _see(self, see: Callable[[], None]) -> None:
+        try:
+            see()
+        except Exception as error:
+            if not self._failed:
+                self._failed = True
+                _log.exception("the record failed")
+                self.event(f"recording fails, the flight goes on: {error!r}")

@@ -2,9 +2,23 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from vwnav.types import Array, Attitude, Estimate, Telemetry
+
+
+class Learned(NamedTuple):
+    """What a filter has learned of air, IMU and compass, for one that has to go on in its place.
+
+    Attributes:
+        t_s: when.
+        mean: (n,) of the states that are handed on (`vwnav.estimation.beginning.legacy`).
+        covariance: (n (n + 1) / 2,) theirs, the upper triangle row by row.
+    """
+
+    t_s: float
+    mean: tuple[float, ...]
+    covariance: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,9 +220,11 @@ class Navigation:
         lost: why there is none any more; empty before the first and while there is one.
         seen_s: exposure of the newest image that told a motion or a place.
         contradicted: the newest image's motion is not believed: it contradicts the IMU.
+        learned: for whoever has to go on with the flight; None while that is not enough.
     """
 
     estimate: Estimate | None
     lost: str = ""
     seen_s: float | None = None
     contradicted: bool = False
+    learned: Learned | None = None

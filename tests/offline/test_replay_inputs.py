@@ -32,14 +32,13 @@ from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
-from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.recording.input_log import About, ImageSeen, InputLog, read_input_log
 from vwnav.recording.reader import read_recording
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
-from vwnav.seams import FeatureChoice
+from vwnav.seams import FeatureChoice, GuardedWatcher
 from vwnav.types import (
     Attitude,
     Frame,

@@ -1,14 +1,19 @@
 """The datagrams between the control loop and the watchdog."""
 
+import math
+import struct
 from collections import deque
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.errors import LinkError
+from vwnav.vehicle import Learned
 from vwnav.watchdog.keepalive import Beat, GuardState, KeepAlive, UdpChannel, WatchdogReport
 
+FINITE = st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=80).map(tuple)
 BEATS = st.builds(
     Beat,
     st.booleans(),
@@ -16,6 +21,7 @@ BEATS = st.builds(
     st.integers(0, 2**64 - 1),
     st.text("abc xyz", max_size=16),
     st.booleans(),
+    st.none() | st.builds(Learned, st.floats(0.0, 1e9), FINITE, FINITE),
 )
 REPORTS = st.builds(
     WatchdogReport,
@@ -48,8 +54,18 @@ def test_another_length_or_beginning_is_none():
     for unpack, data in ((Beat.unpack, beat), (WatchdogReport.unpack, report)):
         assert unpack(data) is not None
         assert unpack(data[:-1]) is None
-        assert unpack(data + b"\0") is None
         assert unpack(b"X" + data[1:]) is None
+    assert WatchdogReport.unpack(report + b"\0") is None
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_what_was_learned_costs_no_beat_where_it_is_broken(number):
+    beat = Beat(True, 1, 2, "on route", learned=Learned(5.0, (0.1, 0.2), (1.0, 0.0, 1.0)))
+    whole = beat.pack()
+    assert Beat.unpack(whole) == beat
+    assert Beat.unpack(whole[:-1]) == replace(beat, learned=None)
+    assert Beat.unpack(whole + b"\0") == replace(beat, learned=None)
+    assert Beat.unpack(whole[:-8] + struct.pack("<d", number)) == replace(beat, learned=None)
 
 
 def test_what_does_not_fit_into_a_beat_is_cut():

@@ -24,6 +24,7 @@ from vwnav.types import (
     Stationary,
     Telemetry,
 )
+from vwnav.vehicle import Learned
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,7 @@ def _or_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
 _BY_TYPE: dict[Any, Callable[[Any], Any]] = {
     int: int, bool: bool, float: float, Array: _array,
     float | None: _or_none(float), Array | None: _or_none(_array),
+    Learned | None: _or_none(lambda parts: Learned(parts[0], tuple(parts[1]), tuple(parts[2]))),
 }  # fmt: skip
 _READERS = {
     name: {field: _BY_TYPE[hint] for field, hint in get_type_hints(kind).items()}

@@ -15,7 +15,7 @@ CHI_SQUARE_GATE = {1: 10.828, 2: 13.816, 3: 16.266}
 _RIDGE = 1e-12
 _MOST_HEADING_SIGMA_RAD = math.radians(45.0)  # of a heading that is known
 _STEEPEST = 0.5  # slope that an image is told of
-_KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
+KNOWN_SHARE = 0.33  # of the drag, by which it must be known to tell the wind
 
 
 class States:
@@ -324,7 +324,7 @@ def estimate_of(
     turn = P[yaw, yaw] + 2.0 * tangent * P[yaw, forward] + tangent**2 * P[forward, forward]
     seen = turn + (2.0 * P[yaw] + P[States.CAMERA_TURN])[States.CAMERA_TURN]
     drag = float(x[States.DRAG])  # the mean wind is w = c / k, told once k is known to a third
-    windless = P[States.DRAG, States.DRAG] > (_KNOWN_SHARE * drag) ** 2
+    windless = P[States.DRAG, States.DRAG] > (KNOWN_SHARE * drag) ** 2
     return Estimate(
         t_s=state.t_s,
         position_ned_m=x[States.POSITION].copy(),

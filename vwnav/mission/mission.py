@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from vwnav.safety.check import Check
 from vwnav.types import Array
-from vwnav.vehicle import Navigation, VehicleState
+from vwnav.vehicle import Learned, Navigation, VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
 
 ASKS = "a ground station asks for"  # as it is said and recorded
@@ -58,8 +58,8 @@ class DeadMansHandle(Protocol):
         """The watchdog's newest answer."""
         ...
 
-    def beat(self, engaged: bool, phase: str) -> None:
-        """Say that the loop lives, and whether it steers."""
+    def beat(self, engaged: bool, phase: str, learned: Learned | None = None) -> None:
+        """Say that the loop lives, whether it steers, and what a successor may begin with."""
         ...
 
     def rejoin(self) -> None:

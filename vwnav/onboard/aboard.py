@@ -10,13 +10,13 @@ from vwnav.mission.mission import Crew, DeadMansHandle
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
-from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
 from vwnav.screen import show_checks
+from vwnav.seams import GuardedWatcher
 from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
 FIRST_STATE_S = 5.0

@@ -10,6 +10,7 @@ from contextlib import suppress
 from time import monotonic
 
 from vwnav.mission.mission import DeadMansHandle
+from vwnav.vehicle import Learned
 from vwnav.watchdog.keepalive import WatchdogReport
 
 _EVERY_S = 1.0
@@ -67,9 +68,9 @@ class ServiceHandle:
         """The watchdog's newest answer."""
         return self._handle.report
 
-    def beat(self, engaged: bool, phase: str) -> None:
-        """Say that the loop lives, and whether it steers."""
-        self._handle.beat(engaged, phase)
+    def beat(self, engaged: bool, phase: str, learned: Learned | None = None) -> None:
+        """Say that the loop lives, whether it steers, and what a successor may begin with."""
+        self._handle.beat(engaged, phase, learned)
         self._manager.live(phase)
 
     def rejoin(self) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.types import Array
+from vwnav.vehicle import Learned
 from vwnav.watchdog.loop import Resume
 
 _HELD_S = 4.6  # for so long PX4 holds its place without estimates (measured)
@@ -19,7 +20,13 @@ _HEIGHT_SIGMA_M = 3.0
 _BRAKED_AFTER_S, _BRAKED_SIGMA_S = 1.2, 0.4
 
 
-def start_after(position_ned_m: Array, velocity_ne_m_s: Array, told_s: float, t_s: float) -> Start:
+def start_after(
+    position_ned_m: Array,
+    velocity_ne_m_s: Array,
+    told_s: float,
+    t_s: float,
+    learned: Learned | None = None,
+) -> Start:
     """The start of a filter that goes on at `t_s`, as unsure as an aircraft may have moved since.
 
     Args:
@@ -27,6 +34,7 @@ def start_after(position_ned_m: Array, velocity_ne_m_s: Array, told_s: float, t_
         velocity_ne_m_s: (2,) how it moved then.
         told_s: when that was.
         t_s: now.
+        learned: by the filter that ended.
     """
     since_s = max(t_s - told_s, 0.0)
     held_s = min(since_s, _HELD_S)
@@ -44,6 +52,7 @@ def start_after(position_ned_m: Array, velocity_ne_m_s: Array, told_s: float, t_
         sigma_agl_m=max(_HEIGHT_SIGMA_M, 0.15 * height_m),
         sigma_velocity_m_s=_SPEED_SIGMA_M_S,
         sigma_baro_m=max(height_m, 10.0),
+        learned=learned,
     )
 
 

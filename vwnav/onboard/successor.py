@@ -35,6 +35,7 @@ from vwnav.recording.run_folder import make_run_folder, unused
 from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array
+from vwnav.vehicle import Learned
 from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
 
 _REASON = "the navigator ended in flight: this one only sends estimates until the aircraft is down"
@@ -50,6 +51,7 @@ class Handover:
         observer: where truth may be listened to, on a simulator.
         place: (lat_deg, lon_deg), height above the origin, time and reset counter of the last good
             estimate; None when there was none.
+        learned: in flight, until then.
     """
 
     connection: str
@@ -60,6 +62,7 @@ class Handover:
     t_s: float
     reset_counter: int
     velocity_ne_m_s: Array
+    learned: Learned | None
 
     @staticmethod
     def read(line: str) -> "Handover":
@@ -78,14 +81,15 @@ def _handover(told: dict[str, Any]) -> Handover:
     position, origin = told["position"], told["origin"]
     velocity = np.array(told["velocity_ne_m_s"], np.float64)
     ways = str(told["connection"]), int(told["keepalive_port"]), str(told["observer"])
+    learned = None if told["learned"] is None else Learned(*told["learned"])
     if position is None or origin is None:
-        return Handover(*ways, None, 0.0, 0.0, 0, velocity)
+        return Handover(*ways, None, 0.0, 0.0, 0, velocity, learned)
     frame = LocalFrame(origin["lat_deg"], origin["lon_deg"], origin["alt_amsl_m"])
     lat_deg, lon_deg, _ = frame.to_geodetic(np.array(position["position_ned_m"]))
     return Handover(
         *ways, (float(lat_deg), float(lon_deg)),
         -float(position["position_ned_m"][2]), float(position["t_s"]),
-        int(position["reset_counter"]), velocity,
+        int(position["reset_counter"]), velocity, learned,
     )  # fmt: skip
 
 
@@ -159,4 +163,4 @@ def _start(
 ) -> Start:
     position = plan.local_frame.to_ned(*lat_lon_deg, plan.local_frame.alt_amsl_m)
     position[2] = -handover.height_m
-    return start_after(position, handover.velocity_ne_m_s, handover.t_s, t_s)
+    return start_after(position, handover.velocity_ne_m_s, handover.t_s, t_s, handover.learned)

@@ -147,9 +147,8 @@ class EstimateGuard:
 
     def _is_of_now(self, estimate: Estimate, t_s: float) -> bool:
         """One that is late is left out; if that goes on, the gap makes it lost."""
-        if not abs(t_s - estimate.t_s) <= self._limits.max_age_s:
-            return False
-        return self._last is None or estimate.t_s >= self._last.t_s
+        is_fresh = abs(t_s - estimate.t_s) <= self._limits.max_age_s
+        return is_fresh and (self._last is None or estimate.t_s >= self._last.t_s)
 
     def _miss(self, t_s: float, armed: bool) -> None:
         """None of now: lost, once it has lasted too long to go on as the same."""
@@ -170,7 +169,8 @@ class EstimateGuard:
         if not sigma(estimate, 3) < limits.max_velocity_sigma_m_s:
             return _VELOCITY_LOST
         sigma_m = sigma(estimate, 0)
-        if estimate.t_last_fix_s is not None and not sigma_m < limits.max_position_sigma_m:
+        stands = estimate.t_last_fix_s is None and self._unproven is None
+        if not stands and not sigma_m < limits.max_position_sigma_m:
             return f"the estimate's position is uncertain by {sigma_m:.0f} m"
         return None
 
@@ -304,14 +304,14 @@ class EstimateGuard:
     def _watch_velocity(self, trial: Trial, estimate: Estimate, seen_s: float | None) -> None:
         """Since when it has been measured, sure, and the same from one to the next.
 
-        Seen by images since it was lost. One that was not known meanwhile, and is sure again, has
+        Seen by images since it was lost. One that was not sure meanwhile, and is so again, has
         been measured too: by the air that the accelerometer feels.
         """
         before, trial.before = trial.before, estimate
         jumped = before is not None and self._velocity_jumped(estimate, before)
-        newest_s = -math.inf if seen_s is None else seen_s
-        is_of_now = estimate.t_s - newest_s <= self._limits.max_gap_s
-        is_measured = self._had_no_velocity or (is_of_now and newest_s >= trial.fixes_from_s)
+        oldest_s = max(trial.fixes_from_s, estimate.t_s - self._limits.max_gap_s)
+        self._had_no_velocity |= self._unsure_velocity(estimate) is not None
+        is_measured = self._had_no_velocity or (seen_s is not None and seen_s >= oldest_s)
         if not is_measured or self._unsure_velocity(estimate):
             trial.velocity_since_s = None
         elif trial.velocity_since_s is None or jumped:
@@ -319,11 +319,11 @@ class EstimateGuard:
 
     def _has_velocity(self, trial: Trial, estimate: Estimate) -> bool:
         """It was only missed, and how it moves has been sure for a while."""
-        since_s = trial.velocity_since_s
+        limits, since_s = self._limits, trial.velocity_since_s
         if not self._only_missed or since_s is None:
             return False
-        is_steady = estimate.t_s - since_s >= self._limits.unproven_s
-        return is_steady and sigma(estimate, 0) < self._limits.max_position_sigma_m
+        is_steady = estimate.t_s - since_s >= limits.unproven_s
+        return is_steady and sigma(estimate, 0) < limits.max_position_sigma_m
 
     def _goes_on(self, trial: Trial, estimate: Estimate, t_s: float) -> bool:
         """After a brief stall: steady again, and where it would be by now. Asked once."""

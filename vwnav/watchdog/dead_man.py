@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Learned
 from vwnav.watchdog.keepalive import Beat, GuardState
 
 
@@ -140,6 +140,11 @@ class DeadMan:
     def last_beat(self) -> Beat | None:
         """The newest beat, None before the first."""
         return self._beat
+
+    @property
+    def learned(self) -> Learned | None:
+        """What the navigator said last that one in its place may begin with."""
+        return None if self._beat is None else self._beat.learned
 
     def silence_s(self, t_s: float) -> float:
         """Time since the newest beat."""

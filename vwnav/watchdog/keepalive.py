@@ -9,6 +9,7 @@ the aircraft may be left alone then, the watchdog judges by what it hears of it.
 """
 
 import contextlib
+import math
 import socket
 import struct
 from collections.abc import Callable
@@ -17,15 +18,17 @@ from enum import Enum
 from typing import Protocol
 
 from vwnav.errors import LinkError
+from vwnav.vehicle import Learned
 
-_BEAT = struct.Struct("<4sBIQ16s")  # magic, flags, sequence, epoch, phase
-_BEAT_MAGIC = b"VWB2"
+_BEAT = struct.Struct("<4sBIQ16s")  # magic, flags, sequence, epoch, phase; what was learned
+_BEAT_MAGIC = b"VWB3"
+_LEARNED_HEAD = struct.Struct("<dHH")  # when, how many of means and of covariances
 _REPORT = struct.Struct("<4sBBIf")  # magic, state, flags, sequence of the beat, heartbeat age
 _REPORT_MAGIC = b"VWR2"
 _ENGAGED, _ENDED = 0x01, 0x02
 _RELAYS_ESTIMATES = 0x01
 _MANY_BEATS = 15  # unanswered: fewer may be those of a loop that slept
-_DATAGRAM_LIMIT_BYTES = 256
+_DATAGRAM_LIMIT_BYTES = 2048
 
 
 class GuardState(Enum):
@@ -49,6 +52,7 @@ class Beat:
         engaged: it has the aircraft and must not fall silent.
         epoch: grows with every new claim to the aircraft.
         ended: the navigator ends now, in whatever order: nothing comes after it.
+        learned: for a successor; None where it is not known.
     """
 
     engaged: bool
@@ -56,21 +60,45 @@ class Beat:
     epoch: int
     phase: str = ""
     ended: bool = False
+    learned: Learned | None = None
 
     def pack(self) -> bytes:
         """As a datagram."""
         flags = (_ENGAGED if self.engaged else 0) | (_ENDED if self.ended else 0)
         phase = self.phase.encode("ascii", "replace")[:16]
-        return _BEAT.pack(_BEAT_MAGIC, flags, self.sequence & 0xFFFFFFFF, self.epoch, phase)
+        sequence = self.sequence & 0xFFFFFFFF
+        beat = _BEAT.pack(_BEAT_MAGIC, flags, sequence, self.epoch, phase)
+        return beat + (b"" if self.learned is None else _packed(self.learned))
 
     @staticmethod
     def unpack(data: bytes) -> "Beat | None":
         """Of a datagram, None if it is no beat."""
-        if len(data) != _BEAT.size or data[:4] != _BEAT_MAGIC:
+        if len(data) < _BEAT.size or data[:4] != _BEAT_MAGIC:
             return None
-        _, flags, sequence, epoch, phase = _BEAT.unpack(data)
+        _, flags, sequence, epoch, phase = _BEAT.unpack_from(data)
         text = phase.rstrip(b"\0").decode("ascii", "replace")
-        return Beat(bool(flags & _ENGAGED), sequence, epoch, text, bool(flags & _ENDED))
+        engaged, ended = bool(flags & _ENGAGED), bool(flags & _ENDED)
+        return Beat(engaged, sequence, epoch, text, ended, _unpacked(data[_BEAT.size :]))
+
+
+def _packed(learned: Learned) -> bytes:
+    numbers = (*learned.mean, *learned.covariance)
+    head = _LEARNED_HEAD.pack(learned.t_s, len(learned.mean), len(learned.covariance))
+    return head + struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+def _unpacked(data: bytes) -> Learned | None:
+    """None where it is cut off, or holds what is no number: the beat counts all the same."""
+    if len(data) < _LEARNED_HEAD.size:
+        return None
+    t_s, means, covariances = _LEARNED_HEAD.unpack_from(data)
+    body = data[_LEARNED_HEAD.size :]
+    if len(body) != 8 * (means + covariances):
+        return None
+    numbers = struct.unpack(f"<{means + covariances}d", body)
+    if not all(map(math.isfinite, (t_s, *numbers))):
+        return None
+    return Learned(t_s, numbers[:means], numbers[means:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,20 +219,22 @@ class KeepAlive:
         self._unanswered = 0
         self.rejoin()
 
-    def beat(self, engaged: bool, phase: str = "") -> None:
+    def beat(self, engaged: bool, phase: str = "", learned: Learned | None = None) -> None:
         """Say that the loop lives; never waits.
 
         Args:
             engaged: the navigator has the aircraft; from then on silence of half a second makes
                 the watchdog brake, hold and land.
             phase: what the loop does, for the watchdog's log (16 ASCII characters).
+            learned: for the navigator that goes on should this one end.
         """
         self._read_reports()
         self._sequence += 1
         if self._unanswered_since_s is None:
             self._unanswered_since_s = self._clock()
         self._unanswered += 1
-        self._channel.send(Beat(engaged, self._sequence, self._epoch, phase).pack())
+        beat = Beat(engaged, self._sequence, self._epoch, phase, learned=learned)
+        self._channel.send(beat.pack())
 
     def rejoin(self) -> None:
         """Claim the aircraft again after the watchdog took it; holds from the next beat on."""

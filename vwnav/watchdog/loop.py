@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
+from vwnav.vehicle import Learned
 from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
 from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
 from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
@@ -61,14 +62,15 @@ class Resume:
     """What a successor of the navigator begins with.
 
     Attributes:
-        position: the last good one that the autopilot was given, None when there was none.
-        velocity_ne_m_s: north and east at that time.
+        position, velocity_ne_m_s: the last good ones that it was given; None where there were none.
         origin: of the position; None when the autopilot never told it.
+        learned: by the navigator that ended; None where it was not enough.
     """
 
     position: RelayedPosition | None
     velocity_ne_m_s: tuple[float, float]
     origin: Origin | None
+    learned: Learned | None = None
 
 
 class NavigatorProcess(Protocol):
@@ -333,7 +335,7 @@ class Watchdog:
 
     def _resume(self) -> Resume:
         guard = self._estimates
-        return Resume(guard.last, guard.velocity_ne_m_s, self._ear.origin)
+        return Resume(guard.last, guard.velocity_ne_m_s, self._ear.origin, self._guard.learned)
 
     def _log_change(self, before: GuardState, t_s: float) -> None:
         state, beat = self._guard.state, self._guard.last_beat

@@ -20,7 +20,6 @@ from vwnav.mission.mission import Crew, Mission, Phase
 from vwnav.onboard.succession import last_place, start_after
 from vwnav.pipeline import Pipeline
 from vwnav.recording.flight_recorder import FlightRecorder
-from vwnav.recording.guarded_watcher import GuardedWatcher
 from vwnav.recording.input_log import About
 from vwnav.recording.recorder import Recorder
 from vwnav.runtime import LINK_HZ, TICK_HZ, FlightRuntime
@@ -28,6 +27,7 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
+from vwnav.seams import GuardedWatcher
 from vwnav.sim.lockstep_camera import LockstepCamera
 from vwnav.sim.memory_link import MemoryEnd
 from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, Worker
@@ -329,6 +329,6 @@ class LockstepSuccessor:
         if place is None or position is None:
             navigator.start(None)
         else:
-            velocity_ne_m_s = np.array(self._resume.velocity_ne_m_s)
-            navigator.start(start_after(place, velocity_ne_m_s, position.t_s, t_s))
+            velocity_ne_m_s, learned = np.array(self._resume.velocity_ne_m_s), self._resume.learned
+            navigator.start(start_after(place, velocity_ne_m_s, position.t_s, t_s, learned))
         navigator.flight.ride(t_s, "the navigator ended: this one only sends estimates")

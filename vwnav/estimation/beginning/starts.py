@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.estimation.beginning.legacy import take_on
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.states import FilterState, States, TrustedPosition, tells_heading
 from vwnav.types import Array
+from vwnav.vehicle import Learned
 
 _HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
 _TERRAIN_SIGMA_M = 30.0
@@ -23,6 +25,7 @@ class Start:
         position_ned_m: (3,), None when unknown; its sigma is per horizontal axis.
         sigma_baro_m: of the barometer's zero; None takes the configured one, of a barometer that
             was zeroed where the height is counted from.
+        learned: by a filter before this one.
     """
 
     t_s: float
@@ -32,6 +35,7 @@ class Start:
     sigma_agl_m: float = 0.15
     sigma_velocity_m_s: float = 0.1
     sigma_baro_m: float | None = None
+    learned: Learned | None = None
 
 
 def first_state(start: Start, config: EkfConfig) -> FilterState:
@@ -59,6 +63,8 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
     trusted = TrustedPosition(start.t_s, position[:2], start.sigma_m) if known else None
     P, t_s = np.diag(variance), start.t_s
+    if start.learned is not None:
+        take_on(x, P, start.learned, t_s, config)
     return FilterState(t_s, x, P, known, tells_heading(P), t_s, t_s, trusted=trusted)
 
 

@@ -116,5 +116,16 @@ BLIND = [
         follows=(phase(10.0, "landing"), down(60.0)),
         lands_within_m=50.0,
     ),
+    Scenario(
+        name="camera gone for good, and then the navigator killed",
+        setup=setup(wind_m_s=5.0),
+        breaks=(
+            Break(fault=camera.CameraTrouble(camera.no_images), at_s=BREAKS_AT_S),
+            Break(fault=computer.NavigatorKilled(), at_s=BREAKS_AT_S + 0.5),
+        ),
+        limit_s=100.0,
+        follows=(down(75.0),),
+        lands_within_m=50.0,
+    ),
 ]
 TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND]
