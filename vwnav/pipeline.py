@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
-from vwnav.estimation.beginning.legacy import left_by
 from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
 from vwnav.estimation.beginning.sequences import Sequences
+from vwnav.estimation.beginning.starts import left_by
 from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of

@@ -12,7 +12,7 @@ class Learned(NamedTuple):
 
     Attributes:
         t_s: when.
-        mean: (n,) of the states that are handed on (`vwnav.estimation.beginning.legacy`).
+        mean: (n,) of the states that are handed on (`vwnav.estimation.beginning.starts`).
         covariance: (n (n + 1) / 2,) theirs, the upper triangle row by row.
     """
 

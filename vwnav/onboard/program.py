@@ -150,7 +150,7 @@ def _fly(
 ) -> None:
     pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
     executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
-    notices: deque[str] = deque()
+    notices = deque[str]()
     assembled = assemble(
         *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
         plan.config, executor, notices.append,

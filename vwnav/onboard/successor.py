@@ -99,7 +99,7 @@ def stand_by(options: FlyOptions) -> None:
     with ExitStack() as stack:
         plan = plan_flight(options, stack)
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
-        notices: deque[str] = deque()
+        notices = deque[str]()
         assembled = assemble(
             *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
             plan.config, executor, notices.append,

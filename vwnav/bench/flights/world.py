@@ -147,8 +147,7 @@ class World:
         home_ne_m = np.array(setup.stands_ne_m) if setup.home_known else None
         route = np.array(setup.route_ned_m)
         mission = Mission(route, about_home=not setup.home_known, home_ne_m=home_ne_m)
-        record = LockstepWatcher(self.note, self.clock)
-        notices: deque[str] = deque()
+        record, notices = LockstepWatcher(self.note, self.clock), deque[str]()
         executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
         assembled = assemble(
             self.features, place.fallback, MapPack.open(place.pack), camera, self.local_frame,

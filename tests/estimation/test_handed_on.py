@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import wishart
 
-from vwnav.estimation.beginning.legacy import left_by
-from vwnav.estimation.beginning.starts import Start, first_state
+from vwnav.estimation.beginning.starts import Start, first_state, left_by
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inputs import decode, encode
 from vwnav.estimation.states import States
