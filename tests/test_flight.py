@@ -37,7 +37,7 @@ class Handle:
     beats: list[bool] = field(default_factory=list)
     rejoined: int = 0
 
-    def beat(self, engaged: bool, phase: str, learned: object) -> None:
+    def beat(self, engaged: bool, phase: str, learned: object = None) -> None:
         self.beats.append(engaged)
 
     def rejoin(self) -> None:

@@ -93,6 +93,9 @@ class Path:
         self.fed.append(measurement)
         time.sleep(self.feed_s)
 
+    def learned(self):
+        return None
+
     def covers(self, t_s):
         return self.covered
 

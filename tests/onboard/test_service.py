@@ -24,7 +24,7 @@ class Handle:
         self.beats: list[tuple[bool, str]] = []
         self.rejoins = 0
 
-    def beat(self, engaged: bool, phase: str) -> None:
+    def beat(self, engaged: bool, phase: str, learned: object) -> None:
         self.beats.append((engaged, phase))
 
     def rejoin(self) -> None:
