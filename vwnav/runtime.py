@@ -129,11 +129,10 @@ class FlightRuntime:
         self._lose_what_is_not_heard(vehicle, t_s)
         sent = self._guard.admit(believed, t_s, vehicle.armed, self._seen_s)
         lost = self._guard.reason if believed is not None and sent is None else ""
+        learned = self._pipeline.learned()
         with self._lock:
             before = self._navigation
-            self._navigation = Navigation(
-                sent, lost, self._seen_s, self._contradicted, self._pipeline.learned()
-            )
+            self._navigation = Navigation(sent, lost, self._seen_s, self._contradicted, learned)
         if sent is not None:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):

@@ -174,7 +174,8 @@ def _take_on(x: Array, P: Array, left: Learned, t_s: float, config: EkfConfig) -
     x[_HANDED_ON] = left.mean
     P[np.ix_(_HANDED_ON, _HANDED_ON)] = C + np.triu(C, 1).T
     gust, wind, yaw = States.GUST_FORCE, States.WIND_FORCE, States.HEADING_BIAS
-    drag_per_s, force_m_s2 = float(x[States.DRAG]), float(np.hypot(*x[wind]))
+    drag_per_s = max(float(x[States.DRAG]), config.drag_range_per_s[0])
+    force_m_s2 = float(np.hypot(*x[wind]))
     keep = math.exp(-since_s * force_m_s2 / drag_per_s / config.gust_length_m)
     x[gust] *= keep
     P[gust] *= keep
