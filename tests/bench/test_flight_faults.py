@@ -14,7 +14,16 @@ from vwnav.bench.flights.blame import blamed_wrongly
 from vwnav.bench.flights.faults import camera, telemetry
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
-from vwnav.bench.flights.table import FAMILIES, QUICK, TABLE, family_of, manual, rows_named
+from vwnav.bench.flights.table import (
+    FAMILIES,
+    QUICK,
+    TABLE,
+    drawn_rows,
+    family_of,
+    manual,
+    row_of,
+    rows_named,
+)
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.cli.flighttest import fly_row
 from vwnav.rules import flight_log
@@ -97,6 +106,29 @@ def test_the_table_has_families_and_no_name_twice():
     assert all(family_of(row) in FAMILIES for row in TABLE)
     assert [row.name for row in rows_named(["BATTERY low"])] == ["battery low"]
     assert rows_named([]) == TABLE
+
+
+def test_drawn_flights_are_the_same_each_time_and_have_the_faults_of_several_rows():
+    rows = drawn_rows(60, 5)
+    names = [row.name for row in rows]
+    assert len(set(names)) == 60
+    assert names[0].startswith("drawn 5: ")
+    assert {row.name for row in drawn_rows(10, 10)} <= set(names)
+    for row in rows[:20]:
+        again = row_of(row.name)
+        assert (again.name, again.breaks, again.setup.seed) == (
+            row.name, row.breaks, row.setup.seed,
+        )  # fmt: skip
+    mixed = [row.name.split(": ", 1)[1].rsplit(", ", 1)[0].split(" + ") for row in rows]
+    assert {len(parts) for parts in mixed} == {2, 3}
+    table = {row.name: row for row in TABLE}
+    for row, parts in zip(rows, mixed, strict=True):
+        assert family_of(row) == "drawn"
+        assert len({family_of(table[name]) for name in parts}) == len(parts)
+        assert len(row.breaks) == sum(len(table[name].breaks) for name in parts)
+        times_s = [each.at_s for each in row.breaks]
+        assert times_s == sorted(times_s)
+        assert times_s[0] >= 0.0
 
 
 def test_rows_of_a_pilot_are_flown_live_only_where_he_has_a_link():

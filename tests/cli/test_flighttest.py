@@ -28,9 +28,20 @@ def test_only_names_some_of_them():
     assert names == ["pictures black for good at 50 m", "battery critical"]
 
 
+def test_drawn_flights_are_listed_as_rows_are():
+    result = RUN.invoke(
+        app, ["flighttest", "faults", "--list", "--json", "--drawn", "3", "--first", "7"]
+    )
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [row["name"].split(":")[0] for row in rows] == ["drawn 7", "drawn 8", "drawn 9"]
+    assert {(row["family"], row["expected"]) for row in rows} == {("drawn", "breaks no rule")}
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (["--drawn", "2", "--only", "killed"], "--drawn goes with neither"),
+        (["--drawn", "2", "--connection", "udpin://0.0.0.0:24000"], "--drawn goes with neither"),
         (["--only", "no such fault"], "no fault is named no such fault: see --list"),
         (["--connection", "udpin://0.0.0.0:24000", "--only", "killed"], "--truth"),
         (["--connection", "udpin://0.0.0.0:24000", "--only", "starved"], "no fault is named"),

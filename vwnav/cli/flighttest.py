@@ -31,6 +31,7 @@ _PILOT = "With --connection: a second link, on which this command plays the pilo
 _TRUTH = "With --connection: where the simulator tells its ground truth."
 _ONE_OBJECT = "One JSON object on stdout."
 _FOLDER = "Folder of the result: three plots and a table (CSV)."
+_DRAWN = "Not the table: so many flights with the faults of two or three of its rows."
 _MANNERS = "The simulated vehicle's, px4 or copter; with --connection the autopilot's own count."
 
 app = typer.Typer(no_args_is_help=True, help="Fly tests, and say whether they passed.")
@@ -41,6 +42,8 @@ def faults(
     listed: bool = typer.Option(False, "--list", help="Say what there is, and fly nothing."),
     only: list[str] = typer.Option([], help="Only rows with this in their name; may be repeated."),
     jobs: int = typer.Option(1, min=1, help="How many are flown at a time."),
+    drawn: int = typer.Option(0, min=0, help=_DRAWN),
+    first: int = typer.Option(0, min=0, help="With --drawn: the number of the first one."),
     manners: str = typer.Option("px4", help=_MANNERS),
     connection: str | None = typer.Option(None, help=_CONNECTION),
     pilot: str | None = typer.Option(None, help=_PILOT),
@@ -59,11 +62,14 @@ def faults(
     vwnav flighttest faults --jobs 2 -o faults
     vwnav flighttest faults --only "link cut" --only black
     vwnav flighttest faults --manners copter --only "navigator killed"
+    vwnav flighttest faults --drawn 50 --jobs 2 -o drawn
     vwnav flighttest faults --connection udpin://0.0.0.0:14540 --truth udpout:127.0.0.1:14560
     """
-    from vwnav.bench.flights.table import rows_named
+    from vwnav.bench.flights.table import drawn_rows, rows_named
 
-    rows = rows_named(only)
+    if drawn and (only or connection is not None):
+        raise ConfigError("--drawn goes with neither --only nor --connection")
+    rows = drawn_rows(drawn, first) if drawn else rows_named(only)
     if connection is not None:
         from vwnav.bench.flights.live.campaign import live_rows
 
@@ -225,10 +231,10 @@ def fly_row(name: str, folder: Path, manners: "Manners") -> "RowResult":
     from vwnav.bench.flights.judge import judge
     from vwnav.bench.flights.lockstep_place import lockstep_place
     from vwnav.bench.flights.rows import broken_off, result_of
-    from vwnav.bench.flights.table import TABLE, family_of
+    from vwnav.bench.flights.table import family_of, row_of
     from vwnav.bench.flights.table.manners import in_manners
 
-    row = in_manners(next(each for each in TABLE if each.name == name), manners)
+    row = in_manners(row_of(name), manners)
     place, family, began_s = lockstep_place(), family_of(row), time.process_time()
     try:
         flown = fly(row, place)

@@ -74,7 +74,7 @@ class Campaign:
             route_ned_m=self.route_ned_m,
             wind_m_s=self.wind_m_s,
             wind_from_deg=float(rng.uniform(0.0, 360.0)),
-            **_off(rng),
+            **off_as_told(rng),
         )
         return Scenario(
             name=f"flight {sortie}",
@@ -96,7 +96,7 @@ class Campaign:
         return float(np.hypot(*np.diff(self.way_ne_m, axis=0).T).sum())
 
 
-def _off(rng: np.random.Generator) -> dict[str, Any]:
+def off_as_told(rng: np.random.Generator) -> dict[str, Any]:
     """How an aircraft is not as its files say: by what the filter is told that it may be.
 
     But for its compass, which errs by less than the filter is prepared for.
