@@ -307,9 +307,9 @@ class MountCheck:
         """
         if not self._is_open or told.verdict not in _JUDGED or self._turns == _MOST_TURNS:
             return None
-        turns = bool(told.parts) and told.parts[0].verdict is Verdict.GATED
-        asked = turns or self._knocks.knock is not None
-        found = self._knocks.turned(motion, told) if asked else None
+        found = None
+        if told.verdict is Verdict.GATED or self._knocks.knock is not None:
+            found = self._knocks.turned(motion, told)
         tilts = motion.tilts_turned
         if found is None and tilts is not None and motion.agl_m >= _TELLS_FROM_M:
             found = self._tilted(motion, tilts, had_fix)
