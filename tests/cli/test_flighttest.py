@@ -41,6 +41,7 @@ def test_drawn_flights_are_listed_as_rows_are():
     ("words", "says"),
     [
         (["--drawn", "2", "--only", "killed"], "--drawn goes with neither"),
+        (["--first", "2"], "--first is the first flight of --drawn N"),
         (["--drawn", "2", "--connection", "udpin://0.0.0.0:24000"], "--drawn goes with neither"),
         (["--only", "no such fault"], "no fault is named no such fault: see --list"),
         (["--connection", "udpin://0.0.0.0:24000", "--only", "killed"], "--truth"),

@@ -69,6 +69,8 @@ def faults(
 
     if drawn and (only or connection is not None):
         raise ConfigError("--drawn goes with neither --only nor --connection")
+    if first and not drawn:
+        raise ConfigError("--first is the first flight of --drawn N: say how many")
     rows = drawn_rows(drawn, first) if drawn else rows_named(only)
     if connection is not None:
         from vwnav.bench.flights.live.campaign import live_rows

@@ -73,7 +73,7 @@ class Beat:
     @staticmethod
     def unpack(data: bytes) -> "Beat | None":
         """Of a datagram, None if it is no beat."""
-        if len(data) < _BEAT.size or data[:4] != _BEAT_MAGIC:
+        if len(data) < _BEAT.size or data[:4] != _BEAT_MAGIC or not _is_whole(data[_BEAT.size :]):
             return None
         _, flags, sequence, epoch, phase = _BEAT.unpack_from(data)
         text = phase.rstrip(b"\0").decode("ascii", "replace")
@@ -87,15 +87,20 @@ def _packed(learned: Learned) -> bytes:
     return head + struct.pack(f"<{len(numbers)}d", *numbers)
 
 
-def _unpacked(data: bytes) -> Learned | None:
-    """None where it is cut off, or holds what is no number: the beat counts all the same."""
+def _is_whole(data: bytes) -> bool:
+    """Whether what follows a beat is nothing, or as long as it says."""
     if len(data) < _LEARNED_HEAD.size:
+        return not data
+    _, means, covariances = _LEARNED_HEAD.unpack_from(data)
+    return len(data) == _LEARNED_HEAD.size + 8 * int(means + covariances)
+
+
+def _unpacked(data: bytes) -> Learned | None:
+    """None where nothing was learned, or what is no number: the beat counts all the same."""
+    if not data:
         return None
     t_s, means, covariances = _LEARNED_HEAD.unpack_from(data)
-    body = data[_LEARNED_HEAD.size :]
-    if len(body) != 8 * (means + covariances):
-        return None
-    numbers = struct.unpack(f"<{means + covariances}d", body)
+    numbers = struct.unpack_from(f"<{means + covariances}d", data, _LEARNED_HEAD.size)
     if not all(map(math.isfinite, (t_s, *numbers))):
         return None
     return Learned(t_s, numbers[:means], numbers[means:])

@@ -4,13 +4,12 @@ Most rows begin in the air, where their fault is. Those named in `QUICK` are flo
 one of each kind; all of them by `make test-long` and `vwnav flighttest faults`.
 """
 
-import re
 from collections.abc import Iterable
 
 from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.table.aircraft import AUTOPILOT, BATTERY, PILOT
 from vwnav.bench.flights.table.computer import DISK_AND_CLOCK, NAVIGATOR, PROCESSOR
-from vwnav.bench.flights.table.drawn import drawn
+from vwnav.bench.flights.table.drawn import DRAWN, drawn, number_of
 from vwnav.bench.flights.table.ground import MAP, MODEL, RELIEF
 from vwnav.bench.flights.table.images import IMAGES
 from vwnav.bench.flights.table.link import LINK
@@ -47,6 +46,8 @@ QUICK = {
     "camera knocked in flight, round by 15 and aslant by 5",
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",
+    "camera gone for good, and then the navigator killed",
+    "disk full on the way home",
     "navigator stopped for 20 s",
     "processor starved for 1 s",
     "first fix turned by 30 degrees",
@@ -58,20 +59,17 @@ QUICK = {
 }
 
 
-_DRAWN = "drawn"
-
-
 def family_of(row: Scenario) -> str:
     """The name of a row's family."""
-    if _drawn_number(row.name) is not None:
-        return _DRAWN
+    if number_of(row.name) is not None:
+        return DRAWN
     names = {family: [each.name for each in rows] for family, rows in FAMILIES.items()}
     return next(family for family in names if row.name in names[family])
 
 
 def row_of(name: str) -> Scenario:
     """The row of that name, of the table or drawn."""
-    number = _drawn_number(name)
+    number = number_of(name)
     if number is not None:
         return drawn(number, FAMILIES)
     return next(each for each in TABLE if each.name == name)
@@ -80,11 +78,6 @@ def row_of(name: str) -> Scenario:
 def drawn_rows(count: int, first: int) -> list[Scenario]:
     """Flights `first` and so on of those that are drawn."""
     return [drawn(number, FAMILIES) for number in range(first, first + count)]
-
-
-def _drawn_number(name: str) -> int | None:
-    found = re.match(rf"{_DRAWN} (\d+):", name)
-    return None if found is None else int(found[1])
 
 
 def rows_named(parts: Iterable[str]) -> list[Scenario]:

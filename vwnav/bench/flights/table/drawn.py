@@ -4,6 +4,7 @@ The aircraft is off by what its filter is told that it may be. Nothing is expect
 but that it breaks none of the rules of every flight, and blames no part that is as it should be.
 """
 
+import re
 from dataclasses import fields, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from vwnav.bench.flights.scenario import (
 from vwnav.bench.flights.setup import Setup
 from vwnav.sim.map_warp import MapWarp
 
+DRAWN = "drawn"
 _SEED = 20261126
 _THREE_SHARE = 1.0 / 3.0  # of the flights have the faults of three rows, the others of two
 _STARTS = (ROUTE, ROUTE, ROUTE, RETURN, CLIMB, DESCEND)
@@ -41,7 +43,7 @@ def drawn(number: int, families: dict[str, list[Scenario]]) -> Scenario:
     rows = [pool[name][int(rng.integers(len(pool[name])))] for name in names]
     changes = {
         **off_as_told(rng),
-        "map_warp": MapWarp(),  # a map that is off is told by no rule
+        "map_warp": MapWarp(),  # to the rules its error would be the estimate's
         "seed": int(rng.integers(1, 2**31)),
         "wind_m_s": float(rng.choice(_WINDS_M_S)),
         "wind_from_deg": float(rng.uniform(0.0, 360.0)),
@@ -52,7 +54,7 @@ def drawn(number: int, families: dict[str, list[Scenario]]) -> Scenario:
     breaks = [each for row in rows for each in _shifted(row, rng)]
     phase = start.phase.value if start.phase is not None else ""
     return Scenario(
-        name=f"drawn {number}: {' + '.join(row.name for row in rows)}, {phase}",
+        name=f"{DRAWN} {number}: {' + '.join(row.name for row in rows)}, {phase}",
         setup=replace(setup(start), **changes),
         breaks=tuple(sorted(breaks, key=lambda each: each.at_s)),
         limit_s=_LIMIT_S,
@@ -60,6 +62,12 @@ def drawn(number: int, families: dict[str, list[Scenario]]) -> Scenario:
         faster_m_s=max(row.faster_m_s for row in rows),
         map_off_m=max(row.map_off_m for row in rows),
     )
+
+
+def number_of(name: str) -> int | None:
+    """Of a drawn flight, by its name; None of a row of the table."""
+    found = re.match(rf"{DRAWN} (\d+):", name)
+    return None if found is None else int(found[1])
 
 
 def _mixable(rows: list[Scenario]) -> list[Scenario]:
