@@ -321,7 +321,7 @@ def test_an_image_without_attitude_moves_nothing_and_says_why():
     assert len(localizer.priors) == asked
     assert all(R is None for R in pipeline._odometry.attitudes[handed:])
     assert all(isinstance(step.outcome, Rejected) for step in steps)
-    assert pipeline._ekf.attitude_at(3.0) is None
+    assert pipeline._ekf.attitudes.at(3.0) is None
 
 
 def test_the_estimate_begins_with_the_first_attitude():

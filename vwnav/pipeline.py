@@ -109,7 +109,7 @@ class Pipeline:
         self._first_fix = FirstFix()
         self._recalibrated = recalibrated
         is_open = recalibrated is not None
-        self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, self._feels)
+        self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, ekf.attitudes)
         self._R_mount = np.eye(3)  # beyond what it was told
         self._sequences = Sequences(local_frame)
         self._lost = True  # images are joined, see `Sequences`
@@ -147,10 +147,10 @@ class Pipeline:
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
         with self._lock:
-            attitude = None if self._ekf.counts_heading else self._ekf.attitude_at(frame.t_s)
+            attitude = None if self._ekf.counts_heading else self._ekf.attitudes.at(frame.t_s)
             if self._rolling and attitude is not None:
                 now = self._ekf.estimate(frame.t_s)
-                image = with_motion(image, self._ekf.attitude_at, now)
+                image = with_motion(image, self._ekf.attitudes.at, now)
         R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
         motion = self._track(image, attitude, R_ned_body)
         ended = self._collect(frame.t_s)
@@ -189,11 +189,6 @@ class Pipeline:
         if verdict is Verdict.IMPOSSIBLE:
             self._odometry.mistook()
         return Rejected(frame.t_s, reason, verdict.value)
-
-    def _feels(self) -> bool:
-        """Whether an IMU tells how the aircraft turns."""
-        state = self._ekf.state
-        return state is not None and state.measured is not None and state.measured.felt is not None
 
     def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:
         """Start matching this image when it is time to; the outcome if it is there at once."""

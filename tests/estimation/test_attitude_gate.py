@@ -9,6 +9,7 @@ import pytest
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import AttitudeHistory, GyroHistory
 from vwnav.estimation.inertial.imu import ImuHistory
@@ -65,10 +66,10 @@ def test_level_attitudes_while_the_link_is_cut_are_none_of_the_autopilot(imu, tu
     for i in range(75):
         ekf.handle(Attitude(2.0 + (i + 1) / 15.0, LEVEL))
         ekf.estimate(2.0 + (i + 1) / 15.0)
-    assert ekf.attitude_at(4.0) is None
-    assert ekf.attitude_at(7.0) is None
+    assert ekf.attitudes.at(4.0) is None
+    assert ekf.attitudes.at(7.0) is None
     go_on(ekf, 7.0, 0.2, imu, lambda t: quat(turned_deg))
-    assert ekf.attitude_at(7.2) is not None
+    assert ekf.attitudes.at(7.2) is not None
 
 
 def test_without_attitude_the_estimate_gets_as_unsure_as_an_aircraft_can_move():
@@ -101,7 +102,44 @@ def test_a_heading_that_the_autopilot_resets_is_followed_within_a_quarter_second
     verdicts = go_on(ekf, 2.0, 0.3, imu, lambda t: quat(131.0))
     assert verdicts[0] is Verdict.GATED
     assert verdicts[-1] is Verdict.FUSED
-    assert ekf.attitude_at(2.25) is not None
+    assert ekf.attitudes.at(2.25) is not None
+
+
+@pytest.mark.parametrize("jump_deg", [-90.0, -20.0, 30.0, 170.0])
+@pytest.mark.parametrize("tilts_deg", [0.0, 6.0])
+def test_a_reset_attitude_turns_no_image_that_was_taken_before_it_was_believed(jump_deg, tilts_deg):
+    """A keyframe of that time had the new heading, and the old one's error: 30 degrees between.
+
+    What is told of the attitude at an image's time stays so, and later images meet it there.
+    """
+    ekf = Ekf(EkfConfig())
+    above = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=above, sigma_m=0.5, agl_m=50.0))
+    ekf.handle(
+        NedFix(
+            t_s=0.0, position_ne_m=np.zeros(2), covariance_ne_m2=0.01 * np.eye(2),
+            yaw_rad=math.radians(118.0), sigma_yaw_rad=0.02, agl_m=50.0, sigma_agl_m=0.5,
+        )
+    )  # fmt: skip
+    told: dict[float, np.ndarray] = {}
+    refused = []
+    for i in range(1, 250):
+        t_s = STEP_S * i
+        jumped = t_s > 3.03
+        ekf.handle(Attitude(t_s, quat(118.0 + jumped * jump_deg, jumped * tilts_deg)))
+        ekf.handle(ImuSample(t_s, HOVER, np.zeros(3)))
+        ekf.handle(Height(t_s, 50.0))
+        if i % 5:
+            continue
+        told[t_s] = ekf.attitudes.at(t_s).quat_wxyz
+        if (before_s := STEP_S * (i - 5)) in told:
+            seen = OdometryMotion(before_s, t_s, np.zeros(3), 1e-4 * np.eye(3), 0.0, 0.01, 50.0, 99)
+            way = ekf.handle(seen)
+            refused += [t_s for part in way.parts if part.verdict is not Verdict.FUSED]
+    assert not refused
+    for t_s, quat_wxyz in told.items():
+        if t_s > 250 * STEP_S - 2.0:
+            assert ekf.attitudes.at(t_s).quat_wxyz == pytest.approx(quat_wxyz, abs=1e-6)
 
 
 def test_a_turn_of_90_degrees_a_second_is_one():

@@ -15,7 +15,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import NedFix, Recalibrated
 from vwnav.estimation.fixes import apply_agl
-from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
 from vwnav.estimation.inputs import decode, encode
 from vwnav.estimation.odometry_gate import MountCheck
 from vwnav.estimation.states import (
@@ -39,6 +39,22 @@ def of_filter() -> FilterState:
     return FilterState(0.0, np.zeros(States.SIZE), np.eye(States.SIZE), True, True, 0.0, 0.0)
 
 
+def told_level(has_gyro: bool = True, jump_rad: float = 0.0) -> AttitudeHistory:
+    """Attitudes of an aircraft that does not turn, whose heading jumps after 0.05 s."""
+    attitudes = AttitudeHistory(length_s=100.0)
+    for i in range(-20, 620):
+        heading_rad = jump_rad if i > 0 else 0.0
+        attitudes.add(Attitude(0.1 * i, quat_from_vector(np.array([0.0, 0.0, heading_rad]))))
+        if has_gyro and i == -20:
+            attitudes.gyro.begin(0.1 * i)
+        elif has_gyro:
+            attitudes.gyro.turn(0.1 * i, np.zeros(3), 0.1)
+    return attitudes
+
+
+LEVEL = told_level()
+
+
 def shown(t_s: float, tilt_rad: np.ndarray, seen_rad: np.ndarray, sigma_rad: float):
     """A way whose attitudes tell a tilt (2,), and whose image shows another.
 
@@ -58,11 +74,7 @@ def shown(t_s: float, tilt_rad: np.ndarray, seen_rad: np.ndarray, sigma_rad: flo
 
 def turns_told(seed: int, seen_of, sigma_rad=0.01, seconds=60.0, had_fix=False) -> list[float]:
     """What is told while it tilts this way and that, an image ten times a second."""
-    rng, check, told = (
-        np.random.default_rng(seed),
-        MountCheck(is_open=True, feels=lambda: True),
-        [0.0],
-    )
+    rng, check, told = np.random.default_rng(seed), MountCheck(True, LEVEL), [0.0]
     for i in range(round(10.0 * seconds)):
         tilt_rad = 0.03 * rng.normal(size=2)
         seen_rad = seen_of(tilt_rad, told[-1]) + sigma_rad * rng.normal(size=2)
@@ -117,7 +129,7 @@ def test_a_keyframe_whose_attitude_is_off_turns_no_mount_however_long_it_is_hove
     One that is off by more than the aircraft tilts may show 45 degrees still: those are believed
     after half a second, for they cost a take-off.
     """
-    rng, check = np.random.default_rng(seed), MountCheck(is_open=True, feels=lambda: True)
+    rng, check = np.random.default_rng(seed), MountCheck(True, LEVEL)
     off = off_rad * np.array([math.cos(way_rad), math.sin(way_rad)])
     for i in range(1, 400):
         tilt_rad = 0.01 * rng.normal(size=2) + 0.06
@@ -135,9 +147,9 @@ def heading(verdict: Verdict, residual_rad: float) -> Innovation:
     return Innovation(verdict, parts=(part,))
 
 
-def knock_told(residuals_rad, keyframe_s=None, feels=True) -> list[Recalibrated]:
+def knock_told(residuals_rad, keyframe_s=None, attitudes=LEVEL) -> list[Recalibrated]:
     """Of images of one keyframe each, or all of one of before."""
-    check, told = MountCheck(is_open=True, feels=lambda: feels), []
+    check, told = MountCheck(True, attitudes), []
     for i, residual_rad in enumerate(residuals_rad):
         t_s = 0.1 * i
         verdict = Verdict.FUSED if abs(residual_rad) < 0.01 else Verdict.GATED
@@ -156,21 +168,22 @@ def test_one_image_that_turned_as_no_gyro_felt_is_that_of_a_camera_that_was_knoc
 
 
 @pytest.mark.parametrize(
-    ("residuals_rad", "keyframe_s", "feels"),
+    ("residuals_rad", "keyframe_s", "attitudes"),
     [
-        ([0.0, 0.05, 0.0, 0.0, 0.0, 0.0], None, True),  # less than is worth another camera
-        ([0.0, 0.4, 0.4, 0.4, 0.4, 0.4], None, True),  # again and again: not by a knock
-        ([0.0, 0.4, 0.0, 0.0, 0.0, 0.0], -0.1, True),  # those after it agree with one of before it
-        ([0.0, 0.4, 0.0, 0.0, 0.0, 0.0], None, False),  # it may be the autopilot's compass
+        ([0.0, 0.05, 0.0, 0.0, 0.0, 0.0], None, LEVEL),  # less than is worth another camera
+        ([0.0, 0.4, 0.4, 0.4, 0.4, 0.4], None, LEVEL),  # again and again: not by a knock
+        ([0.0, 0.4, 0.0, 0.0, 0.0, 0.0], -0.1, LEVEL),  # those after it agree with one of before it
+        ([0.0, 0.4, 0.0, 0.0, 0.0, 0.0], None, told_level(has_gyro=False)),  # by the compass?
+        ([0.0, 0.4, 0.0, 0.0, 0.0, 0.0], None, told_level(jump_rad=-0.4)),  # the compass it was
     ],
 )
-def test_what_else_turns_an_image_moves_no_mount(residuals_rad, keyframe_s, feels):
-    assert not knock_told(residuals_rad, keyframe_s, feels)
+def test_what_else_turns_an_image_moves_no_mount(residuals_rad, keyframe_s, attitudes):
+    assert not knock_told(residuals_rad, keyframe_s, attitudes)
 
 
 def test_what_was_seen_before_an_image_that_cannot_be_followed_is_no_witness_of_the_mount():
     """A quarter turn after a fix is believed only then, and counts from there."""
-    rng, check, told = np.random.default_rng(1), MountCheck(is_open=True, feels=lambda: True), []
+    rng, check, told = np.random.default_rng(1), MountCheck(True, LEVEL), []
     for i in range(400):
         tilt_rad = 0.03 * rng.normal(size=2)
         if i == 300:

@@ -55,6 +55,7 @@ class Ekf:
     ahead of it is refused. No measurement ever raises: what is not sensible is refused and said so.
 
     Attributes:
+        attitudes: the autopilot's, as they are believed.
         counts_heading: a video alone: its attitude is level, with the heading of odometry.
     """
 
@@ -69,13 +70,13 @@ class Ekf:
         self._config = config
         length_s = config.history_s + _ATTITUDE_MARGIN_S
         gap_s = math.inf if self.counts_heading else MAX_GAP_S
-        self._attitudes = AttitudeHistory(length_s, gap_s)
-        self._imu = ImuHistory(self._attitudes, length_s)
-        self._attitude_gate = AttitudeGate(self._attitudes, self._imu)
-        self._imu_gate = ImuGate(self._attitudes, self._imu)
-        self._odometry_gate = OdometryGate(self._attitudes, config)
+        self.attitudes = AttitudeHistory(length_s, gap_s)
+        self._imu = ImuHistory(self.attitudes, length_s)
+        self._attitude_gate = AttitudeGate(self.attitudes, self._imu)
+        self._imu_gate = ImuGate(self.attitudes, self._imu)
+        self._odometry_gate = OdometryGate(self.attitudes, config)
         self._mount_doubted_s = -math.inf
-        self._context = Context(config, self._attitudes, self._imu, ground)
+        self._context = Context(config, self.attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
         self._input_log: Callable[[Input], None] = lambda _: None
@@ -89,14 +90,10 @@ class Ekf:
 
         An attitude has come since, or the gyro alone reaches far beyond: attitudes are late.
         """
-        if self.counts_heading or self._attitudes.newest_s >= t_s:
+        if self.counts_heading or self.attitudes.newest_s >= t_s:
             return True
-        gyro_s = self._attitudes.gyro.newest_s
-        return gyro_s >= t_s + _ATTITUDE_LATE_S and self._attitudes.knows(t_s)
-
-    def attitude_at(self, t_s: float) -> Attitude | None:
-        """The autopilot's attitude at an exposure; None where telemetry does not reach."""
-        return self._attitudes.at(t_s)
+        gyro_s = self.attitudes.gyro.newest_s
+        return gyro_s >= t_s + _ATTITUDE_LATE_S and self.attitudes.knows(t_s)
 
     @property
     def state(self) -> FilterState | None:
@@ -144,7 +141,7 @@ class Ekf:
         self._input_log(start)
         # A start may be long ago: a first search took its time.
         self._asked_s = max(start.t_s, self._asked_s)
-        self._attitudes.forget_after(self._asked_s + self._config.ahead_s)
+        self.attitudes.forget_after(self._asked_s + self._config.ahead_s)
 
     def handle(self, seen: Measurement) -> Innovation:
         """Take a measurement of any kind."""
@@ -182,7 +179,7 @@ class Ekf:
         if refusal is not None:
             return Innovation(refusal)
         if self.counts_heading:
-            self._attitudes.add(attitude)
+            self.attitudes.add(attitude)
             return Innovation(Verdict.FUSED)
         return Innovation(self._attitude_gate.take(attitude))
 
@@ -210,7 +207,7 @@ class Ekf:
         assert self._timeline is not None
         if verdict is Verdict.FUSED:
             self._imu_gate.saw_drag(self._insert(Drag(t_s)))
-        elif self._imu_gate.lost and (held := self._attitudes.held(t_s)).known:
+        elif self._imu_gate.lost and (held := self.attitudes.held(t_s)).known:
             explained = explained_m_s2(self._timeline.newest, held.quat_wxyz)
             self._imu_gate.compare(*explained, t_s)
 
@@ -308,12 +305,12 @@ class Ekf:
         self._input_log(Asked(t_s))
         if math.isfinite(t_s):
             self._asked_s = t_s
-        if self._attitudes.newest_s == -math.inf:
+        if self.attitudes.newest_s == -math.inf:
             return None
         state = self._timeline.newest
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
-        held = self._attitudes.held(state.t_s)
+        held = self.attitudes.held(state.t_s)
         table = np.zeros(2)
         if self._context.ground is not None:
             patch = self._context.patch(*state.x[States.POSITION_NE].tolist())
@@ -345,5 +342,5 @@ class Ekf:
             return Verdict.NOT_FINITE
         if self._timeline is None:
             return None if isinstance(seen, Attitude | ImuSample) else Verdict.NOT_STARTED
-        newest_s = max(self._asked_s, self._timeline.newest.t_s, self._attitudes.newest_s)
+        newest_s = max(self._asked_s, self._timeline.newest.t_s, self.attitudes.newest_s)
         return Verdict.AHEAD if seen.t_s > newest_s + self._config.ahead_s else None

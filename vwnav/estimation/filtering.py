@@ -3,9 +3,10 @@
 from typing import Protocol
 
 from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inputs import Measurement
 from vwnav.estimation.states import FilterState, Innovation
-from vwnav.types import Attitude, Estimate
+from vwnav.types import Estimate
 
 
 class Filtering(Protocol):
@@ -14,6 +15,11 @@ class Filtering(Protocol):
     @property
     def state(self) -> FilterState | None:
         """The state after the newest event; None before a start."""
+        ...
+
+    @property
+    def attitudes(self) -> AttitudeHistory:
+        """The autopilot's, as they are believed."""
         ...
 
     @property
@@ -31,10 +37,6 @@ class Filtering(Protocol):
 
     def estimate(self, t_s: float) -> Estimate | None:
         """The estimate at a time; None while there is nothing to predict from."""
-        ...
-
-    def attitude_at(self, t_s: float) -> Attitude | None:
-        """The autopilot's attitude at an exposure; None where telemetry does not reach."""
         ...
 
     def covers(self, t_s: float) -> bool:

@@ -14,7 +14,6 @@ an estimate wrong by 4.7 sigmas, and 45 degrees cost the aircraft.
 import bisect
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -277,11 +276,11 @@ class MountCheck:
     S = sum z x w / V (the mean direction of von Mises' distribution).
     """
 
-    def __init__(self, is_open: bool, feels: Callable[[], bool]) -> None:
-        """`is_open`: it has to be asked. `feels`: whether an IMU tells how the aircraft turns."""
+    def __init__(self, is_open: bool, attitudes: AttitudeHistory) -> None:
+        """`is_open`: it has to be asked. `attitudes` as they are believed."""
         self._is_open = is_open
         self._turns = 0
-        self._knocks = KnockCheck(feels)
+        self._knocks = KnockCheck(attitudes)
         self._broke_s = -math.inf  # when an image could not be followed
         # From the start, and since it broke: sums of z.w / V, z x w / V, w.w / V and of the time
         self._tilts = np.zeros((2, 4))
@@ -307,9 +306,9 @@ class MountCheck:
         """
         if not self._is_open or told.verdict not in _JUDGED or self._turns == _MOST_TURNS:
             return None
-        found = None
-        if told.verdict is Verdict.GATED or self._knocks.knock is not None:
-            found = self._knocks.turned(motion, told)
+        turns = bool(told.parts) and told.parts[0].verdict is Verdict.GATED
+        asked = turns or self._knocks.knock is not None
+        found = self._knocks.turned(motion, told) if asked else None
         tilts = motion.tilts_turned
         if found is None and tilts is not None and motion.agl_m >= _TELLS_FROM_M:
             found = self._tilted(motion, tilts, had_fix)

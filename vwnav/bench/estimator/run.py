@@ -118,7 +118,7 @@ def rectified(seen: Measurement, ekf: Ekf, stream: MeasurementStream) -> Measure
 
 def _turn(t_s: float, ekf: Ekf, stream: MeasurementStream) -> Array | None:
     """(3,) NED rotation vector from the autopilot's attitude to that of the filter."""
-    known = ekf.attitude_at(t_s)
+    known = ekf.attitudes.at(t_s)
     if known is None or stream.measured_quats is None:
         return None
     R_measured = rotation_from_quat(stream.measured_quats[stream.truth.index(t_s)])

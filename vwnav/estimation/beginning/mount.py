@@ -6,17 +6,19 @@ mount by 8 degrees in flight it was refused for some seconds, and then believed 
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from vwnav.estimation.events import Recalibrated
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import OdometryMotion
 
 LEAST_TURN_RAD = math.radians(6.0)  # that is worth a new camera; less is the compass' error
 _SIGMA_RAD = math.radians(0.5)  # of what one image has shown by turning
 _AGAIN, _WITHIN_S = 3, 1.0  # ways that agree again, and within what time
+_NEWS_S = 1.0  # images before it have shown nothing
+_JUMPED_RAD = math.radians(3.0)  # what a gyro does not explain
 LEAST_TILT_RAD = math.radians(4.0)  # that is worth a new camera, and doubting a mount
 _TILT_SIGMA_RAD, _TILT_SIGMAS = math.radians(0.8), 5.0
 
@@ -28,9 +30,9 @@ class KnockCheck:
         knock: what an image has shown, before those after it have agreed; None while none has.
     """
 
-    def __init__(self, feels: Callable[[], bool]) -> None:
-        """`feels`: whether an IMU tells how the aircraft turns; a compass may be reset."""
-        self._feels = feels
+    def __init__(self, attitudes: AttitudeHistory) -> None:
+        """`attitudes` as they are believed, and what the gyro says: a compass may be reset."""
+        self._attitudes = attitudes
         self.knock: Recalibrated | None = None
         self._after = 0
 
@@ -41,15 +43,21 @@ class KnockCheck:
             return None
         if heading.verdict is Verdict.GATED:
             turned_rad, self._after = -float(heading.residual[0]), 0
-            large = abs(turned_rad) >= LEAST_TURN_RAD
             by = Recalibrated(motion.t1_s, turned_rad, _SIGMA_RAD, knocked=True)
-            self.knock = by if large else None
+            self.knock = by if abs(turned_rad) >= LEAST_TURN_RAD and self._joins(motion) else None
         elif knock is not None and motion.t1_s > knock.t_s + _WITHIN_S:
             self.knock = None
         elif knock is not None and told.verdict is Verdict.FUSED and motion.t0_s >= knock.t_s:
             self._after += 1
-            return knock if self._after == _AGAIN and self._feels() else None
+            return knock if self._after == _AGAIN else None
         return None
+
+    def _joins(self, motion: OdometryMotion) -> bool:
+        """Whether a gyro has felt the turns that the attitude tells: it has not jumped then."""
+        jumped_rad = self._attitudes.jumped_rad(
+            max(motion.t0_s, motion.t1_s - _NEWS_S), motion.t1_s
+        )
+        return jumped_rad is not None and jumped_rad < _JUMPED_RAD
 
 
 def tilted(state: FilterState) -> Recalibrated | None:

@@ -66,11 +66,24 @@ class AttitudeGate:
         self._wait(attitude, newest_s)
         if not self._convinced(newest_s):
             return Verdict.GATED
-        for waited in self._waiting:
-            self._attitudes.refused_s.discard(waited.t_s)
-            self._attitudes.add(waited)
+        for waited in self._waiting[:-1]:
+            self._believe(self._as_taken(waited) if self._jumped else waited)
+        self._believe(attitude)
         self._waiting.clear()
         return Verdict.RELOCATED
+
+    def _as_taken(self, waited: Attitude) -> Attitude:
+        """The one before a jump, turned on by the gyro, where one tells.
+
+        State and images of the time in which it waited were taken with that one. Were their past
+        another one now, an image's way would begin in the new heading and a bias of the old.
+        """
+        held = self._attitudes.held(waited.t_s)
+        return waited if held.from_wxyz is None else Attitude(waited.t_s, held.quat_wxyz)
+
+    def _believe(self, attitude: Attitude) -> None:
+        self._attitudes.refused_s.discard(attitude.t_s)
+        self._attitudes.add(attitude)
 
     def _unvouched(self, t_s: float) -> bool:
         """Whether all that used to come with attitudes is silent."""

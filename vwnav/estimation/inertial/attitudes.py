@@ -7,7 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from vwnav.estimation.inertial.integrals import Exposure
-from vwnav.geometry.rotations import quat_conjugate, quat_from_vector, quat_multiply, wrap_pi
+from vwnav.geometry.rotations import (
+    quat_conjugate,
+    quat_from_vector,
+    quat_multiply,
+    vector_from_quat,
+    wrap_pi,
+)
 from vwnav.types import Array, Attitude
 
 GRAVITY_M_S2 = 9.80665
@@ -249,6 +255,15 @@ class AttitudeHistory:
             return None
         turn = self.gyro.between(self._times_s[i], t_s)
         return None if turn is None else quat_multiply(self._quats[i], turn)
+
+    def jumped_rad(self, t0_s: float, t1_s: float) -> float | None:
+        """The angle between what attitudes say of a turn and what the gyro does; None without."""
+        turn = self.gyro.between(t0_s, t1_s)
+        if turn is None:
+            return None
+        quat0, quat1 = self.held(t0_s).quat_wxyz, self.held(t1_s).quat_wxyz
+        told = quat_multiply(quat_conjugate(quat0), quat1)
+        return float(np.linalg.norm(vector_from_quat(quat_multiply(quat_conjugate(turn), told))))
 
     def exposure(self, t_s: float) -> Exposure:
         """How an image of that time was held."""
