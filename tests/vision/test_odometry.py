@@ -172,3 +172,26 @@ def test_a_heading_that_the_autopilot_resets_is_no_tilting_that_the_image_does_n
     motion = odometry.step(Frame(0.1, still, 1), reset, AGL_M)
     assert isinstance(motion, OdometryMotion)
     assert abs(motion.tilts_along) < 1.0
+
+
+@pytest.mark.parametrize("knock_deg", [-45.0, -30.0, 20.0, 35.0, 50.0])
+def test_a_camera_that_is_knocked_round_shows_a_turn_and_the_way(knock_deg):
+    """Between two images it is turned clockwise on its mount; the aircraft flies on northward."""
+
+    def knocked(px: float) -> np.ndarray:
+        turn = cv2.getRotationMatrix2D((250.0, 250.0 - px), knock_deg, 1.0)
+        seen = cv2.warpAffine(ground(1), turn, (500, 500), flags=cv2.INTER_CUBIC)
+        return cv2.getRectSubPix(seen, (WIDTH, HEIGHT), (250.0, 250.0 - px))
+
+    odometry = Odometry(CAMERA, OdometryConfig())
+    images = [image(ground(1), 0.0), image(ground(1), 4.0), knocked(8.0), knocked(12.0)]
+    _, _, at_once, after = [
+        odometry.step(Frame(0.1 * i, each, i), LEVEL, AGL_M) for i, each in enumerate(images)
+    ]
+    assert isinstance(at_once, OdometryMotion)
+    assert abs(math.degrees(at_once.yaw_increment_rad)) == pytest.approx(abs(knock_deg), abs=0.5)
+    step_m = (at_once.t1_s - at_once.t0_s) / 0.1 * 4.0 * M_PER_PX
+    assert at_once.displacement_ned_m[0] == pytest.approx(step_m, abs=0.15)
+    assert isinstance(after, OdometryMotion)
+    assert after.t0_s >= at_once.t1_s - 1e-9
+    assert abs(math.degrees(after.yaw_increment_rad)) < 0.5

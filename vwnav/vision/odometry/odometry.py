@@ -5,7 +5,7 @@ directly: a hovering aircraft does not drift, and errors add up per keyframe, no
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -22,7 +22,6 @@ from vwnav.types import (
     Array,
     Attitude,
     Frame,
-    Gray,
     MatchStats,
     OdometryMotion,
     Rejected,
@@ -41,53 +40,14 @@ from vwnav.vision.odometry.ground_motion import (
     reduction,
     tilt_seen,
 )
+from vwnav.vision.odometry.views import Course, Keyframe, ReducedView, turned
 from vwnav.vision.shutter import as_at_once, ray_flow
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
 _MOST_ZOOM = 0.5
 _STEEPEST = 0.5  # slope that ground is thought to have
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ReducedView:
-    """A reduced image and how it was taken: heading and height of the body, height of the camera.
-
-    `flow` (3, 3) is how what is seen moves while rows are read, see `vwnav.vision.shutter`.
-    """
-
-    t_s: float
-    gray: Gray
-    R_ned_camera: Array
-    heading_rad: float
-    agl_m: float
-    height_m: float
-    flow: Array | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Keyframe:
-    """A view with its corners uv (n, 2) and their directions rays (n, 3) in NED."""
-
-    view: _ReducedView
-    uv: Points
-    rays: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Course:
-    """Where the camera is since the keyframe, to know where to look in the next image.
-
-    Attributes:
-        t_s: of the last image that could be followed.
-        way: (3,) NED from the keyframe in units of its AGL. turn_rad: (3,) as `Motion` has it.
-        way_per_s: (3,) velocity in the same units.
-    """
-
-    t_s: float
-    way: Array
-    turn_rad: Array
-    way_per_s: Array
+_KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
 
 class Odometry:
@@ -121,16 +81,17 @@ class Odometry:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._keyframe: _Keyframe | None = None
-        self._last: _ReducedView | None = None
-        self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._keyframe: Keyframe | None = None
+        self._last: ReducedView | None = None
+        self._course = Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
         self._slope_ne: Array | None = None  # of the ground at the keyframe, by the images before
         self._heading_rad = 0.0
+        self._broke = False  # the image before could not be followed
 
     def mistook(self) -> None:
         """What was followed was not the ground: look afresh, and not where that would have led."""
         self._keyframe = self._slope_ne = None
-        self._course = _Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._course = Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
 
     def counted_attitude(self, t_s: float) -> Attitude:
         """Of a video alone: level, with the heading counted up to the last image."""
@@ -163,14 +124,31 @@ class Odometry:
             # The image before sees more of what this one sees than the keyframe does.
             keyframe = self._start(last)
             result = self._follow(keyframe, view) if keyframe is not None else result
+        if isinstance(result, Rejected) and last is not None and not self._broke:
+            result = self._follow_knocked(last, view, result)
+        self._broke = isinstance(result, Rejected)
         if isinstance(result, Rejected):
             self._keyframe = self._slope_ne = None
             self._start(view)
         return result
 
-    def _view(
-        self, frame: Frame, R_ned_body: Array | None, agl_m: float
-    ) -> _ReducedView | Rejected:
+    def _follow_knocked(
+        self, last: ReducedView, view: ReducedView, lost: Rejected
+    ) -> OdometryMotion | Rejected:
+        """A camera that is knocked round on its mount shows the same ground, turned at once.
+
+        Corners are found again up to some 15 degrees beside where they are looked for.
+        """
+        keyframe = None if self._alone else self._start(last)
+        if keyframe is None:
+            return lost
+        for turn_rad in _KNOCKS_RAD:
+            found = self._follow(turned(keyframe, turn_rad), view)
+            if isinstance(found, OdometryMotion):
+                return found
+        return lost
+
+    def _view(self, frame: Frame, R_ned_body: Array | None, agl_m: float) -> ReducedView | Rejected:
         if frame.image.shape[1::-1] != self._full_wh:
             return Rejected(
                 frame.t_s,
@@ -195,21 +173,21 @@ class Odometry:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
         flow = ray_flow(frame, self._camera, R_ned_camera[2], height_m) if self._rolling else None
         heading_rad = _heading(R_ned_camera, self._camera)
-        return _ReducedView(frame.t_s, gray, R_ned_camera, heading_rad, agl_m, height_m, flow)
+        return ReducedView(frame.t_s, gray, R_ned_camera, heading_rad, agl_m, height_m, flow)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """An image that shows nothing: what comes after it starts anew."""
         self._keyframe = self._slope_ne = None
         return Rejected(t_s, reason, detail)
 
-    def _begin(self, view: _ReducedView) -> Rejected:
+    def _begin(self, view: ReducedView) -> Rejected:
         keyframe = self._start(view)
         if keyframe is None:
             return Rejected(view.t_s, RejectReason.FEW_KEYPOINTS, "no corners on the ground")
         stats = MatchStats(keypoints=len(keyframe.uv))
         return Rejected(view.t_s, RejectReason.NOT_TRIED, "a first picture", stats=stats)
 
-    def _start(self, view: _ReducedView) -> _Keyframe | None:
+    def _start(self, view: ReducedView) -> Keyframe | None:
         """Make a view the keyframe; None, and no keyframe, when it has too few corners."""
         uv = find_corners(view.gray, self._config.cell_px)
         rays = self._camera.bearings(uv.astype(np.float64))
@@ -220,21 +198,24 @@ class Odometry:
         if np.count_nonzero(down) < self._config.least_corners:
             self._keyframe = None
             return None
-        self._keyframe = _Keyframe(view, uv[down], rays[down])
+        self._keyframe = Keyframe(view, uv[down], rays[down])
         velocity = self._course.way_per_s
-        self._course = _Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
+        self._course = Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
         return self._keyframe
 
-    def _guess(self, keyframe: _Keyframe, view: _ReducedView) -> Points:
+    def _guess(self, keyframe: Keyframe, view: ReducedView) -> Points:
         """Where the corners (n, 2) should be now if the camera flies on as it did."""
         course = self._course
         way = course.way + (view.t_s - course.t_s) * course.way_per_s
         R_camera_ned = (rotation_from_vector(course.turn_rad) @ view.R_ned_camera).T
         ground = keyframe.rays / keyframe.rays[:, 2:]
         guess = self._camera.project((ground - way) @ R_camera_ned.T)
-        return np.nan_to_num(guess, nan=-1e3).astype(np.float32)
+        guess = np.nan_to_num(guess, nan=-1e3)
+        if keyframe.turn is not None:
+            guess = cv2.transform(guess[None], keyframe.turn)[0]
+        return np.asarray(guess, np.float32)
 
-    def _follow(self, keyframe: _Keyframe, view: _ReducedView) -> OdometryMotion | Rejected:
+    def _follow(self, keyframe: Keyframe, view: ReducedView) -> OdometryMotion | Rejected:
         config = self._config
         uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
         stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
@@ -266,7 +247,7 @@ class Odometry:
         slope = None if self._alone else motion.told_slope
         return self._accept(keyframe, view, unsure, count, tilt, slope)
 
-    def _prior(self, keyframe: _ReducedView, view: _ReducedView) -> MotionPrior:
+    def _prior(self, keyframe: ReducedView, view: ReducedView) -> MotionPrior:
         """The ground slopes much as it did before the keyframe; nobody knows how at first."""
         c = self._config
         tilt_rad, slope = c.tilt_increment_level_rad, c.slope_level
@@ -279,8 +260,8 @@ class Odometry:
 
     def _accept(
         self,
-        keyframe: _Keyframe,
-        view: _ReducedView,
+        keyframe: Keyframe,
+        view: ReducedView,
         motion: Motion,
         count: int,
         tilt: TiltSeen,
@@ -324,7 +305,7 @@ class Odometry:
             tilts_turned=tilt.turned,
         )
 
-    def _turned(self, view: _ReducedView, heading_rad: float) -> _ReducedView:
+    def _turned(self, view: ReducedView, heading_rad: float) -> ReducedView:
         """A level view with the heading that its image has shown."""
         self._heading_rad = heading_rad
         R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
@@ -332,11 +313,11 @@ class Odometry:
         heading_rad = _heading(R_ned_camera, self._camera)
         return replace(view, R_ned_camera=R_ned_camera, heading_rad=heading_rad)
 
-    def _remember(self, view: _ReducedView, motion: Motion) -> None:
+    def _remember(self, view: ReducedView, motion: Motion) -> None:
         course = self._course
         velocity = (motion.way - course.way) / (view.t_s - course.t_s)
         turn_rad = motion.turn_rad * (0.0 if self._alone else 1.0)
-        self._course = _Course(view.t_s, motion.way, turn_rad, velocity)
+        self._course = Course(view.t_s, motion.way, turn_rad, velocity)
         self._last = view
 
 

@@ -175,10 +175,16 @@ KNOCKED = [
             ((5.0, "the camera hangs otherwise"), (30.0, "further right than its mount")),
         ),
         ("round by 20 degrees", (0.0, 0.0, 20.0), ((5.0, "hangs turned by"),)),
+        ("round by 45 degrees", (0.0, 0.0, 45.0), ((30.0, "turned by 45 degrees clockwise"),)),
         ("round by 90 degrees", (0.0, 0.0, 90.0), ((5.0, "turned by 90 degrees clockwise"),)),
         (
             "round by 15 and aslant by 5",
             (-3.0, 4.0, 15.0),
+            ((5.0, "degrees clockwise, seen"), (30.0, "further ahead and right")),
+        ),
+        (
+            "round by 30 and aslant by 8",
+            (0.0, 8.0, 30.0),
             ((5.0, "degrees clockwise, seen"), (30.0, "further ahead and right")),
         ),
     )
