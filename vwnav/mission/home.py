@@ -8,7 +8,6 @@ from vwnav.types import Array, Estimate
 
 _AGREES_M = 3.0  # a home that was given is right when the way flown from it ends this near
 _ELSEWHERE_SIGMAS = 2.45  # sqrt(chi2.ppf(0.95, 2)): no nearer can it be told from the one given
-_CORRELATED_S = 2.5  # an error of the velocity lasts as long, until images tell another way
 _SPACING_M = 20.0
 
 
@@ -26,11 +25,14 @@ class Home:
         self._settled = False
         self.place_ne_m: Array | None = None
 
-    def flown(self, step_ne_m: Array, sigma_m_s: float, dt_s: float) -> None:
-        """The way (2,) of one tick, without jumps of the position, and how sure its velocity is."""
+    def flown(self, step_ne_m: Array, grown_m2: float) -> None:
+        """Count the way (2,) of one tick, without jumps of the position.
+
+        `grown_m2` is by what the place's variance per axis has grown; by a fix it shrinks.
+        """
         if not self._settled:
             self._way_ne_m = self._way_ne_m + step_ne_m
-            self._way_m2 += 2.0 * _CORRELATED_S * sigma_m_s * sigma_m_s * dt_s
+            self._way_m2 += max(grown_m2, 0.0)
 
     def take(self, place_ne_m: Array) -> None:
         """It is known for sure."""

@@ -1,6 +1,5 @@
 """The phases that the mission itself flies: from the autopilot's take-off to above the landing."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -78,8 +77,8 @@ class RoutePhases:
             jump_m = (estimate.position_ned_m - before.position_ned_m)[:2] - flown_m
             self._steering.held_ne_m = self._steering.held_ne_m + jump_m
         if not on_ground:
-            sigma_m_s = math.sqrt(float(np.max(np.diag(estimate.covariance)[3:5])))
-            self._home.flown(flown_m, sigma_m_s, dt_s)
+            variances_m2 = np.diag(estimate.covariance)[:2], np.diag(before.covariance)[:2]
+            self._home.flown(flown_m, float(np.max(variances_m2[0]) - np.max(variances_m2[1])))
 
     def take_up(self, phase: Phase, estimate: Estimate) -> None:
         """Begin in the air with home given, as if it had flown there: `Flight.take_up`."""
