@@ -185,8 +185,11 @@ class AttitudeFilter:
         self._turn_world(0.0, 0.0, min(1.0, gain * dt_s) * error)
 
     def turn_heading(self, turn_rad: float) -> None:
-        """Turn about down at once, as a realignment does."""
-        self._turn_world(0.0, 0.0, turn_rad)
+        """Turn about down at once, by any angle, as a realignment does."""
+        w, x, y, z = self.quat_wxyz
+        c, s = math.cos(0.5 * turn_rad), math.sin(0.5 * turn_rad)
+        self.quat_wxyz = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
+        self.rotation = rotation_of(*self.quat_wxyz)
 
     def tilt(self, x_rad: float, y_rad: float) -> None:
         """Turn by small angles about north and east."""
