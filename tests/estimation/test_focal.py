@@ -36,7 +36,7 @@ def test_a_lens_that_nobody_measured_is_learned_and_the_place_stays_within_its_s
 
 def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
     """What a filter without this state did with every lens."""
-    assert worst_sigmas(flown(1, 1e-4, 0.05)) > 5.0
+    assert worst_sigmas(flown(1, 1e-4, 0.12)) > 5.0
 
 
 def test_one_that_is_as_told_costs_little():
@@ -48,7 +48,10 @@ def test_one_that_is_as_told_costs_little():
 
 @pytest.mark.parametrize(("seed", "off"), [(1, 0.2), (2, -0.2), (3, 0.3), (4, -0.15), (6, -0.25)])
 def test_one_that_is_another_than_was_measured_is_learned_of_ways_before_any_fix(seed, off):
-    """They contradict the IMU, and that ended the flight, down blind and up to 50 m off."""
+    """They contradict the IMU, and that ended the flight, down blind and up to 50 m off.
+
+    A filter whose model had tilt errors turn with the body ended 0.5 to 10.5 m off here.
+    """
     world = FilterWorld(seconds=40.0, imu_hz=50.0, speed_m_s=3.0, leg_s=4.0, focal_off=off)
     rng = np.random.default_rng(seed)
     stream = sense(world, fly(world, [rng])[0], rng)
@@ -57,5 +60,5 @@ def test_one_that_is_another_than_was_measured_is_learned_of_ways_before_any_fix
     run = play(replace(stream, events=events), say=said.append)
     assert said == ["what the pictures show contradicts the IMU: the lens may not be as calibrated"]
     assert run.last.x[States.FOCAL] == pytest.approx(off, abs=0.04)
-    assert float(np.hypot(*run.rows.error_ne_m[-1])) < 8.0
+    assert float(np.hypot(*run.rows.error_ne_m[-1])) < 10.0
     assert worst_sigmas(run) < 3.0

@@ -30,7 +30,7 @@ class EkfConfig:
     imu_noise_m_s2: float = 0.1  # per root hertz, all axes, with vibration; instead of the above
     accelerometer_sigma_m_s2: float = 0.3  # bias at first, with a tilted mount's share of gravity
     accelerometer_walk_m_s2: float = 0.003  # per root second
-    gyro_noise_rad: float = math.radians(0.1)  # per root second: what a gyro's turn wanders
+    gyro_noise_rad: float = math.radians(0.05)  # per root second: what a gyro's turn wanders
     gyro_share: float = 0.001  # of a turn: scale factor, and what happens between samples
     gyro_sigma_rad_s: float = math.radians(0.5)  # bias at first
     gyro_walk_rad_s: float = math.radians(0.005)  # per root second

@@ -19,6 +19,7 @@ _IMU_LATE_S = 0.012
 _HEIGHT_LATE_S = 0.03
 _ODOMETRY_LATE_S = 0.04
 _TILT_DRIFT_S = 20.0
+_LEVELLED_S = 5.0
 _HANDED_AGL_M = 40.0  # odometry is scaled by whatever AGL it is handed; the filter undoes it
 _KEYFRAME_WAY = 0.35  # in AGL, then the keyframe is replaced
 _KEYFRAME_CLIMB = 0.12
@@ -90,7 +91,11 @@ def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -
 
 
 class _AttitudeErrors:
-    """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true; tilt turns with the body.
+    """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true.
+
+    The tilt stays in NED when the body turns, since a gyro carries the attitude, and is levelled
+    anew within seconds: to a bias that is the body's, as real PX4 did in turns by 100 degrees.
+    Where no IMU is streamed it turns with the body, as the filter then has to think.
 
     What the camera sees is off by its mount besides, which no gyro and no accelerometer feels.
     """
@@ -104,13 +109,15 @@ class _AttitudeErrors:
         white = math.radians(world.tilt_noise_deg) * rng.normal(size=(n, 2))
         # Correlated over some 20 ms, as a filter's output is.
         white = (white + np.roll(white, 1, 0) + np.roll(white, 2, 0)) / math.sqrt(3.0)
-        body = bias + walk + white
-        self.tilt_ne = _in_ned(body, truth)
+        levelled = _in_ned(bias + walk, truth)
+        share = DT_S / _LEVELLED_S if world.imu_hz else 1.0
+        self.tilt_ne = _first_order(1.0 - share, share * levelled, levelled[0]) + white
         down = np.array([rotation_from_quat(quat)[:, 2] for quat in truth.quat_wxyz])
         lean = down[:, :2] / down[:, 2:]
         # A camera that is turned shows the heading for more, and leans another way than the body.
         self.mount_turn = math.radians(world.mount_turn_deg)
-        self.seen_ne = _in_ned(body + np.radians(world.mount_off_deg), truth)
+        mount_off = np.tile(np.radians(world.mount_off_deg), (n, 1))
+        self.seen_ne = self.tilt_ne + _in_ned(mount_off, truth)
         self.seen_ne -= self.mount_turn * lean
         self.focal_shift = -world.focal_off * lean
         steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
@@ -136,8 +143,9 @@ def _in_ned(body: Array, truth: TrueTrajectory) -> Array:
     return np.stack([c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1]], axis=1)
 
 
-def _first_order(keep: float, drive: Array) -> Array:
+def _first_order(keep: float, drive: Array, first: Array | float = 0.0) -> Array:
     out = np.zeros_like(drive)
+    out[0] = first
     for i in range(1, len(drive)):
         out[i] = keep * out[i - 1] + drive[i]
     return out
