@@ -153,7 +153,7 @@ class Tracking(Protocol):
         ...
 
     def mistook(self) -> None:
-        """What was followed was not the ground."""
+        """What was followed was not the ground: from the newest image on."""
         ...
 
 

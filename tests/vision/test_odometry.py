@@ -195,3 +195,14 @@ def test_a_camera_that_is_knocked_round_shows_a_turn_and_the_way(knock_deg):
     assert isinstance(after, OdometryMotion)
     assert after.t0_s >= at_once.t1_s - 1e-9
     assert abs(math.degrees(after.yaw_increment_rad)) < 0.5
+
+
+def test_what_was_mistaken_is_followed_no_further_and_the_newest_image_is():
+    odometry = Odometry(CAMERA, OdometryConfig())
+    images = [image(ground(1), px) for px in (0.0, 4.0, 8.0)]
+    odometry.step(Frame(0.0, images[0], 0), LEVEL, AGL_M)
+    odometry.step(Frame(0.1, images[1], 1), LEVEL, AGL_M)
+    odometry.mistook()
+    motion = odometry.step(Frame(0.2, images[2], 2), LEVEL, AGL_M)
+    assert isinstance(motion, OdometryMotion)
+    assert motion.t0_s == 0.1

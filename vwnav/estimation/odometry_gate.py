@@ -304,13 +304,14 @@ class MountCheck:
             told: what the filter said of that, the heading first.
             had_fix: a map fix has been believed.
         """
-        if not self._is_open or told.verdict not in _JUDGED or self._turns == _MOST_TURNS:
+        if not self._is_open or self._turns == _MOST_TURNS:
             return None
-        turns = bool(told.parts) and told.parts[0].verdict is Verdict.GATED
-        asked = turns or self._knocks.knock is not None
+        agrees = all(each.verdict is Verdict.FUSED for each in (told, *told.parts))
+        asked = self._knocks.knock is not None or not agrees
         found = self._knocks.turned(motion, told) if asked else None
         tilts = motion.tilts_turned
-        if found is None and tilts is not None and motion.agl_m >= _TELLS_FROM_M:
+        tells = told.verdict in _JUDGED and motion.agl_m >= _TELLS_FROM_M
+        if found is None and tells and tilts is not None:
             found = self._tilted(motion, tilts, had_fix)
         if found is not None:
             self._tilts[:] = 0.0

@@ -91,13 +91,10 @@ def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -
 
 
 class _AttitudeErrors:
-    """The autopilot's attitude is Rz(yaw error) exp(tilt) R_true.
+    """The autopilot's attitude Rz(yaw error) exp(tilt) R_true.
 
-    The tilt stays in NED when the body turns, since a gyro carries the attitude, and is levelled
-    anew within seconds: to a bias that is the body's, as real PX4 did in turns by 100 degrees.
-    Where no IMU is streamed it turns with the body, as the filter then has to think.
-
-    What the camera sees is off by its mount besides, which no gyro and no accelerometer feels.
+    Its gyro holds the tilt in NED while the body turns; within seconds it is levelled anew, to a
+    bias of the body's, as by real PX4. Where no IMU is told it turns with the body at once.
     """
 
     def __init__(self, world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -> None:
@@ -117,8 +114,7 @@ class _AttitudeErrors:
         # A camera that is turned shows the heading for more, and leans another way than the body.
         self.mount_turn = math.radians(world.mount_turn_deg)
         mount_off = np.tile(np.radians(world.mount_off_deg), (n, 1))
-        self.seen_ne = self.tilt_ne + _in_ned(mount_off, truth)
-        self.seen_ne -= self.mount_turn * lean
+        self.seen_ne = self.tilt_ne + _in_ned(mount_off, truth) - self.mount_turn * lean
         self.focal_shift = -world.focal_off * lean
         steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
         self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)

@@ -12,6 +12,7 @@ import numpy as np
 from vwnav.estimation.events import Recalibrated
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import OdometryMotion
 
 LEAST_TURN_RAD = math.radians(6.0)  # that is worth a new camera; less is the compass' error
@@ -38,19 +39,36 @@ class KnockCheck:
 
     def turned(self, motion: OdometryMotion, told: Innovation) -> Recalibrated | None:
         """The turn that an image has shown alone, once those after it agree with the gyro."""
+        if told.verdict is Verdict.IMPOSSIBLE:
+            self._leapt(motion)
         heading, knock = told.parts[0] if told.parts else None, self.knock
         if heading is None or heading.residual is None:
             return None
         if heading.verdict is Verdict.GATED:
-            turned_rad, self._after = -float(heading.residual[0]), 0
-            by = Recalibrated(motion.t1_s, turned_rad, _SIGMA_RAD, knocked=True)
-            self.knock = by if abs(turned_rad) >= LEAST_TURN_RAD and self._joins(motion) else None
+            self._showed(-float(heading.residual[0]), motion)
         elif knock is not None and motion.t1_s > knock.t_s + _WITHIN_S:
             self.knock = None
         elif knock is not None and told.verdict is Verdict.FUSED and motion.t0_s >= knock.t_s:
             self._after += 1
             return knock if self._after == _AGAIN else None
         return None
+
+    def _leapt(self, motion: OdometryMotion) -> None:
+        """Take one whose way no aircraft flies: a camera that is tilted at once shows such.
+
+        One image of another place does, too, and the next one that it was none of this.
+        """
+        before_rad = 0.0 if self.knock is None else self.knock.turned_rad
+        yaw0_rad, yaw1_rad = (
+            self._attitudes.exposure(t_s).yaw_rad for t_s in (motion.t0_s, motion.t1_s)
+        )
+        turned_rad = before_rad + motion.yaw_increment_rad - (yaw1_rad - yaw0_rad)
+        self._showed(wrap_pi(turned_rad), motion)
+
+    def _showed(self, turned_rad: float, motion: OdometryMotion) -> None:
+        by = Recalibrated(motion.t1_s, turned_rad, _SIGMA_RAD, knocked=True)
+        self.knock = by if abs(turned_rad) >= LEAST_TURN_RAD and self._joins(motion) else None
+        self._after = 0
 
     def _joins(self, motion: OdometryMotion) -> bool:
         """Whether a gyro has felt the turns that the attitude tells: it has not jumped then."""

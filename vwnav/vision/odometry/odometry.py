@@ -89,9 +89,11 @@ class Odometry:
         self._broke = False  # the image before could not be followed
 
     def mistook(self) -> None:
-        """What was followed was not the ground: look afresh, and not where that would have led."""
-        self._keyframe = self._slope_ne = None
+        """What was followed was not the ground: from the newest image on, and not as that led."""
         self._course = Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._keyframe = self._slope_ne = None
+        if self._last is not None:
+            self._start(self._last)
 
     def counted_attitude(self, t_s: float) -> Attitude:
         """Of a video alone: level, with the heading counted up to the last image."""
