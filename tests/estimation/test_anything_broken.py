@@ -155,3 +155,9 @@ def test_an_attitude_that_the_gyro_carried_through_a_turn_hands_its_tilt_back():
     """Left in NED when the autopilot told its own again, it was 6.5 sigmas wrong."""
     late = Fault("late", (Attitude,), 22.392926541854205, 4.607747831459206, 911)
     stays_honest(1, True, [late])
+
+
+def test_a_tilt_stays_in_ned_while_neither_attitude_nor_gyro_tells_of_a_turn():
+    """Turned with the body, as where no IMU is streamed, it was 5.2 sigmas wrong after 1.1 s."""
+    gap = Fault("gap", (Attitude, ImuSample), 21.98991596635012, 1.1, 0)
+    stays_honest(1, True, [gap])

@@ -29,6 +29,11 @@ class TerrainPatch:
 class Felt(Protocol):
     """What the steps ask of the `ImuHistory`."""
 
+    @property
+    def heard(self) -> bool:
+        """Whether a sample ever came."""
+        ...
+
     def until(self, t_s: float) -> ImuIntegrals | None:
         """All that was felt until `t_s`; None before the first sample and in a silence."""
         ...

@@ -56,7 +56,8 @@ class TimeStep:
         dt_s: how long it takes.
         quat0_wxyz, quat1_wxyz: (4,) the autopilot's attitudes at its ends.
         attitude_known: False where attitudes are missing: nobody knows where the thrust pushed.
-        carried_rad: by how much more the gyro alone has turned the heading on at its end.
+        turned_rad: by how much the heading has turned in it, where an IMU was ever heard: by the
+            gyro, and in a silence by the attitudes.
         imu: what was felt; None in a silence, and where attitudes are missing.
         relief_m: one sigma of the heights of what stands on the ground.
         stands: nothing pushes: a moment ago the aircraft stood disarmed.
@@ -66,18 +67,10 @@ class TimeStep:
     quat0_wxyz: Array
     quat1_wxyz: Array
     attitude_known: bool
-    carried_rad: float
+    turned_rad: float
     imu: PreintegratedImu | None
     relief_m: float = 0.0
     stands: bool = False
-
-    @property
-    def turned_rad(self) -> float:
-        """By how much the gyro has counted the heading on."""
-        if self.imu is None:
-            return self.carried_rad
-        turned = quat_multiply(self.quat0_wxyz, self.imu.turn_wxyz)
-        return wrap_pi(yaw_of(turned) - yaw_of(self.quat0_wxyz))
 
     @property
     def quat_wxyz(self) -> Array:
@@ -102,13 +95,14 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
         zero, one = one, _measured(held, end_s, context)
         known0, known = known, held.known
         imu = preintegrated(zero.felt, one.felt) if known0 and known else None
-        carried_rad = one.carried_rad - zero.carried_rad
+        end_wxyz = one.quat_wxyz if imu is None else quat_multiply(zero.quat_wxyz, imu.turn_wxyz)
+        turned_rad = wrap_pi(yaw_of(end_wxyz) - yaw_of(zero.quat_wxyz))
         step = TimeStep(
             dt_s,
             zero.quat_wxyz,
             one.quat_wxyz,
             known0 and known,
-            carried_rad,
+            turned_rad if context.imu.heard else 0.0,
             imu,
             state.relief_m,
             stands=end_s < stands_until_s,
@@ -119,7 +113,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
 
 def _measured(held: Held, t_s: float, context: Context) -> Measured:
     """What the autopilot tells of a time, by what has come of it until now."""
-    return Measured(held.quat_wxyz, context.imu.until(t_s), held.carried_rad)
+    return Measured(held.quat_wxyz, context.imu.until(t_s))
 
 
 def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Array, Array]:
@@ -194,8 +188,7 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     F[States.GUST_FORCE, States.GUST_FORCE] = air.keep_gust * _LEVEL
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
     Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
-    slew_rad2 = config.tilt_slew_rad**2 * dt_s + (config.tilt_sigma_rad * step.turned_rad) ** 2
-    Q[States.TILT, States.TILT] += slew_rad2 * _LEVEL
+    Q[States.TILT, States.TILT] += config.tilt_slew_rad**2 * dt_s * _LEVEL
     for states, walk in (
         (States.ACCELEROMETER_BIAS, config.accelerometer_walk_m_s2),
         (States.GYRO_BIAS, config.gyro_walk_rad_s),
@@ -276,8 +269,8 @@ def _transition(
     keep = math.exp(-dt_s / config.acceleration_time_s)
     flown_m = math.hypot(*x[States.VELOCITY_NE]) * flown_s
     keep_map = math.exp(-flown_m / config.map_length_m)
-    # Where a gyro tells, a tilt error stays in NED but for what that says; else it turns with the
-    # body. Against such a model the gyro could not hold it: 2.5 degrees were 1.1 after a turn.
+    # Where an IMU was heard a tilt error stays in NED but for what that says; else it turns with
+    # the body. Against such a model the gyro could not hold it: 2.5 degrees were 1.1 after a turn.
     F_tilt = math.exp(-dt_s / config.tilt_time_s) * level_axes(step.turned_rad).T
     moved = x.copy()
     moved[States.POSITION] += flown_s * x[States.VELOCITY] + (0.5 * flown_s) * gained
@@ -330,7 +323,7 @@ def _walks(
     Q = np.zeros((States.SIZE, States.SIZE))
     fed = 1.0 - math.exp(-2.0 * dt_s / config.acceleration_time_s)
     Q[States.ACCELERATION, States.ACCELERATION] = config.acceleration_sigma_m_s2**2 * fed * _LEVEL
-    fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s)
+    fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s) + step.turned_rad**2
     Q[States.TILT, States.TILT] = config.tilt_sigma_rad**2 * fed_tilt * _LEVEL
     fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
     sigmas = config.map_sigma_m, config.map_sigma_m, config.map_turn_rad, config.map_scale

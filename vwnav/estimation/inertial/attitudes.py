@@ -12,7 +12,6 @@ from vwnav.geometry.rotations import (
     quat_from_vector,
     quat_multiply,
     vector_from_quat,
-    wrap_pi,
 )
 from vwnav.types import Array, Attitude
 
@@ -128,13 +127,6 @@ class Held(NamedTuple):
     known: bool
     open_rad: float = 0.0
     from_wxyz: Array | None = None
-
-    @property
-    def carried_rad(self) -> float:
-        """By how much the gyro has turned the heading on."""
-        if self.from_wxyz is None:
-            return 0.0
-        return wrap_pi(yaw_of(self.quat_wxyz) - yaw_of(self.from_wxyz))
 
 
 class AttitudeHistory:

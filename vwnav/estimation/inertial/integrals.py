@@ -38,12 +38,10 @@ class Measured(NamedTuple):
     Attributes:
         quat_wxyz: (4,) its attitude.
         felt: what its IMU had felt until then.
-        carried_rad: how far its gyro alone had turned the heading on, from its last attitude.
     """
 
     quat_wxyz: Array
     felt: ImuIntegrals | None
-    carried_rad: float
 
 
 class Exposure(NamedTuple):
