@@ -10,7 +10,7 @@ from tests.house import measure
 BOUNDS = {
     "step_files": 25,
     "step_functions": 201,
-    "step_crossings": 171,
+    "step_crossings": 170,
     "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,
