@@ -151,8 +151,8 @@ def test_hundreds_of_sequences_of_faults_leave_the_truth_within_5_sigma(seed, im
     stays_honest(seed, imu, faults)
 
 
-def test_an_attitude_that_the_gyro_carried_through_a_turn_hands_its_tilt_back():
-    """Left in NED when the autopilot told its own again, it was 6.5 sigmas wrong."""
+def test_an_attitude_that_the_gyro_carries_through_a_turn_errs_as_the_one_after_it():
+    """In NED where the autopilot's own were thought to turn with the body, 6.5 sigmas wrong."""
     late = Fault("late", (Attitude,), 22.392926541854205, 4.607747831459206, 911)
     stays_honest(1, True, [late])
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from vwnav.estimation.events import NedFix
 from vwnav.estimation.states import States
 
 UNMEASURED = 0.015
+WRONG = [(1, 0.2), (2, -0.2), (3, 0.3), (4, -0.15), (6, -0.25)]
 
 
 def flown(seed: int, sigma: float, off: float) -> Run:
@@ -46,19 +48,36 @@ def test_one_that_is_as_told_costs_little():
     assert mean_m[1] < mean_m[0] + 0.1
 
 
-@pytest.mark.parametrize(("seed", "off"), [(1, 0.2), (2, -0.2), (3, 0.3), (4, -0.15), (6, -0.25)])
-def test_one_that_is_another_than_was_measured_is_learned_of_ways_before_any_fix(seed, off):
-    """They contradict the IMU, and that ended the flight, down blind and up to 50 m off.
-
-    A filter whose model had tilt errors turn with the body ended 0.5 to 10.5 m off here.
-    """
+@cache
+def before_any_fix(seed: int, off: float) -> tuple[Run, list[str]]:
+    """40 s of ways alone, and what the filter said."""
     world = FilterWorld(seconds=40.0, imu_hz=50.0, speed_m_s=3.0, leg_s=4.0, focal_off=off)
     rng = np.random.default_rng(seed)
     stream = sense(world, fly(world, [rng])[0], rng)
     events = [each for each in stream.events if not isinstance(each.seen, NedFix)]
     said: list[str] = []
-    run = play(replace(stream, events=events), say=said.append)
+    return play(replace(stream, events=events), say=said.append), said
+
+
+@pytest.mark.parametrize(("seed", "off"), WRONG)
+def test_one_that_is_another_than_was_measured_is_learned_of_ways_before_any_fix(seed, off):
+    """They contradict the IMU, and that ended the flight, down blind and up to 50 m off."""
+    run, said = before_any_fix(seed, off)
     assert said == ["what the pictures show contradicts the IMU: the lens may not be as calibrated"]
     assert run.last.x[States.FOCAL] == pytest.approx(off, abs=0.04)
-    assert float(np.hypot(*run.rows.error_ne_m[-1])) < 10.0
     assert worst_sigmas(run) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("seed", "off"),
+    [
+        pytest.param(*each, marks=pytest.mark.xfail(strict=True, reason="8.9 m at 2.4 sigmas"))
+        if each == (3, 0.3)
+        else each
+        for each in WRONG
+    ],
+)
+def test_and_after_40_s_of_ways_alone_the_place_is_8_m_off_at_most(seed, off):
+    """A filter whose model had tilt errors turn with the body ended 0.5 to 10.5 m off here."""
+    run, _ = before_any_fix(seed, off)
+    assert float(np.hypot(*run.rows.error_ne_m[-1])) < 8.0

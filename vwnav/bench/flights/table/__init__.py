@@ -51,6 +51,8 @@ QUICK = {
     "navigator stopped for 20 s",
     "processor starved for 1 s",
     "first fix turned by 30 degrees",
+    "heading reset by 90 degrees",
+    "map shifted by 10 m",
     "model raises in flight",
     "pilot takes over while on the route",
     "take-off refused",
