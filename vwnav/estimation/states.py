@@ -346,5 +346,8 @@ def estimate_of(
 def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
     """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
     q = np.diag([level, level, vertical])
-    both = q * dt_s**2 / 2.0
-    return np.block([[q * dt_s**3 / 3.0, both], [both, q * dt_s]])
+    Q = np.empty((6, 6))
+    Q[:3, :3] = q * dt_s**3 / 3.0
+    Q[:3, 3:] = Q[3:, :3] = q * dt_s**2 / 2.0
+    Q[3:, 3:] = q * dt_s
+    return Q
