@@ -313,6 +313,81 @@ def test_a_pilot_who_arms_in_hold_lets_it_take_off_and_one_who_arms_to_fly_does_
     assert ("takeoff" in scene.vehicle.asked) is goes
 
 
+def test_a_person_who_takes_his_time_is_waited_for_whatever_is_missing_for_a_moment():
+    scene = Scene(arms=False).run(limit_s=120.0)
+    scene.checks = (NOT_READY,)
+    scene.go_on(0.5)
+    scene.checks = ()
+    scene.go_on(10.0)
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(100.0)
+    scene.vehicle.be(mode=FlightMode.HOLD)
+    scene.go_on(10.0)
+    assert scene.flight.end is None
+    scene.checks = (NOT_READY,)
+    scene.go_on(95.0)
+    assert scene.flight.end.unsafe
+
+
+@pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.MISSION, FlightMode.OTHER])
+def test_who_chooses_a_mode_of_his_own_before_arming_is_not_armed_over(mode):
+    scene = Scene().run(limit_s=2.0)
+    scene.vehicle.be(mode=mode)
+    assert scene.go_on(60.0).vehicle.asked == []
+
+
+def with_heartbeats_late(scene: Scene, seconds: float) -> Scene:
+    """Motors start `seconds` after the arming was accepted: so late a heartbeat tells it."""
+    obey, ticks = scene.vehicle.obey, round(seconds / DT_S)
+    move = scene.vehicle.move
+
+    def late(name: str) -> None:
+        if name != "arm":
+            obey(name)
+            return
+        scene.armed_at = scene.t_s + ticks * DT_S
+
+    def moves() -> None:
+        move()
+        if 0.0 < getattr(scene, "armed_at", 0.0) <= scene.t_s:
+            scene.armed_at = 0.0
+            obey("arm")
+
+    scene.vehicle.obey, scene.vehicle.move = late, moves
+    return scene
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.9, 2.0])
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.5])
+def test_who_is_interrupted_while_it_arms_stays_until_the_motors_stand(late_s, after_s):
+    scene = with_heartbeats_late(Scene(vehicle=PointVehicle(answers_after=3)), late_s)
+    scene.run(lambda s: s.vehicle.asked == ["arm"]).go_on(after_s)
+    scene.flight.abort("interrupted")
+    scene.run(limit_s=scene.t_s + 60.0)
+    assert scene.flight.end.reason == "interrupted"
+    for _ in range(50):  # what was on its way arrives when nobody is there any more
+        scene.t_s += DT_S
+        scene.vehicle.move()
+    assert not scene.vehicle.vehicle.armed
+
+
+def test_a_take_off_that_is_flown_though_its_answers_were_lost_is_guarded_and_landed():
+    scene = Scene(vehicle=PointVehicle(refuse={"takeoff": ["no answer to 3 tries"]}))
+    scene.run(lambda s: "takeoff" in s.vehicle.asked)
+    scene.vehicle.position = np.array([0.0, 0.0, -4.0])
+    scene.vehicle.be(in_air=True, mode=FlightMode.OFFBOARD)
+    scene.run(in_phase(Phase.LAND))
+    assert scene.handle.beats[-1]
+    assert "no answer" in scene.run().flight.end.reason
+    assert not scene.vehicle.vehicle.armed
+
+
+def test_the_watchdog_guards_from_the_first_word_that_may_start_the_motors():
+    scene = Scene(vehicle=PointVehicle(answers_after=3)).run(lambda s: s.vehicle.asked == ["arm"])
+    scene.go_on(DT_S)
+    assert scene.handle.beats[-1]
+
+
 # ---- taking off
 
 
@@ -428,6 +503,24 @@ def test_a_flight_taken_up_in_the_air_goes_on_to_its_end(phase):
     scene.run()
     assert scene.flight.end.reason is None
     assert "arm" not in scene.vehicle.asked
+
+
+@pytest.mark.parametrize(
+    "phase", [Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN, Phase.DESCEND]
+)
+def test_an_aircraft_whose_motors_stand_in_flight_is_left_and_who_arms_it_again_has_it(phase):
+    scene = Scene()
+    if phase is Phase.RETURN:
+        scene.run(in_phase(Phase.ROUTE)).go_on(5.0)
+        scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(phase))
+    scene.vehicle.be(armed=False, in_air=False)
+    setpoints = scene.go_on(DT_S).vehicle.setpoints
+    assert scene.flight.end.reason == f"the aircraft was disarmed while {phase.value}"
+    scene.vehicle.be(armed=True, in_air=True)
+    scene.go_on(10.0)
+    assert scene.vehicle.setpoints == setpoints
+    assert not scene.handle.beats[-1]
 
 
 def test_a_landing_that_was_not_heard_is_asked_for_again_and_the_beat_is_held_until_it_is_flown():
@@ -722,6 +815,39 @@ def test_without_an_estimate_nothing_is_taken_back():
     scene.go_on(5.0)
     assert scene.flight.phase is Phase.RELEASED
     assert "no estimate" in scene.said[-1]
+
+
+def test_a_pause_of_before_the_pilot_took_over_is_over_when_he_gives_back():
+    scene = on_route()
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(2.0)
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(5.0)
+    scene.flight.obey(Order.GO_ON)
+    assert scene.run().flight.end.reason is None
+
+
+def test_a_return_that_the_pilot_interrupts_keeps_its_reason():
+    scene = on_route().go_on(5.0)
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(Phase.RETURN))
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(1.0)
+    scene.flight.obey(Order.GO_ON)
+    assert "battery low" in scene.run().flight.end.reason
+
+
+def test_a_landing_that_the_pilot_took_over_is_not_taken_for_the_route_of_before():
+    scene = taken()
+    scene.flight.obey(Order.GO_ON)
+    scene.run(in_phase(Phase.LAND))
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.run(in_phase(Phase.RELEASED))
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(10.0)
+    assert scene.vehicle.asked == asked
+    assert "no route to go on with" in scene.said[-1]
 
 
 @pytest.mark.parametrize("order", [Order.LAND, Order.RETURN, Order.PAUSE])

@@ -15,11 +15,12 @@ from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
 from vwnav.mission.mission import Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
 from vwnav.mission.route_phases import RoutePhases
 from vwnav.mission.steering import Steering
+from vwnav.mission.takeover import Takeover
 from vwnav.safety.hierarchy import Action, Rank
 from vwnav.safety.monitor import SafetyMonitor
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Array, Estimate
-from vwnav.vehicle import Autopilot, Navigation, Order, Request, VehicleState, VelocitySetpoint
+from vwnav.vehicle import Autopilot, Navigation, Order, VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import GuardState
 
 GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
@@ -46,6 +47,7 @@ class Flight:
         self._crew = crew
         self._safety = SafetyMonitor(safety, limits.cruise_m_s)
         self._departure = Departure(autopilot, config, crew.arms, self._say, crew.show)
+        self._arming_shows_s = config.arming_shows_s
         height_m = float(-mission.route_ned_m[0, 2])
         self._highest_m = min(height_m + safety.climb_most_m, safety.ceiling_m)
         self._steering = Steering(autopilot, config, limits, height_m)
@@ -56,11 +58,9 @@ class Flight:
         self._announcer = Announcer()
         self._phase_since_s: float | None = None
         self._rejoined_s = -math.inf
-        self._offboard: Request | None = None
         self._landing: Landing | None = None
         self._failsafe = FailsafeRecovery(autopilot, self._steering, safety)
-        self._phase_before_release = Phase.GET_READY
-        self._handed_back = False
+        self._takeover = Takeover(autopilot, self._say)
         self._trouble: str | None = None
         self._abort_reason: str | None = None
         self.phase = Phase.GET_READY
@@ -68,7 +68,9 @@ class Flight:
 
     @property
     def engaged(self) -> bool:
-        """We steer, or have asked for a landing that is not flown yet: the watchdog listens."""
+        """We steer, or have asked for what is not flown yet: the watchdog listens."""
+        if self.phase is Phase.GET_READY:
+            return self._departure.motors_may_run
         landing_is_flown = self._autopilot.state().mode in COMING_DOWN
         return self.phase in _STEERING or (self.phase is Phase.LAND and not landing_is_flown)
 
@@ -91,12 +93,15 @@ class Flight:
             self._phase_since_s = t_s
         self._keep_alive.beat(self.engaged, self.phase.value, navigation.learned)
         self._route.note(navigation.estimate, on_ground=self.phase is Phase.GET_READY)
-        if self._abort_reason and self.phase not in (Phase.LAND, Phase.RELEASED, Phase.FAILSAFE):
-            self._abort(t_s, vehicle)
-        elif self.phase is Phase.GET_READY:
+        if self.phase is Phase.GET_READY:
             self._get_ready(t_s, vehicle, navigation)
         elif self.phase in _OURS_NO_MORE:
             self._wait_for_ground(t_s, vehicle, navigation)
+        elif self._is_disarmed(t_s, vehicle):
+            self._autopilot.withdraw()
+            self._finish(f"the aircraft was disarmed while {self.phase.value}")
+        elif self._abort_reason:
+            self._begin_landing(t_s, vehicle, self._abort_reason)
         elif not self._taken_by_watchdog(t_s) and not self._overruled(t_s, navigation, vehicle):
             assert navigation.estimate is not None
             self._fly(t_s, navigation.estimate, vehicle)
@@ -126,7 +131,8 @@ class Flight:
         if order is Order.START:
             self.go()
         elif order is Order.GO_ON and self.phase is Phase.RELEASED:
-            self._handed_back = True
+            self._takeover.given_back = True
+            self._safety.obey(order)  # a pause of before is over, too
         elif self.phase in (Phase.GET_READY, Phase.RELEASED, Phase.DONE):
             self._say(f"the aircraft is not ours to fly now: {order.value} is not heeded")
         else:
@@ -150,23 +156,23 @@ class Flight:
         self._keep_alive.beat(False, self.phase.value)
         self.end = FlightEnd(reason, unsafe)
 
-    def _abort(self, t_s: float, vehicle: VehicleState) -> None:
-        if vehicle.armed and self.phase is not Phase.GET_READY:
-            self._begin_landing(t_s, vehicle, self._abort_reason)
-        else:
-            self._autopilot.withdraw()
-            if vehicle.armed and not vehicle.in_air and self._departure.has_armed:
-                self._autopilot.disarm()
-            self._finish(self._abort_reason)
+    def _is_disarmed(self, t_s: float, vehicle: VehicleState) -> bool:
+        """A person or the autopilot stopped the motors: who arms it again does so for himself."""
+        told = self.phase is not Phase.TAKEOFF or self._in_phase_s(t_s) > self._arming_shows_s
+        return told and not vehicle.armed
 
     # ---- on the ground
 
     def _get_ready(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
+        if self._abort_reason:
+            self._departure.stop(self._abort_reason)
         checks = self._crew.checks(vehicle, navigation, t_s)
         outcome = self._departure.step(vehicle, checks, t_s)
         if outcome is None:
             return
-        if outcome.airborne:
+        if outcome.airborne and outcome.reason:
+            self._begin_landing(t_s, vehicle, outcome.reason)
+        elif outcome.airborne:
             self._enter(Phase.TAKEOFF, t_s)
         elif outcome.not_ours:
             self._release(t_s, str(outcome.reason))
@@ -243,8 +249,7 @@ class Flight:
     def _release(self, t_s: float, reason: str) -> None:
         """Somebody else has the aircraft: nothing more is asked for, estimates go on."""
         self._autopilot.withdraw()
-        if self.phase in (Phase.ROUTE, Phase.RETURN):
-            self._phase_before_release = self.phase
+        self._takeover.begin(self.phase, self._trouble)
         self._trouble = self._trouble or reason
         self._steering.stop()
         self._say(reason)
@@ -261,36 +266,20 @@ class Flight:
 
     def _resume(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
         """The pilot's side gives the aircraft back, in so many words: on where it was left."""
-        self._handed_back = False
-        if self._phase_before_release is Phase.GET_READY or not vehicle.in_air:
-            self._say("there is no route to go on with: the aircraft stays the pilot's")
-        elif navigation.estimate is None:
-            self._say("there is no estimate to fly on: the aircraft stays the pilot's")
-        else:
+        if self._takeover.ask_back(vehicle, navigation):
             self._safety.resume()
-            self._trouble = None
+            self._trouble = self._takeover.trouble
             self._keep_alive.rejoin()
-            self._offboard = self._autopilot.start_offboard()
             self._enter(Phase.RESUME, t_s)
-
-    def _take_again(self, t_s: float) -> None:
-        request = self._offboard
-        assert request is not None
-        if not request.done:
-            return
-        if request.refused is None:
-            self._enter(self._phase_before_release, t_s)
-        else:
-            self._release(t_s, f"the autopilot refused Offboard: {request.refused}")
 
     # ---- the mission
 
     def _fly(self, t_s: float, estimate: Estimate, vehicle: VehicleState) -> None:
         if self.phase is Phase.RESUME:
-            self._take_again(t_s)
-            return
-        since_s = self._in_phase_s(t_s)
-        following = self._route.step(self.phase, since_s, estimate, vehicle, self._pace)
+            following = self._takeover.answer()
+        else:
+            since_s = self._in_phase_s(t_s)
+            following = self._route.step(self.phase, since_s, estimate, vehicle, self._pace)
         self._go_on(following, t_s, vehicle)
 
     def _go_on(self, following: Next | None, t_s: float, vehicle: VehicleState) -> None:
@@ -302,9 +291,6 @@ class Flight:
                 self._begin_landing(t_s, vehicle, reason)
             case Next(Phase.RELEASED, str(reason)):
                 self._release(t_s, reason)
-            case Next(Phase.DONE, reason):
-                self._autopilot.withdraw()
-                self._finish(reason)
             case Next(phase):
                 self._enter(phase, t_s)
 
@@ -325,12 +311,13 @@ class Flight:
             by_itself = _CAME_DOWN if self.phase is Phase.FAILSAFE else None
             self._finish(self._trouble or by_itself)
         elif vehicle.silence_s > GONE_S:
-            self._finish(f"{self._trouble}; the autopilot was not heard any more")
+            trouble = f"{self._trouble}; " if self._trouble else ""
+            self._finish(f"{trouble}the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
-        elif self.phase is Phase.RELEASED and self._handed_back:
+        elif self.phase is Phase.RELEASED and self._takeover.given_back:
             self._resume(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:
             assert self._landing is not None

@@ -42,7 +42,8 @@ class FlightMode(Enum):
     DESCEND = "descend"
     MISSION = "mission"
     MANUAL = "manual"  # any mode flown with sticks: position, altitude, stabilised, acro
-    UNKNOWN = "unknown"
+    OTHER = "other"  # told, and none of these
+    UNKNOWN = "unknown"  # not told
 
 
 @dataclass(frozen=True, slots=True)

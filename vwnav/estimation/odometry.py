@@ -16,7 +16,7 @@ from vwnav.estimation.inertial.attitudes import (
     level_axes,
     true_from_autopilot,
 )
-from vwnav.estimation.inertial.integrals import Exposure
+from vwnav.estimation.inertial.integrals import Exposure, white_acceleration
 from vwnav.estimation.states import (
     FilterState,
     Innovation,
@@ -25,7 +25,6 @@ from vwnav.estimation.states import (
     Verdict,
     fuse,
     tells_heading,
-    white_acceleration,
 )
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion

@@ -25,9 +25,9 @@ from vwnav.estimation.inertial.gyro_aiding import (
     explained,
     gyro_measurement,
 )
-from vwnav.estimation.inertial.integrals import Measured
+from vwnav.estimation.inertial.integrals import Measured, white_acceleration
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
-from vwnav.estimation.states import FilterState, States, white_acceleration
+from vwnav.estimation.states import FilterState, States
 from vwnav.geometry.rotations import quat_multiply, wrap_pi
 from vwnav.types import Array
 

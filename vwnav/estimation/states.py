@@ -341,13 +341,3 @@ def estimate_of(
         wind_ne_m_s=None if windless else x[States.WIND_FORCE] / drag,
         slope_ne=tuple(np.clip(slope_ne + x[States.SLOPE], -_STEEPEST, _STEEPEST).tolist()),
     )
-
-
-def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
-    """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
-    q = np.diag([level, level, vertical])
-    Q = np.empty((6, 6))
-    Q[:3, :3] = q * dt_s**3 / 3.0
-    Q[:3, 3:] = Q[3:, :3] = q * dt_s**2 / 2.0
-    Q[3:, 3:] = q * dt_s
-    return Q

@@ -56,9 +56,13 @@ _ARDUCOPTER = {
     9: FlightMode.LAND,
     11: FlightMode.MANUAL,  # Drift
     13: FlightMode.MANUAL,  # Sport
+    14: FlightMode.MANUAL,  # Flip
+    15: FlightMode.MANUAL,  # AutoTune
     16: FlightMode.MANUAL,  # PosHold
     17: FlightMode.HOLD,  # Brake: holds position without sticks
     21: FlightMode.RETURN,  # Smart RTL
+    22: FlightMode.MANUAL,  # FlowHold
+    24: FlightMode.MANUAL,  # ZigZag
     27: FlightMode.RETURN,  # Auto RTL
 }
 _PX4_NUMBERS = {
@@ -78,11 +82,11 @@ _ARDUCOPTER_NUMBERS = {
 def flight_mode(kind: AutopilotKind, custom_mode: int) -> FlightMode:
     """The mode that a HEARTBEAT's custom_mode stands for."""
     if kind is AutopilotKind.ARDUPILOT:
-        return _ARDUCOPTER.get(custom_mode, FlightMode.UNKNOWN)
+        return _ARDUCOPTER.get(custom_mode, FlightMode.OTHER)
     main, sub = (custom_mode >> 16) & 0xFF, (custom_mode >> 24) & 0xFF
     if main == _PX4_MAIN_AUTO:
-        return _PX4_AUTO_SUB.get(sub, FlightMode.UNKNOWN)
-    return _PX4_MAIN.get(main, FlightMode.UNKNOWN)
+        return _PX4_AUTO_SUB.get(sub, FlightMode.OTHER)
+    return _PX4_MAIN.get(main, FlightMode.OTHER)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,11 @@
 """From standing on the ground to the autopilot's own take-off: readiness, a person's word, arming.
 
 Arming and take-off are asked for only of a disarmed aircraft on the ground whose readiness list is
-complete. An aircraft that is armed without our asking is somebody else's.
+complete. An aircraft that is armed without our asking is somebody else's. Motors that we may have
+started are ours until they are seen to stand, however their starting was answered.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -14,8 +16,10 @@ from vwnav.safety.readiness import missing
 from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
 
 _PILOT_HAS_IT = Check(
-    "pilot", "FAIL", "chose a mode flown with sticks: choose Hold (GUIDED on ArduCopter) to go on"
+    "pilot", "FAIL", "chose a mode of his own: choose Hold (GUIDED on ArduCopter) to go on"
 )
+_PILOTS = frozenset({FlightMode.MANUAL, FlightMode.MISSION, FlightMode.OTHER})
+_ASK_AGAIN_S = 1.0
 
 
 class Stage(Enum):
@@ -26,6 +30,7 @@ class Stage(Enum):
     ARM = "arming"
     ARMED = "waiting for the autopilot to show that it is armed"
     TAKE_OFF = "asking for take-off"
+    STOP = "making sure that the motors stand"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +38,9 @@ class DepartureOutcome:
     """How the departure ended.
 
     Attributes:
-        airborne: the autopilot takes off for us.
+        airborne: the autopilot takes off for us; with a reason, though it was not to.
         not_ours: somebody else armed the aircraft and has it.
-        reason: why it ended otherwise; `unsafe` when the readiness list never was complete.
+        reason: why it ended otherwise; `unsafe` when the readiness list was not complete.
     """
 
     airborne: bool = False
@@ -67,35 +72,42 @@ class Departure:
         self._arms = arms
         self._say = say
         self._show = show
-        self._began_s: float | None = None
+        self._unready_since_s: float | None = None
         self._ready_since_s: float | None = None
         self._shown: str | None = None
         self._request: Request | None = None
         self._armed_s: float | None = None  # our arming was accepted
         self._refusals = 0
         self._mode = FlightMode.UNKNOWN
-        self._pilots = False  # a mode flown with sticks was chosen since it began
+        self._pilots = False  # a mode of a pilot's was chosen since it began
+        self._ends: str | None = None  # why it is to end
+        self._runs_s = self._asked_s = -math.inf
         self.stage = Stage.READINESS
 
     @property
-    def has_armed(self) -> bool:
-        """The motors run because this departure started them."""
-        return self._armed_s is not None
+    def motors_may_run(self) -> bool:
+        """They were asked to start, and have not been seen to stand since."""
+        return self.stage not in (Stage.READINESS, Stage.PERSON)
 
     def go(self) -> None:
         """A person at the keyboard lets it arm; before it has asked for that word it is none."""
         self._arms = self._arms or self.stage is Stage.PERSON
 
+    def stop(self, reason: str) -> None:
+        """End it: at once while nothing was begun, else when the motors stand."""
+        self._ends = self._ends or reason
+
     def step(
         self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float
     ) -> DepartureOutcome | None:
         """Advance; None while it goes on."""
-        self._began_s = t_s if self._began_s is None else self._began_s
         self._note_mode(vehicle.mode)
+        if self._ends and self.stage is not Stage.STOP:
+            if not self.motors_may_run:
+                return DepartureOutcome(reason=self._ends)
+            self._begin_to_stop(t_s)
         match self.stage:
             case Stage.READINESS | Stage.PERSON:
-                if self._pilots:
-                    checks += (_PILOT_HAS_IT,)
                 return self._wait(vehicle, checks, t_s)
             case Stage.ARM:
                 return self._arm(vehicle, t_s)
@@ -103,12 +115,14 @@ class Departure:
                 return self._look_who_has_it(vehicle, t_s)
             case Stage.TAKE_OFF:
                 return self._take_off(vehicle, t_s)
+            case Stage.STOP:
+                return self._stop(vehicle, t_s)
 
     def _note_mode(self, mode: FlightMode) -> None:
         """A switch that stands on sticks from the start is how many aircraft are left standing."""
         if mode is FlightMode.UNKNOWN or mode is self._mode:
             return
-        self._pilots = mode is FlightMode.MANUAL and self._mode is not FlightMode.UNKNOWN
+        self._pilots = mode in _PILOTS and self._mode is not FlightMode.UNKNOWN
         self._mode = mode
 
     def _wait(
@@ -117,16 +131,17 @@ class Departure:
         """Until the list has been complete for a while, and somebody says go."""
         if vehicle.armed:
             return self._armed_by_somebody(vehicle)
-        trouble = missing(checks)
+        trouble = missing((*checks, _PILOT_HAS_IT) if self._pilots else checks)
         if trouble != self._shown:
             self._shown = trouble
-            self._show(checks)
+            self._show((*checks, _PILOT_HAS_IT) if self._pilots else checks)
         if trouble:
             self._ready_since_s, self.stage = None, Stage.READINESS
-            return self._out_of_time(trouble, t_s)
+            return self._out_of_time(missing(checks), t_s)
         self._ready_since_s = t_s if self._ready_since_s is None else self._ready_since_s
         if t_s - self._ready_since_s < self._config.ready_steady_s:
             return None
+        self._unready_since_s = None
         if self._arms:
             self.stage, self._request = Stage.ARM, self._autopilot.arm()
         elif self.stage is Stage.READINESS:
@@ -149,8 +164,10 @@ class Departure:
         )
 
     def _out_of_time(self, trouble: str, t_s: float) -> DepartureOutcome | None:
-        assert self._began_s is not None
-        if t_s - self._began_s <= self._config.ready_timeout_s:
+        """After so long without being ready for good; a pilot may take his time."""
+        if not trouble or self._unready_since_s is None:
+            self._unready_since_s = t_s
+        if t_s - self._unready_since_s <= self._config.ready_timeout_s:
             return None
         waited = f"not ready to fly after {self._config.ready_timeout_s:.0f} s: {trouble}"
         return DepartureOutcome(reason=waited, unsafe=True)
@@ -165,12 +182,11 @@ class Departure:
             return None
         self._refusals += 1
         reason = f"the autopilot refused to arm: {request.refused}"
-        if vehicle.armed:
-            self._autopilot.disarm()
         if self._refusals >= self._config.arming_tries:
-            return DepartureOutcome(reason=reason)
-        self._say(reason)
-        self.stage, self._ready_since_s = Stage.READINESS, None
+            self.stop(reason)
+        else:
+            self._say(reason)
+        self._begin_to_stop(t_s)
         return None
 
     def _look_who_has_it(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
@@ -201,9 +217,33 @@ class Departure:
             return None
         if request.refused is None:
             return DepartureOutcome(airborne=True)
-        if not vehicle.in_air:
-            self._autopilot.disarm()
-        return DepartureOutcome(reason=f"the autopilot refused to take off: {request.refused}")
+        self.stop(f"the autopilot refused to take off: {request.refused}")
+        self._begin_to_stop(t_s)
+        return None
+
+    def _begin_to_stop(self, t_s: float) -> None:
+        self._autopilot.withdraw()
+        self.stage, self._runs_s = Stage.STOP, t_s
+
+    def _stop(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
+        """Until the motors are told to stand, and nothing under way can start them any more.
+
+        An answer that was lost is no refusal: they may start yet, and the aircraft fly.
+        """
+        if self._pilots:
+            return self._taken()
+        if vehicle.armed and vehicle.in_air:
+            return DepartureOutcome(airborne=True, reason=self._ends or "it took off unasked")
+        if vehicle.armed:
+            self._runs_s = t_s
+            if t_s - self._asked_s >= _ASK_AGAIN_S:
+                self._asked_s, self._request = t_s, self._autopilot.disarm()
+        if t_s - self._runs_s <= self._config.arming_shows_s:
+            return None
+        if self._ends:
+            return DepartureOutcome(reason=self._ends)
+        self.stage, self._ready_since_s = Stage.READINESS, None
+        return None
 
     def _disarmed(self) -> DepartureOutcome:
         self._autopilot.withdraw()

@@ -131,10 +131,6 @@ class RoutePhases:
         wanted_m = self._config.takeoff_height_m
         if vehicle.mode is FlightMode.MANUAL and since_s > _MODE_SHOWS_S:
             return Next(Phase.RELEASED, "the pilot took over")
-        if not vehicle.armed:
-            shown = since_s > self._config.arming_shows_s
-            reason = "the aircraft was disarmed during take-off"
-            return Next(Phase.DONE, reason) if shown else None
         if self._offboard is not None:
             return self._ask_for_offboard(self._offboard)
         if height_m > self._rose_to_m + _RISES_M:

@@ -67,7 +67,7 @@ class PilotWatch:
         elif mode is not FlightMode.UNKNOWN and intended in self._own_modes:
             self.failsafe = mode
         elif FlightMode.UNKNOWN in (mode, intended):
-            # A name that the link does not know, or whoever wanted it has not been told yet.
+            # It has not been told, or who wanted it has not.
             self._unknown_since_s = t_s if self._unknown_since_s is None else self._unknown_since_s
             self.failsafe = mode
             if t_s - self._unknown_since_s >= self._config.unknown_mode_s:
@@ -77,7 +77,7 @@ class PilotWatch:
 
 
 def _not_ours(mode: FlightMode) -> str:
-    if mode is FlightMode.UNKNOWN:
+    if mode in (FlightMode.OTHER, FlightMode.UNKNOWN):
         return "the flight mode is one that is not ours"
     return f"the flight mode was changed to {mode.value}, not by us"
 

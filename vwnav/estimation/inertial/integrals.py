@@ -60,3 +60,13 @@ class Exposure(NamedTuple):
     lean: Array
     tilts_rad_s: float
     told: bool
+
+
+def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
+    """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
+    q = np.diag([level, level, vertical])
+    Q = np.empty((6, 6))
+    Q[:3, :3] = q * dt_s**3 / 3.0
+    Q[:3, 3:] = Q[3:, :3] = q * dt_s**2 / 2.0
+    Q[3:, 3:] = q * dt_s
+    return Q
