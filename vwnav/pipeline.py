@@ -50,7 +50,8 @@ MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
-MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched
+MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched ...
+UNSURE_AGL_M = 5.0  # ... unless the height is less sure than any landing leaves it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,7 +199,7 @@ class Pipeline:
         if unseen or 0 < self._config.most_fixes <= self.accepted:
             return None
         now = self.estimate(frame.t_s)
-        if now is not None and now.agl_m < MIN_AGL_M:
+        if now is not None and now.agl_m < MIN_AGL_M and now.sigma_agl_m < UNSURE_AGL_M:
             return None
         state = self._ekf.state
         if state is not None and self._lens.is_open and self._lens.told_by_ways(state):

@@ -8,6 +8,7 @@ from typing import Protocol
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.integrals import ImuIntegrals
+from vwnav.estimation.states import FilterState, States
 
 # Height of the ground in metres at (north, east) about the origin, None where it is not known.
 # Only differences are used: the table may have another datum.
@@ -74,3 +75,14 @@ class Context:
                 self._nodes.clear()
             self._nodes[key] = self.ground(row * _NODE_M, column * _NODE_M)
         return self._nodes[key]
+
+
+def patch_below(state: FilterState, context: Context) -> TerrainPatch | None:
+    """The ground below a state, as the table has it; None where nobody knows where that is.
+
+    A place that only stands for an unknown one has no ground: the slope there tilted the view of a
+    level field by 17 degrees, and its height was 30 m off at the first fix.
+    """
+    if not state.position_known:
+        return None
+    return context.patch(*state.x[States.POSITION_NE].tolist())

@@ -102,10 +102,12 @@ def by_half(
 ) -> tuple[FilterState, RejectedInnovations]:
     """What a lone fix has told by half, or all of it where the one before it says the same.
 
+    The prediction may have drifted from one to the other, but by no more than both are unsure:
+    after an outage anything would agree, and one wrong fix was believed whole, 28 sigmas off.
     Its innovation is handed back, as it is then, for the next one to meet.
     """
     newest = RejectedInnovation(t_s, measurement.residual, measurement.R)
-    twice = len(agreeing((*before[-1:], newest), drift_per_s)) > 1
+    twice = any(_agree(each, newest, drift_per_s, capped=True) for each in before[-1:])
     after = correct(state, measurement) if twice else half
     return after, seen_from((newest,), state, after, measurement)
 
@@ -116,17 +118,22 @@ def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnov
     Two agree when their residuals differ by no more than their covariances, and the drift that the
     prediction may have made between them, explain at 99.9 %.
     """
-    newest = rejected[-1]
-    gate = CHI_SQUARE_GATE[len(newest.residual)]
-    unit = np.eye(len(newest.residual))
-    same = []
-    for before in rejected:
-        drift = drift_per_s * (newest.t_s - before.t_s)
-        spread = before.covariance + newest.covariance + drift**2 * unit
-        apart = newest.residual - before.residual
-        if apart @ np.linalg.solve(spread, apart) <= gate:
-            same.append(before)
-    return tuple(same)
+    return tuple(each for each in rejected if _agree(each, rejected[-1], drift_per_s))
+
+
+def _agree(
+    before: RejectedInnovation,
+    newest: RejectedInnovation,
+    drift_per_s: float,
+    capped: bool = False,
+) -> bool:
+    """Whether two want the same; `capped`: drift explains no more than they are unsure by."""
+    apart, spread = newest.residual - before.residual, before.covariance + newest.covariance
+    drift2 = (drift_per_s * (newest.t_s - before.t_s)) ** 2
+    if capped:
+        drift2 = min(drift2, float(np.trace(spread)) / len(apart))
+    spread = spread + drift2 * np.eye(len(apart))
+    return bool(apart @ np.linalg.solve(spread, apart) <= CHI_SQUARE_GATE[len(apart)])
 
 
 def convinces(rejected: RejectedInnovations, drift_per_s: float, count: int, span_s: float) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.context import Context, Ground
+from vwnav.estimation.context import Context, Ground, patch_below
 from vwnav.estimation.disputes import of_doubtful_date
 from vwnav.estimation.events import (
     Displacement,
@@ -34,7 +34,7 @@ from vwnav.estimation.inertial.imu_gate import ImuGate
 from vwnav.estimation.inputs import Asked, Input, Measurement
 from vwnav.estimation.odometry_gate import OdometryGate
 from vwnav.estimation.process import predict
-from vwnav.estimation.states import FilterState, Innovation, States, Verdict, estimate_of
+from vwnav.estimation.states import FilterState, Innovation, Verdict, estimate_of
 from vwnav.estimation.timeline import Timeline, sensible
 from vwnav.types import Attitude, Estimate, Height, ImuSample, OdometryMotion, Range, Stationary
 
@@ -311,10 +311,8 @@ class Ekf:
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
         held = self.attitudes.held(state.t_s)
-        table = np.zeros(2)
-        if self._context.ground is not None:
-            patch = self._context.patch(*state.x[States.POSITION_NE].tolist())
-            table = table if patch is None else np.array([patch.per_north, patch.per_east])
+        patch = patch_below(state, self._context)
+        table = np.zeros(2) if patch is None else np.array([patch.per_north, patch.per_east])
         return estimate_of(state, held.quat_wxyz, held.open_rad, table)
 
     def _insert(self, event: Event) -> Innovation:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.context import Context
+from vwnav.estimation.context import Context, patch_below
 from vwnav.estimation.disputes import (
     agreeing,
     by_half,
@@ -244,10 +244,10 @@ def _disputed(
         if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
             return state, told
     after = relocated(state, measurement)
-    (n0, e0), (n1, e1) = state.x[States.POSITION_NE].tolist(), after.x[States.POSITION_NE].tolist()
-    old, new = context.patch(n0, e0), context.patch(n1, e1)
+    old, new = patch_below(state, context), patch_below(after, context)
     if old is not None and new is not None:  # the ground below is that of the other place
-        after.x[[States.TERRAIN, States.ANCHOR_TERRAIN]] += new.height_m - old.height_m
+        by_ground = [States.TERRAIN, States.ANCHOR_TERRAIN, States.EXPOSED_AGL]
+        after.x[by_ground] += (new.height_m - old.height_m) * np.array([1.0, 1.0, -1.0])
     return after, replace(told, verdict=Verdict.RELOCATED)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.context import Context
+from vwnav.estimation.context import Context, patch_below
 from vwnav.estimation.disputes import convinces, remember
 from vwnav.estimation.events import Misled, NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
@@ -127,9 +127,8 @@ def _apply_slope(
     """
     if motion.slope_ne is None or motion.slope_covariance is None:
         return state
-    table = np.zeros(2)
-    if context.ground is not None and (patch := context.patch(*state.x[States.POSITION_NE])):
-        table = np.array([patch.per_north, patch.per_east])
+    patch = patch_below(state, context)
+    table = np.zeros(2) if patch is None else np.array([patch.per_north, patch.per_east])
     turn = level_axes(-float(state.x[States.ANCHOR_HEADING_BIAS] + state.x[States.CAMERA_TURN]))
     config = context.config
     way_m = math.hypot(*(state.x[States.POSITION] - state.x[States.ANCHOR_POSITION]))

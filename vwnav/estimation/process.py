@@ -59,6 +59,7 @@ class TimeStep:
         turned_rad: by how much the heading has turned in it, where an IMU was ever heard: by the
             gyro, and in a silence by the attitudes.
         imu: what was felt; None in a silence, and where attitudes are missing.
+        place_known: False where the place only stands for one that nobody knows.
         relief_m: one sigma of the heights of what stands on the ground.
         stands: nothing pushes: a moment ago the aircraft stood disarmed.
     """
@@ -69,6 +70,7 @@ class TimeStep:
     attitude_known: bool
     turned_rad: float
     imu: PreintegratedImu | None
+    place_known: bool = True
     relief_m: float = 0.0
     stands: bool = False
 
@@ -104,6 +106,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
             known0 and known,
             turned_rad if context.imu.heard else 0.0,
             imu,
+            state.position_known,
             state.relief_m,
             stands=end_s < stands_until_s,
         )
@@ -292,7 +295,7 @@ def _transition(
     F[States.SLOPE, States.SLOPE] = keep_slope * _LEVEL
     F[States.TERRAIN, States.SLOPE] = way_m
     F[States.TERRAIN, States.VELOCITY_NE] = flown_s * x[States.SLOPE]
-    known = _follow_ground(x, moved, F, flown_s, context)
+    known = step.place_known and _follow_ground(x, moved, F, flown_s, context)
     return Transition(moved, F, _walks(x, step, flown_m, known, config))
 
 

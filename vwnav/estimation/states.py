@@ -135,6 +135,8 @@ class FilterState:
             which of it a way, a fix or a rangefinder takes for the ground is not known.
         newest_height: time and height that the barometer told last, believed or not.
         stood_s: when it was told last that the aircraft stands.
+        baro_zeroed: the barometer was zeroed where heights are counted from, as far as weather and
+            its own error let it; else its bias may be of any size.
         height_stepped: the heights that are refused began with a step, not with a climb.
         rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
             since the last one that was believed; or, of a fix, found once, and believed by half.
@@ -155,6 +157,7 @@ class FilterState:
     relief_m: float = 0.0
     newest_height: tuple[float, float] | None = None
     stood_s: float = -math.inf
+    baro_zeroed: bool = True
     height_stepped: bool = False
     reset_counter: int = 0
     rejected_fixes: RejectedInnovations = ()

@@ -100,7 +100,7 @@ class Query:
         prior: what is known.
         seed: of every random choice.
         features: name of the feature set.
-        views: made so far, by heading, by height in pixels and by size.
+        views: made so far, by heading, height in pixels, size and nadir: a cut one has another.
         piece: of the map that was looked at last: its level, its window and its features.
         weak: places found so far that too little speaks for.
         attitude_known: whether roll and pitch are.
@@ -124,7 +124,7 @@ class Query:
         self.prior = prior
         self.seed = seed
         self.features = features
-        self.views: dict[tuple[float, float, tuple[int, int]], View] = {}
+        self.views: dict[tuple[float, ...], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []
         self.ms: dict[str, float] = {}
@@ -214,7 +214,8 @@ class QueryMaker:
 
     def view(self, query: Query, yaw_rad: float, made: Rectification, max_keypoints: int) -> View:
         """The view with its features; kept, since levels of twice the size share it."""
-        key = (round(yaw_rad, 6), round(made.agl_m / made.m_per_px, 1), made.size_wh)
+        height_px = round(made.agl_m / made.m_per_px, 1)
+        key = (round(yaw_rad, 6), height_px, *made.size_wh, *np.round(made.nadir_uv, 1).tolist())
         if key not in query.views:
             with query.stage("rectify_ms"):
                 gray = self.warp(query, made)

@@ -22,6 +22,7 @@ FASTEST_TURN_RAD_S = math.radians(75.0)
 SIGMA_M = 5.0  # of a place that one image alone told
 SIGMA_YAW_RAD = 0.1
 SIGMA_AGL_RATIO = 0.1
+UNTOLD_BARO_M = 100.0  # of a barometer that was zeroed nobody knows how high
 PRIOR_SIGMAS = 3.0  # that are looked at around a prior
 MISSES = 2  # then what was found is dropped
 DOUBTED_AFTER = 4  # images in a row without a fix, of a beginning that ...
@@ -117,4 +118,5 @@ def start_at(fix: MapFix, ned_m: Array) -> Start:
         agl_m=agl_m,
         sigma_agl_m=fix.sigma_agl_m or 0.3 * agl_m,
         sigma_velocity_m_s=AIRBORNE_VELOCITY_SIGMA_M_S,
+        sigma_baro_m=max(UNTOLD_BARO_M, agl_m),
     )

@@ -79,7 +79,9 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     P, t_s = np.diag(variance), start.t_s
     if start.learned is not None:
         _take_on(x, P, start.learned, t_s, config)
-    return FilterState(t_s, x, P, known, tells_heading(P), t_s, t_s, trusted=trusted)
+    zeroed = start.sigma_baro_m is None
+    turns = tells_heading(P)
+    return FilterState(t_s, x, P, known, turns, t_s, t_s, trusted=trusted, baro_zeroed=zeroed)
 
 
 def first_variance(config: EkfConfig) -> Array:
@@ -116,8 +118,8 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
     heights = [States.DOWN, States.BARO, States.TERRAIN]
     if np.all(np.isfinite(state.x[heights])):
         x[heights] = state.x[heights]
-        # Nor may what it took the barometer's bias for be far from what weather does in an hour.
-        x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
+        if state.baro_zeroed:  # it cannot be further off than weather brings it in an hour
+            x[States.BARO] = np.clip(x[States.BARO], -_BARO_SIGMA_M, _BARO_SIGMA_M)
     variance[States.DOWN], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
     variance[States.BARO] = _BARO_SIGMA_M**2
     variance[States.VELOCITY] = config.restart_velocity_m_s**2
@@ -129,6 +131,9 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
         sigma_m = min(math.hypot(config.restart_sigma_m, state.trusted.sigma_m) + flown_m, sigma_m)
     variance[States.POSITION_NE] = sigma_m**2
     P = np.diag(variance)
+    if not state.baro_zeroed:  # wrong together, if they are: the barometer told their sum
+        P[States.DOWN, States.BARO] = P[States.BARO, States.DOWN] = _HEIGHT_SIGMA_M**2
+        P[States.BARO, States.BARO] += _HEIGHT_SIGMA_M**2
     return FilterState(
         state.t_s,
         x,
@@ -139,6 +144,7 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
         exposed_s=state.exposed_s,
         t_last_fix_s=state.t_last_fix_s,
         trusted=state.trusted,
+        baro_zeroed=state.baro_zeroed,
         reset_counter=state.reset_counter + 1,
     )
 
