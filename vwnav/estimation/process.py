@@ -34,6 +34,7 @@ from vwnav.types import Array
 _STEP_S = 0.1
 _MOST_STEPS = 20  # a long silence is crossed in longer steps; only the thrust is then coarser
 _MAP = np.r_[States.MAP, States.MAP_TURN, States.MAP_SCALE]
+_OPEN_RAD = 1.0  # a turn by so much in a silence opens the tilt whole, in however many steps
 _STORM_M_S = 20.0  # no wind that is flown in is stronger
 _CALM_BELOW_M = 1.0  # height above ground: nothing is told of the air below
 _LEVEL = np.eye(2)
@@ -326,7 +327,9 @@ def _walks(
     Q = np.zeros((States.SIZE, States.SIZE))
     fed = 1.0 - math.exp(-2.0 * dt_s / config.acceleration_time_s)
     Q[States.ACCELERATION, States.ACCELERATION] = config.acceleration_sigma_m_s2**2 * fed * _LEVEL
-    fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s) + step.turned_rad**2
+    turned_rad = abs(step.turned_rad)
+    open_rad = _OPEN_RAD if step.imu is None else turned_rad  # by the gyro it is told step by step
+    fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s) + open_rad * turned_rad
     Q[States.TILT, States.TILT] = config.tilt_sigma_rad**2 * fed_tilt * _LEVEL
     fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
     sigmas = config.map_sigma_m, config.map_sigma_m, config.map_turn_rad, config.map_scale
