@@ -76,10 +76,10 @@ def test_both_kinds_of_estimator_tell_whether_there_is_a_position(flags, ok):
 
 
 def test_standing_on_the_ground_is_believed_for_three_seconds():
-    for state, landed in [(0, False), (1, True), (2, False), (4, False)]:
+    for state, landed in [(0, None), (1, True), (2, False), (3, False), (4, False)]:
         ear = ear_of(mavlink.MAVLink_extended_sys_state_message(0, state))
         assert ear.vehicle(13.0).landed is landed
-        assert ear.vehicle(13.1).landed is False
+        assert ear.vehicle(13.1).landed is None
         assert ear.vehicle(13.1).armed
 
 

@@ -23,7 +23,13 @@ _HEARD = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
 }
-_LANDED_MAX_AGE_S = 3.0  # of the last word of standing on the ground
+_LANDED = {
+    mavlink.MAV_LANDED_STATE_ON_GROUND: True,
+    mavlink.MAV_LANDED_STATE_IN_AIR: False,
+    mavlink.MAV_LANDED_STATE_TAKEOFF: False,
+    mavlink.MAV_LANDED_STATE_LANDING: False,
+}
+_LANDED_MAX_AGE_S = 3.0  # of the last word of standing on the ground or not
 _POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 # Ignore position, acceleration, yaw and yaw rate: velocity alone.
 _VELOCITY_ONLY = 0b110111000111
@@ -63,8 +69,8 @@ class AutopilotEar:
 
     def vehicle(self, t_s: float) -> VehicleView:
         """What is known of the autopilot."""
-        if self._vehicle.landed and t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
-            self._vehicle = replace(self._vehicle, landed=False)
+        if t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
+            self._vehicle = replace(self._vehicle, landed=None)
         if self.kind is not None and not self._knows_mode(t_s):
             return replace(self._vehicle, mode_is_of_now=False)
         return self._vehicle
@@ -138,7 +144,7 @@ class AutopilotEar:
         self._vehicle = replace(self._vehicle, position_ok=position_ok)
 
     def _handle_landed_state(self, message: Any, t_s: float) -> None:
-        landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+        landed = _LANDED.get(message.landed_state)
         self._vehicle, self._landed_t_s = replace(self._vehicle, landed=landed), t_s
 
     def handle_origin_sent(self, packet: Packet) -> None:
