@@ -30,6 +30,31 @@ def test_what_another_aircraft_flies_is_no_reason_to_leave_ours(mode):
     assert stand.mode == PX4_LAND
 
 
+@pytest.mark.parametrize("system_id", [0, 7])
+def test_a_spare_follows_the_navigators_autopilot_not_the_first_that_it_hears(system_id):
+    """One that takes over in flight begins without having heard anything."""
+    stand = Stand(successor=Second())
+    stand.keepalive.system_id = system_id
+    neighbour = mavlink.MAVLink_heartbeat_message(2, stand.kind, 1, PX4_POSITION, 4, 3)
+    stand.autopilot.arriving.append(bytes(neighbour.pack(OTHER)))
+    stand.watchdog.step(stand.t_s)
+    stand.run(1.0)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(6.0)
+    follows = system_id == 7
+    assert (stand.watchdog.state is GuardState.LANDING) is follows
+    assert (stand.mode == PX4_LAND) is follows
+
+
+def test_a_successor_is_told_whom_to_follow():
+    second = Second()
+    stand = engaged(successor=second)
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(TICK_S)
+    assert second.steps[-1].system_id == 7
+
+
 def test_an_origin_that_is_nowhere_is_not_handed_to_a_successor():
     second = Second()
     stand = engaged(successor=second)

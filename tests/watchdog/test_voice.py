@@ -56,6 +56,15 @@ def test_a_heartbeat_tells_mode_arming_and_who_it_is():
     assert ear.mavlink1
 
 
+def test_one_that_is_to_be_followed_is_not_the_first_that_is_heard():
+    other = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
+    ear = AutopilotEar(7)
+    ear.listen(bytes(beat(armed=False, mode=PX4_LAND).pack(other)), 9.0)
+    assert (ear.kind, ear.system_id, ear.heard_t_s) == (None, 7, -math.inf)
+    ear.listen(packed(beat()), 10.0)
+    assert ear.vehicle(10.0) == VehicleView(FlightMode.OFFBOARD, True)
+
+
 def test_other_words_of_the_autopilot_are_signs_of_life_but_no_heartbeat():
     ear = ear_of()
     ear.listen(packed(mavlink.MAVLink_attitude_message(1, *[0.0] * 6)), 11.0)

@@ -50,13 +50,16 @@ class Origin:
 class AutopilotEar:
     """Follows the autopilot's heartbeat, estimator and answers among all that passes.
 
-    The first autopilot that is heard is the one: another aircraft's words on the same link, a
-    disarmed one's above all, are no reason to leave ours.
+    One is followed: another aircraft's words on the same link, a disarmed one's above all, are no
+    reason to leave ours.
+
+    Args:
+        system_id: of the one that is followed; 0 for the first that is heard.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, system_id: int = 0) -> None:
         self.kind: AutopilotKind | None = None
-        self.system_id = 0
+        self.system_id = system_id
         self.mavlink1 = False
         self.heard_t_s = -math.inf
         self.heartbeat_t_s = -math.inf
@@ -111,9 +114,9 @@ class AutopilotEar:
     def _is_the_autopilots(self, packet: Packet) -> bool:
         if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id is None:
             return False
-        if self.kind is None:
-            return bool(packet.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        return packet.system_id == self.system_id
+        if self.kind is None and packet.message_id != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            return False
+        return self.system_id in (0, packet.system_id)
 
     def _decode(self, packet: Packet) -> Any | None:
         if packet.message_id not in _HEARD:
