@@ -640,6 +640,16 @@ def test_the_dead_mans_handle_is_held_exactly_while_we_steer():
     assert not scene.handle.beats[-1]
 
 
+def test_it_is_held_as_soon_as_the_take_off_is_asked_for():
+    """An autopilot takes off by itself, whoever has ended meanwhile."""
+    scene = Scene(vehicle=PointVehicle(answers_after=10))
+    scene.run(lambda s: s.vehicle.asked == ["arm"]).go_on(0.5)
+    assert not any(scene.handle.beats)
+    scene.run(lambda s: "takeoff" in s.vehicle.asked).go_on(0.5)
+    assert scene.flight.phase is Phase.GET_READY
+    assert scene.handle.beats[-1]
+
+
 def test_a_poor_position_is_flown_slower_and_then_sought_from_higher_up():
     scene = on_route()
     scene.variance = 5.0**2

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
-from vwnav.mission.departure import Departure
+from vwnav.mission.departure import Departure, Stage
 from vwnav.mission.failsafe import Announcer, FailsafeRecovery
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
 from vwnav.mission.mission import Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
@@ -68,7 +68,9 @@ class Flight:
 
     @property
     def engaged(self) -> bool:
-        """We steer, or have asked for a landing that is not flown yet: the watchdog listens."""
+        """We steer, or have asked for what is not flown yet: the watchdog listens."""
+        if self.phase is Phase.GET_READY:
+            return self._departure.stage is Stage.TAKE_OFF
         landing_is_flown = self._autopilot.state().mode in COMING_DOWN
         return self.phase in _STEERING or (self.phase is Phase.LAND and not landing_is_flown)
 
