@@ -90,7 +90,7 @@ class Watchdog:
         self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
         self._estimates = RelayGuard()
-        self._call_t_s = self._ended_t_s = -math.inf
+        self._call_t_s = self._origin_t_s = self._ended_t_s = -math.inf
         self.finished = False
 
     @property
@@ -285,8 +285,16 @@ class Watchdog:
         self.finished = ended and self._may_leave(t_s)
         if self._successor is None or self.finished or self._guard.last_beat is None:
             return
+        self._ask_for_origin(t_s)
         needed = ended and self._ear.vehicle(t_s).armed
         self._successor.step(self._resume() if needed else None, t_s)
+
+    def _ask_for_origin(self, t_s: float) -> None:
+        """The last place is about it, and one that takes over in flight has not heard it."""
+        is_missing = self._ear.origin is None and self._ear.vehicle(t_s).armed
+        if is_missing and t_s - self._origin_t_s >= _CALL_PERIOD_S:
+            self._origin_t_s = t_s
+            self._outbox.put(self._voice.ask_for_origin(self._ear), t_s)
 
     def _may_leave(self, t_s: float) -> bool:
         alone_s = t_s - self._ended_t_s

@@ -195,6 +195,15 @@ class Voice:
         message = mavlink.MAVLink_statustext_message(severity, text.encode("ascii"))
         return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
 
+    def ask_for_origin(self, ear: AutopilotEar) -> Packet:
+        """An autopilot tells it once, when it is set, and then to who asks."""
+        self._encoder.srcSystem = ear.system_id or 1
+        message = mavlink.MAVLink_command_long_message(
+            ear.system_id, _AUTOPILOT_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, *[0.0] * 6,
+        )  # fmt: skip
+        return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
+
     def say(self, action: DeadManAction, ear: AutopilotEar, t_s: float) -> Packet:
         """The message that does `action` on the autopilot that `ear` hears."""
         self._encoder.srcSystem = ear.system_id or 1
