@@ -1,8 +1,10 @@
 """`vwnav doctor --connection`: the real command, and an autopilot to look at."""
 
 import json
+import os
 import subprocess
 import sys
+import termios
 
 from link_peer import Peer, free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -10,11 +12,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 def checks(kind: int, params: dict[str, tuple[float, int]]) -> dict[str, str]:
     port = free_port()
-    url = f"udpin://127.0.0.1:{port}"
     with Peer(port, kind) as peer:
         peer.params = params
-        command = [sys.executable, "-m", "vwnav", "doctor", "--json", "--connection", url]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        return doctor(f"udpin://127.0.0.1:{port}")
+
+
+def doctor(url: str) -> dict[str, str]:
+    command = [sys.executable, "-m", "vwnav", "doctor", "--json", "--connection", url]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     return {check["name"]: check["detail"] for check in json.loads(done.stdout)["checks"]}
 
 
@@ -31,3 +36,23 @@ def test_doctor_names_an_arducopter():
     found = checks(kind, {"VISO_TYPE": (1.0, mavlink.MAV_PARAM_TYPE_INT8)})
     assert found["autopilot"].startswith("ArduPilot on udpin://")
     assert "VISO_TYPE" not in found
+
+
+def test_doctor_leaves_a_port_alone_that_a_watchdog_has():
+    far, slave = os.openpty()
+    url = f"serial://{os.ttyname(slave)}:57600"
+    command = [sys.executable, "-m", "vwnav.watchdog", "--connection", url]
+    watchdog = subprocess.Popen(command, stdout=subprocess.PIPE)
+    try:
+        assert b"ready" in watchdog.stdout.readline()
+        before = termios.tcgetattr(slave)
+        assert doctor(url)["autopilot"].startswith("a watchdog has that link")
+        assert termios.tcgetattr(slave) == before
+    finally:
+        watchdog.kill()
+        watchdog.wait()
+        os.close(far)
+
+
+def test_doctor_says_what_is_wrong_with_a_serial_port():
+    assert "check the URL and the device" in doctor("serial:///dev/no-such-port:57600")["autopilot"]

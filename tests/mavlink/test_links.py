@@ -2,7 +2,9 @@
 
 import os
 import socket
+import termios
 import time
+from pathlib import Path
 
 import pytest
 from link_peer import free_port, wait_for
@@ -46,6 +48,86 @@ def test_a_serial_port_carries_bytes_both_ways():
     link.write(b"down")
     assert os.read(master, 10) == b"down"
     link.close()
+
+
+def test_a_serial_port_that_has_nothing_to_say_stays_open():
+    master, slave = os.openpty()
+    link = open_link(parse_link(f"serial://{os.ttyname(slave)}:57600"))
+    assert {link.read() for _ in range(100)} == {b""}
+    assert link.fileno() >= 0
+    os.write(master, b"late")
+    assert wait_for(link.read) == b"late"
+    link.close()
+
+
+def plugged(name: Path) -> int:
+    """The far end of an adapter that is called `name` from now on."""
+    master, slave = os.openpty()
+    name.unlink(missing_ok=True)
+    name.symlink_to(os.ttyname(slave))
+    return master
+
+
+def test_a_serial_adapter_that_is_pulled_out_comes_back(tmp_path):
+    far = plugged(tmp_path / "tty")
+    link = open_link(parse_link(f"serial://{tmp_path}/tty:57600"))
+    assert link.read() == b""
+    os.close(far)
+    assert link.read() == b""
+    assert link.fileno() == -1
+    link.write(b"to nobody")
+    far = plugged(tmp_path / "tty")
+    wait_for(lambda: link.read() == b"" and link.fileno() >= 0)
+    link.write(b"down")
+    assert os.read(far, 20) == b"down"
+    os.write(far, b"up")
+    assert wait_for(link.read) == b"up"
+    link.close()
+
+
+def test_a_serial_adapter_that_is_pulled_out_in_a_write_comes_back(tmp_path):
+    far = plugged(tmp_path / "tty")
+    link = open_link(parse_link(f"serial://{tmp_path}/tty:57600"))
+    os.close(far)
+    link.write(b"to nobody")
+    assert link.fileno() == -1
+    far = plugged(tmp_path / "tty")
+    wait_for(lambda: link.read() == b"" and link.fileno() >= 0)
+    link.close()
+
+
+def test_a_serial_port_that_takes_nothing_is_not_waited_for_and_not_lost():
+    _, slave = os.openpty()
+    link = open_link(parse_link(f"serial://{os.ttyname(slave)}:57600"))
+    start_s = time.monotonic()
+    for _ in range(500):
+        link.write(bytes(280))
+        assert link.read() == b""
+    assert time.monotonic() - start_s < 1.0
+    assert link.fileno() >= 0
+    assert not link.has_room()
+    link.close()
+
+
+def test_a_serial_port_that_another_has_says_so():
+    _, slave = os.openpty()
+    url = f"serial://{os.ttyname(slave)}:57600"
+    link = open_link(parse_link(url))
+    with pytest.raises(LinkError, match="another program has it"):
+        open_link(parse_link(url))
+    link.close()
+    open_link(parse_link(url)).close()
+
+
+def test_a_serial_adapter_that_is_pulled_out_while_it_is_opened_says_so(monkeypatch):
+    _, slave = os.openpty()
+
+    def pulled_out(*_):
+        raise termios.error(5, "Input/output error")
+
+    monkeypatch.setattr(termios, "tcflush", pulled_out)
+    with pytest.raises(LinkError, match="Input/output error; check the cable"):
+        open_link(parse_link(f"serial://{os.ttyname(slave)}:57600"))
 
 
 def test_a_tcp_link_that_breaks_comes_back():

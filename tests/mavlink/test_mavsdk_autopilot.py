@@ -54,6 +54,22 @@ def test_an_unknown_firmware_is_refused():
         MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=10.0)
 
 
+@pytest.mark.parametrize("wanted", [7, 9])
+def test_of_two_on_the_link_the_one_that_is_wanted_is_followed(wanted):
+    port = free_port()
+    with Peer(port), Peer(port, system_id=9):
+        autopilot = MavsdkAutopilot(f"udpin://127.0.0.1:{port}", system_id=wanted)
+        followed = autopilot.system_id()
+        autopilot.close()
+    assert followed == wanted
+
+
+def test_one_that_is_wanted_and_not_there_is_not_replaced_by_another():
+    port = free_port()
+    with Peer(port), pytest.raises(LinkError, match="no autopilot on udpin"):
+        MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=2.0, system_id=9)
+
+
 def test_telemetry_and_measurements_arrive_on_our_clock(px4):
     _, autopilot = px4
     assert autopilot.kind is AutopilotKind.PX4

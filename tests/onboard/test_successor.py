@@ -1,6 +1,7 @@
-"""The command line by which the watchdog starts a second navigator is one that `fly` takes."""
+"""What the watchdog starts and wakes a second navigator with is what that one reads."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import typer
@@ -8,6 +9,10 @@ from typer.testing import CliRunner
 
 from vwnav.cli.fly import fly
 from vwnav.onboard import program, successor
+from vwnav.onboard.successor import Handover
+from vwnav.watchdog.relay_guard import RelayedPosition
+from vwnav.watchdog.successor import Resume
+from vwnav.watchdog.voice import Origin
 
 ASKED = "--arm --map a.mbtiles --route r.plan --camera c.toml --video sim:x --truth udpin:0.0.0.0:2"
 HOME = ["--connection", "udpin://0.0.0.0:14540", "--home", "-33.9,18.4", "--config", "s.toml"]
@@ -25,3 +30,13 @@ def test_the_successors_command_line_reads_as_the_same_flight(monkeypatch, tmp_p
     assert result.exit_code == 0, result.output
     first = replace(read[0], arm=False, standby=True, output=Path(tmp_path) / "successor")
     assert read[1] == first
+
+
+def test_what_the_watchdog_wakes_it_with_is_read():
+    ways = {"connection": "udpout://127.0.0.1:1", "observer": "", "keepalive_port": 2}
+    place = RelayedPosition(100.0, (0.0, 0.0, -50.0), 1.0, 3)
+    for position, origin in ((place, Origin(41.0, 29.0, 40.0)), (None, None), (place, None)):
+        resume = Resume(position, (8.0, 0.0), origin, None, system_id=7)
+        read = Handover.read(json.dumps({**ways, **asdict(resume)}))
+        assert (read.system_id, read.connection) == (7, ways["connection"])
+        assert (read.lat_lon_deg is None) is (origin is None)

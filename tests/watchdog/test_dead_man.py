@@ -198,6 +198,38 @@ def test_at_the_moment_of_disarming_nothing_is_commanded(mode):
     assert run(guard, 5.0, 8.0) == []
 
 
+@pytest.mark.parametrize("mode", [FlightMode.TAKEOFF, FlightMode.OFFBOARD], ids=["px4", "copter"])
+@pytest.mark.parametrize(
+    ("lifts_off_s", "position_ok"),
+    [(1.0, True), (4.0, True), (8.0, True), (1.0, False), (2.0, False)],
+)
+def test_a_take_off_that_lifts_off_without_its_navigator_is_landed(mode, lifts_off_s, position_ok):
+    guard = DeadMan()
+    stands = VehicleView(mode, True, position_ok, landed=True)
+    guard.handle_vehicle(stands)
+    guard.handle_beat(Beat(True, 1, 100), 0.0)
+    guard.handle_vehicle(stands)
+    guard.handle_end()
+    assert run(guard, 0.0, lifts_off_s) == []
+    guard.handle_vehicle(VehicleView(mode, True, position_ok, landed=False))
+    done = run(guard, lifts_off_s, lifts_off_s + 5.0)
+    assert done[-1][1] is DeadManAction.LAND
+    in_mode(guard, FlightMode.LAND, landed=True)
+    assert run(guard, lifts_off_s + 5.0, lifts_off_s + 6.0) == []
+    in_mode(guard, FlightMode.OFFBOARD)
+    assert run(guard, lifts_off_s + 6.0, lifts_off_s + 8.0) == []
+
+
+def test_an_aircraft_that_has_flown_is_down_once_it_stands_in_whatever_mode():
+    guard = beating()
+    in_mode(guard, FlightMode.OFFBOARD, landed=False)
+    assert DeadManAction.LAND in [action for _, action in run(guard, 0.0, 5.0)]
+    in_mode(guard, FlightMode.OFFBOARD, landed=True)
+    assert run(guard, 5.0, 6.0) == []
+    in_mode(guard, FlightMode.OFFBOARD, landed=False)  # it bounces
+    assert run(guard, 6.0, 8.0) == []
+
+
 def test_a_hold_after_the_landing_began_is_somebody_elses():
     guard = beating()
     run(guard, 0.0, 5.0)

@@ -22,6 +22,7 @@ BEATS = st.builds(
     st.text("abc xyz", max_size=16),
     st.booleans(),
     st.none() | st.builds(Learned, st.floats(0.0, 1e9), FINITE, FINITE),
+    st.integers(0, 255),
 )
 REPORTS = st.builds(
     WatchdogReport,
@@ -35,6 +36,14 @@ REPORTS = st.builds(
 @given(BEATS)
 def test_a_beat_arrives_as_it_was_sent(beat):
     assert Beat.unpack(beat.pack()) == beat
+
+
+def test_a_beat_tells_whom_the_navigator_follows(alive):
+    keepalive, channel, _ = alive
+    keepalive.beat(True)
+    keepalive.system_id = 7
+    keepalive.beat(True)
+    assert [beat.system_id for beat in channel.sent] == [0, 7]
 
 
 @given(REPORTS)

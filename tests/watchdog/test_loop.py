@@ -10,7 +10,8 @@ from link_peer import COPTER_GUIDED, COPTER_LAND, IN_AIR, PX4_LAND, PX4_OFFBOARD
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.watchdog.keepalive import GuardState, KeepAlive
-from vwnav.watchdog.loop import Resume, Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.successor import Resume
 
 AUTOPILOT = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
 NAVIGATOR = mavlink.MAVLink(None, srcSystem=7, srcComponent=191)

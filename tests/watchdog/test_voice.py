@@ -56,6 +56,15 @@ def test_a_heartbeat_tells_mode_arming_and_who_it_is():
     assert ear.mavlink1
 
 
+def test_one_that_is_to_be_followed_is_not_the_first_that_is_heard():
+    other = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
+    ear = AutopilotEar(7)
+    ear.listen(bytes(beat(armed=False, mode=PX4_LAND).pack(other)), 9.0)
+    assert (ear.kind, ear.system_id, ear.heard_t_s) == (None, 7, -math.inf)
+    ear.listen(packed(beat()), 10.0)
+    assert ear.vehicle(10.0) == VehicleView(FlightMode.OFFBOARD, True)
+
+
 def test_other_words_of_the_autopilot_are_signs_of_life_but_no_heartbeat():
     ear = ear_of()
     ear.listen(packed(mavlink.MAVLink_attitude_message(1, *[0.0] * 6)), 11.0)
@@ -76,10 +85,10 @@ def test_both_kinds_of_estimator_tell_whether_there_is_a_position(flags, ok):
 
 
 def test_standing_on_the_ground_is_believed_for_three_seconds():
-    for state, landed in [(0, False), (1, True), (2, False), (4, False)]:
+    for state, landed in [(0, None), (1, True), (2, False), (3, False), (4, False)]:
         ear = ear_of(mavlink.MAVLink_extended_sys_state_message(0, state))
         assert ear.vehicle(13.0).landed is landed
-        assert ear.vehicle(13.1).landed is False
+        assert ear.vehicle(13.1).landed is None
         assert ear.vehicle(13.1).armed
 
 

@@ -14,6 +14,8 @@ from vwnav.safety.check import Check, CheckVerdict
 
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
 CAMERA_FPS = 8.0
+# MAVSDK asks nobody whether a port is free, and two who read one take it from each other.
+_LINK_TAKEN = "a watchdog has that link: end its vwnav first, which flies or gets ready to"
 
 
 def doctor(
@@ -156,8 +158,11 @@ def _autopilot(url: str) -> list[Check]:
     from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
     from vwnav.safety.readiness import check_battery, check_parameters
     from vwnav.safety.safety_config import SafetyConfig
+    from vwnav.watchdog.visitors import visit
 
     try:
+        if next(visit(url), None) is not None:
+            return [Check("autopilot", "FAIL", _LINK_TAKEN)]
         autopilot = MavsdkAutopilot(url)
     except VwnavError as error:
         return [Check("autopilot", "FAIL", str(error))]

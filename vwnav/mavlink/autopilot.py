@@ -57,9 +57,9 @@ class LinkedAutopilot:
         self._lock = threading.RLock()
         self._telemetry = TelemetryState()
         self._timesync = Timesync(port.send, clock, self._telemetry.clock)
-        self._commands = CommandSender(port.send, self._system_id, clock, self._patience_s)
+        self._commands = CommandSender(port.send, self.system_id, clock, self._patience_s)
         self._parameters = ParameterTable(
-            port.send, self._system_id, self._is_px4, clock, self._patience_s
+            port.send, self.system_id, self._is_px4, clock, self._patience_s
         )
         self._outputs = Outputs(port, self._telemetry, clock)
         self._procedures = Procedures(
@@ -278,7 +278,7 @@ class LinkedAutopilot:
     def _agree_upon(self, frame: LocalFrame) -> None:
         self._telemetry.origin_offset_ned_m = None
         agreement = OriginAgreement(
-            self._port.send, self._system_id, self._commands, self._telemetry,
+            self._port.send, self.system_id, self._commands, self._telemetry,
             self._clock, self._patience_s,
         )  # fmt: skip
         self._origin = agreement.agree(frame)
@@ -326,7 +326,8 @@ class LinkedAutopilot:
         with self._lock:
             self._timesync.handle(fields, received_s)
 
-    def _system_id(self) -> int:
+    def system_id(self) -> int:
+        """Of the autopilot that is followed; 0 while none has been heard."""
         return self._port.system_id
 
     def _is_px4(self) -> bool:

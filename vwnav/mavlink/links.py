@@ -2,6 +2,7 @@
 
 import array
 import contextlib
+import errno
 import fcntl
 import math
 import os
@@ -36,6 +37,7 @@ _RECONNECT_TIMEOUT_S = 0.3  # with the link down the watchdog has nobody to spea
 _REOPEN_PERIOD_S = 1.0
 _PEER_SILENT_S = 10.0
 _MOST_PEERS = 4
+_BUSY = frozenset({errno.EAGAIN, errno.EBUSY})  # a serial port that is locked
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,8 @@ def open_link(address: LinkAddress) -> Link:
 def _why_not_open(address: LinkAddress, error: Exception) -> str:
     where = f"{address.kind} {address.place}:{address.number}"
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    if isinstance(error, OSError) and error.errno in _BUSY:
+        return f"cannot open {where}: another program has it; end that one (fuser names it)"
     hint = {
         "serial": "check the cable, the device name and that your user is in the group dialout",
         "udpin": "is another program (a ground station, a second vwnav) using that port?",
@@ -284,15 +288,24 @@ def _queued_bytes(fd: int) -> int:
 
 def _open_stream(address: LinkAddress, timeout_s: float) -> _StreamHandle:
     if address.kind == "serial":
-        import serial
-
-        # pyserial sets the line up (raw, baud rate, exclusive); reading goes past it by os.read.
-        port: _StreamHandle = serial.Serial(
-            address.place, address.number, timeout=0, exclusive=True
-        )
-        os.set_blocking(port.fileno(), False)
-        return port
+        return _open_serial(address)
     connection = socket.create_connection((address.place, address.number), timeout_s)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setblocking(False)
     return connection
+
+
+def _open_serial(address: LinkAddress) -> _StreamHandle:
+    """Set up by pyserial (raw, baud rate, exclusive); reading goes past it by os.read."""
+    import serial
+
+    try:
+        # A time between bytes makes it set VMIN to 1: with 0 the system tells a line that is only
+        # silent as it tells one that has ended, by no bytes.
+        port: _StreamHandle = serial.Serial(
+            address.place, address.number, inter_byte_timeout=0, exclusive=True
+        )
+    except termios.error as error:  # pulled out meanwhile; no OSError
+        raise OSError(*error.args) from error
+    os.set_blocking(port.fileno(), False)
+    return port

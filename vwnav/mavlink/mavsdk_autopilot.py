@@ -27,6 +27,7 @@ class MavsdkAutopilot(LinkedAutopilot):
         clock: monotonic clock, in seconds.
         link_url: the autopilot's own link, when `url` is that of a relay in front of it.
         ground_station_ids: of those that may command the navigator; nobody may when empty.
+        system_id: of the autopilot that is wanted; 0 for the first that is heard.
 
     Raises:
         LinkError: no PX4 or ArduPilot is on the link.
@@ -40,9 +41,10 @@ class MavsdkAutopilot(LinkedAutopilot):
         clock: Callable[[], float] = time.monotonic,
         link_url: str | None = None,
         ground_station_ids: tuple[int, ...] = (),
+        system_id: int = 0,
     ) -> None:
         capacity_bytes_s = bytes_per_s(link_url or url)
-        port = MavlinkPort(url, as_ground_station, timeout_s, clock)
+        port = MavlinkPort(url, as_ground_station, timeout_s, clock, system_id)
         super().__init__(port, clock, capacity_bytes_s, ground_station_ids)
         until_s = time.monotonic() + _FIRST_HEARTBEAT_S
         while self.kind is None:

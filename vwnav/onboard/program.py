@@ -88,12 +88,26 @@ def fly_route(options: FlyOptions) -> None:
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
         source = open_camera(options, plan, renderer, truth, clock, stack)
-        autopilot = MavsdkAutopilot(
-            watchdog.navigator_url, clock=clock, link_url=link,
-            ground_station_ids=plan.config.flight.ground_station_ids,
-        )  # fmt: skip
+        stations = plan.config.flight.ground_station_ids
+        autopilot = connect(watchdog, link, clock, stations)
         stack.callback(autopilot.close)
         _fly(options, plan, folder, budget, watchdog, autopilot, source, truth, clock, stack)
+
+
+def connect(
+    watchdog: WatchdogProcess, link_url: str, clock: Clock, ground_station_ids: tuple[int, ...]
+) -> MavsdkAutopilot:
+    """The autopilot behind the watchdog, which follows the same one from the first beat on.
+
+    Raises:
+        LinkError: no PX4 or ArduPilot is on the link.
+    """
+    autopilot = MavsdkAutopilot(
+        watchdog.navigator_url, clock=clock, link_url=link_url,
+        ground_station_ids=ground_station_ids,
+    )  # fmt: skip
+    watchdog.keepalive.system_id = autopilot.system_id()
+    return autopilot
 
 
 def _clock(options: FlyOptions, stack: ExitStack) -> Clock:

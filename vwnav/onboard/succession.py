@@ -8,7 +8,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.types import Array
 from vwnav.vehicle import Learned
-from vwnav.watchdog.loop import Resume
+from vwnav.watchdog.successor import Resume
 
 _HELD_S = 4.6  # for so long PX4 holds its place without estimates (measured)
 _HELD_DRIFT_M_S, _BLIND_DRIFT_M_S = 1.0, 6.0  # one sigma while it does, and with the wind after

@@ -52,6 +52,7 @@ class Handover:
         place: (lat_deg, lon_deg), height above the origin, time and reset counter of the last good
             estimate; None when there was none.
         learned: in flight, until then.
+        system_id: of the autopilot; 0 where none was heard.
     """
 
     connection: str
@@ -63,6 +64,7 @@ class Handover:
     reset_counter: int
     velocity_ne_m_s: Array
     learned: Learned | None
+    system_id: int
 
     @staticmethod
     def read(line: str) -> "Handover":
@@ -82,14 +84,15 @@ def _handover(told: dict[str, Any]) -> Handover:
     velocity = np.array(told["velocity_ne_m_s"], np.float64)
     ways = str(told["connection"]), int(told["keepalive_port"]), str(told["observer"])
     learned = None if told["learned"] is None else Learned(*told["learned"])
+    knows = velocity, learned, int(told["system_id"])
     if position is None or origin is None:
-        return Handover(*ways, None, 0.0, 0.0, 0, velocity, learned)
+        return Handover(*ways, None, 0.0, 0.0, 0, *knows)
     frame = LocalFrame(origin["lat_deg"], origin["lon_deg"], origin["alt_amsl_m"])
     lat_deg, lon_deg, _ = frame.to_geodetic(np.array(position["position_ned_m"]))
     return Handover(
         *ways, (float(lat_deg), float(lon_deg)),
         -float(position["position_ned_m"][2]), float(position["t_s"]),
-        int(position["reset_counter"]), velocity, learned,
+        int(position["reset_counter"]), *knows,
     )  # fmt: skip
 
 
@@ -129,7 +132,10 @@ def _succeed(
     stack: ExitStack,
 ) -> None:
     clock = WallClock()
-    autopilot = MavsdkAutopilot(handover.connection, clock=clock, link_url=options.connection)
+    autopilot = MavsdkAutopilot(
+        handover.connection, clock=clock, link_url=options.connection,
+        system_id=handover.system_id,
+    )  # fmt: skip
     stack.callback(autopilot.close)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)

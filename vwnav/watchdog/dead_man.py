@@ -39,7 +39,8 @@ class VehicleView:
 
     Attributes:
         position_ok: its filter has a horizontal position; None when it never said.
-        landed: it says that it stands on the ground; False where it does not say.
+        landed: it says that it stands on the ground, or that it does not; None where it does not
+            say.
         mode_is_of_now: it was told since it was last silent. During a cut a person may have taken
             the aircraft, so nobody steers by an older one.
     """
@@ -47,7 +48,7 @@ class VehicleView:
     mode: FlightMode = FlightMode.UNKNOWN
     armed: bool = False
     position_ok: bool | None = None
-    landed: bool = False
+    landed: bool | None = None
     mode_is_of_now: bool = True
 
 
@@ -113,6 +114,7 @@ class DeadMan:
     _claimed: bool = False
     _ended: bool = False
     _land_seen: bool = False
+    _flown: bool = False
     _down: bool = False
     _takeover_t_s: float = 0.0
     _setpoint_t_s: float = -math.inf
@@ -160,7 +162,8 @@ class DeadMan:
         claims_again = self._beat is not None and beat.epoch > self._beat.epoch and beat.engaged
         if self.has_taken_over and not claims_again:
             return
-        self.state, self._land_seen, self._down = GuardState.RELAY, False, False
+        self.state, self._land_seen = GuardState.RELAY, False
+        self._flown = self._down = False
         self._beat, self._beat_t_s, self._mode_at_beat = beat, t_s, self.vehicle.mode
         still_listens = self.vehicle.armed and self.vehicle.mode in _STEERED | _COMES_DOWN
         self._claimed = beat.engaged or (self._claimed and still_listens)
@@ -176,6 +179,7 @@ class DeadMan:
     def handle_vehicle(self, vehicle: VehicleView) -> None:
         """News of the autopilot."""
         self.vehicle = vehicle
+        self._flown = self._flown or vehicle.landed is False
 
     def handle_answer(self, accepted: bool, t_s: float) -> None:
         """The autopilot's answer to the watchdog's own mode command."""
@@ -226,7 +230,12 @@ class DeadMan:
             self.state = GuardState.STOOD_DOWN
         elif self.state is GuardState.LANDING:
             self._land_seen = self._land_seen or self.vehicle.mode is FlightMode.LAND
-            self._down = self._down or self.vehicle.landed
+            self._down = self._down or self._has_come_down()
+
+    def _has_come_down(self) -> bool:
+        """It stands; one that has only been asked to take off may still do so, by itself."""
+        may_lift_off = not self._flown and self.vehicle.mode not in _COMES_DOWN
+        return self.vehicle.landed is True and not may_lift_off
 
     def _is_someone_elses(self) -> bool:
         claimed = self.vehicle.mode in _STEERED | _COMES_DOWN

@@ -20,8 +20,8 @@ from typing import Protocol
 from vwnav.errors import LinkError
 from vwnav.vehicle import Learned
 
-_BEAT = struct.Struct("<4sBIQ16s")  # magic, flags, sequence, epoch, phase; what was learned
-_BEAT_MAGIC = b"VWB3"
+_BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
+_BEAT_MAGIC = b"VWB4"
 _LEARNED_HEAD = struct.Struct("<dHH")  # when, how many of means and of covariances
 _REPORT = struct.Struct("<4sBBIf")  # magic, state, flags, sequence of the beat, heartbeat age
 _REPORT_MAGIC = b"VWR2"
@@ -53,6 +53,7 @@ class Beat:
         epoch: grows with every new claim to the aircraft.
         ended: the navigator ends now, in whatever order: nothing comes after it.
         learned: for a successor; None where it is not known.
+        system_id: of the autopilot that the navigator follows; 0 where it does not say.
     """
 
     engaged: bool
@@ -61,13 +62,14 @@ class Beat:
     phase: str = ""
     ended: bool = False
     learned: Learned | None = None
+    system_id: int = 0
 
     def pack(self) -> bytes:
         """As a datagram."""
         flags = (_ENGAGED if self.engaged else 0) | (_ENDED if self.ended else 0)
         phase = self.phase.encode("ascii", "replace")[:16]
         sequence = self.sequence & 0xFFFFFFFF
-        beat = _BEAT.pack(_BEAT_MAGIC, flags, sequence, self.epoch, phase)
+        beat = _BEAT.pack(_BEAT_MAGIC, flags, self.system_id, sequence, self.epoch, phase)
         return beat + (b"" if self.learned is None else _packed(self.learned))
 
     @staticmethod
@@ -75,10 +77,11 @@ class Beat:
         """Of a datagram, None if it is no beat."""
         if len(data) < _BEAT.size or data[:4] != _BEAT_MAGIC or not _is_whole(data[_BEAT.size :]):
             return None
-        _, flags, sequence, epoch, phase = _BEAT.unpack_from(data)
+        _, flags, system_id, sequence, epoch, phase = _BEAT.unpack_from(data)
         text = phase.rstrip(b"\0").decode("ascii", "replace")
         engaged, ended = bool(flags & _ENGAGED), bool(flags & _ENDED)
-        return Beat(engaged, sequence, epoch, text, ended, _unpacked(data[_BEAT.size :]))
+        learned = _unpacked(data[_BEAT.size :])
+        return Beat(engaged, sequence, epoch, text, ended, learned, system_id)
 
 
 def _packed(learned: Learned) -> bytes:
@@ -212,11 +215,16 @@ class KeepAlive:
     Args:
         channel: to the watchdog.
         clock: the loop's monotonic clock.
+
+    Attributes:
+        system_id: of the autopilot that is followed, for the watchdog to follow it too; 0 leaves
+            it with the first that it hears.
     """
 
     def __init__(self, channel: Channel, clock: Callable[[], float]) -> None:
         self._channel = channel
         self._clock = clock
+        self.system_id = 0
         self._sequence = 0
         self._epoch = 0
         self._report: WatchdogReport | None = None
@@ -238,7 +246,7 @@ class KeepAlive:
         if self._unanswered_since_s is None:
             self._unanswered_since_s = self._clock()
         self._unanswered += 1
-        beat = Beat(engaged, self._sequence, self._epoch, phase, learned=learned)
+        beat = Beat(engaged, self._sequence, self._epoch, phase, False, learned, self.system_id)
         self._channel.send(beat.pack())
 
     def rejoin(self) -> None:

@@ -13,15 +13,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
-from vwnav.vehicle import Learned
 from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
 from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
 from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
+from vwnav.watchdog.successor import Resume, Successor
 from vwnav.watchdog.useless import UselessConfig, UselessNavigator
 from vwnav.watchdog.visitors import Guarding
-from vwnav.watchdog.voice import CUT_S, AutopilotEar, Origin, Voice
+from vwnav.watchdog.voice import CUT_S, AutopilotEar, Voice
 
 _log = logging.getLogger(__name__)
 _READS_IN_A_ROW = 32
@@ -57,48 +57,11 @@ class WatchdogLinks:
     beats: Channel
 
 
-@dataclass(frozen=True, slots=True)
-class Resume:
-    """What a successor of the navigator begins with.
-
-    Attributes:
-        position, velocity_ne_m_s: the last good ones that it was given; None where there were none.
-        origin: of the position; None when the autopilot never told it.
-        learned: by the navigator that ended; None where it was not enough.
-    """
-
-    position: RelayedPosition | None
-    velocity_ne_m_s: tuple[float, float]
-    origin: Origin | None
-    learned: Learned | None = None
-
-
 class NavigatorProcess(Protocol):
     """What the navigator runs in."""
 
     def end(self) -> None:
         """End it at once, hanging or stopped."""
-        ...
-
-
-class Successor(Protocol):
-    """A second navigator that gives the autopilot estimates when the first one has ended."""
-
-    @property
-    def stands_by(self) -> bool:
-        """There is one that could be woken."""
-        ...
-
-    def step(self, resume: Resume | None, t_s: float) -> None:
-        """Keep it ready; with `resume` it is needed, from now on."""
-        ...
-
-    def handle_beat(self) -> None:
-        """It lives."""
-        ...
-
-    def close(self) -> None:
-        """End it."""
         ...
 
 
@@ -127,7 +90,7 @@ class Watchdog:
         self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
         self._estimates = RelayGuard()
-        self._call_t_s = self._ended_t_s = -math.inf
+        self._call_t_s = self._origin_t_s = self._ended_t_s = -math.inf
         self.finished = False
 
     @property
@@ -278,6 +241,7 @@ class Watchdog:
                 self._follow_end(t_s)
                 continue
             self._useless.heard()
+            self._follow_autopilot(beat.system_id)
             if self._guard.navigator_ended and self._successor is not None:
                 self._successor.handle_beat()
             self._guard.handle_beat(beat, t_s)
@@ -285,6 +249,11 @@ class Watchdog:
             is_good = self._estimates.lost_since_s is None
             report = WatchdogReport(self._guard.state, beat.sequence, age_s, is_good)
             self._links.beats.send(report.pack())
+
+    def _follow_autopilot(self, system_id: int) -> None:
+        """The navigator's, where another one was heard first: by one that takes over in flight."""
+        if system_id not in (0, self._ear.system_id):
+            self._ear = AutopilotEar(system_id)
 
     def _call(self, t_s: float) -> None:
         """Show ourselves to an autopilot that waits to be spoken to."""
@@ -316,8 +285,16 @@ class Watchdog:
         self.finished = ended and self._may_leave(t_s)
         if self._successor is None or self.finished or self._guard.last_beat is None:
             return
+        self._ask_for_origin(t_s)
         needed = ended and self._ear.vehicle(t_s).armed
         self._successor.step(self._resume() if needed else None, t_s)
+
+    def _ask_for_origin(self, t_s: float) -> None:
+        """The last place is about it, and one that takes over in flight has not heard it."""
+        is_missing = self._ear.origin is None and self._ear.vehicle(t_s).armed
+        if is_missing and t_s - self._origin_t_s >= _CALL_PERIOD_S:
+            self._origin_t_s = t_s
+            self._outbox.put(self._voice.ask_for_origin(self._ear), t_s)
 
     def _may_leave(self, t_s: float) -> bool:
         alone_s = t_s - self._ended_t_s
@@ -334,8 +311,9 @@ class Watchdog:
         return self._successor is None and self._guard.is_handed_over
 
     def _resume(self) -> Resume:
-        guard = self._estimates
-        return Resume(guard.last, guard.velocity_ne_m_s, self._ear.origin, self._guard.learned)
+        guard, ear = self._estimates, self._ear
+        learned = self._guard.learned
+        return Resume(guard.last, guard.velocity_ne_m_s, ear.origin, learned, ear.system_id)
 
     def _log_change(self, before: GuardState, t_s: float) -> None:
         state, beat = self._guard.state, self._guard.last_beat

@@ -12,10 +12,13 @@ import logging
 import os
 import subprocess
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from typing import Protocol
 
+from vwnav.vehicle import Learned
 from vwnav.watchdog.dead_man import Silence
-from vwnav.watchdog.loop import Resume
+from vwnav.watchdog.relay_guard import RelayedPosition
+from vwnav.watchdog.voice import Origin
 
 _log = logging.getLogger(__name__)
 _MOST_STARTS = 5
@@ -24,6 +27,45 @@ _END_TIMEOUT_S = 2.0
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
 _SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
 _NICER = 5  # one that loads goes behind one that serves
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """What a successor of the navigator begins with.
+
+    Attributes:
+        position, velocity_ne_m_s: the last good ones that it was given; None where there were none.
+        origin: of the position; None when the autopilot never told it.
+        learned: by the navigator that ended; None where it was not enough.
+        system_id: of the autopilot.
+    """
+
+    position: RelayedPosition | None
+    velocity_ne_m_s: tuple[float, float]
+    origin: Origin | None
+    learned: Learned | None = None
+    system_id: int = 0
+
+
+class Successor(Protocol):
+    """A second navigator that gives the autopilot estimates when the first one has ended."""
+
+    @property
+    def stands_by(self) -> bool:
+        """There is one that could be woken."""
+        ...
+
+    def step(self, resume: Resume | None, t_s: float) -> None:
+        """Keep it ready; with `resume` it is needed, from now on."""
+        ...
+
+    def handle_beat(self) -> None:
+        """It lives."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
 
 
 class SuccessorProcess:

@@ -23,7 +23,13 @@ _HEARD = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
 }
-_LANDED_MAX_AGE_S = 3.0  # of the last word of standing on the ground
+_LANDED = {
+    mavlink.MAV_LANDED_STATE_ON_GROUND: True,
+    mavlink.MAV_LANDED_STATE_IN_AIR: False,
+    mavlink.MAV_LANDED_STATE_TAKEOFF: False,
+    mavlink.MAV_LANDED_STATE_LANDING: False,
+}
+_LANDED_MAX_AGE_S = 3.0  # of the last word of standing on the ground or not
 _POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 # Ignore position, acceleration, yaw and yaw rate: velocity alone.
 _VELOCITY_ONLY = 0b110111000111
@@ -44,13 +50,16 @@ class Origin:
 class AutopilotEar:
     """Follows the autopilot's heartbeat, estimator and answers among all that passes.
 
-    The first autopilot that is heard is the one: another aircraft's words on the same link, a
-    disarmed one's above all, are no reason to leave ours.
+    One is followed: another aircraft's words on the same link, a disarmed one's above all, are no
+    reason to leave ours.
+
+    Args:
+        system_id: of the one that is followed; 0 for the first that is heard.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, system_id: int = 0) -> None:
         self.kind: AutopilotKind | None = None
-        self.system_id = 0
+        self.system_id = system_id
         self.mavlink1 = False
         self.heard_t_s = -math.inf
         self.heartbeat_t_s = -math.inf
@@ -63,8 +72,8 @@ class AutopilotEar:
 
     def vehicle(self, t_s: float) -> VehicleView:
         """What is known of the autopilot."""
-        if self._vehicle.landed and t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
-            self._vehicle = replace(self._vehicle, landed=False)
+        if t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
+            self._vehicle = replace(self._vehicle, landed=None)
         if self.kind is not None and not self._knows_mode(t_s):
             return replace(self._vehicle, mode_is_of_now=False)
         return self._vehicle
@@ -105,9 +114,9 @@ class AutopilotEar:
     def _is_the_autopilots(self, packet: Packet) -> bool:
         if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id is None:
             return False
-        if self.kind is None:
-            return bool(packet.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        return packet.system_id == self.system_id
+        if self.kind is None and packet.message_id != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            return False
+        return self.system_id in (0, packet.system_id)
 
     def _decode(self, packet: Packet) -> Any | None:
         if packet.message_id not in _HEARD:
@@ -138,7 +147,7 @@ class AutopilotEar:
         self._vehicle = replace(self._vehicle, position_ok=position_ok)
 
     def _handle_landed_state(self, message: Any, t_s: float) -> None:
-        landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+        landed = _LANDED.get(message.landed_state)
         self._vehicle, self._landed_t_s = replace(self._vehicle, landed=landed), t_s
 
     def handle_origin_sent(self, packet: Packet) -> None:
@@ -184,6 +193,15 @@ class Voice:
         self._encoder.srcSystem = ear.system_id or 1
         severity = mavlink.MAV_SEVERITY_CRITICAL
         message = mavlink.MAVLink_statustext_message(severity, text.encode("ascii"))
+        return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
+
+    def ask_for_origin(self, ear: AutopilotEar) -> Packet:
+        """An autopilot tells it once, when it is set, and then to who asks."""
+        self._encoder.srcSystem = ear.system_id or 1
+        message = mavlink.MAVLink_command_long_message(
+            ear.system_id, _AUTOPILOT_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, *[0.0] * 6,
+        )  # fmt: skip
         return _packet(message.pack(self._encoder, force_mavlink1=ear.mavlink1))
 
     def say(self, action: DeadManAction, ear: AutopilotEar, t_s: float) -> Packet:

@@ -34,7 +34,7 @@ from vwnav.sim.processor import Costs, LateExecutor, Processor, SimulatedClock, 
 from vwnav.types import Estimate, Frame
 from vwnav.vehicle import Navigation, VehicleState
 from vwnav.watchdog.keepalive import KeepAlive
-from vwnav.watchdog.loop import Resume
+from vwnav.watchdog.successor import Resume
 
 _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air

@@ -51,13 +51,19 @@ class MavlinkPort:
         as_ground_station: call ourselves a ground station instead of a companion computer.
         timeout_s: how long an autopilot is waited for.
         clock: monotonic clock that stamps what is received.
+        system_id: of the autopilot that is wanted; 0 for the first that is heard.
 
     Raises:
         LinkError: the URL is wrong, or no autopilot is on the link.
     """
 
     def __init__(
-        self, url: str, as_ground_station: bool, timeout_s: float, clock: Callable[[], float]
+        self,
+        url: str,
+        as_ground_station: bool,
+        timeout_s: float,
+        clock: Callable[[], float],
+        system_id: int = 0,
     ) -> None:
         self._clock = clock
         log_subscribe(_log_line)
@@ -68,7 +74,7 @@ class MavlinkPort:
         self._own_system, self._own_component = configuration.system_id, configuration.component_id
         self._mavsdk = Mavsdk(configuration)
         try:
-            system = self._find_autopilot(url, timeout_s)
+            system = self._find_autopilot(url, timeout_s, system_id)
             self._system_id = int(system.get_system_id())
             self._direct = MavlinkDirect(system)
         except BaseException:
@@ -155,20 +161,29 @@ class MavlinkPort:
             self._closed = True
         self._mavsdk.destroy()
 
-    def _find_autopilot(self, url: str, timeout_s: float) -> Any:
+    def _find_autopilot(self, url: str, timeout_s: float, system_id: int) -> Any:
         result = self._mavsdk.add_any_connection(url)
         if result.name != "SUCCESS":
             what = result.name.lower().replace("_", " ")
             raise LinkError(f"cannot open the link {url}: {what}; check the URL and the device")
         until_s = time.monotonic() + timeout_s
         while time.monotonic() < until_s:  # in short looks, so that Ctrl-C is heard
-            system = self._mavsdk.first_autopilot(_LOOK_S)
+            system = self._look(system_id)
             if system is not None:
                 return system
         raise LinkError(
             f"no autopilot on {url} within {timeout_s:.0f} s: check its power, the cable, the "
             "baud rate, and that it sends MAVLink on that port"
         )
+
+    def _look(self, system_id: int) -> Any | None:
+        if not system_id:
+            return self._mavsdk.first_autopilot(_LOOK_S)
+        for system in self._mavsdk.get_systems():
+            if system.get_system_id() == system_id and system.has_autopilot():
+                return system
+        time.sleep(_LOOK_S)
+        return None
 
 
 def _listen(direct: Any, name: str, listener: Listener) -> None:
