@@ -20,6 +20,7 @@ from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
+from vwnav.machine.priority import go_first
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
@@ -44,7 +45,6 @@ from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
 from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
-from vwnav.watchdog.priority import go_first
 
 FIRST_STATE_S = 5.0
 WORTH_SAYING_S = 10.0  # of simulated time that stood still
