@@ -20,6 +20,7 @@ from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
+from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
@@ -63,6 +64,7 @@ def fly_route(options: FlyOptions) -> None:
     keep_heap_small()
     options = _with_simulated_defaults(options)
     with ExitStack() as stack:
+        stack.enter_context(stderr_that_never_waits())
         plan = plan_flight(options, stack)
         if not options.sim and wait_for_the_aircraft(str(options.connection), ServiceManager()):
             options = _of_a_flight_that_broke_off(options)
