@@ -64,7 +64,8 @@ class WatchdogProcess:
         self, command: Sequence[str], log: Path | None, clock: Clock, say: Callable[[str], None]
     ) -> None:
         self._command = list(command)
-        self._log = log
+        # Once: while the disk stalls, opening it again would keep the next spare one from starting.
+        self._log = log.open("ab") if log is not None else None
         self._say = say
         self._closing = False
         self.process = self._start([])
@@ -92,22 +93,19 @@ class WatchdogProcess:
         self._closing = True
         self.keepalive.close()
         _end_spare(self._spare)
+        if self._log is not None:
+            self._log.close()
         try:
             self.process.wait(_LEAVE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             _log.warning("the watchdog (process %d) has the aircraft, it goes on", self.process.pid)
 
     def _start(self, more: Sequence[str]) -> subprocess.Popen[bytes]:
-        stderr = self._log.open("ab") if self._log is not None else None
-        try:
-            # A session of its own: signals of the navigator's terminal are not for the watchdog.
-            return subprocess.Popen(
-                [*self._command, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=stderr, start_new_session=True,
-            )  # fmt: skip
-        finally:
-            if stderr is not None:
-                stderr.close()
+        # A session of its own: signals of the navigator's terminal are not for the watchdog.
+        return subprocess.Popen(
+            [*self._command, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=self._log, start_new_session=True,
+        )  # fmt: skip
 
     def _replace_the_dead(self) -> None:
         for _ in range(_MOST_DEATHS):
