@@ -86,7 +86,7 @@ class FlightRuntime:
         self._link_stall = Stall(round(_HANGS_S * TICK_HZ))
         self._mission_stall = Stall(round(_HANGS_S * LINK_HZ))
         self._said: set[str] = set()
-        self._stop = threading.Event()
+        self._stop, self._is_interrupted = threading.Event(), False
         self.failure: Exception | None = None
 
     @property
@@ -231,7 +231,7 @@ class FlightRuntime:
     # ---- life
 
     def run(self, source: FrameSource, clock: Clock) -> FlightEnd:
-        """Fly; returns when the mission has ended. An interrupt lands first.
+        """Fly; returns when the mission has ended (see `interrupt`).
 
         Args:
             source: of the images.
@@ -261,18 +261,19 @@ class FlightRuntime:
         assert self._flight.end is not None
         return self._flight.end
 
-    def _wait(self) -> None:
-        """Until the flight has ended. An interrupt lands; one who does not steer cannot."""
-        while True:
-            try:
-                over = self.link_broke or self._is_down_after_failure()
-                if over or self._flight.end is not None:
-                    return
-                time.sleep(0.1)
-            except KeyboardInterrupt:
-                self._interrupted()
+    def interrupt(self) -> None:
+        """Land; one who does not steer goes on. For a signal's handler: it notes it, no more."""
+        self._is_interrupted = True
 
-    def _interrupted(self) -> None:
+    def _wait(self) -> None:
+        """Until the flight has ended."""
+        while not (self.link_broke or self._is_down_after_failure() or self._flight.end):
+            time.sleep(0.1)
+            if self._is_interrupted:
+                self._is_interrupted = False
+                self._heed_interrupt()
+
+    def _heed_interrupt(self) -> None:
         if self._flight.phase is Phase.RELEASED:
             self._watcher.event(
                 "interrupted, but somebody else flies the aircraft on these estimates: they go on "

@@ -72,6 +72,24 @@ def tick(self, t_s, navigation):
     return whole(self, t_s, navigation)
 flight.Flight.tick = tick
 """
+SCREEN_STALLS = """
+import os
+import vwnav.flight as flight
+whole = flight.Flight.tick
+def tick(self, t_s, navigation):
+    self.count = getattr(self, "count", 0) + (self.phase is flight.Phase.ROUTE)
+    if self.count == 20:
+        _, writes = os.pipe()
+        os.set_blocking(writes, False)
+        try:
+            while True:
+                os.write(writes, bytes(4096))
+        except BlockingIOError:
+            os.set_blocking(writes, True)
+        os.dup2(writes, 2)
+    return whole(self, t_s, navigation)
+flight.Flight.tick = tick
+"""
 LOADED = "100/100"  # drawing the site is what it does last
 
 
@@ -212,6 +230,17 @@ def test_a_terminal_that_is_closed_changes_nothing_in_the_air(tmp_path):
     with real_flight(tmp_path, SCREEN_CLOSED) as flight:
         flight.wait_until_on_route()
         flight.process.wait(150.0)
+        assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
+        run = json.loads((flight.folder / "run.json").read_text())
+    assert run["completed"], run["reason"]
+
+
+@pytest.mark.long
+def test_a_terminal_that_stands_still_changes_nothing_in_the_air(tmp_path):
+    """Ctrl-S, or `vwnav fly |& less`: whoever writes to it waits, and nobody of the flight does."""
+    with real_flight(tmp_path, SCREEN_STALLS) as flight:
+        flight.wait_until_on_route()
+        assert flight.process.wait(150.0) == 0
         assert np.hypot(*flight.place_ned_m()[:2]) < 5.0
         run = json.loads((flight.folder / "run.json").read_text())
     assert run["completed"], run["reason"]

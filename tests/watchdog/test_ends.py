@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
-from link_peer import PX4_LAND, free_port, is_still, wait_for
-from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight
+from link_peer import PX4_HOLD, PX4_LAND, free_port, is_still, wait_for
+from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight, stalled_log
 
 from vwnav.errors import LinkError
 from vwnav.watchdog import process as watchdog_process
@@ -27,6 +27,15 @@ def test_a_navigator_that_ends_in_any_way_is_braked_for_at_once_and_landed(numbe
         assert flying.first_still_s(flying.signal(number)) < 0.3 + SLACK_S
         wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
         assert flying.watchdog_lives()
+
+
+def test_a_log_on_a_disk_that_stalls_delays_neither_brake_nor_hold_nor_land():
+    with stalled_log() as log, flight(log=log) as flying:
+        killed_s = flying.signal(signal.SIGKILL)
+        assert flying.first_still_s(killed_s) < 0.3 + SLACK_S
+        wait_for(lambda: flying.peer.custom_mode == PX4_HOLD, 1.0 + SLACK_S)
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 3.0)
+        assert time.monotonic() - killed_s < 3.5 + 2 * SLACK_S
 
 
 def test_a_navigator_that_sleeps_and_wakes_up_neither_flies_nor_tells_a_place():

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -246,6 +247,20 @@ def test_a_watchdog_that_died_is_replaced_within_a_second_and_it_flies_on(flown)
     flown.fly(0.6)
     assert flown.state() is GuardState.RELAY
     assert len(flown.setpoints(replaced_s)) > 10
+
+
+def test_a_spare_one_is_started_though_the_log_cannot_be_opened_again(tmp_path):
+    """As on a disk that stalls, where opening it waits."""
+    folder, said = tmp_path / "card", []
+    folder.mkdir()
+    url = f"udpin://127.0.0.1:{free_port()}"
+    with start_watchdog(url, folder / "watchdog.log", say=said.append) as watchdog:
+        shutil.rmtree(folder)
+        wait_for(loaded_spares, 20.0)
+        watchdog.process.kill()
+        wait_for(lambda: said)
+        wait_for(loaded_spares, 20.0)
+    assert said == ["the watchdog has died (code -9): another one takes its place"]
 
 
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):

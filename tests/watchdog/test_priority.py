@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from link_peer import free_port
 
+from vwnav.machine.priority import NICER
 from vwnav.watchdog.launch import start_watchdog
-from vwnav.watchdog.priority import NICER
 
 PROGRAM = """
 import os, resource, sys, threading
-from vwnav.watchdog.priority import go_first
+from vwnav.machine.priority import go_first
 {before}
 raised, told = go_first(), []
 thread = threading.Thread(target=lambda: told.append(os.nice(0)))

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -58,14 +59,38 @@ def heed_interrupts() -> None:
 
 
 @contextlib.contextmanager
-def flight(standby: list[str] | None = None) -> Iterator[Flight]:
+def stalled_log() -> Iterator[int]:
+    """A full pipe that nobody reads: who writes to it waits, as for a disk that stalls."""
+    reads, writes = os.pipe()
+    os.set_blocking(writes, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writes, bytes(4096))
+    os.set_blocking(writes, True)
+    try:
+        yield writes
+    finally:
+        os.close(reads)
+        os.close(writes)
+
+
+@contextlib.contextmanager
+def flight(standby: list[str] | None = None, log: int | None = None) -> Iterator[Flight]:
+    """One under way.
+
+    Args:
+        standby: command line of the successor.
+        log: what navigator and watchdog have for their stderr; None is that of the test.
+    """
     port = free_port()
     url = f"udpin://127.0.0.1:{port}"
     arguments = [url, *([json.dumps(standby)] if standby else [])]
     command = [sys.executable, str(HERE / "navigator.py"), *arguments]
     with (
         Peer(port) as peer,
-        subprocess.Popen(command, stdout=subprocess.PIPE, preexec_fn=heed_interrupts) as process,
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=log, preexec_fn=heed_interrupts
+        ) as process,
     ):
         flying = Flight(peer, process, url)
         try:

@@ -20,6 +20,8 @@ from vwnav.config import save_config
 from vwnav.errors import ConfigError, PreflightError, VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
+from vwnav.machine.never_waits import stderr_that_never_waits
+from vwnav.machine.priority import go_first
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
@@ -35,6 +37,7 @@ from vwnav.pace import PacedClock
 from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.disk.thread import sync_file
 from vwnav.recording.run_folder import make_run_folder, unused
+from vwnav.runtime import FlightRuntime
 from vwnav.screen import say
 from vwnav.seams import FrameSource
 from vwnav.sim.config import Manners, VehicleConfig
@@ -44,8 +47,8 @@ from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import start_vehicle
 from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
-from vwnav.watchdog.priority import go_first
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 FIRST_STATE_S = 5.0
 WORTH_SAYING_S = 10.0  # of simulated time that stood still
 MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it
@@ -63,6 +66,7 @@ def fly_route(options: FlyOptions) -> None:
     keep_heap_small()
     options = _with_simulated_defaults(options)
     with ExitStack() as stack:
+        stack.enter_context(stderr_that_never_waits())
         plan = plan_flight(options, stack)
         if not options.sim and wait_for_the_aircraft(str(options.connection), ServiceManager()):
             options = _of_a_flight_that_broke_off(options)
@@ -180,7 +184,7 @@ def _fly(
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
     aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, notices, options.arms)
-    with _stopped_by_signals():
+    with _interrupted_by_signals(aboard.runtime):
         try:
             if not options.arms:
                 _listen_for_enter(aboard.flight)
@@ -216,13 +220,15 @@ def _listen_for_enter(flight: Flight) -> None:
 
 
 @contextmanager
-def _stopped_by_signals() -> Iterator[None]:
-    """A service that is stopped, or a terminal that is closed, lands as Ctrl-C does."""
+def _interrupted_by_signals(runtime: FlightRuntime) -> Iterator[None]:
+    """A service that is stopped, or a terminal that is closed, lands as Ctrl-C does.
 
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {each: signal.signal(each, interrupt) for each in (signal.SIGTERM, signal.SIGHUP)}
+    None of them raises: they come in twos (a terminal's shell sends SIGHUP, and so does the system,
+    a millisecond later), and the second one would end the flight in the midst of the first. One
+    that we were started to ignore (`nohup`, a shell's `&`) stays ignored.
+    """
+    heeded = [each for each in _ENDING if signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, lambda *_: runtime.interrupt()) for each in heeded}
     try:
         yield
     finally:

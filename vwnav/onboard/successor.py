@@ -22,6 +22,7 @@ from vwnav.errors import VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
@@ -100,6 +101,7 @@ def stand_by(options: FlyOptions) -> None:
     """Load everything, wait to be woken, then send estimates until the aircraft is down."""
     keep_heap_small()
     with ExitStack() as stack:
+        stack.enter_context(stderr_that_never_waits())
         plan = plan_flight(options, stack)
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
         notices = deque[str]()

@@ -25,8 +25,9 @@ from typing import IO
 
 from vwnav.clock import Clock, WallClock
 from vwnav.errors import LinkError
+from vwnav.machine.never_waits import stderr_that_never_waits
+from vwnav.machine.priority import go_first
 from vwnav.watchdog.keepalive import HANGS_S, KeepAlive, UdpChannel
-from vwnav.watchdog.priority import go_first
 
 _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
@@ -63,7 +64,8 @@ class WatchdogProcess:
         self, command: Sequence[str], log: Path | None, clock: Clock, say: Callable[[str], None]
     ) -> None:
         self._command = list(command)
-        self._log = log
+        # Once: while the disk stalls, opening it again would keep the next spare one from starting.
+        self._log = log.open("ab") if log is not None else None
         self._say = say
         self._closing = False
         self.process = self._start([])
@@ -91,22 +93,19 @@ class WatchdogProcess:
         self._closing = True
         self.keepalive.close()
         _end_spare(self._spare)
+        if self._log is not None:
+            self._log.close()
         try:
             self.process.wait(_LEAVE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             _log.warning("the watchdog (process %d) has the aircraft, it goes on", self.process.pid)
 
     def _start(self, more: Sequence[str]) -> subprocess.Popen[bytes]:
-        stderr = self._log.open("ab") if self._log is not None else None
-        try:
-            # A session of its own: signals of the navigator's terminal are not for the watchdog.
-            return subprocess.Popen(
-                [*self._command, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=stderr, start_new_session=True,
-            )  # fmt: skip
-        finally:
-            if stderr is not None:
-                stderr.close()
+        # A session of its own: signals of the navigator's terminal are not for the watchdog.
+        return subprocess.Popen(
+            [*self._command, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=self._log, start_new_session=True,
+        )  # fmt: skip
 
     def _replace_the_dead(self) -> None:
         for _ in range(_MOST_DEATHS):
@@ -222,25 +221,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the process; the exit code is 1 when the link cannot be opened."""
     from vwnav.watchdog import process as watchdog_process
 
-    logging.basicConfig(level=logging.INFO, format="vwnav watchdog: %(message)s")
     # Ctrl-C in the navigator's terminal is for the navigator: this process has to outlive it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    go_first()
-    try:
+    goes_first = go_first()
+    logging.getLogger().setLevel(logging.INFO)
+    # The log is on a disk, and while that one stalls nobody else lands the aircraft.
+    with stderr_that_never_waits("vwnav watchdog: %(message)s"):
+        if not goes_first:
+            _log.info("no right to go before other processes: a busy machine holds the flight up")
         found = vars(_parse_arguments(sys.argv[1:] if arguments is None else arguments))
         if found.pop("spare"):
             line = sys.stdin.readline()
             if not line:
                 return 0  # the navigator has ended and the first one is still there
             found |= json.loads(line)
-        options = watchdog_process.WatchdogOptions(**found)
-        watchdog = watchdog_process.WatchdogPorts(options)
-    except LinkError as error:
-        print(json.dumps({"error": str(error)}), flush=True)
-        return 1
-    print(json.dumps({"ready": watchdog.ports}), flush=True)
-    try:
-        watchdog.run()
-    finally:
-        watchdog.close()
-    return 0
+        try:
+            watchdog = watchdog_process.WatchdogPorts(watchdog_process.WatchdogOptions(**found))
+        except LinkError as error:
+            print(json.dumps({"error": str(error)}), flush=True)
+            return 1
+        print(json.dumps({"ready": watchdog.ports}), flush=True)
+        try:
+            watchdog.run()
+        finally:
+            watchdog.close()
+        return 0

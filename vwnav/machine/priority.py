@@ -1,13 +1,10 @@
 """Who goes first on a busy processor: the watchdog, then the navigator, then everything else."""
 
-import logging
 import os
 import sys
 
 NICER = -5  # than who started it
 _TURN_S = 0.0005
-
-_log = logging.getLogger(__name__)
 
 
 def go_first() -> bool:
@@ -23,6 +20,5 @@ def go_first() -> bool:
     try:
         os.nice(NICER)
     except PermissionError:
-        _log.info("no right to go before other processes: a busy machine holds the flight up")
         return False
     return True
