@@ -311,8 +311,9 @@ class Ekf:
         if t_s > state.t_s:
             state = predict(state, t_s, self._context)
         held = self.attitudes.held(state.t_s)
-        patch = patch_below(state, self._context)
-        table = np.zeros(2) if patch is None else np.array([patch.per_north, patch.per_east])
+        table = np.zeros(2)
+        if self._context.ground is not None and (patch := patch_below(state, self._context)):
+            table = np.array([patch.per_north, patch.per_east])
         return estimate_of(state, held.quat_wxyz, held.open_rad, table)
 
     def _insert(self, event: Event) -> Innovation:

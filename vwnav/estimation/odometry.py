@@ -127,8 +127,9 @@ def _apply_slope(
     """
     if motion.slope_ne is None or motion.slope_covariance is None:
         return state
-    patch = patch_below(state, context)
-    table = np.zeros(2) if patch is None else np.array([patch.per_north, patch.per_east])
+    table = np.zeros(2)
+    if context.ground is not None and (patch := patch_below(state, context)):
+        table = np.array([patch.per_north, patch.per_east])
     turn = level_axes(-float(state.x[States.ANCHOR_HEADING_BIAS] + state.x[States.CAMERA_TURN]))
     config = context.config
     way_m = math.hypot(*(state.x[States.POSITION] - state.x[States.ANCHOR_POSITION]))
