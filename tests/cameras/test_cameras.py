@@ -137,6 +137,13 @@ def test_a_folder_is_read_in_natural_order_at_its_rate(tmp_path):
     assert [f.t_s for f in frames] == [0.0, 0.25, 0.5]
 
 
+def test_hidden_files_and_folders_are_no_pictures_of_a_folder(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), drawn(1))
+    (tmp_path / "._a.png").write_bytes(b"\0\5\x16\7")
+    (tmp_path / "dir.png").mkdir()
+    assert len(frames_of(open_source(str(tmp_path)))) == 1
+
+
 def with_exif_date(jpeg: bytes, date: str) -> bytes:
     """A JPEG with an Exif block of one tag, DateTimeOriginal."""
     text = date.encode() + b"\0"

@@ -98,6 +98,50 @@ def test_opencv_yaml_is_read(tmp_path: Path) -> None:
     assert (camera.width_px, camera.height_px, camera.model) == (640, 480, "pinhole")
 
 
+def with_lines(path: Path, *lines: str) -> Path:
+    """An OpenCV YAML with more keys at its top."""
+    head, rest = path.read_text().split("---\n", 1)
+    path.write_text(head + "---\n" + "".join(f"{line}\n" for line in lines) + rest)
+    return path
+
+
+@pytest.mark.parametrize(("number", "model"), [(0, "pinhole"), (1, "fisheye")])
+def test_the_fisheye_of_opencvs_own_calibration_program_is_one(
+    tmp_path: Path, number: int, model: str
+) -> None:
+    """As samples/cpp/tutorial_code/calib3d/camera_calibration writes it."""
+    path = opencv_yaml(tmp_path / "c.yml", [-0.02, 0.005, -0.003, 0.001])
+    lines = ("nr_of_frames: 25", "square_size: 50.", "flags: 10", f"fisheye_model: {number}")
+    camera = load_camera(with_lines(path, *lines))
+    assert camera.model == model
+    assert camera.distortion == pytest.approx((-0.02, 0.005, -0.003, 0.001))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("xi: 1.2", "xi"),
+        ("camera_model: omni", "omni"),
+        ("fisheye_model: 2", "fisheye_model"),
+        ("fisheye_model: 1\ndistortion_model: plumb_bob", "contradict"),
+        ("camera_model: fisheye\ndistortion_model: radtan", "contradict"),
+        ("distortion_model: 3", "distortion_model"),
+    ],
+)
+def test_what_makes_it_another_lens_is_refused(tmp_path: Path, line: str, message: str) -> None:
+    path = opencv_yaml(tmp_path / "c.yml", [-0.02, 0.005, -0.003, 0.001])
+    assert message in refused(with_lines(path, line))
+
+
+@pytest.mark.parametrize(
+    ("line", "model"),
+    [("camera_model: pinhole", "pinhole"), ("camera_model: Equidistant", "fisheye")],
+)
+def test_a_model_by_another_key_is_read(tmp_path: Path, line: str, model: str) -> None:
+    path = opencv_yaml(tmp_path / "c.yml", [-0.02, 0.005, -0.003, 0.001])
+    assert load_camera(with_lines(path, line)).model == model
+
+
 def test_opencv_yaml_with_unused_higher_coefficients_is_read(tmp_path: Path) -> None:
     camera = load_camera(opencv_yaml(tmp_path / "c.yaml", [-0.2, 0.05, 0, 0, 0.01, 0, 0, 0]))
     assert len(camera.distortion) == 5

@@ -63,6 +63,15 @@ def test_a_folder_stands_for_its_table_or_its_rasters(tmp_path: Path):
     assert [source.name for source in open_sources([tmp_path])] == ["marks.jpg"]
 
 
+def test_hidden_files_are_no_sources_of_a_folder(tmp_path: Path):
+    write_tiff(tmp_path / "b.tif", texture_rgb())
+    write_world_image(tmp_path, ".jpg", ".jgw", prj=True)
+    for name in ("._b.tif", "._marks.jpg", "._marks.jgw", "._map.csv"):
+        (tmp_path / name).write_bytes(b"\0\5\x16\7")
+    (tmp_path / "dir.tif").mkdir()
+    assert [source.name for source in open_sources([tmp_path])] == ["b.tif", "marks.jpg"]
+
+
 def test_images_may_be_listed_beside_their_table(tmp_path: Path):
     (tmp_path / "tables").mkdir()
     table = tmp_path / "tables" / "map.csv"

@@ -103,6 +103,15 @@ def test_for_people_there_is_a_line_per_image(scene: Path):
     assert last.startswith("dark.png: no fix, picture without contrast")
 
 
+def test_hidden_files_and_folders_are_no_pictures_of_a_folder(scene: Path, tmp_path: Path):
+    (tmp_path / "a.png").write_bytes((scene / "pictures/dark.png").read_bytes())
+    (tmp_path / "._a.png").write_bytes(b"\0\5\x16\7")
+    (tmp_path / "dir.png").mkdir()
+    result = run(scene, tmp_path, "--hfov-deg", "70", *PLACE)
+    assert result.exit_code == 0
+    assert [line.split(":")[0] for line in result.stdout.splitlines()] == ["a.png"]
+
+
 def test_exif_gives_place_heading_height_and_lens(scene: Path, tmp_path: Path):
     Image = pytest.importorskip("PIL.Image")
     exif = Image.Exif()

@@ -13,6 +13,8 @@ from vwnav.geometry.rotations import (
     rotation_from_quat,
     vector_from_rotation,
 )
+from vwnav.recording import recorded_telemetry
+from vwnav.recording.reader import VEHICLE_TOPIC, Record
 from vwnav.recording.telemetry_files import load_telemetry
 from vwnav.types import Attitude, Height, ImuSample, Range, Stationary
 
@@ -104,6 +106,14 @@ def test_a_damaged_log_is_one_clear_line(tmp_path, name):
         with pytest.raises(SourceError, match=r"damaged|is not a") as error:
             load_telemetry(tmp_path / name)
         assert "\n" not in str(error.value)
+
+
+def test_a_recording_that_lacks_what_is_read_is_one_clear_line(tmp_path, monkeypatch):
+    told = [Record(VEHICLE_TOPIC, 1.0, {"attitude": None, "armed": True})]
+    monkeypatch.setattr(recorded_telemetry, "read_recording", lambda *_: told)
+    (tmp_path / "a.mcap").touch()
+    with pytest.raises(SourceError, match="its telemetry has no 'height_m'"):
+        load_telemetry(tmp_path / "a.mcap")
 
 
 def near(attitudes, t_s):

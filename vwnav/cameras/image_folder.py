@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from vwnav.errors import SourceError
+from vwnav.files.folder import PICTURES, files_in
 from vwnav.types import Frame
 
-_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"}
 _EXIF_BYTES = 1 << 16
 # Exif 2.32, 4.6.5: dates are ASCII "YYYY:MM:DD HH:MM:SS" with a closing zero.
 _EXIF_DATE = re.compile(rb"(\d{4}:\d\d:\d\d \d\d:\d\d:\d\d)\0")
@@ -32,10 +32,9 @@ class ImageFolder:
     """
 
     def __init__(self, folder: Path, fps: float) -> None:
-        found = (path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
-        self._paths = sorted(found, key=lambda path: _natural_key(path.name))
+        self._paths = sorted(files_in(folder, PICTURES), key=lambda path: _natural_key(path.name))
         if not self._paths:
-            raise SourceError(f"{folder} holds no picture ({', '.join(sorted(_SUFFIXES))})")
+            raise SourceError(f"{folder} holds no picture ({', '.join(PICTURES)})")
         self._times_s = _times(self._paths, fps)
         self._next = 0
 

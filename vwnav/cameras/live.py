@@ -258,6 +258,7 @@ class StreamGrabber:
         self._video = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
         if not self._video.isOpened():
             raise SourceError(f"cannot open the stream {url}: is the camera on and reachable?")
+        self._video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or 30.0)
         self._tells_time = url.lower().startswith("rtsp")
         self._times = StreamTimes()

@@ -1,12 +1,14 @@
-"""Whether a video file is whole, by the sizes that its container declares."""
+"""What the container of a video file declares: whether the file is whole, how much is in it."""
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 _EBML_MAGIC = b"\x1a\x45\xdf\xa3"
 _EBML_SEGMENT = b"\x18\x53\x80\x67"
 _ISO_BOXES = {b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"moof", b"uuid", b"sidx"}
+_TRIMMED_S = 0.05  # an edit list that leaves out less: a sound's lead, or three pictures at most
 
 
 def is_cut_off(path: Path) -> bool:
@@ -24,26 +26,96 @@ def is_cut_off(path: Path) -> bool:
     return False
 
 
-def _iso_is_cut_off(file: BinaryIO, size: int) -> bool:
-    """ISO/IEC 14496-12, 4.2: boxes of size and type, one after the other, `moov` among them."""
-    at, seen = 0, set()
-    while at < size:
+def what_is_counted(path: Path) -> Literal["pictures", "periods"] | None:
+    """What the number of pictures that is stored in a file counts.
+
+    MP4 and MOV store how many pictures there are; of one that an edit list trims, not all are
+    shown. AVI stores how many of its rate's periods there are, with a picture in each or without.
+    Others store none: it is then made up of duration and rate, and of sound that lasts longer.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(12)
+        if head[:4] == b"RIFF":
+            return "periods"
+        try:
+            if head[4:8] in _ISO_BOXES and _iso_shows_all(file, size):
+                return "pictures"
+        except (LookupError, ValueError, ArithmeticError, struct.error):
+            return None  # of a damaged index nothing is believed
+    return None
+
+
+def _iso_boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Type of each box, where its content begins, where it ends (ISO/IEC 14496-12, 4.2).
+
+    One whose size cannot be is the last, and ends beyond `end`.
+    """
+    while at < end:
         file.seek(at)
         header = file.read(16)
-        if len(header) < 8:
-            return True
-        length, kind = struct.unpack_from(">I4s", header)
-        seen.add(kind)
-        if length == 0:  # to the end of the file
-            break
-        if length == 1:
-            if len(header) < 16:
-                return True
+        length, kind = struct.unpack(">I4s", header[:8]) if len(header) >= 8 else (2, b"")
+        content = at + 8
+        if length == 1 and len(header) == 16:
             (length,) = struct.unpack_from(">Q", header, 8)
-        if length < 8:
-            return True
-        at += length
-    return at > size or b"moov" not in seen
+            content += 8
+        if length == 0:  # to the end
+            length = end - at
+        at = at + length if length >= content - at else end + 1
+        yield kind, content, at
+
+
+def _iso_is_cut_off(file: BinaryIO, size: int) -> bool:
+    """A box that ends beyond the file, or none that is the index."""
+    boxes = list(_iso_boxes(file, 0, size))
+    return boxes[-1][2] > size or b"moov" not in {kind for kind, _, _ in boxes}
+
+
+def _iso_contents(file: BinaryIO, at: int, end: int, *kinds: bytes) -> Iterator[tuple[int, int]]:
+    """Where the contents of boxes within boxes of these types begin and end."""
+    for kind, begin, stop in _iso_boxes(file, at, end):
+        if kind == kinds[0] and kinds[1:]:
+            yield from _iso_contents(file, begin, stop, *kinds[1:])
+        elif kind == kinds[0]:
+            yield begin, stop
+
+
+def _iso_shows_all(file: BinaryIO, size: int) -> bool:
+    """False where pictures are counted elsewhere (fragments), or an edit list leaves some out."""
+    moovs = list(_iso_contents(file, 0, size, b"moov"))
+    fragmented = any(list(_iso_contents(file, *moov, b"mvex")) for moov in moovs)
+    return not fragmented and not any(_iso_is_trimmed(file, *moov) for moov in moovs)
+
+
+def _iso_is_trimmed(file: BinaryIO, at: int, end: int) -> bool:
+    """Whether an edit list (ISO/IEC 14496-12, 8.6.6) of a movie leaves out a part of a track."""
+    ((movie_at, _),) = _iso_contents(file, at, end, b"mvhd")
+    per_s, _ = _iso_scale(file, movie_at)
+    for track in _iso_contents(file, at, end, b"trak"):
+        ((media_at, _),) = _iso_contents(file, *track, b"mdia", b"mdhd")
+        media_per_s, media = _iso_scale(file, media_at)
+        for edits in _iso_contents(file, *track, b"edts", b"elst"):
+            if media / media_per_s - _iso_edited(file, *edits) / per_s > _TRIMMED_S:
+                return True
+    return False
+
+
+def _iso_scale(file: BinaryIO, at: int) -> tuple[int, int]:
+    """Units of time in a second, and how many of them `mvhd` or `mdhd` says that it lasts."""
+    file.seek(at)
+    box = file.read(32)
+    form, begin = (">IQ", 20) if box[0] == 1 else (">II", 12)
+    per_s, duration = struct.unpack_from(form, box, begin)
+    return per_s, duration
+
+
+def _iso_edited(file: BinaryIO, at: int, end: int) -> int:
+    """How long the edits of an `elst` last that show something, in the movie's units."""
+    file.seek(at)
+    box = file.read(end - at)
+    form = struct.Struct(">QqI" if box[0] == 1 else ">IiI")
+    whole = (len(box) - 8) // form.size * form.size
+    return sum(span for span, media_at, _ in form.iter_unpack(box[8 : 8 + whole]) if media_at >= 0)
 
 
 def _matroska_end(file: BinaryIO) -> int:

@@ -1,5 +1,6 @@
 """A video file as a source of images, with the container's own time stamps."""
 
+import logging
 import os
 from collections import deque
 from pathlib import Path
@@ -7,13 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.cameras.video_container import is_cut_off
+from vwnav.cameras.video_container import is_cut_off, what_is_counted
 from vwnav.errors import SourceError
 from vwnav.types import Frame
 
+_log = logging.getLogger(__name__)
 # A cut-off file may yield a half decoded last image; with B-frames it is not the last in time.
 _HELD_BACK = 3
-# Containers that count images by duration are off by a few.
+# Containers may count a few that are not shown.
 _COUNT_TOLERANCE = 3
 
 
@@ -29,18 +31,24 @@ def quieten_decoder() -> None:
 class VideoFile:
     """A `FrameSource` over a video file; `t_s` is the video's own time, from 0.
 
+    Images are as the camera took them, not turned as a player is asked to show them.
+
     Raises:
         SourceError: the file is no video that can be opened.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._cut_off = is_cut_off(path)
+        self._cut_off, self._counted = is_cut_off(path), what_is_counted(path)
         quieten_decoder()
         self._video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         if not self._video.isOpened():
             why = "the file ends too early" if self._cut_off else "unknown format, or damaged"
             raise SourceError(f"{path} is not a video that can be opened: {why}")
+        self._video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        if turned_deg := self._video.get(cv2.CAP_PROP_ORIENTATION_META):
+            _log.warning("%s asks to be shown turned by %.0f degrees: its pictures are taken as "
+                         "the camera took them", path, turned_deg)  # fmt: skip
         self._fps = self._video.get(cv2.CAP_PROP_FPS) or 30.0
         self._expected = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
         self._index = 0
@@ -81,11 +89,20 @@ class VideoFile:
     def _check_end(self) -> None:
         if self._index == 0:
             raise SourceError(f"{self._path} holds no picture that can be read")
-        missing = self._expected - self._index
+        missing = self._missing()
         if self._cut_off or missing > _COUNT_TOLERANCE:
             at = max(0, self._index - len(self._ahead))
-            of = f" of {self._expected}" if missing > 0 else ""
+            of = f" of {self._index + missing}" if missing > 0 else ""
             raise SourceError(
                 f"{self._path} ends in the middle of picture {at + 1}{of}: it is damaged, or its "
                 "recording or copy was not finished; copy it again or cut it before that picture"
             )
+
+    def _missing(self) -> int:
+        """How many more pictures the container says there are; 0 where it does not say."""
+        if self._counted == "pictures":
+            return self._expected - self._index
+        if self._counted == "periods":  # those before the last picture may be empty
+            period_s = self._last_t_s / (self._index - 1) if self._index > 1 else 1.0 / self._fps
+            return round((self._expected / self._fps - self._last_t_s) / period_s) - 1
+        return 0

@@ -10,7 +10,11 @@ def replay(
     map_path: Path | None = typer.Option(None, "--map", help="Map pack (vwnav map build)."),
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
     hfov_deg: float | None = typer.Option(None, help="Horizontal field of view instead of it."),
-    telemetry: Path | None = typer.Option(None, help="Attitude and height: CSV, ULog or tlog."),
+    telemetry: Path | None = typer.Option(
+        None,
+        help="Attitude and height: CSV, ULog or tlog. 0 of a CSV's t_s, or the first attitude of "
+        "the others, is the first picture's time.",
+    ),
     features: str | None = typer.Option(
         None, help="learned, sift or orb; else as --config says, else learned."
     ),

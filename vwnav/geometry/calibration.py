@@ -38,6 +38,7 @@ _MODELS: dict[str, CameraModel] = {
     "fisheye": "fisheye",
     "equidistant": "fisheye",
 }
+_MODEL_KEYS = ("distortion_model", "camera_model")
 
 
 def load_camera(path: Path | str) -> Camera:
@@ -198,27 +199,55 @@ def _from_yaml(text: str) -> Camera:
         K = _matrix(storage, "camera_matrix").reshape(3, 3)
         coefficients = _matrix(storage, "distortion_coefficients")
         width_px, height_px = (storage.getNode(f"image_{side}") for side in ("width", "height"))
-        name = storage.getNode("distortion_model")
+        model = _yaml_model(storage)
         if width_px.empty() or height_px.empty():
             raise ValueError("missing image_width or image_height")
         return Camera(
             width_px=_pixels(width_px.real(), "image_width"),
             height_px=_pixels(height_px.real(), "image_height"),
             K=K,
-            distortion=_known_coefficients(coefficients, name.string()),
-            model=_MODELS.get(name.string(), "pinhole"),
+            distortion=_known_coefficients(coefficients, model),
+            model=model,
         )
     finally:
         storage.release()
 
 
-def _known_coefficients(coefficients: Array, model: str) -> tuple[float, ...]:
-    """The coefficients without trailing zeros beyond the fifth, which other models use."""
-    if model not in _MODELS:
-        raise ValueError(f"unknown distortion_model {model!r}")
-    keep = 4 if _MODELS[model] == "fisheye" else 5
+def _yaml_model(storage: cv2.FileStorage) -> CameraModel:
+    """The lens by all keys that programs name it with."""
+    if not storage.getNode("xi").empty():
+        raise ValueError("xi is of an omnidirectional lens, expected pinhole or fisheye")
+    told = {key: _model_named(storage.getNode(key), key) for key in _MODEL_KEYS}
+    told["fisheye_model"] = _model_numbered(storage.getNode("fisheye_model"))
+    known = {key: model for key, model in told.items() if model is not None}
+    if len(set(known.values())) > 1:
+        raise ValueError(f"{' and '.join(known)} contradict each other")
+    return next(iter(known.values()), "pinhole")
+
+
+def _model_named(node: cv2.FileNode, key: str) -> CameraModel | None:
+    if node.empty():
+        return None
+    if not node.isString() or node.string().lower() not in _MODELS:
+        raise ValueError(f"unknown {key} {node.string() or node.real()!r}")
+    return _MODELS[node.string().lower()]
+
+
+def _model_numbered(node: cv2.FileNode) -> CameraModel | None:
+    """By `fisheye_model`, 0 or 1, of OpenCV's own calibration program."""
+    if node.empty():
+        return None
+    if node.real() not in (0.0, 1.0):
+        raise ValueError(f"fisheye_model is {node.real():g}, expected 0 or 1")
+    return "fisheye" if node.real() else "pinhole"
+
+
+def _known_coefficients(coefficients: Array, model: CameraModel) -> tuple[float, ...]:
+    """The coefficients without trailing zeros beyond those of the model, which others use."""
+    known = "k1 k2 k3 k4" if model == "fisheye" else "k1 k2 p1 p2 k3"
+    keep = len(known.split())
     if np.any(coefficients[keep:]):
-        raise ValueError(f"distortion beyond k1 k2 p1 p2 k3 (model {model or 'of OpenCV'!r})")
+        raise ValueError(f"distortion beyond {known} of a {model} lens")
     return tuple(float(k) for k in coefficients[:keep])
 
 

@@ -13,6 +13,7 @@ from vwnav.cameras.image_folder import read_image
 from vwnav.cameras.image_metadata import ImageMetadata, read_image_metadata
 from vwnav.cameras.metadata_table import read_metadata_table
 from vwnav.errors import ConfigError, SourceError
+from vwnav.files.folder import PICTURES, files_in
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
@@ -21,7 +22,6 @@ from vwnav.types import FeatureExtractor, Frame, MapFix, Prior, Rejected
 from vwnav.vision.features.load import load_features
 from vwnav.vision.localizer import Localizer
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 EXIF_SIGMA_M = 15.0  # GPS, and the map's own offset
 SEED = 0
 
@@ -76,9 +76,9 @@ def localize_images(options: LocalizeOptions) -> None:
 def _images(images: list[Path]) -> Iterator[Path]:
     for path in images:
         if path.is_dir():
-            found = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
+            found = files_in(path, PICTURES)
             if not found:
-                raise SourceError(f"{path} holds no picture ({', '.join(SUFFIXES)})")
+                raise SourceError(f"{path} holds no picture ({', '.join(PICTURES)})")
             yield from found
         elif path.is_file():
             yield path

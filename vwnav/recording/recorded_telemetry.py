@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from vwnav.errors import SourceError
 from vwnav.recording.reader import CAMERA_TOPIC, VEHICLE_TOPIC, read_recording
 from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, Range
@@ -16,13 +17,18 @@ def read_recorded_telemetry(path: Path) -> TelemetryLog:
     """Attitude, height, range and arming; time starts at the recording's first image.
 
     Raises:
-        SourceError: it is no recording.
+        SourceError: it is no recording, or of a version whose telemetry has other names.
     """
     log = TelemetryLog()
     first_image_s: float | None = None
     for record in read_recording(path, _TOPICS):
         if record.topic == VEHICLE_TOPIC:
-            _add(log, record.t_s, record.content)
+            try:
+                _add(log, record.t_s, record.content)
+            except KeyError as error:
+                raise SourceError(
+                    f"{path} is of another version of vwnav: its telemetry has no {error}"
+                ) from error
         elif first_image_s is None:
             first_image_s = record.t_s
     log.start_s = first_image_s or 0.0

@@ -1,6 +1,7 @@
 """Measurements of a recorded flight: CSV, ULog, tlog or vwnav's own recording."""
 
 import csv
+import logging
 import math
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height
 
+_log = logging.getLogger(__name__)
 _CSV_COLUMNS = ("t_s", "roll_deg", "pitch_deg", "yaw_deg", "height_m", "agl_m")
 _ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
@@ -35,6 +37,8 @@ def load_telemetry(path: Path, start_s: float = 0.0) -> TelemetryLog:
         raise SourceError(f"cannot read {path}: {error.strerror or error}") from error
     if log.empty:
         raise SourceError(f"{path} holds neither attitude nor height")
+    if log.went_back:
+        _log.warning("%s: %d measurements left out, whose time goes back", path, log.went_back)
     log.start_s += start_s
     return log
 

@@ -23,10 +23,12 @@ class TelemetryLog:
 
     Attributes:
         start_s: time of the recording at which the first image was taken.
+        went_back: how many attitudes and other measurements were older than the one before.
     """
 
     def __init__(self) -> None:
         self.start_s = 0.0
+        self.went_back = 0
         self._attitudes = AttitudeTrack(_SPARSE_GAP_S)
         self._others: list[Telemetry] = []
         self._agls: list[tuple[float, float]] = []
@@ -45,13 +47,12 @@ class TelemetryLog:
 
     def add_attitude(self, t_s: float, quat_wxyz: Array) -> None:
         """Append an attitude, (4,) of R_ned_body."""
-        self._attitudes.add(t_s, quat_wxyz)
+        if self._is_newer(Attitude, t_s):
+            self._attitudes.add(t_s, quat_wxyz)
 
     def add(self, measurement: Height | Range | ImuSample) -> None:
         """Append any other measurement."""
-        kind = type(measurement)
-        if measurement.t_s > self._newest_s.get(kind, -math.inf):
-            self._newest_s[kind] = measurement.t_s
+        if self._is_newer(type(measurement), measurement.t_s):
             self._others.append(measurement)
 
     def add_agl(self, t_s: float, agl_m: float) -> None:
@@ -61,6 +62,12 @@ class TelemetryLog:
     def add_armed(self, t_s: float, armed: bool) -> None:
         """Append whether the motors may turn; it holds until the next one."""
         self._armed.append((t_s, armed))
+
+    def _is_newer(self, kind: type[Telemetry], t_s: float) -> bool:
+        newest_s = self._newest_s.get(kind, -math.inf)
+        self._newest_s[kind] = max(newest_s, t_s)
+        self.went_back += t_s < newest_s
+        return t_s > newest_s
 
     def measurements(self, first_image_s: float) -> list[Telemetry]:
         """All of it in order of time, on the clock on which the first image has that time."""

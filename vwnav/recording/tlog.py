@@ -1,7 +1,9 @@
 """MAVLink recordings (tlog): eight bytes of time and a packet, again and again; gzip or not."""
 
 import gzip
+import logging
 import math
+import re
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +19,10 @@ from vwnav.mavlink.telemetry.barometer import BarometricHeight, hectopascal
 from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, ImuSample, Range
 
+_log = logging.getLogger(__name__)
 _STAMP_BYTES = 8
+_MARKER = re.compile(b"[" + bytes(MARKERS) + b"]")
+_RESTART_S = 2.0  # by which an autopilot's clock goes back when it starts again; links reorder less
 _WANTED = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT,
     mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -31,55 +36,132 @@ _AUTOPILOTS = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 def read_tlog(path: Path) -> TelemetryLog:
     """Attitude, height, downward range, IMU and arming of a tlog, on the autopilot's clock.
 
+    Damaged bytes are skipped. Of several starts, or several autopilots, the one that is heard for
+    the longest time is taken. Both are said.
+
     Raises:
         SourceError: it is no tlog, or holds nothing of an autopilot.
     """
+    data = _unpacked(path)
+    boots = _Boots()
+    found, taken_bytes = False, 0
+    for packet in _packets(data):
+        found = True
+        if boots.handle(packet):
+            taken_bytes += _STAMP_BYTES + len(packet.data)
+    if not found:
+        raise SourceError(f"{path} is not a tlog: no MAVLink packet in it")
+    if skipped_bytes := len(data) - taken_bytes:
+        _log.warning("%s: %d of %d bytes are damaged, and skipped", path, skipped_bytes, len(data))
+    return boots.longest(path)
+
+
+def _unpacked(path: Path) -> bytes:
+    data = path.read_bytes()
     try:
-        data = path.read_bytes()
-        if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
+        return gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise SourceError(f"{path} is damaged: its gzip data end too early or are wrong") from error
-    collector = _Collector()
-    count = 0
-    for packet in _packets(data):
-        count += 1
-        collector.handle(packet)
-    if count == 0:
-        raise SourceError(f"{path} is not a tlog: no MAVLink packet where the first should be")
-    return collector.finish()
 
 
 def _packets(data: bytes) -> Iterator[Packet]:
-    """Packets of the autopilot; ends where the file no longer has the layout of a tlog."""
-    at = 0
-    while at + _STAMP_BYTES < len(data):
-        at += _STAMP_BYTES
-        packet = packet_at(data, at) if data[at] in MARKERS else None
-        if packet is None:
-            return
-        yield packet
-        at += len(packet.data)
+    """All packets; where the layout of a tlog is broken, on from the next with a right checksum."""
+    found, end = _next_packet(data, 0)
+    while found is not None:
+        yield found
+        found, end = _next_packet(data, end)
 
 
-class _Collector:
-    """Turns messages into series."""
+def _next_packet(data: bytes, at: int) -> tuple[Packet | None, int]:
+    """The packet of the entry at `at`, or the next whole one; with where it ends."""
+    start = at + _STAMP_BYTES
+    in_place = packet_at(data, start) if _is_marked(data, start) else None
+    if in_place is not None:
+        end = start + len(in_place.data)
+        if end + _STAMP_BYTES >= len(data) or _is_marked(data, end + _STAMP_BYTES):
+            return in_place, end
+    for marker in _MARKER.finditer(data, start):
+        packet = packet_at(data, marker.start())
+        if packet is not None and _decoded(packet) is not None:
+            return packet, marker.start() + len(packet.data)
+    return None, len(data)
+
+
+def _is_marked(data: bytes, at: int) -> bool:
+    return at < len(data) and data[at] in MARKERS
+
+
+def _decoded(packet: Packet) -> Any | None:
+    """Its message; None where it is damaged, or of no kind that is known."""
+    try:
+        return mavlink.MAVLink(None).decode(bytearray(packet.data))
+    except mavlink.MAVError:
+        return None
+
+
+class _Boots:
+    """From each start of an autopilot to the next, of each system by itself."""
 
     def __init__(self) -> None:
+        self._all: list[_Boot] = []
+        self._latest: dict[int, _Boot] = {}
+
+    def handle(self, packet: Packet) -> bool:
+        """Take one packet in; False where it is damaged."""
+        if packet.message_id not in _WANTED or packet.component_id != 1:
+            return True
+        message = _decoded(packet)
+        if message is None:
+            return False
+        boot = self._latest.get(packet.system_id)
+        if boot is None or boot.is_over(message):
+            boot = self._latest[packet.system_id] = _Boot(packet.system_id)
+            self._all.append(boot)
+        boot.handle(message)
+        return True
+
+    def longest(self, path: Path) -> TelemetryLog:
+        """All of the longest."""
+        boots = [boot for boot in self._all if boot.span_s > 0.0] or self._all
+        if not boots:
+            return TelemetryLog()
+        longest = max(boots, key=lambda boot: boot.span_s)
+        if len(boots) > 1:
+            _log.warning(
+                "%s holds %d starts of autopilots (of one or several): taking the longest, "
+                "number %d, of system %d, %.0f s; for another one cut the file",
+                path, len(boots), boots.index(longest) + 1, longest.system_id, longest.span_s
+            )  # fmt: skip
+        return longest.finish()
+
+
+class _Boot:
+    """Turns an autopilot's messages into series."""
+
+    def __init__(self, system_id: int) -> None:
+        self.system_id = system_id
         self._log = TelemetryLog()
-        self._decoder = mavlink.MAVLink(None)
         self._barometer = BarometricHeight()
         self._pressure_from: int | None = None
+        self._began_s: float | None = None
         self._now_s = 0.0
 
-    def handle(self, packet: Packet) -> None:
-        """Take one packet in."""
-        if packet.message_id not in _WANTED or packet.component_id != 1:
-            return
-        try:
-            message = self._decoder.decode(bytearray(packet.data))
-        except mavlink.MAVError:
-            return  # a damaged packet among good ones
+    @property
+    def span_s(self) -> float:
+        """Time from the first message that told one to the newest."""
+        return 0.0 if self._began_s is None else self._now_s - self._began_s
+
+    def is_over(self, message: Any) -> bool:
+        """Whether the clock by which this was sent began anew."""
+        t_s = _boot_s(message)
+        return t_s is not None and t_s < self._now_s - _RESTART_S
+
+    def handle(self, message: Any) -> None:
+        """Take one message in."""
+        t_s = _boot_s(message)
+        if t_s is not None:
+            self._began_s = t_s if self._began_s is None else self._began_s
+            self._now_s = max(self._now_s, t_s)
         match kind := message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                 self._heartbeat(message)
@@ -106,9 +188,8 @@ class _Collector:
             self._log.add_armed(self._now_s, armed)
 
     def _attitude(self, message: Any) -> None:
-        self._now_s = message.time_boot_ms / 1e3
         R_ned_body = rotation_from_euler(message.roll, message.pitch, message.yaw)
-        self._log.add_attitude(self._now_s, quat_from_rotation(R_ned_body))
+        self._log.add_attitude(message.time_boot_ms / 1e3, quat_from_rotation(R_ned_body))
 
     def _imu(self, message: Any) -> None:
         if message.id == 0:
@@ -132,3 +213,9 @@ class _Collector:
             height_m = self._barometer.height_m(pressure_hpa)
             if height_m is not None:
                 self._log.add(Height(t_s, height_m))
+
+
+def _boot_s(message: Any) -> float | None:
+    """Seconds since the autopilot started, where the message tells them."""
+    t_ms = getattr(message, "time_boot_ms", None)
+    return None if t_ms is None else t_ms / 1e3

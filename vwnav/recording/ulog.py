@@ -2,7 +2,8 @@
 
 import contextlib
 import io
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from vwnav.errors import SourceError
 from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, ImuSample, Range
 
+_log = logging.getLogger(__name__)
 _DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270, PX4's ROTATION_DOWNWARD_FACING
 _ARMED = 2  # vehicle_status.arming_state
 _TOPICS = [
@@ -40,7 +42,16 @@ def read_ulog(path: Path) -> TelemetryLog:
             found = ULog(str(path), _TOPICS)
     except Exception as error:  # pyulog raises whatever a damaged file leads it to
         raise SourceError(f"{path} is not a ULog, or it is damaged: {error}") from error
-    topics = {data.name: data.data for data in reversed(found.data_list)}
+    if found.file_corruption:
+        _log.warning("%s: a part of it is damaged, and skipped", path)
+    try:
+        return _told(found.data_list)
+    except KeyError as error:
+        raise SourceError(f"{path} is of another PX4 than is read: no {error} in it") from error
+
+
+def _told(data_list: list[Any]) -> TelemetryLog:
+    topics = {data.name: data.data for data in reversed(data_list)}
     log = TelemetryLog()
     if "vehicle_attitude" in topics:
         _add_attitudes(log, topics["vehicle_attitude"])
@@ -49,8 +60,7 @@ def read_ulog(path: Path) -> TelemetryLog:
         heights = air["baro_alt_meter"] - np.median(air["baro_alt_meter"][:20])
         for t_s, height_m in _finite(air["timestamp"], heights):
             log.add(Height(t_s, height_m))
-    if "distance_sensor" in topics:
-        _add_ranges(log, topics["distance_sensor"])
+    _add_ranges(log, [data.data for data in data_list if data.name == "distance_sensor"])
     if "vehicle_status" in topics:
         status = topics["vehicle_status"]
         for t_s, state in _finite(status["timestamp"], status["arming_state"]):
@@ -80,12 +90,19 @@ def _add_imu(log: TelemetryLog, topic: Any) -> None:
             log.add(ImuSample(t_us / 1e6, row[:3], row[3:]))
 
 
-def _add_ranges(log: TelemetryLog, topic: Any) -> None:
-    down = topic["orientation"] == _DOWNWARD
-    valid = (topic["current_distance"] >= topic["min_distance"]) & (topic["signal_quality"] != 0)
-    valid &= (topic["current_distance"] <= topic["max_distance"]) & down
-    for t_s, distance_m in _finite(topic["timestamp"][valid], topic["current_distance"][valid]):
-        log.add(Range(t_s, distance_m))
+def _add_ranges(log: TelemetryLog, sensors: list[Mapping[str, Any]]) -> None:
+    """Of the first sensor that looks down: two do not agree."""
+    for range_ in next(filter(None, map(_downward, sensors)), []):
+        log.add(range_)
+
+
+def _downward(sensor: Mapping[str, Any]) -> list[Range]:
+    distances = sensor["current_distance"]
+    valid = (distances >= sensor["min_distance"]) & (distances <= sensor["max_distance"])
+    valid &= sensor["orientation"] == _DOWNWARD
+    if "signal_quality" in sensor:  # PX4 before 1.9 does not tell
+        valid &= sensor["signal_quality"] != 0
+    return [Range(*each) for each in _finite(sensor["timestamp"][valid], distances[valid])]
 
 
 def _finite(stamps_us: Any, values: Any) -> Iterator[tuple[float, float]]:

@@ -74,7 +74,11 @@ def mount(
         Path, typer.Option("-o", "--output", metavar="FILE", help="Calibration, .toml or .json.")
     ],
     telemetry: Annotated[
-        Path | None, typer.Option(help="Attitude, and agl_m if there is: CSV, ULog or tlog.")
+        Path | None,
+        typer.Option(
+            help="Attitude, and agl_m if there is: CSV, ULog or tlog. 0 of a CSV's t_s, or the "
+            "first attitude of the others, is the first picture's time."
+        ),
     ] = None,
     focal: Annotated[bool, typer.Option("--focal", help="Ask for the focal length too.")] = False,
     features: Annotated[str, typer.Option(help="learned, sift or orb.")] = "learned",

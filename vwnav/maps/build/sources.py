@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from vwnav.errors import MapError
+from vwnav.files.folder import PICTURES, files_in
 from vwnav.geometry.geodesy import Window, mercator_px
 from vwnav.maps.build.builder import BuildOptions
 from vwnav.maps.build.image_files import corner_images, is_corner_table
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from vwnav.maps.build.geotiff import RasterFile
 
 _RASTERS = (".tif", ".tiff", ".vrt")
-_IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
+_IMAGES = tuple(suffix for suffix in PICTURES if suffix not in _RASTERS)
 
 
 class PackSource:
@@ -111,11 +112,11 @@ def default_options(paths: Sequence[Path], sources: Sequence[RasterSource]) -> B
 
 def _in_folder(folder: Path) -> list[Path]:
     """A folder's tables of corners; without one, its georeferenced rasters."""
-    files = sorted(path for path in folder.iterdir() if path.is_file())
-    tables = [path for path in files if path.suffix.lower() == ".csv" and is_corner_table(path)]
+    tables = [path for path in files_in(folder, (".csv",)) if is_corner_table(path)]
     if tables:
         return tables
-    rasters = [path for path in files if path.suffix.lower() in _RASTERS or _world_file(path)]
+    images = files_in(folder, (*_IMAGES, *_RASTERS))
+    rasters = [path for path in images if path.suffix.lower() in _RASTERS or _world_file(path)]
     if not rasters:
         raise MapError(
             f"{folder}: holds no GeoTIFF, no picture with a world file, and no table of corners "

@@ -1,0 +1,100 @@
+"""Videos whose container counts otherwise than by pictures, or asks to be shown turned."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cameras import frames_before_error, frames_of, with_index_in_front, write_video
+
+from vwnav.cameras.live import StreamGrabber
+from vwnav.cameras.sources import open_source
+from vwnav.cameras.video_file import VideoFile
+
+COUNT = 30  # pictures, 20 a second
+
+
+def video(path: Path) -> bytearray:
+    """Of COUNT pictures in the container that the name says."""
+    write_video(path, "MJPG" if path.suffix == ".avi" else "mp4v", COUNT)
+    return bytearray(path.read_bytes())
+
+
+def test_a_matroska_whose_sound_lasts_longer_is_whole(tmp_path):
+    path = tmp_path / "a.mkv"
+    data = video(path)
+    at = data.index(b"\x44\x89\x88") + 3  # Duration (RFC 9559, 5.1.2.10), eight bytes
+    (duration,) = struct.unpack_from(">d", data, at)
+    struct.pack_into(">d", data, at, 1.5 * duration)
+    path.write_bytes(data)
+    assert len(frames_of(open_source(str(path)))) == COUNT
+
+
+def test_an_avi_with_periods_without_a_picture_is_whole(tmp_path):
+    path = tmp_path / "a.avi"
+    data = video(path)
+    movi, index = data.index(b"movi"), data.index(b"idx1")
+    emptied = range(5, COUNT, 6)
+    for number in emptied:
+        entry = index + 8 + 16 * number
+        offset, size = struct.unpack_from("<II", data, entry + 8)
+        struct.pack_into("<I4sI", data, movi + offset + 4, 0, b"JUNK", size - 8)
+        struct.pack_into("<I", data, entry + 12, 0)
+    path.write_bytes(data)
+    frames = frames_of(open_source(str(path)))
+    assert len(frames) == COUNT - len(emptied)
+
+
+def test_an_avi_that_promises_more_is_damaged(tmp_path):
+    path = tmp_path / "a.avi"
+    data = video(path)
+    struct.pack_into("<I", data, data.index(b"strh") + 8 + 32, 2 * COUNT)
+    path.write_bytes(data)
+    words = rf"ends in the middle of picture {COUNT + 1} of {2 * COUNT}"
+    assert len(frames_before_error(VideoFile(path), words)) == COUNT
+
+
+def test_an_mp4_cut_without_coding_it_again_is_whole(tmp_path):
+    """The pictures before the cut are in the file, as the later ones are coded on them."""
+    path = tmp_path / "a.mp4"
+    data = video(path)
+    edits = data.index(b"elst") + 4
+    timescale, _ = struct.unpack_from(">II", data, data.index(b"mdhd") + 4 + 12)
+    (shown,) = struct.unpack_from(">I", data, edits + 8)
+    struct.pack_into(">Ii", data, edits + 8, shown * 2 // 3, timescale // 2)
+    path.write_bytes(data)
+    assert 15 <= len(frames_of(open_source(str(path)))) < COUNT - 5
+
+
+def test_an_mp4_whose_end_was_never_written_is_damaged(tmp_path):
+    path = tmp_path / "a.mp4"
+    data = bytearray(with_index_in_front(bytes(video(path))))
+    keep = len(data) * 2 // 3
+    path.write_bytes(data[:keep] + bytes(len(data) - keep))
+    words = rf"ends in the middle of picture \d+ of {COUNT}"
+    assert 5 < len(frames_before_error(VideoFile(path), words)) < COUNT
+
+
+@pytest.mark.parametrize("box", [b"mvhd", b"mdhd"])
+def test_an_mp4_whose_index_makes_no_sense_ends_in_no_traceback(tmp_path, box):
+    path = tmp_path / "a.mp4"
+    data = video(path)
+    at = data.index(box) + 4
+    data[at : at + 24] = bytes(24)
+    path.write_bytes(data)
+    assert len(frames_of(open_source(str(path)))) > 0
+
+
+def test_a_video_that_asks_to_be_turned_is_taken_as_it_was_taken(tmp_path, caplog):
+    path = tmp_path / "a.mp4"
+    data = video(path)
+    as_taken = frames_of(open_source(str(path)))[0].image
+    matrix = data.index(b"tkhd") + 4 + 40  # of version 0 (ISO/IEC 14496-12, 8.3.2)
+    one = 1 << 16
+    struct.pack_into(">9i", data, matrix, -one, 0, 0, 0, -one, 0, 160 * one, 120 * one, 1 << 30)
+    path.write_bytes(data)
+    turned = frames_of(open_source(str(path)))[0].image
+    assert np.array_equal(turned, as_taken)
+    assert np.array_equal(StreamGrabber(str(path)).grab()[1], as_taken)
+    assert "turned by 180 degrees" in caplog.text
+    assert caplog.text.count("\n") == 1
