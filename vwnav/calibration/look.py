@@ -59,6 +59,8 @@ def look(options: LookOptions) -> None:
     Raises:
         VwnavError: of the source, the calibration, or the image cannot be written.
     """
+    if options.output is not None:
+        _check_drawable(options.output)
     calibration = load_camera(options.camera) if options.camera else None
     extractor = load_features(options.features)
     source = open_source(options.source)
@@ -84,6 +86,11 @@ def look(options: LookOptions) -> None:
         _draw(options.output, seen.newest.image, found.uv, rows)
         rows.append(("picture", str(options.output)))
     print_table(f"camera {options.source}", rows)
+
+
+def _check_drawable(path: Path) -> None:
+    if not (path.parent.is_dir() and cv2.haveImageWriter(str(path))):
+        raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")
 
 
 def _watch(source: FrameSource, seconds: float) -> Footage:
@@ -151,12 +158,8 @@ def _draw(
     for line, (name, value) in enumerate(rows):
         at, text = (8, 18 + 16 * line), f"{name}: {value}"
         cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
-    try:
-        good = cv2.imwrite(str(path), canvas)
-    except cv2.error:  # a suffix that is no image's
-        good = False
-    if not good:
-        raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")
+    if not cv2.imwrite(str(path), canvas):
+        raise SourceError(f"cannot write {path}: is there room, and may it be written?")
 
 
 def _draw_histogram(canvas: NDArray[np.uint8], gray: Gray) -> None:
