@@ -62,11 +62,13 @@ def build(
     """
     from vwnav.maps.build.builder import build_pack
     from vwnav.maps.build.sources import default_options, open_sources
+    from vwnav.maps.build.writer import check_replaceable
     from vwnav.maps.pack import MapPack
     from vwnav.screen import progress_bar
     from vwnav.vision.features.load import load_features
 
     zooms = _zooms(levels)
+    check_replaceable(output)
     extractors = [load_features(feature, model) for feature in _names(features)]
     rasters = open_sources(sources, crs)
     said: dict[str, Any] = {
