@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vwnav.cli.numbers import finite
+
 if TYPE_CHECKING:
     from vwnav.maps.build.builder import BuildOptions
     from vwnav.maps.build.raster import RasterSource
@@ -44,7 +46,9 @@ def build(
     ] = None,
     georeference_sigma_m: Annotated[
         float | None,
-        typer.Option(min=0.0, help="One sigma of the imagery's position; 1 m if not said."),
+        typer.Option(
+            min=0.0, callback=finite, help="One sigma of the imagery's position; 1 m if not said."
+        ),
     ] = None,
     crs: Annotated[
         str | None, typer.Option(help="Of rasters that name none, such as EPSG:32643.")
@@ -120,7 +124,7 @@ def check(
         str | None, typer.Option(help="LAT,LON of the take-off; the route's home if not.")
     ] = None,
     margin_m: Annotated[
-        float, typer.Option(min=0.0, help="Imagery is wanted so far around.")
+        float, typer.Option(min=0.0, callback=finite, help="Imagery is wanted so far around.")
     ] = 50.0,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:

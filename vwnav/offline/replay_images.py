@@ -90,7 +90,8 @@ def choose_camera(
             f"no --camera and no --hfov-deg: taking {DEFAULT_HFOV_DEG:.0f} degrees; "
             "positions do not depend on it, heights do"
         )
-    return Camera.from_hfov(width_px, height_px, hfov_deg or DEFAULT_HFOV_DEG)
+        hfov_deg = DEFAULT_HFOV_DEG
+    return Camera.from_hfov(width_px, height_px, hfov_deg)
 
 
 def _run(
