@@ -57,7 +57,7 @@ ALLOWED = {
     "offline": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
     | {"config", "assemble", "screen", "seams"},
-    "calibration": BASE
+    "calibration": FILES
     | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "cameras", "screen"}
     | {"seams"},
     "bench": FILES

@@ -1,8 +1,11 @@
 """Where a calibration is to be written is looked at before anything is watched or fitted."""
 
+import errno
 import os
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from vwnav.calibration.from_board import calibrate_camera
@@ -50,3 +53,16 @@ def test_a_picture_of_what_the_camera_sees_needs_its_place_first_too(tmp_path: P
     options = LookOptions("no such source", None, 50.0, 3600.0, "sift", tmp_path / name)
     with pytest.raises(SourceError, match=r"give a .jpg or .png in a folder that exists"):
         look(options)
+
+
+def test_a_picture_that_finds_no_room_leaves_no_half_of_it(tmp_path: Path, monkeypatch):
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite(str(tmp_path / "pictures" / "a.png"), np.full((60, 80), 90, np.uint8))
+    seen = tmp_path / "seen.jpg"
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device: .*seen\.jpg"):
+        look(LookOptions(str(tmp_path / "pictures"), None, 50.0, 60.0, "orb", seen))
+    assert [each.name for each in tmp_path.iterdir()] == ["pictures"]

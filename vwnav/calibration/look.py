@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
+from vwnav.files.whole import write_whole
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import check_fits, to_gray
 from vwnav.screen import LiveLine, print_table
@@ -57,7 +58,8 @@ def look(options: LookOptions) -> None:
     """Watch for some seconds; print the figures, and draw the newest image.
 
     Raises:
-        VwnavError: of the source, the calibration, or the image cannot be written.
+        VwnavError: of the source, the calibration, or the image has no place to be written to.
+        OSError: the image cannot be written.
     """
     if options.output is not None:
         _check_drawable(options.output)
@@ -148,7 +150,7 @@ def _draw(
     """The image with its keypoints, its histogram and the figures.
 
     Raises:
-        SourceError: it cannot be written.
+        OSError: it cannot be written.
     """
     canvas = np.asarray(cv2.cvtColor(to_gray(image), cv2.COLOR_GRAY2BGR), np.uint8)
     for u, v in np.round(uv).astype(int).tolist():
@@ -158,8 +160,7 @@ def _draw(
     for line, (name, value) in enumerate(rows):
         at, text = (8, 18 + 16 * line), f"{name}: {value}"
         cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
-    if not cv2.imwrite(str(path), canvas):
-        raise SourceError(f"cannot write {path}: is there room, and may it be written?")
+    write_whole(path, cv2.imencode(path.suffix, canvas)[1].tobytes())
 
 
 def _draw_histogram(canvas: NDArray[np.uint8], gray: Gray) -> None:
