@@ -20,7 +20,7 @@ BASE = {"errors", "types", "files", "vehicle", "clock", "pace", "sender_clock", 
 ALLOWED = {
     "errors": set(),
     "types": set(),
-    "files": set(),
+    "files": {"errors"},
     "vehicle": {"types"},
     "clock": set(),
     "pace": {"clock"},

@@ -3,6 +3,7 @@
 Errors become one line and an exit code.
 """
 
+import errno
 import os
 import sys
 
@@ -29,6 +30,7 @@ from vwnav.errors import PreflightError, VwnavError
 EXIT_FAILED = 1
 EXIT_NOT_SAFE = 3
 EXIT_INTERRUPTED = 130
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 app = typer.Typer(
     name="vwnav",
@@ -78,15 +80,53 @@ def _options(
 
 
 def main() -> None:
-    """Run the command; known errors become one line on stderr and exit code 1 (3: not safe)."""
+    """Run the command; known errors become one line on stderr and exit code 1 (3: not safe).
+
+    Raises:
+        OSError: it names no file, and is not that there is no room: nothing a person can mend.
+    """
     try:
-        app()
+        _run()
     except VwnavError as wrong:
         print(f"vwnav: {' '.join(str(wrong).split())}", file=sys.stderr)
         sys.exit(EXIT_NOT_SAFE if isinstance(wrong, PreflightError) else EXIT_FAILED)
     except KeyboardInterrupt:
         print("vwnav: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
+    except OSError as error:
+        _complain(error)
+        sys.exit(EXIT_FAILED)
+
+
+def _run() -> None:
+    try:
+        app()
+    finally:
+        _flush()  # while it can be said that standard output does not take it
+
+
+def _flush() -> None:
+    print(end="", flush=True)  # there may be no sys.stdout
+
+
+def _complain(error: OSError) -> None:
+    """Say what could not be written; of a pipe that was closed nobody wants to hear."""
+    if error.filename is None and error.errno not in (errno.EPIPE, *_NO_ROOM):
+        raise error
+    if error.errno != errno.EPIPE:
+        what = error.filename or ("standard output" if _is_stuck() else "a file")
+        print(f"vwnav: {what}: {error.strerror}", file=sys.stderr)
+    if sys.stdout is not None:  # what it could not take must not be tried again on the way out
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _is_stuck() -> bool:
+    """Whether standard output holds what it could not take."""
+    try:
+        _flush()
+    except OSError:
+        return True
+    return False
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from vwnav.errors import ConfigError
 from vwnav.estimation.config import EkfConfig
+from vwnav.files.whole import write_whole
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
 from vwnav.recording.disk.budget import RecordingConfig
@@ -100,9 +101,13 @@ def with_camera(config: Config, mount_sigma_rad: float, focal_sigma_ratio: float
 
 
 def save_config(config: Config, path: Path) -> None:
-    """Write every setting as TOML that `load_config` reads."""
+    """Write every setting as TOML that `load_config` reads, whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     settings = tomli_w.dumps(config.model_dump())
-    path.write_text(f"# Every setting of this run; usable as --config.\n\n{settings}")
+    write_whole(path, f"# Every setting of this run; usable as --config.\n\n{settings}")
 
 
 def explain(error: ValidationError) -> str:

@@ -30,12 +30,18 @@ def test_a_byte_order_mark_and_short_rows_are_no_error(tmp_path: Path):
         ("image,agl_m\na.jpg,high\n", "line 2: agl_m is 'high'"),
         ("image,agl_m\na.jpg,nan\n", "line 2"),
         ("image,lat_deg\na.jpg,47\n", "belong together"),
+        ("agl_m,image\n50\n", "line 2: names no image"),
+        ("agl_m,image\n50, \n", "line 2: names no image"),
     ],
 )
 def test_what_cannot_be_understood_is_one_line(tmp_path: Path, text: str, says: str):
     with pytest.raises(SourceError, match=says) as caught:
         table(tmp_path, text)
     assert "\n" not in str(caught.value)
+
+
+def test_rows_of_a_spreadsheet_that_say_nothing_are_no_error(tmp_path: Path):
+    assert table(tmp_path, "agl_m,image\n50,a.jpg\n,\n\n") == {"a.jpg": {"agl_m": 50.0}}
 
 
 def test_a_missing_or_binary_table_is_one_line(tmp_path: Path):

@@ -1,8 +1,10 @@
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +148,35 @@ def test_a_file_of_another_kind_is_not_overwritten(tmp_path: Path):
     with pytest.raises(MapError, match="is no map pack"):
         small_pack(photo)
     assert photo.stat().st_size == 54
+
+
+def database(path: Path) -> Path:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("CREATE TABLE gpkg_contents (table_name TEXT)")
+        connection.execute("INSERT INTO gpkg_contents VALUES ('precious')")
+    return path
+
+
+def test_neither_is_the_database_of_another_program(tmp_path: Path):
+    other = database(tmp_path / "other.gpkg")
+    before = other.read_bytes()
+    with pytest.raises(MapError, match="is no map pack"):
+        small_pack(other)
+    assert other.read_bytes() == before
+
+
+def test_neither_is_a_damaged_database_nor_what_is_no_file(tmp_path: Path):
+    damaged = database(tmp_path / "damaged.mbtiles")
+    damaged.write_bytes(damaged.read_bytes()[:100] + bytes(900))
+    os.mkfifo(tmp_path / "pipe.mbtiles")
+    for path in (damaged, tmp_path / "pipe.mbtiles"):
+        with pytest.raises(MapError, match="is no map pack"):
+            small_pack(path)
+
+
+def test_an_empty_file_is_replaced(tmp_path: Path):
+    (tmp_path / "a.mbtiles").touch()
+    MapPack.open(small_pack(tmp_path / "a.mbtiles")).close()
 
 
 @pytest.mark.parametrize(("name", "message"), [("no/a.mbtiles", "no folder"), (".", "a folder")])

@@ -177,6 +177,65 @@ def test_heights_are_read_where_the_map_lies(tmp_path: Path):
     assert heights.at(lat[0] - 0.01, lon[0]) is None
 
 
+def heights_around(path: Path) -> np.ndarray:
+    """The heights of a DEM as large as `texture_rgb` under most of it."""
+    image = RasterFile(write_tiff(path.with_name("image.tif"), texture_rgb()))
+    lat, lon = image.georeference.lat_lon_from_pixel(
+        np.array([20.0, 300.0]), np.array([280.0, 20.0])
+    )
+    return read_heights(path, (lat[0], lon[0], lat[1], lon[1])).heights_m
+
+
+@pytest.mark.parametrize("void", [-9999.0, -32768.0, 9999.0, -3.4e38, np.inf, np.nan])
+def test_a_void_that_nothing_declares_is_a_hole_and_no_terrain(tmp_path: Path, caplog, void: float):
+    dem = np.full((1, 300, 320), 300.0, np.float32)
+    dem[0, 100:200, 100:200] = void
+    heights = heights_around(write_tiff(tmp_path / "dem.tif", dem))
+    assert np.isnan(heights).any()
+    assert set(heights[np.isfinite(heights)]) == {300.0}
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == (0 if np.isnan(void) else 1)
+    assert all("dem.tif: 10000 of " in line and "taken for holes" in line for line in told)
+
+
+def test_the_lowest_and_the_highest_ground_there_is_are_no_voids(tmp_path: Path, caplog):
+    dem = np.full((1, 300, 320), -430.0, np.float32)
+    dem[0, :, 160:] = 8849.0
+    heights = heights_around(write_tiff(tmp_path / "dem.tif", dem))
+    assert (heights.min(), heights.max()) == (-430.0, 8849.0)
+    assert not caplog.records
+
+
+def test_heights_are_multiplied_and_moved_as_their_band_says(tmp_path: Path):
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), 4000, np.int16), nodata=-1)
+    with rasterio.open(path, "r+") as dem:
+        dem.scales, dem.offsets = (0.1,), (-50.0,)
+    assert set(heights_around(path).ravel()) == {350.0}
+
+
+def test_nothing_but_voids_is_refused(tmp_path: Path):
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), -9999, np.int16))
+    with pytest.raises(MapError, match="no heights under the map"):
+        heights_around(path)
+
+
+LOCAL = 'LOCAL_CS["site",UNIT["metre",1]]'
+
+
+def test_a_coordinate_system_that_lies_nowhere_on_earth_is_one_line(tmp_path: Path):
+    raster = RasterFile(write_tiff(tmp_path / "local.tif", texture_rgb(), crs=LOCAL))
+    places = np.array([10.0]), np.array([20.0])
+    for convert in (
+        raster.georeference.lat_lon_from_pixel,
+        raster.georeference.pixel_from_lat_lon,
+        lambda *_: read_heights(tmp_path / "local.tif", (47.0, 8.0, 47.1, 8.1)),
+    ):
+        with pytest.raises(MapError, match=r"local\.tif: .*latitude and longitude") as caught:
+            convert(*places)
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 300
+
+
 def test_heights_elsewhere_are_refused(tmp_path: Path):
     path = write_tiff(tmp_path / "dem.tif", np.ones((1, 50, 50), np.float32))
     with pytest.raises(MapError, match="no heights under the map"):

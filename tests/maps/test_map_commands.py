@@ -111,6 +111,15 @@ def test_a_missing_source_is_a_map_error(tmp_path: Path):
         run("build", tmp_path / "x.tif", "-o", tmp_path / "y.mbtiles", "--features", "sift")
 
 
+@pytest.mark.parametrize(
+    ("name", "says"), [("no/y.mbtiles", "no folder"), ("x.tif", "no map pack")]
+)
+def test_the_output_is_looked_at_before_any_source(tmp_path: Path, name: str, says: str):
+    (tmp_path / "x.tif").write_bytes(b"II*\0 a raster that cannot be read")
+    with pytest.raises(MapError, match=says):
+        run("build", tmp_path / "x.tif", "-o", tmp_path / name, "--features", "sift")
+
+
 def test_heights_are_taken_along(tmp_path: Path):
     source = write_tiff(tmp_path / "field.tif", texture_rgb())
     dem = write_tiff(tmp_path / "dem.tif", marked_rgb()[:1].astype("float32"))

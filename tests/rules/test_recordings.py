@@ -79,9 +79,11 @@ def test_what_is_no_flight_is_said_in_a_line(tmp_path: Path) -> None:
     Recorder(tmp_path / "empty.mcap", {}).close()
     with pytest.raises(SourceError, match="no telemetry"):
         recorded_flight_log(tmp_path / "empty.mcap")
-    (tmp_path / "truth.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(SourceError, match="is no truth"):
-        recorded_flight_log(record(tmp_path / "flight.mcap"), tmp_path / "truth.csv")
+    record(tmp_path / "flight.mcap")
+    for text in ("a,b\n1,2\n", "", "t_s,north_m,east_m,alt_amsl_m\n"):
+        (tmp_path / "truth.csv").write_text(text)
+        with pytest.raises(SourceError, match="is no truth"):
+            recorded_flight_log(tmp_path / "flight.mcap", tmp_path / "truth.csv")
 
 
 def test_without_check_a_map_is_asked_for() -> None:

@@ -4,7 +4,6 @@ With `pipeline.most_fixes = 1` in the settings of the replay, place, height and 
 one fix, and odometry goes on alone from there.
 """
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vwnav.errors import SourceError
+from vwnav.files.tables import named_rows
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.types import Array
 
@@ -81,8 +81,8 @@ def _read(path: Path) -> tuple[Array, Array]:
     """Times (n,) and lat, lon (n, 2) of the rows that have them."""
     try:
         with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+            rows = [row for _, row in named_rows(file, path, SourceError)[1]]
+    except (OSError, UnicodeDecodeError) as error:
         raise SourceError(f"cannot read {path}: {error}") from error
     try:
         table = [

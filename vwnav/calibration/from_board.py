@@ -8,6 +8,7 @@ import numpy as np
 from vwnav.calibration.board import BoardFinder
 from vwnav.calibration.coverage import ENOUGH_COVERED, Coverage
 from vwnav.calibration.lens import NAMES, LensFit, fit_lens
+from vwnav.calibration.output import check_writable
 from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import CalibrationError, SourceError
@@ -26,10 +27,9 @@ def calibrate_camera(source: str, output: Path) -> None:
     """Watch the board, fit the lens, write the calibration file and print what it is worth.
 
     Raises:
-        VwnavError: of the source, or the images fix no lens.
+        VwnavError: the file cannot be written, of the source, or the images fix no lens.
     """
-    if output.exists():
-        raise CalibrationError(f"{output} is there already; give another file with -o")
+    check_writable(output)
     images = open_source(source)
     try:
         coverage, size_wh, seen = _watch(images)

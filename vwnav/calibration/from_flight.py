@@ -13,6 +13,7 @@ from vwnav.calibration.mount.problem import Sighting
 from vwnav.calibration.mount.sightings import Spotter, spot_all
 from vwnav.calibration.mount.solve import MountFit, fit_mount
 from vwnav.calibration.mount.verdict import MountVerdict, judge
+from vwnav.calibration.output import check_writable
 from vwnav.errors import CalibrationError, SourceError
 from vwnav.geometry.calibration import load_camera, load_findings, save_camera
 from vwnav.geometry.camera import Camera
@@ -46,10 +47,7 @@ def calibrate_mount(options: MountOptions) -> None:
     Raises:
         VwnavError: of a file, or the flight tells nothing.
     """
-    if options.output.exists():
-        raise CalibrationError(f"{options.output} is there already; give another file with -o")
-    if not options.output.parent.is_dir():
-        raise CalibrationError(f"no folder {options.output.parent} to write {options.output} to")
+    check_writable(options.output)
     cv2.setNumThreads(1)
     flown = load_camera(options.camera)
     flight = read_flight(options.source, options.telemetry)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
+from vwnav.files.whole import write_whole
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import check_fits, to_gray
 from vwnav.screen import LiveLine, print_table
@@ -57,8 +58,11 @@ def look(options: LookOptions) -> None:
     """Watch for some seconds; print the figures, and draw the newest image.
 
     Raises:
-        VwnavError: of the source, the calibration, or the image cannot be written.
+        VwnavError: of the source, the calibration, or the image has no place to be written to.
+        OSError: the image cannot be written.
     """
+    if options.output is not None:
+        _check_drawable(options.output)
     calibration = load_camera(options.camera) if options.camera else None
     extractor = load_features(options.features)
     source = open_source(options.source)
@@ -84,6 +88,11 @@ def look(options: LookOptions) -> None:
         _draw(options.output, seen.newest.image, found.uv, rows)
         rows.append(("picture", str(options.output)))
     print_table(f"camera {options.source}", rows)
+
+
+def _check_drawable(path: Path) -> None:
+    if not (path.parent.is_dir() and cv2.haveImageWriter(str(path))):
+        raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")
 
 
 def _watch(source: FrameSource, seconds: float) -> Footage:
@@ -141,7 +150,7 @@ def _draw(
     """The image with its keypoints, its histogram and the figures.
 
     Raises:
-        SourceError: it cannot be written.
+        OSError: it cannot be written.
     """
     canvas = np.asarray(cv2.cvtColor(to_gray(image), cv2.COLOR_GRAY2BGR), np.uint8)
     for u, v in np.round(uv).astype(int).tolist():
@@ -151,12 +160,7 @@ def _draw(
     for line, (name, value) in enumerate(rows):
         at, text = (8, 18 + 16 * line), f"{name}: {value}"
         cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
-    try:
-        good = cv2.imwrite(str(path), canvas)
-    except cv2.error:  # a suffix that is no image's
-        good = False
-    if not good:
-        raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")
+    write_whole(path, cv2.imencode(path.suffix, canvas)[1].tobytes())
 
 
 def _draw_histogram(canvas: NDArray[np.uint8], gray: Gray) -> None:

@@ -1,10 +1,10 @@
 """The table of what is known about images, as CSV: `image` and any of the columns below."""
 
-import csv
 import math
 from pathlib import Path
 
 from vwnav.errors import SourceError
+from vwnav.files.tables import named_rows
 
 COLUMNS = ("lat_deg", "lon_deg", "sigma_m", "agl_m", "yaw_deg", "roll_deg", "pitch_deg")
 MAX_BYTES = 100_000_000
@@ -15,7 +15,7 @@ def read_metadata_table(path: Path) -> dict[str, dict[str, float]]:
 
     Raises:
         SourceError: the file cannot be read, has no column `image` or an unknown one, or a value
-            is no finite number.
+            is no finite number or of no image.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -23,22 +23,22 @@ def read_metadata_table(path: Path) -> dict[str, dict[str, float]]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SourceError(f"{path}: cannot be read as CSV ({error})") from error
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
-    names = [name.strip() for name in reader.fieldnames or ()]
+    names, rows = named_rows(text.splitlines(), path, SourceError)
     unknown = [name for name in names if name != "image" and name not in COLUMNS]
     if "image" not in names or unknown:
         raise SourceError(
             f"{path}: expected the columns image and any of {', '.join(COLUMNS)}; "
             f"got {', '.join(names) or 'none'}"
         )
-    reader.fieldnames = names
-    return {row["image"].strip(): _values(path, reader.line_num, row) for row in reader}
+    return {row["image"]: _values(path, line, row) for line, row in rows if any(row.values())}
 
 
-def _values(path: Path, line: int, row: dict[str, str | None]) -> dict[str, float]:
+def _values(path: Path, line: int, row: dict[str, str]) -> dict[str, float]:
+    if not row["image"]:
+        raise SourceError(f"{path}: line {line}: names no image")
     values: dict[str, float] = {}
     for name in COLUMNS:
-        text = (row.get(name) or "").strip()
+        text = row.get(name, "")
         if not text:
             continue
         try:

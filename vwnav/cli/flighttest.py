@@ -14,6 +14,7 @@ import typer
 
 from vwnav.cli.manners import manners_of
 from vwnav.errors import ConfigError, VwnavError
+from vwnav.files.whole import write_whole
 from vwnav.screen import print_rows, say
 
 if TYPE_CHECKING:
@@ -274,7 +275,7 @@ def _collect(
     order = [row.name for row in rows]
     results.sort(key=lambda each: order.index(each.name))
     lines = [json.dumps(asdict(each)) for each in results]
-    (folder / "faults.json").write_text("\n".join(lines) + "\n")
+    write_whole(folder / "faults.json", "\n".join(lines) + "\n")
     if not as_json:
         _show_verdicts(results)
     say(f"flighttest: wrote faults.json and a picture of each failure to {folder}")

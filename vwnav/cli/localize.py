@@ -5,6 +5,8 @@ from pathlib import Path
 
 import typer
 
+from vwnav.cli.numbers import finite
+
 
 class PriorSource(StrEnum):
     """Whether the pictures' own metadata are believed."""
@@ -18,7 +20,11 @@ def localize(
     map_path: Path = typer.Option(..., "--map", help="Map pack (vwnav map build)."),
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
     hfov_deg: float | None = typer.Option(
-        None, min=1.0, max=179.0, help="Horizontal field of view instead; else what EXIF says."
+        None,
+        min=1.0,
+        max=179.0,
+        callback=finite,
+        help="Horizontal field of view instead; else what EXIF says.",
     ),
     prior: PriorSource = typer.Option(
         PriorSource.NONE, help="exif: place, attitude and height as the pictures say."
@@ -28,11 +34,21 @@ def localize(
         help="CSV: image, and any of lat_deg, lon_deg, sigma_m, agl_m, yaw_deg, roll_deg, "
         "pitch_deg. Goes before EXIF.",
     ),
-    lat: float | None = typer.Option(None, min=-90.0, max=90.0, help="Latitude. Goes before all."),
-    lon: float | None = typer.Option(None, min=-180.0, max=180.0, help="Longitude."),
-    sigma_m: float | None = typer.Option(None, min=0.0, help="One sigma of that position."),
-    yaw_deg: float | None = typer.Option(None, help="Heading of the pictures' upper edge."),
-    agl_m: float | None = typer.Option(None, min=1.0, help="Height above the ground."),
+    lat: float | None = typer.Option(
+        None, min=-90.0, max=90.0, callback=finite, help="Latitude. Goes before all."
+    ),
+    lon: float | None = typer.Option(
+        None, min=-180.0, max=180.0, callback=finite, help="Longitude."
+    ),
+    sigma_m: float | None = typer.Option(
+        None, min=0.0, callback=finite, help="One sigma of that position."
+    ),
+    yaw_deg: float | None = typer.Option(
+        None, callback=finite, help="Heading of the pictures' upper edge."
+    ),
+    agl_m: float | None = typer.Option(
+        None, min=1.0, callback=finite, help="Height above the ground."
+    ),
     features: str = typer.Option("learned", help="learned, sift or orb."),
     model: Path | None = typer.Option(
         None, help="Learned features of another size (nano) or ONNX file."

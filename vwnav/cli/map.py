@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vwnav.cli.numbers import finite
+
 if TYPE_CHECKING:
     from vwnav.maps.build.builder import BuildOptions
     from vwnav.maps.build.raster import RasterSource
@@ -44,7 +46,9 @@ def build(
     ] = None,
     georeference_sigma_m: Annotated[
         float | None,
-        typer.Option(min=0.0, help="One sigma of the imagery's position; 1 m if not said."),
+        typer.Option(
+            min=0.0, callback=finite, help="One sigma of the imagery's position; 1 m if not said."
+        ),
     ] = None,
     crs: Annotated[
         str | None, typer.Option(help="Of rasters that name none, such as EPSG:32643.")
@@ -62,11 +66,13 @@ def build(
     """
     from vwnav.maps.build.builder import build_pack
     from vwnav.maps.build.sources import default_options, open_sources
+    from vwnav.maps.build.writer import check_replaceable
     from vwnav.maps.pack import MapPack
     from vwnav.screen import progress_bar
     from vwnav.vision.features.load import load_features
 
     zooms = _zooms(levels)
+    check_replaceable(output)
     extractors = [load_features(feature, model) for feature in _names(features)]
     rasters = open_sources(sources, crs)
     said: dict[str, Any] = {
@@ -118,7 +124,7 @@ def check(
         str | None, typer.Option(help="LAT,LON of the take-off; the route's home if not.")
     ] = None,
     margin_m: Annotated[
-        float, typer.Option(min=0.0, help="Imagery is wanted so far around.")
+        float, typer.Option(min=0.0, callback=finite, help="Imagery is wanted so far around.")
     ] = 50.0,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:

@@ -4,12 +4,16 @@ from pathlib import Path
 
 import typer
 
+from vwnav.cli.numbers import finite
+
 
 def replay(
     source: str = typer.Argument(help="Video, folder of pictures, or a flight.mcap."),
     map_path: Path | None = typer.Option(None, "--map", help="Map pack (vwnav map build)."),
     camera: Path | None = typer.Option(None, help="Camera calibration (JSON, TOML, OpenCV YAML)."),
-    hfov_deg: float | None = typer.Option(None, help="Horizontal field of view instead of it."),
+    hfov_deg: float | None = typer.Option(
+        None, min=1.0, max=179.0, callback=finite, help="Horizontal field of view instead of it."
+    ),
     telemetry: Path | None = typer.Option(
         None,
         help="Attitude and height: CSV, ULog or tlog. 0 of a CSV's t_s, or the first attitude of "

@@ -1,0 +1,1 @@
+"""Files as text: tables read, files written whole or not at all."""

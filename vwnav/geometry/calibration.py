@@ -18,6 +18,7 @@ import numpy as np
 import tomli_w
 
 from vwnav.errors import CalibrationError
+from vwnav.files.whole import write_whole
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, CameraModel
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 from vwnav.types import Array
@@ -81,7 +82,7 @@ def load_findings(path: Path | str) -> dict[str, Any]:
 def save_camera(
     camera: Camera, path: Path | str, calibrated: Mapping[str, Any] | None = None
 ) -> None:
-    """Write our own JSON or TOML, by the file's suffix.
+    """Write our own JSON or TOML, by the file's suffix, whole or not at all.
 
     Args:
         camera: to be written.
@@ -101,7 +102,7 @@ def save_camera(
         case suffix:
             raise CalibrationError(f"{path}: cannot write {suffix!r}; use .json or .toml")
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot write ({error.strerror})") from error
 

@@ -2,6 +2,8 @@
 
 import hashlib
 import sqlite3
+from pathlib import Path
+from urllib.parse import quote
 
 SCHEMA_VERSION = 1
 SQLITE_MAGIC = b"SQLite format 3\0"
@@ -42,3 +44,21 @@ def metadata_checksum(connection: sqlite3.Connection) -> str:
         for row in connection.execute(query):
             digest.update(repr(row).encode())
     return digest.hexdigest()
+
+
+def is_pack(path: Path) -> bool:
+    """Whether a file is a pack of ours, which other MBTiles and databases are not.
+
+    Raises:
+        sqlite3.Error: it is a damaged database.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        if file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
+            return False
+    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
+    try:
+        query = "SELECT COUNT(*) FROM sqlite_master WHERE name = 'vwnav_metadata'"
+        return bool(connection.execute(query).fetchone()[0])
+    finally:
+        connection.close()

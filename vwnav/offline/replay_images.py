@@ -15,7 +15,7 @@ from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.offline.report import ReplayOptions, ReplayRecord, Tally
+from vwnav.offline.report import ReplayOptions, ReplayRecord, Tally, no_halves
 from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import InputLog
 from vwnav.recording.recorder import Recorder
@@ -34,6 +34,7 @@ def replay_source(options: ReplayOptions) -> None:
 
     Raises:
         VwnavError: anything a person can mend; also when no image was located.
+        OSError: there is no room for what it writes.
     """
     cv2.setNumThreads(1)  # the same recording gives the same trajectory
     config = with_features(load_config(options.config_path), options.features, options.model)
@@ -65,7 +66,8 @@ def replay_source(options: ReplayOptions) -> None:
             save_config(config, folder / "config.toml")
             about = about_run(assembled, config.features.name, "center" if alone else "nadir")
             settings = config.model_dump(mode="json")
-            with closing(Recorder(folder / "flight.mcap", settings)) as recorder:
+            recording = closing(Recorder(folder / "flight.mcap", settings))
+            with no_halves(folder), recording as recorder:
                 input_log = InputLog(recorder, about)
                 assembled.ekf.record(input_log.input)
                 _run(options, folder, source, first, told, assembled, input_log)
@@ -90,7 +92,8 @@ def choose_camera(
             f"no --camera and no --hfov-deg: taking {DEFAULT_HFOV_DEG:.0f} degrees; "
             "positions do not depend on it, heights do"
         )
-    return Camera.from_hfov(width_px, height_px, hfov_deg or DEFAULT_HFOV_DEG)
+        hfov_deg = DEFAULT_HFOV_DEG
+    return Camera.from_hfov(width_px, height_px, hfov_deg)
 
 
 def _run(

@@ -15,7 +15,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.inputs import Asked, Input
 from vwnav.maps.pack import MapPack
-from vwnav.offline.report import ReplayOptions, ReplayRecord
+from vwnav.offline.report import ReplayOptions, ReplayRecord, no_halves
 from vwnav.recording.input_log import About, ImageSeen, read_about, read_input_log
 from vwnav.recording.reader import is_cut_off
 from vwnav.recording.run_folder import make_run_folder
@@ -33,6 +33,7 @@ def replay_inputs(options: ReplayOptions) -> None:
 
     Raises:
         VwnavError: nothing of it can be replayed, or the map is another than in flight.
+        OSError: there is no room for what it writes.
     """
     path = Path(options.source)
     about, config = read_about(path)
@@ -51,9 +52,10 @@ def replay_inputs(options: ReplayOptions) -> None:
         folder = make_run_folder(options.output, "replay")
         record = ReplayRecord(folder, about, pack, player.rows[0][0].t_s)
         record.tally.busy_s = player.busy_s
-        for row in player.rows:
-            record.add(*row)
-        record.close()
+        with no_halves(folder):
+            for row in player.rows:
+                record.add(*row)
+            record.close()
     identical, line = compare(path.parent / "trajectory.csv", folder / "trajectory.csv")
     record.summarise(options, {"identical": identical})
     if line:

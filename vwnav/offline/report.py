@@ -1,7 +1,8 @@
 """What any replay is told and leaves: its options, its counts, `run.json` and the table."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -70,6 +71,22 @@ class Tally:
     def frames_per_s(self) -> float:
         """Images through the pipeline per second of its own time (decoding not counted)."""
         return self.frames / self.busy_s if self.busy_s > 0.0 else 0.0
+
+
+@contextmanager
+def no_halves(folder: Path) -> Iterator[None]:
+    """Where a trajectory cannot be written to its end, neither its rows nor the recording stay.
+
+    Of a flight they would: they cannot be had again.
+    """
+    try:
+        yield
+    except OSError:
+        partial = folder / "trajectory.csv.part"
+        if partial.exists():
+            partial.unlink()
+            (folder / "flight.mcap").unlink(missing_ok=True)
+        raise
 
 
 class ReplayRecord:

@@ -1,6 +1,5 @@
 """A recording as the rules see it: what `Recorder` keeps, five times a second."""
 
-import csv
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from vwnav.errors import SourceError
+from vwnav.files.tables import named_rows
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.config import FlightConfig
 from vwnav.mission.mission import Phase
@@ -161,15 +161,22 @@ def _settings(kind: type[SettingsT], values: Mapping[str, Any] | None) -> Settin
 
 
 def _truth(path: Path) -> list[LoggedTruth]:
-    """Velocities are differences; down is from where it stood at first."""
+    """Velocities are differences; down is from where it stood at first.
+
+    Raises:
+        SourceError: the file cannot be read, or holds no numbers under these columns.
+    """
+    wanted = ", ".join(_TRUTH_COLUMNS)
     try:
-        with path.open(newline="") as file:
-            rows = [[float(row[name]) for name in _TRUTH_COLUMNS] for row in csv.DictReader(file)]
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            _, named = named_rows(file, path, SourceError)
+            rows = [[float(row[name]) for name in _TRUTH_COLUMNS] for _, row in named]
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror}") from error
     except (LookupError, TypeError, ValueError) as error:
-        wanted = ", ".join(_TRUTH_COLUMNS)
         raise SourceError(f"{path} is no truth: expected the columns {wanted}") from error
+    if not rows:
+        raise SourceError(f"{path} is no truth: expected rows under the columns {wanted}")
     found: list[LoggedTruth] = []
     for (t_s, north, east, up), after in zip(rows, [*rows[1:], rows[-1]], strict=True):
         span_s = after[0] - t_s

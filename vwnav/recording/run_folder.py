@@ -1,6 +1,7 @@
 """The folder a run leaves: `trajectory.csv` and `run.json`, beside what others put there."""
 
 import csv
+import errno
 import json
 import math
 import os
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vwnav.errors import VwnavError
+from vwnav.files.whole import named, write_whole
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.recording.disk.thread import DiskThread, make_folder, replace_for_good, sync_names
@@ -104,7 +106,7 @@ class TrajectoryWriter:
             OSError: the disk failed at an earlier one, or has not answered for minutes.
         """
         if self._disk.waiting >= _MOST_WAITING:
-            self._failure = TimeoutError("the disk does not answer")
+            self._failure = self._silence()
         if self._failure is not None:
             raise self._failure
         row: dict[str, object] = {"t_s": f"{step.t_s - self._t0_s:.4f}"}
@@ -136,7 +138,7 @@ class TrajectoryWriter:
             OSError: the disk failed; what is there keeps its name `trajectory.csv.part`.
         """
         if not self._disk.close(self._finish, _CLOSE_TIMEOUT_S):
-            raise TimeoutError("the disk does not answer")
+            raise self._silence()
         if self._failure is not None:
             raise self._failure
 
@@ -152,7 +154,10 @@ class TrajectoryWriter:
             replace_for_good(self._partial, self._path)
 
     def _fail(self, error: Exception) -> None:
-        self._failure = error
+        self._failure = named(error, self._partial) if isinstance(error, OSError) else error
+
+    def _silence(self) -> OSError:
+        return OSError(errno.ETIMEDOUT, "the disk does not answer", str(self._partial))
 
 
 def _outcome_cells(outcome: MapFix | Rejected) -> dict[str, object]:
@@ -174,7 +179,10 @@ def _outcome_cells(outcome: MapFix | Rejected) -> dict[str, object]:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write whole or not at all."""
-    partial = path.with_suffix(path.suffix + ".part")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
-    replace_for_good(partial, path)
+    """Write whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    sync_names(path.parent)

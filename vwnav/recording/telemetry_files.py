@@ -1,11 +1,11 @@
 """Measurements of a recorded flight: CSV, ULog, tlog or vwnav's own recording."""
 
-import csv
 import logging
 import math
 from pathlib import Path
 
 from vwnav.errors import SourceError
+from vwnav.files.tables import named_rows
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height
@@ -66,24 +66,22 @@ def _read(path: Path) -> TelemetryLog:
 def _read_csv(path: Path) -> TelemetryLog:
     log = TelemetryLog()
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        rows = csv.DictReader(file)
-        columns = [name.strip() for name in rows.fieldnames or ()]
-        rows.fieldnames = columns
+        columns, rows = named_rows(file, path, SourceError)
         if "t_s" not in columns or not set(columns) & set(_CSV_COLUMNS[1:]):
             raise SourceError(
                 f"{path} needs a column t_s and at least one of {', '.join(_CSV_COLUMNS[1:])}; "
                 f"it has {', '.join(columns) or 'none'}"
             )
         angles = [name for name in _ANGLES if name in columns]
-        for row in rows:
-            _add_row(log, _numbers(path, rows.line_num, row), angles)
+        for line, row in rows:
+            _add_row(log, _numbers(path, line, row), angles)
     return log
 
 
-def _numbers(path: Path, line: int, row: dict[str, str | None]) -> dict[str, float]:
+def _numbers(path: Path, line: int, row: dict[str, str]) -> dict[str, float]:
     numbers = {}
     for name in _CSV_COLUMNS:
-        text = (row.get(name) or "").strip()
+        text = row.get(name, "")
         if not text:
             continue
         try:

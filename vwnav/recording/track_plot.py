@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.errors import VwnavError
+from vwnav.files.whole import write_whole
 from vwnav.geometry.geodesy import LocalFrame, Window, mercator_px, mercator_px_per_m
 from vwnav.maps.pack import MapPack
 from vwnav.seams import StepResult
@@ -82,13 +82,12 @@ class TrackPlot:
         self._truth_ned_m.add(ned_m)
 
     def save(self, path: Path) -> None:
-        """Draw and write a PNG.
+        """Draw and write a PNG, whole or not at all.
 
         Raises:
-            VwnavError: the file cannot be written.
+            OSError: it cannot be written.
         """
-        if not cv2.imwrite(str(path), self.draw()):
-            raise VwnavError(f"cannot write {path}")
+        write_whole(path, cv2.imencode(".png", self.draw())[1].tobytes())
 
     def draw(self) -> NDArray[np.uint8]:
         """The image, BGR, no larger than `MAX_SIDE_PX`; without any position of the whole map.

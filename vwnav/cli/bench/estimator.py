@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vwnav.files.whole import write_whole
+
 if TYPE_CHECKING:
     from vwnav.bench.estimator.flown import Metric, RenderedScenario
     from vwnav.bench.estimator.scenarios import FilterScenario
@@ -64,7 +66,7 @@ def estimator(
             _print(chosen.name, runs, metrics)
     summary = {"runs": runs, "seed": seed, "seconds": seconds, "scenarios": results}
     if output is not None:
-        (output / "estimator.json").write_text(json.dumps(summary, indent=2) + "\n")
+        write_whole(output / "estimator.json", json.dumps(summary, indent=2) + "\n")
     if json_:
         print(json.dumps(summary))
 

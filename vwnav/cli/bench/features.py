@@ -8,6 +8,7 @@ from pathlib import Path
 
 import typer
 
+from vwnav.files.whole import write_whole
 from vwnav.screen import print_table, progress_bar, say
 
 _WIDTH = 120
@@ -65,7 +66,7 @@ def features(
         from vwnav.bench.features.plots import write_plot
 
         write_figures(folder / "matches", report.samples)
-        (folder / "report.json").write_text(json.dumps(values, indent=1))
+        write_whole(folder / "report.json", json.dumps(values, indent=1))
         write_plot(folder / "features.png", report)
         say(f"bench: wrote report.json, features.png and matches/ to {folder}")
 

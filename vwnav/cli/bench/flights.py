@@ -11,6 +11,7 @@ import typer
 
 from vwnav.cli.manners import manners_of
 from vwnav.errors import VwnavError
+from vwnav.files.whole import write_whole
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie
@@ -71,7 +72,7 @@ def flights(
         "wrong": {str(each.sortie): each.wrong for each in flown if each.wrong},
         "worst": [str(each.sortie) for each in worst_first(flown)[:3]],
     }
-    (output / "summary.json").write_text(json.dumps(values, indent=1) + "\n")
+    write_whole(output / "summary.json", json.dumps(values, indent=1) + "\n")
     if as_json:
         print(json.dumps(values))
     else:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vwnav.files.whole import write_whole
+
 if TYPE_CHECKING:
     from vwnav.bench.localizer.run import SceneSet
 
@@ -74,7 +76,7 @@ def localizer(
         for table in shown:
             console.print(table)
     if folder is not None:
-        (folder / "localizer.json").write_text(json.dumps(values, indent=1))
+        write_whole(folder / "localizer.json", json.dumps(values, indent=1))
         say(f"bench: wrote localizer.json to {folder}")
 
 

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import typer
 
+from vwnav.cli.numbers import finite
+
 
 def camera(
     source: str = typer.Argument(
@@ -12,8 +14,12 @@ def camera(
     calibration: Path | None = typer.Option(
         None, "--camera", help="Calibration: says how much of the ground a pixel is."
     ),
-    height_m: float = typer.Option(50.0, min=0.5, help="Height above ground to say that for."),
-    seconds: float = typer.Option(5.0, min=0.1, max=3600.0, help="How long to watch."),
+    height_m: float = typer.Option(
+        50.0, min=0.5, callback=finite, help="Height above ground to say that for."
+    ),
+    seconds: float = typer.Option(
+        5.0, min=0.1, max=3600.0, callback=finite, help="How long to watch."
+    ),
     features: str = typer.Option("learned", help="Keypoints: learned, sift or orb."),
     output: Path | None = typer.Option(
         None, "-o", "--output", metavar="PICTURE", help="Draw the newest picture, .jpg or .png."

@@ -1,5 +1,6 @@
 """Any georeferenced raster that GDAL reads (workstation only: needs rasterio)."""
 
+import logging
 import warnings
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 import rasterio
 import rasterio.errors
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.warp import transform as transform_crs
@@ -22,12 +24,14 @@ from vwnav.maps.heights import HeightGrid
 from vwnav.maps.image import MapImage, Mask
 from vwnav.types import Array
 
+_LOG = logging.getLogger(__name__)
 _WGS84 = CRS.from_epsg(4326)
 _CACHE_MB = 256  # GDAL would take a twentieth of the memory
 _STRETCH_PERCENT = (1.0, 99.0)
 _STRETCH_SAMPLE_PX = 1024
 _HEIGHT_STEP_M = 10.0
 _HEIGHT_MAX_SIDE = 1024
+_LOWEST_M, _HIGHEST_M = -500.0, 9000.0  # the shore of the Dead Sea, Mount Everest, and some more
 
 
 class RasterFile:
@@ -87,14 +91,14 @@ class RasterFile:
         return MapImage(image.bgr, image.mask & ~self._collar.at(image.bgr, window))
 
     def _pixel_from_lat_lon(self, lat_deg: Array, lon_deg: Array) -> tuple[Array, Array]:
-        x, y = transform_crs(_WGS84, self._crs, lon_deg.ravel(), lat_deg.ravel())
-        u, v = ~self._dataset.transform @ (np.array(x), np.array(y))
+        x, y = _transform(self._path, _WGS84, self._crs, lon_deg.ravel(), lat_deg.ravel())
+        u, v = ~self._dataset.transform @ (x, y)
         return u.reshape(lat_deg.shape), v.reshape(lat_deg.shape)
 
     def _lat_lon_from_pixel(self, u: Array, v: Array) -> tuple[Array, Array]:
         x, y = self._dataset.transform @ (u.ravel(), v.ravel())
-        lon, lat = transform_crs(self._crs, _WGS84, x, y)
-        return np.array(lat).reshape(u.shape), np.array(lon).reshape(u.shape)
+        lon, lat = _transform(self._path, self._crs, _WGS84, x, y)
+        return lat.reshape(u.shape), lon.reshape(u.shape)
 
     def _read(self, window: Window) -> MapImage:
         h, w = window.shape
@@ -158,6 +162,8 @@ class RasterFile:
 def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     """Terrain heights under (south, west, north, east) from an elevation raster in metres.
 
+    What the raster declares missing is a hole, and so is what no ground on earth is as high as.
+
     Raises:
         MapError: it cannot be read or does not cover the map at all.
     """
@@ -171,7 +177,7 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     )
     try:
         with rasterio.open(path) as dataset:
-            heights = _heights_at(dataset, lat, lon)
+            heights = _heights_at(path, dataset, lat, lon)
     except rasterio.errors.RasterioError as error:
         raise MapError(
             f"{path}: not an elevation raster that can be read ({_line(error)})"
@@ -181,23 +187,51 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     return HeightGrid(bounds, heights)
 
 
-def _heights_at(dataset: Any, lat: Array, lon: Array) -> NDArray[np.float32]:
+def _transform(path: Path, crs: CRS, wanted: CRS, x: Array, y: Array) -> tuple[Array, Array]:
+    """Places (n,), (n,) of one coordinate system in another; longitude goes before latitude.
+
+    Raises:
+        MapError: there is no way from one to the other, as of a site's own metres.
+    """
+    try:
+        moved_x, moved_y = transform_crs(crs, wanted, x, y)
+    except (CPLE_BaseError, rasterio.errors.RasterioError) as error:
+        raise MapError(
+            f"{path}: its coordinate system does not tell latitude and longitude here; warp it "
+            f"with gdalwarp ({_line(error)[:100]})"
+        ) from error
+    return np.array(moved_x), np.array(moved_y)
+
+
+def _heights_at(path: Path, dataset: Any, lat: Array, lon: Array) -> NDArray[np.float32]:
     if dataset.crs is None:
-        raise MapError(f"{dataset.name}: names no coordinate system")
-    x, y = transform_crs(_WGS84, dataset.crs, lon.ravel(), lat.ravel())
-    u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (np.array(x), np.array(y)))
+        raise MapError(f"{path}: names no coordinate system")
+    x, y = _transform(path, _WGS84, dataset.crs, lon.ravel(), lat.ravel())
+    u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (x, y))
     x0, y0 = max(int(u.min()) - 2, 0), max(int(v.min()) - 2, 0)
     x1 = min(int(u.max()) + 3, dataset.width)
     y1 = min(int(v.max()) + 3, dataset.height)
     if x0 >= x1 or y0 >= y1:
         return np.full(lat.shape, np.nan, np.float32)
     band = dataset.read(1, window=RasterioWindow(x0, y0, x1 - x0, y1 - y0), masked=True)
-    values = band.astype(np.float32).filled(np.nan)
+    values = _metres(path, dataset, band.astype(np.float64).filled(np.nan))
     at = (u - x0 - 0.5).astype(np.float32), (v - y0 - 0.5).astype(np.float32)
     heights = cv2.remap(
         values, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
     )
     return np.asarray(heights, np.float32)
+
+
+def _metres(path: Path, dataset: Any, values: Array) -> NDArray[np.float32]:
+    """What the values of the first band say, NaN where nothing or what no ground is as high as."""
+    heights = values * dataset.scales[0] + dataset.offsets[0]
+    absurd = (heights < _LOWEST_M) | (heights > _HIGHEST_M)
+    if absurd.any():
+        _LOG.warning(
+            "%s: %d of %d heights are not between %.0f and %.0f m: taken for holes",
+            path, np.count_nonzero(absurd), absurd.size, _LOWEST_M, _HIGHEST_M,
+        )  # fmt: skip
+    return np.where(absurd, np.nan, heights).astype(np.float32)
 
 
 def _colour_bands(dataset: Any) -> list[int]:

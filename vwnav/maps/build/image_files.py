@@ -1,6 +1,5 @@
 """Images whose corners are listed in a table (`map.csv`)."""
 
-import csv
 import logging
 import math
 import re
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 
 from vwnav.errors import MapError
+from vwnav.files.tables import numbered_rows
 from vwnav.maps.build.raster import Bounds, DrawnSource, corner_georeference
 from vwnav.maps.image import MapImage
 
@@ -114,12 +114,10 @@ def read_corners(table: Path) -> list[CornerRow]:
         raise MapError(f"{table}: cannot be read as text ({error})") from error
     lines = text.splitlines()
     delimiter = next((d for d in (";", "\t") if lines and d in lines[0]), ",")
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    header = next(reader, [])
+    rows = numbered_rows(lines, table, MapError, delimiter)
+    _, header = next(rows, (0, []))
     columns = _columns(table, header)
-    return [
-        _corner_row(f"{table}, line {reader.line_num}", row, columns) for row in reader if any(row)
-    ]
+    return [_corner_row(f"{table}, line {line}", row, columns) for line, row in rows if any(row)]
 
 
 def _columns(table: Path, header: Sequence[str]) -> dict[str, int]:
@@ -138,7 +136,7 @@ def _columns(table: Path, header: Sequence[str]) -> dict[str, int]:
 
 
 def _corner_row(where: str, row: Sequence[str], columns: dict[str, int]) -> CornerRow:
-    cells = [cell.strip().strip("\"'").strip() for cell in row]
+    cells = [cell.strip("\"'").strip() for cell in row]
     if len(cells) <= max(columns.values()):
         raise MapError(f"{where}: has {len(cells)} columns of {max(columns.values()) + 1}")
     try:

@@ -4,7 +4,6 @@ import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 from vwnav.errors import MapError
 from vwnav.files.folder import PICTURES, files_in
@@ -14,7 +13,7 @@ from vwnav.maps.build.image_files import corner_images, is_corner_table
 from vwnav.maps.build.raster import Georeference, RasterSource, level_georeference
 from vwnav.maps.image import MapImage
 from vwnav.maps.pack import MapPack
-from vwnav.maps.schema import SQLITE_MAGIC
+from vwnav.maps.schema import is_pack
 
 if TYPE_CHECKING:
     from vwnav.maps.build.geotiff import RasterFile
@@ -140,17 +139,10 @@ def _world_file(path: Path) -> Path | None:
 
 def _is_pack(path: Path) -> bool:
     """Whether a file is a pack of ours; other MBTiles are rasters like any other."""
-    with path.open("rb") as file:
-        if file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
-            return False
-    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
     try:
-        query = "SELECT COUNT(*) FROM sqlite_master WHERE name = 'vwnav_metadata'"
-        return bool(connection.execute(query).fetchone()[0])
+        return is_pack(path)
     except sqlite3.Error:
         return True  # damaged: opening it as a pack says so
-    finally:
-        connection.close()
 
 
 def _raster_file(path: Path, crs: str | None) -> "RasterFile":

@@ -21,7 +21,7 @@ from vwnav.maps.codec import (
 )
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.image import MapImage, assemble
-from vwnav.maps.schema import APPLICATION_ID, SQLITE_MAGIC, TABLES, metadata_checksum
+from vwnav.maps.schema import APPLICATION_ID, TABLES, is_pack, metadata_checksum
 from vwnav.types import FeatureExtractor, FeatureName, Features
 
 
@@ -34,7 +34,7 @@ class PackWriter:
         Raises:
             MapError: there is no such folder, or the output is a file of another kind.
         """
-        _check_replaceable(output)
+        check_replaceable(output)
         self._output = output
         self._temporary = output.with_name(f".{output.name}.{os.getpid()}.tmp")
         self._connection = sqlite3.connect(":memory:")
@@ -156,16 +156,26 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def _check_replaceable(output: Path) -> None:
-    """Refuse to overwrite a photograph or a GeoTIFF by a slip of the hand."""
+def check_replaceable(output: Path) -> None:
+    """Refuse to overwrite anything but a pack: a photograph, another program's database.
+
+    Raises:
+        MapError: it is there and no pack, or in no folder.
+    """
     if not output.parent.is_dir():
         raise MapError(f"{output.parent} is no folder; make it first")
     if output.is_dir():
         raise MapError(f"{output} is a folder; name a file to write, such as site.mbtiles")
-    if output.is_file() and output.stat().st_size:
-        with output.open("rb") as file:
-            if file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
-                raise MapError(f"{output} exists and is no map pack; write to another name")
+    if output.exists() and not (output.is_file() and _may_be_replaced(output)):
+        raise MapError(f"{output} exists and is no map pack; write to another name")
+
+
+def _may_be_replaced(output: Path) -> bool:
+    """An empty file holds nothing; of a damaged database nobody knows what it was."""
+    try:
+        return not output.stat().st_size or is_pack(output)
+    except sqlite3.Error:
+        return False
 
 
 def _remove_abandoned(output: Path) -> None:
