@@ -39,8 +39,10 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
         site = parse_site(options.video or DEFAULT_SITE)
         home = (site.home_lat_deg, site.home_lon_deg)
     home_lat, home_lon = home or pack.middle
-    local_frame = LocalFrame(home_lat, home_lon, pack.elevation_m(home_lat, home_lon) or 0.0)
-    route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M)
+    surveyed_m = pack.elevation_m(home_lat, home_lon)
+    local_frame = LocalFrame(home_lat, home_lon, surveyed_m or 0.0)
+    ground_m = route.ground_amsl_m(home, surveyed_m)
+    route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M, ground_m)
     about_home = isinstance(route.waypoints[0], LocalWaypoint)
     plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None, about_home)
     if plan.home_known or not about_home:

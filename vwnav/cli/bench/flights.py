@@ -125,7 +125,9 @@ def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Ca
     path = route or DEFAULT_ROUTE
     embedded = ROUTES / path.name
     path = path if path.exists() or not embedded.exists() else embedded
-    route_ned_m = load_route(path).to_ned(frame, _DEFAULT_HEIGHT_M)
+    loaded = load_route(path)
+    ground_m = loaded.ground_amsl_m((home.home_lat_deg, home.home_lon_deg), None)
+    route_ned_m = loaded.to_ned(frame, _DEFAULT_HEIGHT_M, ground_m)
     return campaign_of(route_ned_m, wind_m_s=wind_m_s, sites=sites, seed=seed)
 
 
