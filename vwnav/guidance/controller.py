@@ -28,6 +28,14 @@ def vertical_speed_m_s(error_down_m: float, feed_m_s: float, limits: LimitsConfi
     return min(max(speed_m_s, -limits.climb_m_s), limits.descend_m_s)
 
 
+def stops_at_ned_m(estimate: Estimate, limits: LimitsConfig) -> Array:
+    """(3,) where the aircraft, braking from now on, will stand, at the height where it is."""
+    velocity_ne_m_s = estimate.velocity_ned_m_s[:2]
+    speed_m_s = float(np.hypot(*velocity_ne_m_s))
+    reach_s = limits.latency_s + 0.5 * speed_m_s / limits.braking_m_s2
+    return np.add(estimate.position_ned_m, [*(reach_s * velocity_ne_m_s), 0.0])
+
+
 @dataclass(frozen=True, slots=True)
 class Guidance:
     """What to fly now.
@@ -97,6 +105,12 @@ class RouteFollower:
             north_m_s, east_m_s, self._down_speed(leg, position), self._yaw(leg, estimate, step_s)
         )
         return Guidance(setpoint, self._done, self._target, cross_m)
+
+    def below_m(self, estimate: Estimate) -> float:
+        """How far it is below the leg that it flies; 0 before the first step."""
+        if not self._legs:
+            return 0.0
+        return self._legs[self._target].below_m(estimate.position_ned_m)
 
     def _begin(self, estimate: Estimate) -> None:
         self._legs = legs_of(np.vstack([estimate.position_ned_m, self._route_ned_m]))

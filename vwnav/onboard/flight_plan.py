@@ -40,6 +40,7 @@ class FlightPlan:
             self.route_ned_m,
             about_home=self.about_home and not self.home_known,
             home_ne_m=np.zeros(2) if self.home_known else None,
+            way_home_m=self.config.safety.way_home_m,
             refuse=self.refuse,
         )
 

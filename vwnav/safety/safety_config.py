@@ -24,6 +24,8 @@ class SafetyConfig:
         hold_fix_age_s: age of the last map fix that stops the flight.
         estimate_age_s: age of the estimate itself that makes the position unusable.
         return_sigma_m: with at most this the way home can still be found.
+        return_height_m: above home, to which it climbs before it goes straight home; never above
+            the ceiling. Who is higher already stays so.
         climb_after_s: of holding for better times; then up, by at most `climb_most_m` and to
             `ceiling_m` above home: from higher up the map shows more.
         hold_time_s: of both; then home, or down where the way is not known.
@@ -56,6 +58,7 @@ class SafetyConfig:
     hold_fix_age_s: float = 15.0
     estimate_age_s: float = 1.0
     return_sigma_m: float = 30.0
+    return_height_m: float = 15.0  # above trees and houses; ArduPilot's RTL_ALT is the same
     climb_after_s: float = 5.0
     climb_most_m: float = 30.0
     ceiling_m: float = 120.0
@@ -86,3 +89,8 @@ class SafetyConfig:
         ):
             if getattr(self, lower) > getattr(self, upper):
                 raise ValueError(f"expected {lower} to be at most {upper}")
+
+    @property
+    def way_home_m(self) -> float:
+        """Least height above home of the straight way there."""
+        return min(self.return_height_m, self.ceiling_m)
