@@ -23,9 +23,17 @@ from vwnav.guidance.waypoints import (
 )
 from vwnav.types import Array
 
-__all__ = ["GlobalWaypoint", "LocalWaypoint", "Route", "RouteFrame", "load_route"]
+__all__ = [
+    "DEFAULT_HEIGHT_M",
+    "GlobalWaypoint",
+    "LocalWaypoint",
+    "Route",
+    "RouteFrame",
+    "load_route",
+]
 
 RouteFrame = Literal["local", "global"]
+DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 MAX_BYTES = 10_000_000
 MAX_WAYPOINTS = 10_000
 _SAME_HOME_M = 10.0  # a home that is written with fewer digits; beyond, the ground may be another

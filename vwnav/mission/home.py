@@ -64,6 +64,17 @@ def straight_home_ned_m(here_ned_m: Array, home_ne_m: Array, lowest_m: float) ->
     return np.vstack([[*here_ned_m[:2], down_m], above_home])
 
 
+def from_home_ned_m(route_ned_m: Array, home_ne_m: Array, lowest_m: float) -> Array:
+    """(n + 2 or 3, 3) from above home, where the route's height is reached, over it and back."""
+    return np.vstack(
+        [
+            [*home_ne_m, route_ned_m[0, 2]],
+            route_ned_m,
+            straight_home_ned_m(route_ned_m[-1], home_ne_m, lowest_m),
+        ]
+    )
+
+
 class FlownWay:
     """Places along the way, and how to return along them.
 
