@@ -16,7 +16,7 @@ PACKAGE = ROOT / "vwnav"
 RIVAL = Path("bench/features/xfeat.py")
 
 # Each room with the rooms it may import. `cli` may import all of them.
-BASE = {"errors", "types", "vehicle", "clock", "pace", "sender_clock"}
+BASE = {"errors", "types", "vehicle", "clock", "pace", "sender_clock", "settings"}
 ALLOWED = {
     "errors": set(),
     "types": set(),
@@ -24,6 +24,7 @@ ALLOWED = {
     "clock": set(),
     "pace": {"clock"},
     "sender_clock": set(),
+    "settings": set(),
     "geometry": BASE,
     "maps": BASE | {"geometry"},
     "vision": BASE | {"geometry", "maps"},

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
-from vwnav.guidance.limits import LimitsConfig
+from vwnav.guidance.limits import LimitsConfig, vertical_speed_m_s
 from vwnav.guidance.route_legs import Leg, legs_of, waypoint_speeds_m_s
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import VelocitySetpoint
@@ -19,13 +19,6 @@ from vwnav.vehicle import VelocitySetpoint
 _HOLD_STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 _LONGEST_STEP_S = 0.5
 _ABSURD = 1e12
-_HEIGHT_GAIN_PER_S = 0.8
-
-
-def vertical_speed_m_s(error_down_m: float, feed_m_s: float, limits: LimitsConfig) -> float:
-    """Downward speed for a height error, down positive, on top of a speed that is due anyway."""
-    speed_m_s = feed_m_s + _HEIGHT_GAIN_PER_S * error_down_m
-    return min(max(speed_m_s, -limits.climb_m_s), limits.descend_m_s)
 
 
 def stops_at_ned_m(estimate: Estimate, limits: LimitsConfig) -> Array:

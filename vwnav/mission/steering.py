@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from vwnav.guidance.controller import vertical_speed_m_s
-from vwnav.guidance.limits import LimitsConfig
+from vwnav.guidance.limits import LimitsConfig, vertical_speed_m_s
 from vwnav.mission.config import FlightConfig
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Autopilot, VelocitySetpoint
