@@ -81,8 +81,10 @@ END
         reboot=yes
     fi
     cmdline=$root/boot/firmware/cmdline.txt
-    if grep -qE 'console=(serial0|ttyAMA0)' "$cmdline"; then
-        sed -E 's/console=(serial0|ttyAMA0),?[0-9]* ?//' "$cmdline" >"$cmdline.new"
+    console='console=(serial0|ttyAMA0)(,[^ ]*)?'
+    if grep -qE "$console" "$cmdline"; then
+        # A line may name the port twice, by both names, and end in its parity (115200n8).
+        sed -E "s/$console ?//g" "$cmdline" >"$cmdline.new"
         mv "$cmdline.new" "$cmdline"
         echo "the serial port is the autopilot's now, not a console's"
         reboot=yes
@@ -93,7 +95,12 @@ install_program() {
     run apt-get install -y --no-install-recommends python3-venv python3-picamera2 v4l-utils
     run sh -c "id vwnav >/dev/null 2>&1 || useradd --system --home-dir /var/lib/vwnav --groups dialout,video vwnav"
     run python3 -m venv --system-site-packages /opt/vwnav
+    # A wheel of the version that is there already would be passed over, whatever is in it; once
+    # it is in, what it depends on is looked up in it, not in the one before.
+    run /opt/vwnav/bin/pip install --force-reinstall --no-deps "$wheel"
     run /opt/vwnav/bin/pip install --upgrade "$wheel"
+    run /opt/vwnav/bin/vwnav --version
+    echo "installed from: $(sha256sum "$wheel")"
     run install -d -o vwnav -g vwnav /var/lib/vwnav
 }
 

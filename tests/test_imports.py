@@ -16,7 +16,8 @@ PACKAGE = ROOT / "vwnav"
 RIVAL = Path("bench/features/xfeat.py")
 
 # Each room with the rooms it may import. `cli` may import all of them.
-BASE = {"errors", "types", "files", "vehicle", "clock", "pace", "sender_clock", "machine"}
+BASE = {"errors", "types", "files", "vehicle", "clock", "pace", "sender_clock"}
+BASE |= {"machine", "settings"}
 ALLOWED = {
     "errors": set(),
     "types": set(),
@@ -26,6 +27,7 @@ ALLOWED = {
     "pace": {"clock"},
     "sender_clock": set(),
     "machine": set(),
+    "settings": set(),
     "geometry": BASE,
     "maps": BASE | {"geometry"},
     "vision": BASE | {"geometry", "maps"},

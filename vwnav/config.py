@@ -4,9 +4,10 @@ import difflib
 import tomllib
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import tomli_w
-from pydantic import ValidationError
+from pydantic import ValidationError, ValidationInfo, field_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from vwnav.errors import ConfigError
@@ -15,9 +16,9 @@ from vwnav.files.whole import write_whole
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
 from vwnav.recording.disk.budget import RecordingConfig
-from vwnav.safety.estimate_guard import EstimateLimits
-from vwnav.safety.safety_config import SafetyConfig
+from vwnav.safety.safety_config import EstimateLimits, SafetyConfig
 from vwnav.seams import PipelineConfig
+from vwnav.settings.ranges import check_written, in_short
 from vwnav.types import FEATURE_NAMES
 from vwnav.vision.config import FeaturesConfig, LocalizerConfig, OdometryConfig
 
@@ -37,6 +38,14 @@ class Config(BaseSettings):
     safety: SafetyConfig = SafetyConfig()
     estimate: EstimateLimits = EstimateLimits()
     recording: RecordingConfig = RecordingConfig()
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _as_written(cls, table: Any, info: ValidationInfo) -> Any:
+        """Numbers are held against their ranges before pydantic takes `true` for 1, "4" for 4."""
+        if isinstance(table, dict):
+            check_written(type(cls.model_fields[str(info.field_name)].default), table)
+        return table
 
     @classmethod
     def settings_customise_sources(
@@ -111,14 +120,16 @@ def save_config(config: Config, path: Path) -> None:
 
 
 def explain(error: ValidationError) -> str:
-    """The first fault, and the nearest known name of an unknown key."""
+    """The first fault: table, key, value and what was expected; of an unknown key a near one."""
     fault = error.errors()[0]
     where = [str(part) for part in fault["loc"]]
     if fault["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         near = difflib.get_close_matches(where[-1], _known_names(where[:-1]), n=1)
         hint = f", did you mean {near[0]!r}?" if near else ""
         return f"there is no setting {'.'.join(where)!r}{hint}"
-    return f"{'.'.join(where)}: {fault['msg'].lower()}"
+    if fault["type"] == "value_error":
+        return f"{'.'.join(where)}.{fault['ctx']['error']}"
+    return f"{'.'.join(where)} = {in_short(fault['input'])}: {fault['msg'].lower()}"
 
 
 def _known_names(table: list[str]) -> list[str]:

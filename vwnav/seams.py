@@ -4,8 +4,9 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
+from vwnav.settings.ranges import Count, Settings, Within
 from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion, Prior, Rejected
 from vwnav.vehicle import VehicleState
 
@@ -14,25 +15,30 @@ ATTITUDE_WAIT_S = 0.4  # an image waits so long after its exposure for its attit
 
 
 @dataclass(frozen=True, slots=True)
-class FeatureChoiceConfig:
+class FeatureChoiceConfig(Settings):
     """When SIFT stands in for the learned features."""
 
-    fallback_after: int = 8  # rejections in a row before the fallback is tried
-    primary_retry_every: int = 4  # while on the fallback, each n-th attempt tries the primary again
+    fallback_after: Count = 8  # rejections in a row before the fallback is tried
+    # While on the fallback, each n-th attempt tries the primary again
+    primary_retry_every: Count = 4
 
 
 @dataclass(frozen=True, slots=True)
 class PipelineConfig(FeatureChoiceConfig):
     """How often the map is asked, and for how long."""
 
-    fix_interval_s: float = 0.2  # an image is matched to the map this often
-    search_interval_s: float = 1.0  # the same while the position is unknown: a search is slow
-    max_prior_sigma_m: float = 150.0  # a wider prior is cut to this
-    doubt_after: int = (
-        25  # attempts in a row without a fix; then, and every so many, look twice as far
-    )
-    give_up_after_s: float = 20.0  # a search that takes longer finds nothing; the next one may
-    most_fixes: int = 0  # after so many the map is asked no more: odometry alone; 0 is no limit
+    # An image is matched to the map this often
+    fix_interval_s: Annotated[float, Within(0.0, 60.0)] = 0.2
+    # The same while the position is unknown: a search is slow
+    search_interval_s: Annotated[float, Within(0.0, 60.0)] = 1.0
+    # A wider prior is cut to this
+    max_prior_sigma_m: Annotated[float, Within(0.0, 1e5, above=True)] = 150.0
+    # Attempts in a row without a fix; then, and every so many, look twice as far
+    doubt_after: Count = 25
+    # A search that takes longer finds nothing; the next one may
+    give_up_after_s: Annotated[float, Within(0.0, 3600.0, above=True)] = 20.0
+    # After so many the map is asked no more: odometry alone; 0 is no limit
+    most_fixes: Annotated[int, Within(0, 1_000_000)] = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -68,7 +68,7 @@ def test_a_route_off_the_map_is_refused_by_its_waypoint() -> None:
 
 
 def test_the_long_loop_is_three_kilometres_inside_the_map() -> None:
-    route = load_route(ROUTES / "loop_3km.plan").to_ned(LocalFrame(60.4, 22.5, 0.0), 50.0)
+    route = load_route(ROUTES / "loop_3km.plan").to_ned(LocalFrame(60.4, 22.5, 0.0), 50.0, None)
     campaign = campaign_of(route)
     assert 2900.0 < campaign.way_m < 3100.0
     assert np.all(np.abs(route[:, :2]) < (MAP_NORTH_M / 2.0, MAP_EAST_M / 2.0))

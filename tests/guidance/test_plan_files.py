@@ -78,9 +78,56 @@ def test_survey_gives_its_nested_waypoints_in_order(write) -> None:
     assert route.waypoints == tuple(GlobalWaypoint(*p) for p in IN_ORDER)
 
 
-def test_altitude_above_sea_level_counts_from_home(write) -> None:
-    route = load_route(write("route.plan", plan([item(16, [47.398, 8.546, 548.0], frame=0)])))
-    assert route.waypoints[0].height_m == pytest.approx(60.0)
+ABOVE_SEA = plan([item(16, [47.398, 8.546, 548.0], frame=0), item(21, [47.4, 8.55, 0])])
+VALLEY = (47.39, 8.54)
+
+
+@pytest.mark.parametrize(
+    ("home", "surveyed_m", "height_m"),
+    [
+        (HOME[:2], None, 60.0),
+        ((47.3977, 8.5456), None, 60.0),  # the same with fewer digits
+        (HOME[:2], 490.0, 58.0),
+        (VALLEY, 438.0, 110.0),
+    ],
+)
+def test_altitude_above_sea_level_is_flown_there_wherever_home_is(
+    write, home, surveyed_m, height_m
+) -> None:
+    route = load_route(write("route.plan", ABOVE_SEA))
+    ground_m = route.ground_amsl_m(tuple(home), surveyed_m)
+    frame = LocalFrame(*home, 0.0)
+    assert -route.to_ned(frame, 50.0, ground_m)[:, 2] == pytest.approx([height_m] * 2, abs=0.2)
+
+
+@pytest.mark.parametrize("home", [VALLEY, None])
+def test_altitude_above_sea_level_is_refused_where_the_ground_at_home_is_not_known(
+    write, home
+) -> None:
+    route = load_route(write("route.plan", ABOVE_SEA))
+    frame = LocalFrame(*VALLEY, 0.0)
+    with pytest.raises(RouteError, match="above sea level, and the ground at home is not known"):
+        route.to_ned(frame, 50.0, route.ground_amsl_m(home, None))
+    relative = load_route(write("b.plan", plan([item(16, IN_ORDER[0])])))
+    assert len(relative.to_ned(frame, 50.0, None)) == 1
+
+
+def test_altitude_above_sea_level_that_is_under_the_ground_at_home_is_refused(write) -> None:
+    route = load_route(write("route.plan", ABOVE_SEA))
+    with pytest.raises(RouteError, match="height -2 m above home"):
+        route.to_ned(LocalFrame(*HOME), 50.0, 550.0)
+
+
+@pytest.mark.parametrize("after", [item(16, IN_ORDER[1]), item(17, IN_ORDER[1]), item(177)])
+def test_a_mission_ends_where_it_returns(write, after: dict) -> None:
+    route = load_route(write("a.plan", plan([item(16, IN_ORDER[0]), item(20), after])))
+    assert route.waypoints == (GlobalWaypoint(*IN_ORDER[0]),)
+
+
+@pytest.mark.parametrize("landing", [item(21), item(21, [47.4, 8.55, 0])])
+def test_a_mission_that_goes_on_after_a_landing_is_refused(write, landing: dict) -> None:
+    items = [item(16, IN_ORDER[0]), landing, item(22), item(16, IN_ORDER[1])]
+    assert "item 4: comes after a landing" in refused(write("a.plan", plan(items)))
 
 
 def test_landing_place_is_flown_over_and_landing_anywhere_is_not(write) -> None:
@@ -102,7 +149,6 @@ def test_landing_place_is_flown_over_and_landing_anywhere_is_not(write) -> None:
         (plan([item(16, ["47", 8.5, 50.0])]), "expected a number"),
         (plan([item(17, IN_ORDER[0])]), "command 17"),
         (plan([item(16, IN_ORDER[0], frame=10)]), "make it relative"),
-        (plan([item(16, IN_ORDER[0], frame=0)], home=None), "plannedHomePosition"),
         (plan([{"type": "SimpleItem", "command": 16, "frame": 3, "params": [1]}]), "seven params"),
         (plan([{"type": "ComplexItem", "complexItemType": "StructureScan"}]), "StructureScan"),
         (plan([{"type": "Other"}]), "unknown type"),
@@ -140,8 +186,14 @@ def test_mission_text_is_flown_as_the_same_plan_would_be(write, name: str) -> No
     assert route.home == (47.397742, 8.545594)
     assert route.waypoints == (
         GlobalWaypoint(47.398, 8.546, 50.0),
-        GlobalWaypoint(47.399, 8.546, 50.0),
+        GlobalWaypoint(47.399, 8.546, None, 538.0),
     )
+    assert route.home_amsl_m == 488.0
+
+
+def test_mission_text_ends_where_it_returns(write) -> None:
+    after = "6 0 3 16 0 0 0 0 47.4 8.546 50 1"
+    assert len(load_route(write("r.waypoints", wpl(*FLOWN, after))).waypoints) == 2
 
 
 def test_mission_text_may_not_know_home(write) -> None:
@@ -161,8 +213,7 @@ def test_mission_text_may_not_know_home(write) -> None:
         (wpl("1 0 3 16 0 0 0 0 nan 8.546 50 1"), "line 3: a field is nan"),
         (wpl("1 0 3 16 0 0 0 0 147.398 8.546 50 1"), "mission item 1: latitude 147.398"),
         (wpl("1 0 10 16 0 0 0 0 47.398 8.546 50 1"), "mission item 1: altitude frame 10"),
-        (wpl("1 0 0 16 0 0 0 0 47.398 8.546 50 1", home=FLOWN[0]), "without a home"),
-        (wpl(*FLOWN, "6 0 3 177 1 3 0 0 0 0 0 1"), "mission item 6: a jump back"),
+        (wpl(*FLOWN[:4], "5 0 3 177 1 3 0 0 0 0 0 1"), "mission item 5: a jump back"),
         (wpl(), "it holds no waypoints"),
     ],
 )
@@ -269,8 +320,8 @@ def test_any_bytes_give_a_route_or_one_clear_line(
 
 def test_routes_become_metres_north_east_down_of_home(write) -> None:
     frame = LocalFrame(*HOME)
-    local = load_route(write("a.txt", "1,10,20,30\n")).to_ned(frame, 50.0)
+    local = load_route(write("a.txt", "1,10,20,30\n")).to_ned(frame, 50.0, None)
     np.testing.assert_array_equal(local, [[10.0, 20.0, -30.0]])
     content = line([[HOME[1], HOME[0] + 0.001], [HOME[1], HOME[0], 70.0]])
-    route = load_route(write("a.geojson", content)).to_ned(frame, 50.0)
+    route = load_route(write("a.geojson", content)).to_ned(frame, 50.0, None)
     np.testing.assert_allclose(route, [[111.2, 0.0, -50.0], [0.0, 0.0, -70.0]], atol=0.1)

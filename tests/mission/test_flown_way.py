@@ -11,8 +11,8 @@ from vwnav.mission.home import FlownWay
 HOME_NE_M = np.zeros(2)
 
 
-def at(north_m: float, east_m: float = 0.0) -> SimpleNamespace:
-    return SimpleNamespace(position_ned_m=np.array([north_m, east_m, -50.0]))
+def at(north_m: float, east_m: float = 0.0, height_m: float = 50.0) -> SimpleNamespace:
+    return SimpleNamespace(position_ned_m=np.array([north_m, east_m, -height_m]))
 
 
 def test_a_loop_is_left_out_on_the_way_back():
@@ -24,6 +24,18 @@ def test_a_loop_is_left_out_on_the_way_back():
     assert len(back) <= 5
     assert np.all(np.abs(back[:, 1]) < 1.0)
     assert back[-1].tolist() == [0.0, 0.0, -50.0]
+
+
+def test_the_way_back_is_as_high_as_it_was_flown_or_as_it_is_now():
+    way = FlownWay()
+    for i in range(11):
+        way.note(at(30.0 * i, height_m=50.0 if i < 6 else 4.0))
+    low = way.back_ned_m(at(310.0, height_m=4.0), HOME_NE_M)
+    assert set(low[low[:, 0] > 151.0, 2]) == {-4.0}
+    assert set(low[low[:, 0] < 151.0, 2]) == {-50.0}
+    risen = way.back_ned_m(at(310.0, height_m=34.0), HOME_NE_M)
+    assert set(risen[risen[:, 0] > 151.0, 2]) == {-34.0}
+    assert risen[-1].tolist() == [0.0, 0.0, -50.0]
 
 
 def test_the_way_back_from_100_km_is_found_while_the_mission_ticks():

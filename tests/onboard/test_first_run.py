@@ -1,5 +1,6 @@
 """The script that sets a Raspberry Pi up, run on folders that look like one."""
 
+import hashlib
 import shutil
 import subprocess
 from pathlib import Path
@@ -52,7 +53,6 @@ def test_it_sets_a_board_up_and_changes_nothing_the_second_time(board):
     assert config[-6:-3] == ["[all]", "enable_uart=1", "dtoverlay=disable-bt"]
     assert after["boot/firmware/cmdline.txt"] == b"console=tty1 root=PARTUUID=1-02 rootwait\n"
     assert "Reboot once" in first.stdout
-    assert "would run: /opt/vwnav/bin/pip install" in first.stdout
 
     second = first_run(board)
     assert second.returncode == 0, second.stderr
@@ -69,6 +69,36 @@ def test_what_a_person_set_stays_and_what_is_ours_is_renewed(board):
     assert (board / "etc/vwnav/flight.env").read_text() == 'VWNAV_FLY="--arm"\n'
     unit = SCRIPT.with_name("vwnav.service").read_text()
     assert (board / "etc/systemd/system/vwnav.service").read_text() == unit
+
+
+def test_a_wheel_of_the_version_that_is_there_is_installed_all_the_same(board):
+    wheel = board.parent / "vwnav-1.0-py3-none-any.whl"
+    wheel.write_bytes(b"mended")
+    said = first_run(board).stdout.splitlines()
+    pip = [line for line in said if line.startswith("would run: /opt/vwnav/bin/pip")]
+    assert pip == [
+        f"would run: /opt/vwnav/bin/pip install --force-reinstall --no-deps {wheel}",
+        f"would run: /opt/vwnav/bin/pip install --upgrade {wheel}",
+    ]
+    after = said[said.index(pip[-1]) + 1 :]
+    assert after[0] == "would run: /opt/vwnav/bin/vwnav --version"
+    assert after[1] == f"installed from: {hashlib.sha256(b'mended').hexdigest()}  {wheel}"
+
+
+@pytest.mark.parametrize(
+    "consoles",
+    [
+        "console=serial0,115200 console=ttyAMA0,115200 ",
+        "console=ttyAMA0,115200n8 console=serial0 ",
+    ],
+)
+def test_a_port_that_is_named_twice_is_taken_off_the_console(board, consoles):
+    path = board / "boot/firmware/cmdline.txt"
+    path.write_text(f"{consoles}console=tty1 console=ttyAMA10,115200 root=x\n")
+    first = first_run(board)
+    assert path.read_text() == "console=tty1 console=ttyAMA10,115200 root=x\n"
+    assert "Reboot once" in first.stdout
+    assert "Reboot once" not in first_run(board).stdout
 
 
 def test_settings_behind_the_section_of_another_board_are_for_all(board):

@@ -111,7 +111,7 @@ def test_the_bounds_are_settings(tmp_path):
     path.write_text("[recording]\nmost_gb = 4.5\nkeep_free_gb = 0.5\n")
     assert load_config(path).recording == RecordingConfig(most_gb=4.5, keep_free_gb=0.5)
     path.write_text("[recording]\nmost_gb = 0\n")
-    with pytest.raises(ConfigError, match="most_gb must be above 0"):
+    with pytest.raises(ConfigError, match=r"recording\.most_gb = 0: expected above 0"):
         load_config(path)
 
 

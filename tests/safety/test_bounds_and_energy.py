@@ -65,6 +65,11 @@ def test_the_way_home_takes_its_length_at_cruise_and_a_metre_a_second_down():
     assert home_s(away(0.5, (0.0, 10.0))) == pytest.approx(0.5 / 8.0 + 50.0)
 
 
+def test_from_low_down_it_takes_the_climb_to_the_height_of_the_return_besides():
+    low = replace(away(400.0, agl_m=4.0), position_ned_m=np.array([400.0, 0.0, -4.0]))
+    assert home_s(low) == pytest.approx(400.0 / 8.0 + 11.0 + 15.0)
+
+
 def test_a_head_wind_makes_it_longer_and_a_tail_wind_no_faster_than_cruise():
     assert home_s(away(400.0, (-10.0, 0.0))) == home_s(away(400.0))  # home is south of it
     assert home_s(away(400.0, (8.0, 0.0))) == pytest.approx(400.0 / 4.0 + 50.0)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.safety.estimate_guard import EstimateGuard, EstimateLimits
+from vwnav.safety.estimate_guard import EstimateGuard
+from vwnav.safety.safety_config import EstimateLimits
 from vwnav.types import Estimate
 
 LIMITS = EstimateLimits()

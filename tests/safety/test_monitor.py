@@ -377,7 +377,8 @@ def test_it_turns_back_while_the_battery_still_carries_it_home_in_the_wind(
     monitor.fly_within(np.array([[0.0, 0.0, -50.0]]), np.array([800.0, 0.0]))
     for i in range(600):
         t_s = STEP_S * i
-        now = replace(estimate(t_s), wind_ne_m_s=np.array(wind_ne_m_s))
+        place = np.array([0.0, 0.0, -50.0])
+        now = replace(estimate(t_s), position_ned_m=place, wind_ne_m_s=np.array(wind_ne_m_s))
         vehicle = replace(VEHICLE, in_air=True, battery_ratio=0.60 - t_s / 600.0)
         decision = monitor.step(Navigation(now, "", t_s), vehicle, t_s)
     assert (decision.action is Action.RETURN) == goes_home

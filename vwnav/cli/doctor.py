@@ -95,8 +95,10 @@ def _learned_model() -> Check:
 
 def _map(path: Path, route: Path | None) -> Check:
     from vwnav.cli.map import route_places
+    from vwnav.guidance.plan_files import load_route
     from vwnav.maps.coverage import check_route
     from vwnav.maps.pack import MapPack
+    from vwnav.onboard.flight_plan import route_clearance
 
     with MapPack.open(path) as pack:
         sets = ", ".join(each.name for each in pack.feature_sets) or "no features"
@@ -105,7 +107,10 @@ def _map(path: Path, route: Path | None) -> Check:
         if route is None:
             return Check("map", "PASS", detail)
         covered = check_route(pack, route_places(route, "local", None))
-        return Check("map", "PASS" if covered.ok else "FAIL", f"{detail}; {covered.summary()}")
+        loaded = load_route(route)
+        clearance = route_clearance(pack, loaded, loaded.home)
+    detail = "; ".join((detail, covered.summary(), clearance.summary()))
+    return Check("map", "PASS" if covered.ok and clearance.ok else "FAIL", detail)
 
 
 def _route(path: Path) -> Check:

@@ -15,8 +15,10 @@ import typer
 from vwnav.cli.numbers import finite
 
 if TYPE_CHECKING:
+    from vwnav.guidance.plan_files import Route
     from vwnav.maps.build.builder import BuildOptions
     from vwnav.maps.build.raster import RasterSource
+    from vwnav.maps.clearance import RouteClearance
     from vwnav.maps.coverage import RouteCoverage
     from vwnav.maps.heights import HeightGrid
     from vwnav.maps.pack import MapPack
@@ -128,20 +130,37 @@ def check(
     ] = 50.0,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """Say whether the map covers a route, and where it does not; then the exit code is 3."""
+    """Say whether the map covers a route and how high that is above its ground; 3 if it fails."""
     from vwnav.errors import PreflightError
     from vwnav.maps.coverage import check_route
     from vwnav.maps.pack import MapPack
+    from vwnav.onboard.flight_plan import route_clearance
 
     places = route_places(route, route_frame, home)
     with MapPack.open(pack) as opened:
         coverage = check_route(opened, places, margin_m)
+        clearance = route_clearance(opened, *_route_and_home(route, route_frame, home))
     if as_json:
-        typer.echo(json.dumps(_coverage_values(coverage)))
-    elif coverage.ok:
-        typer.echo(coverage.summary())
-    if not coverage.ok:
-        raise PreflightError(f"{pack}: {coverage.summary()}")
+        typer.echo(json.dumps(_check_values(coverage, clearance)))
+    for each in (coverage, clearance):
+        if not each.ok:
+            raise PreflightError(f"{pack}: {each.summary()}")
+        if not as_json:
+            typer.echo(each.summary())
+
+
+def _route_and_home(
+    route: Path, route_frame: str, home: str | None
+) -> "tuple[Route, tuple[float, float] | None]":
+    """What the file says, and (lat_deg, lon_deg) of the take-off where that is known."""
+    from vwnav.errors import ConfigError
+    from vwnav.geometry.geodesy import parse_lat_lon
+    from vwnav.guidance.plan_files import load_route
+
+    if route_frame not in ("local", "global"):
+        raise ConfigError(f"--route-frame {route_frame!r}: choose local or global")
+    loaded = load_route(route, "global" if route_frame == "global" else "local")
+    return loaded, parse_lat_lon(home) if home is not None else loaded.home
 
 
 def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
@@ -158,14 +177,11 @@ def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
     """
     import numpy as np
 
-    from vwnav.errors import ConfigError, RouteError
-    from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
-    from vwnav.guidance.plan_files import LocalWaypoint, load_route
+    from vwnav.errors import RouteError
+    from vwnav.geometry.geodesy import LocalFrame
+    from vwnav.guidance.plan_files import LocalWaypoint
 
-    if route_frame not in ("local", "global"):
-        raise ConfigError(f"--route-frame {route_frame!r}: choose local or global")
-    loaded = load_route(route, "global" if route_frame == "global" else "local")
-    start = parse_lat_lon(home) if home is not None else loaded.home
+    loaded, start = _route_and_home(route, route_frame, home)
     places = [] if start is None else [start]
     for point in loaded.waypoints:
         if not isinstance(point, LocalWaypoint):
@@ -265,9 +281,20 @@ def _few(names: tuple[str, ...]) -> str:
     return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
 
 
-def _coverage_values(coverage: "RouteCoverage") -> dict[str, Any]:
+def _lowest(clearance: "RouteClearance", lowest_m: float) -> dict[str, Any]:
+    lat_deg, lon_deg = clearance.lat_lon_deg
     return {
-        "ok": coverage.ok,
+        "above_ground_m": round(lowest_m, 1),
+        "to_waypoint": clearance.leg or None,
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+    }
+
+
+def _check_values(coverage: "RouteCoverage", clearance: "RouteClearance") -> dict[str, Any]:
+    return {
+        "ok": coverage.ok and clearance.ok,
+        "lowest": None if clearance.lowest_m is None else _lowest(clearance, clearance.lowest_m),
         "length_m": round(coverage.length_m, 1),
         "margin_m": coverage.margin_m,
         "uncovered_m": round(coverage.uncovered_m, 1),

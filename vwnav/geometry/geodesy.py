@@ -7,6 +7,7 @@ upper edge (85.05 degrees north), and the centre of the first pixel is at 0.5.
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple, overload
 
 import numpy as np
@@ -262,3 +263,23 @@ class Window(NamedTuple):
         rows = range(max(self.y0 // TILE_PX, 0), min((self.y1 - 1) // TILE_PX, last) + 1)
         columns = range(max(self.x0 // TILE_PX, 0), min((self.x1 - 1) // TILE_PX, last) + 1)
         return [Tile(zoom, x, y) for y in rows for x in columns]
+
+
+def places_along(stops: Array, step_m: float) -> Iterator[tuple[float, int, Array]]:
+    """Places along a route, `step_m` apart at most, and at each stop.
+
+    Args:
+        stops: (n, 2 or more) latitude and longitude in degrees, and what else changes along a leg.
+        step_m: horizontal.
+
+    Yields:
+        The distance along the route, the leg from 1, and the place, as the stops are given.
+    """
+    along_m = 0.0
+    yield along_m, 1, stops[0]
+    for leg, (start, end) in enumerate(pairwise(stops), start=1):
+        leg_m = horizontal_distance_m(*map(float, start[:2]), *map(float, end[:2]))
+        steps = max(1, math.ceil(leg_m / step_m))
+        for fraction in np.arange(1, steps + 1) / steps:
+            yield along_m + float(fraction) * leg_m, leg, start + fraction * (end - start)
+        along_m += leg_m

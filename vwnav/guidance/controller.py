@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
-from vwnav.guidance.limits import LimitsConfig
+from vwnav.guidance.limits import LimitsConfig, vertical_speed_m_s
 from vwnav.guidance.route_legs import Leg, legs_of, waypoint_speeds_m_s
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import VelocitySetpoint
@@ -19,13 +19,14 @@ from vwnav.vehicle import VelocitySetpoint
 _HOLD_STILL = VelocitySetpoint(0.0, 0.0, 0.0)
 _LONGEST_STEP_S = 0.5
 _ABSURD = 1e12
-_HEIGHT_GAIN_PER_S = 0.8
 
 
-def vertical_speed_m_s(error_down_m: float, feed_m_s: float, limits: LimitsConfig) -> float:
-    """Downward speed for a height error, down positive, on top of a speed that is due anyway."""
-    speed_m_s = feed_m_s + _HEIGHT_GAIN_PER_S * error_down_m
-    return min(max(speed_m_s, -limits.climb_m_s), limits.descend_m_s)
+def stops_at_ned_m(estimate: Estimate, limits: LimitsConfig) -> Array:
+    """(3,) where the aircraft, braking from now on, will stand, at the height where it is."""
+    velocity_ne_m_s = estimate.velocity_ned_m_s[:2]
+    speed_m_s = float(np.hypot(*velocity_ne_m_s))
+    reach_s = limits.latency_s + 0.5 * speed_m_s / limits.braking_m_s2
+    return np.add(estimate.position_ned_m, [*(reach_s * velocity_ne_m_s), 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,12 @@ class RouteFollower:
             north_m_s, east_m_s, self._down_speed(leg, position), self._yaw(leg, estimate, step_s)
         )
         return Guidance(setpoint, self._done, self._target, cross_m)
+
+    def below_m(self, estimate: Estimate) -> float:
+        """How far it is below the leg that it flies; 0 before the first step."""
+        if not self._legs:
+            return 0.0
+        return self._legs[self._target].below_m(estimate.position_ned_m)
 
     def _begin(self, estimate: Estimate) -> None:
         self._legs = legs_of(np.vstack([estimate.position_ned_m, self._route_ned_m]))

@@ -1,10 +1,15 @@
 """How fast, how near, how hard: the numbers that guidance keeps to."""
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from vwnav.settings.ranges import Settings, Within
+
+_HEIGHT_GAIN_PER_S = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LimitsConfig:
+class LimitsConfig(Settings):
     """Limits and gains of guidance.
 
     Attributes:
@@ -27,27 +32,35 @@ class LimitsConfig:
         arrival_speed_m_s: the route is done when slower than this at its last waypoint.
     """
 
-    cruise_m_s: float = 8.0
-    speed_max_m_s: float = 10.0
-    climb_m_s: float = 3.0
-    descend_m_s: float = 2.0
-    acceleration_m_s2: float = 2.5
-    braking_m_s2: float = 1.2
-    corner_change_m_s: float = 1.2
-    position_gain_per_s: float = 1.0
-    cross_speed_m_s: float = 3.0
-    cross_slow_m: float = 15.0
-    bias_gain_per_s2: float = 0.06
-    bias_max_m_s: float = 1.5
-    latency_s: float = 0.7
-    yaw_rate_rad_s: float = 0.8
-    acceptance_m: float = 1.0
-    acceptance_max_m: float = 8.0
-    height_acceptance_m: float = 2.0
-    arrival_speed_m_s: float = 1.0
+    AT_MOST: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("cruise_m_s", "speed_max_m_s"),
+        ("cross_speed_m_s", "speed_max_m_s"),
+        ("bias_max_m_s", "cross_speed_m_s"),
+        ("braking_m_s2", "acceleration_m_s2"),
+        ("acceptance_m", "acceptance_max_m"),
+    )
 
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not 0.0 < value < 1000.0:
-                raise ValueError(f"expected {name} to be positive, got {value}")
+    cruise_m_s: Annotated[float, Within(0.0, 35.0, above=True)] = 8.0
+    speed_max_m_s: Annotated[float, Within(0.0, 35.0, above=True)] = 10.0
+    climb_m_s: Annotated[float, Within(0.0, 20.0, above=True)] = 3.0
+    descend_m_s: Annotated[float, Within(0.0, 20.0, above=True)] = 2.0
+    acceleration_m_s2: Annotated[float, Within(0.0, 20.0, above=True)] = 2.5
+    braking_m_s2: Annotated[float, Within(0.0, 20.0, above=True)] = 1.2
+    corner_change_m_s: Annotated[float, Within(0.0, 20.0, above=True)] = 1.2
+    position_gain_per_s: Annotated[float, Within(0.0, 5.0, above=True)] = 1.0
+    cross_speed_m_s: Annotated[float, Within(0.0, 35.0, above=True)] = 3.0
+    cross_slow_m: Annotated[float, Within(0.0, 999.0, above=True)] = 15.0
+    bias_gain_per_s2: Annotated[float, Within(0.0, 5.0, above=True)] = 0.06
+    bias_max_m_s: Annotated[float, Within(0.0, 20.0, above=True)] = 1.5
+    latency_s: Annotated[float, Within(0.0, 5.0, above=True)] = 0.7
+    yaw_rate_rad_s: Annotated[float, Within(0.0, 10.0, above=True)] = 0.8
+    acceptance_m: Annotated[float, Within(0.0, 100.0, above=True)] = 1.0
+    acceptance_max_m: Annotated[float, Within(0.0, 100.0, above=True)] = 8.0
+    height_acceptance_m: Annotated[float, Within(0.0, 100.0, above=True)] = 2.0
+    arrival_speed_m_s: Annotated[float, Within(0.0, 20.0, above=True)] = 1.0
+
+
+def vertical_speed_m_s(error_down_m: float, feed_m_s: float, limits: LimitsConfig) -> float:
+    """Downward speed for a height error, down positive, on top of a speed that is due anyway."""
+    speed_m_s = feed_m_s + _HEIGHT_GAIN_PER_S * error_down_m
+    return min(max(speed_m_s, -limits.climb_m_s), limits.descend_m_s)

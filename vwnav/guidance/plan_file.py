@@ -4,6 +4,8 @@ Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/pla
 frame numbers are MAVLink's MAV_CMD and MAV_FRAME.
 """
 
+from dataclasses import replace
+from itertools import takewhile
 from typing import Any
 
 from vwnav.errors import RouteError
@@ -18,8 +20,8 @@ _AMSL_FRAMES, _HOME_FRAMES = (0, 5), (3, 6)
 def parse(content: Any) -> RouteFields:
     """Waypoints of a plan, surveys included.
 
-    Take-off (straight up from home), return and conditions, camera and gimbal commands are not
-    places and add none; a landing place is flown over at the height before it.
+    Take-off (straight up from home) and conditions, camera and gimbal commands are not places and
+    add none; a landing place is flown over at the height before it. With a return the mission ends.
 
     Raises:
         RouteError: it is no plan, or holds items that cannot be flown.
@@ -45,14 +47,19 @@ def route_of(items: list[dict[str, Any]], home: tuple[float, float, float] | Non
         RouteError: an item cannot be flown; its number, from 1, is named.
     """
     waypoints: list[GlobalWaypoint] = []
-    for index, item in enumerate(items, start=1):
+    has_landed = False
+    flown = takewhile(lambda item: item.get("command") != _RETURN, items)
+    for index, item in enumerate(flown, start=1):
         try:
-            waypoint = _waypoint(item, home[2] if home else None, waypoints)
+            waypoint = _waypoint(item, waypoints)
+            if waypoint is not None and has_landed:
+                raise RouteError("comes after a landing; vwnav lands once, at home: take one out")
         except RouteError as error:
             raise RouteError(f"mission item {index}: {error}") from error
+        has_landed = has_landed or item["command"] == _LAND
         if waypoint is not None:
             waypoints.append(waypoint)
-    return RouteFields([*waypoints], home[:2] if home else None)
+    return RouteFields([*waypoints], home[:2] if home else None, home[2] if home else None)
 
 
 def _home(position: Any) -> tuple[float, float, float] | None:
@@ -90,14 +97,12 @@ def _nested_items(item: dict[str, Any]) -> list[dict[str, Any]]:
     return nested
 
 
-def _waypoint(
-    item: dict[str, Any], home_amsl_m: float | None, before: list[GlobalWaypoint]
-) -> GlobalWaypoint | None:
+def _waypoint(item: dict[str, Any], before: list[GlobalWaypoint]) -> GlobalWaypoint | None:
     """The place of an item, None when it has none."""
     command = number(item.get("command"), "command")
     if command in _JUMPS:
         raise RouteError("a jump back cannot be flown; write the waypoints out")
-    if command in (_TAKEOFF, _RETURN) or command >= _FIRST_COMMAND_WITHOUT_PLACE:
+    if command == _TAKEOFF or command >= _FIRST_COMMAND_WITHOUT_PLACE:
         return None
     if command not in (_WAYPOINT, _LAND):
         raise RouteError(f"command {command:g} cannot be flown; use plain waypoints")
@@ -107,19 +112,13 @@ def _waypoint(
     if command == _LAND and (params[4] or 0, params[5] or 0) == (0, 0):
         return None  # MAVLink: land where you are
     lat_deg, lon_deg = number(params[4], "latitude"), number(params[5], "longitude")
+    if command == _LAND and before:
+        return replace(before[-1], lat_deg=lat_deg, lon_deg=lon_deg)
     if command == _LAND:
-        return GlobalWaypoint(lat_deg, lon_deg, before[-1].height_m if before else None)
-    height_m = _height_m(number(params[6], "height"), item.get("frame"), home_amsl_m)
-    return GlobalWaypoint(lat_deg, lon_deg, height_m)
-
-
-def _height_m(altitude_m: float, frame: Any, home_amsl_m: float | None) -> float:
+        return GlobalWaypoint(lat_deg, lon_deg, None)
+    altitude_m, frame = number(params[6], "height"), item.get("frame")
     if frame in _HOME_FRAMES:
-        return altitude_m
-    if frame not in _AMSL_FRAMES:
-        raise RouteError(f"altitude frame {str(frame)[:40]} cannot be flown; make it relative")
-    if home_amsl_m is None:
-        raise RouteError(
-            "altitude above sea level without a home (plannedHomePosition); make it relative"
-        )
-    return altitude_m - home_amsl_m
+        return GlobalWaypoint(lat_deg, lon_deg, altitude_m)
+    if frame in _AMSL_FRAMES:
+        return GlobalWaypoint(lat_deg, lon_deg, None, altitude_m)
+    raise RouteError(f"altitude frame {str(frame)[:40]} cannot be flown; make it relative")

@@ -1,7 +1,8 @@
 """Routes out of files: QGroundControl plans, Mission Planner's missions, GeoJSON, `ID,X,Y,Z` text.
 
-Heights are above home. What a file says beyond the way to fly (camera triggers, holding times,
-speeds) is not flown; what cannot be flown is refused.
+Heights are above home; those above sea level become so once home is known. What a file says beyond
+the way to fly (camera triggers, holding times, speeds) is not flown; what cannot be flown is
+refused.
 """
 
 from dataclasses import dataclass
@@ -11,16 +12,31 @@ from typing import Any, Literal
 import numpy as np
 
 from vwnav.errors import RouteError
-from vwnav.geometry.geodesy import LocalFrame
+from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.guidance import geojson, mission_text, plan_file, route_text
-from vwnav.guidance.waypoints import GlobalWaypoint, LocalWaypoint, RouteFields, load_json
+from vwnav.guidance.waypoints import (
+    GlobalWaypoint,
+    LocalWaypoint,
+    RouteFields,
+    check_height,
+    load_json,
+)
 from vwnav.types import Array
 
-__all__ = ["GlobalWaypoint", "LocalWaypoint", "Route", "RouteFrame", "load_route"]
+__all__ = [
+    "DEFAULT_HEIGHT_M",
+    "GlobalWaypoint",
+    "LocalWaypoint",
+    "Route",
+    "RouteFrame",
+    "load_route",
+]
 
 RouteFrame = Literal["local", "global"]
+DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 MAX_BYTES = 10_000_000
 MAX_WAYPOINTS = 10_000
+_SAME_HOME_M = 10.0  # a home that is written with fewer digits; beyond, the ground may be another
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,28 +46,70 @@ class Route:
     Attributes:
         waypoints: at least one, all of one kind.
         home: (lat_deg, lon_deg) where the file says one.
+        home_amsl_m: its ground above mean sea level, as the file says.
     """
 
     waypoints: tuple[GlobalWaypoint | LocalWaypoint, ...]
     home: tuple[float, float] | None
+    home_amsl_m: float | None = None
 
-    def to_ned(self, frame: LocalFrame, default_height_m: float) -> Array:
+    def ground_amsl_m(
+        self, home: tuple[float, float] | None, surveyed_m: float | None
+    ) -> float | None:
+        """The ground at the flight's home above mean sea level, None where nobody knows.
+
+        Args:
+            home: (lat_deg, lon_deg) of the flight, None while it is not known.
+            surveyed_m: what a map says of that place; the file knows its own home alone.
+        """
+        if home is None:
+            return None
+        if surveyed_m is not None or self.home is None:
+            return surveyed_m
+        is_its_own = horizontal_distance_m(*home, *self.home) <= _SAME_HOME_M
+        return self.home_amsl_m if is_its_own else None
+
+    def to_ned(
+        self, frame: LocalFrame, default_height_m: float, home_amsl_m: float | None
+    ) -> Array:
         """Waypoints (n, 3) in the frame, whose origin is home on the ground.
 
         Args:
             frame: of the flight.
             default_height_m: above home, for waypoints without a height.
-        """
-        return np.array([self._ned(point, frame, default_height_m) for point in self.waypoints])
+            home_amsl_m: the ground at home, from which those above sea level are counted.
 
-    @staticmethod
-    def _ned(
-        point: GlobalWaypoint | LocalWaypoint, frame: LocalFrame, default_height_m: float
-    ) -> Array:
-        height_m = default_height_m if point.height_m is None else point.height_m
-        if isinstance(point, LocalWaypoint):
-            return np.array([point.north_m, point.east_m, -height_m])
-        return frame.to_ned(point.lat_deg, point.lon_deg, frame.alt_amsl_m + height_m)
+        Raises:
+            RouteError: there are such, and nobody knows the ground at home; or a height above home
+                comes out that nobody flies.
+        """
+        heights_m = [
+            default_height_m if height_m is None else height_m
+            for height_m in (_above_home_m(point, home_amsl_m) for point in self.waypoints)
+        ]
+        return np.array(
+            [_ned(*each, frame) for each in zip(self.waypoints, heights_m, strict=True)]
+        )
+
+
+def _above_home_m(point: GlobalWaypoint | LocalWaypoint, home_amsl_m: float | None) -> float | None:
+    if isinstance(point, LocalWaypoint) or point.alt_amsl_m is None:
+        return point.height_m
+    if home_amsl_m is None:
+        raise RouteError(
+            "the route's altitudes are above sea level, and the ground at home is not known: take "
+            "a map with heights (vwnav map build --heights) and --home, or the file's own home, "
+            "or make them relative"
+        )
+    height_m = point.alt_amsl_m - home_amsl_m
+    check_height(height_m)
+    return height_m
+
+
+def _ned(point: GlobalWaypoint | LocalWaypoint, height_m: float, frame: LocalFrame) -> Array:
+    if isinstance(point, LocalWaypoint):
+        return np.array([point.north_m, point.east_m, -height_m])
+    return frame.to_ned(point.lat_deg, point.lon_deg, frame.alt_amsl_m + height_m)
 
 
 def load_route(path: Path | str, frame: RouteFrame = "local") -> Route:
@@ -75,7 +133,7 @@ def load_route(path: Path | str, frame: RouteFrame = "local") -> Route:
             raise RouteError(f"more than {MAX_WAYPOINTS} waypoints")
     except RouteError as error:
         raise RouteError(f"{path}: {error}") from error
-    return Route(tuple(fields.waypoints), fields.home)
+    return Route(tuple(fields.waypoints), fields.home, fields.home_amsl_m)
 
 
 def _read(path: Path) -> str:

@@ -48,6 +48,13 @@ class Leg:
         part = min(max(self.along_track_m(position_ned_m) / self.length_m, 0.0), 1.0)
         return float(self.start_ned_m[2] + part * (self.end_ned_m[2] - self.start_ned_m[2]))
 
+    def below_m(self, position_ned_m: Array) -> float:
+        """How far below the leg it is, negative above; straight up or down, below both its ends."""
+        down_m = self.down_at_m(position_ned_m)
+        if self.length_m == 0.0:
+            down_m = max(down_m, float(self.start_ned_m[2]))
+        return float(position_ned_m[2]) - down_m
+
     def slope_at(self, position_ned_m: Array) -> float:
         """Metres down per metre along, zero before the start and past the end."""
         if not 0.0 < self.along_track_m(position_ned_m) < self.length_m:

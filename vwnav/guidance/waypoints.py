@@ -13,18 +13,25 @@ MAX_OFFSET_M = 100_000.0
 
 @dataclass(frozen=True, slots=True)
 class GlobalWaypoint:
-    """A waypoint on the globe; `height_m` above home, None where the file says none."""
+    """A waypoint on the globe.
+
+    Attributes:
+        lat_deg, lon_deg: where it is.
+        height_m: above home; None where the file says none, or counts from sea level.
+        alt_amsl_m: above mean sea level, where the file counts from there.
+    """
 
     lat_deg: float
     lon_deg: float
     height_m: float | None
+    alt_amsl_m: float | None = None
 
     def __post_init__(self) -> None:
         if not (abs(self.lat_deg) <= 90.0 and abs(self.lon_deg) <= 180.0):
             raise RouteError(
                 f"latitude {self.lat_deg:g}, longitude {self.lon_deg:g} is not on the globe"
             )
-        _check_height(self.height_m)
+        check_height(self.height_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +48,16 @@ class LocalWaypoint:
                 f"waypoint {self.north_m:g} m north, {self.east_m:g} m east is over 100 km from "
                 "home; are these degrees? then say so (global)"
             )
-        _check_height(self.height_m)
+        check_height(self.height_m)
 
 
 @dataclass(frozen=True, slots=True)
 class RouteFields:
-    """What a file said."""
+    """What a file said; `home_amsl_m` is the ground at its home, above mean sea level."""
 
     waypoints: list[GlobalWaypoint | LocalWaypoint]
     home: tuple[float, float] | None = None
+    home_amsl_m: float | None = None
 
 
 def number(value: Any, what: str) -> float:
@@ -94,7 +102,12 @@ def load_json(text: str) -> Any:
         raise RouteError(f"damaged file, not JSON ({_short(str(error))})") from error
 
 
-def _check_height(height_m: float | None) -> None:
+def check_height(height_m: float | None) -> None:
+    """Refuse what nobody flies.
+
+    Raises:
+        RouteError: a height above home that is too low or too high.
+    """
     if height_m is not None and not MIN_HEIGHT_M <= height_m <= MAX_HEIGHT_M:
         raise RouteError(
             f"height {height_m:g} m above home; expected {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m"

@@ -1,13 +1,11 @@
 """Where a map covers a route, with margin."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.geometry.geodesy import places_along
 from vwnav.maps.pack import MapPack
 from vwnav.types import Array
 
@@ -86,9 +84,9 @@ def check_route(pack: MapPack, lat_lon_deg: Array, margin_m: float = 50.0) -> Ro
     uncovered: list[Stretch] = []
     open_stretch: Stretch | None = None
     along_m = 0.0
-    for along_m, lat_deg, lon_deg in _samples(lat_lon_deg):
-        here = (lat_deg, lon_deg)
-        if _covered(pack, lat_deg, lon_deg, margin_m):
+    for along_m, _, place in places_along(lat_lon_deg, STEP_M):
+        here = (float(place[0]), float(place[1]))
+        if _covered(pack, *here, margin_m):
             uncovered += [open_stretch] if open_stretch else []
             open_stretch = None
         elif open_stretch is None:
@@ -98,19 +96,6 @@ def check_route(pack: MapPack, lat_lon_deg: Array, margin_m: float = 50.0) -> Ro
             open_stretch = Stretch(start.start_m, along_m, start.start_lat_lon_deg, here)
     uncovered += [open_stretch] if open_stretch else []
     return RouteCoverage(along_m, margin_m, tuple(uncovered))
-
-
-def _samples(lat_lon_deg: Array) -> Iterator[tuple[float, float, float]]:
-    """(distance along the route, latitude, longitude), every `STEP_M` and at each waypoint."""
-    along_m = 0.0
-    yield along_m, float(lat_lon_deg[0, 0]), float(lat_lon_deg[0, 1])
-    for start, end in pairwise(lat_lon_deg):
-        leg_m = horizontal_distance_m(*map(float, start), *map(float, end))
-        steps = max(1, math.ceil(leg_m / STEP_M))
-        for fraction in np.arange(1, steps + 1) / steps:
-            lat_deg, lon_deg = start + fraction * (end - start)
-            yield along_m + fraction * leg_m, float(lat_deg), float(lon_deg)
-        along_m += leg_m
 
 
 def _covered(pack: MapPack, lat_deg: float, lon_deg: float, margin_m: float) -> bool:

@@ -1,27 +1,38 @@
 """Settings of a mission."""
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from vwnav.settings.ranges import Settings, Within
 
 
 @dataclass(frozen=True, slots=True)
-class DepartureConfig:
+class DepartureConfig(Settings):
     """Times of a departure."""
 
-    ready_timeout_s: float = 90.0  # the autopilot's filter must trust our estimate within this
-    ready_steady_s: float = 4.0  # PX4 was seen ready for 2.1 s, then for 6 s not, then for good
-    arming_tries: int = 3  # readiness may go in the very moment of arming
-    arming_shows_s: float = 3.0  # from the accepted command to the heartbeat that tells it
-    takeoff_height_m: float = 4.0  # flown by the autopilot's own take-off
+    # The autopilot's filter must trust our estimate within this
+    ready_timeout_s: Annotated[float, Within(1.0, 3600.0)] = 90.0
+    # PX4 was seen ready for 2.1 s, then for 6 s not, then for good
+    ready_steady_s: Annotated[float, Within(0.0, 60.0)] = 4.0
+    arming_tries: Annotated[int, Within(1, 20)] = 3  # readiness may go in the very moment of arming
+    # From the accepted command to the heartbeat that tells it
+    arming_shows_s: Annotated[float, Within(0.0, 60.0, above=True)] = 3.0
+    # Flown by the autopilot's own take-off
+    takeoff_height_m: Annotated[float, Within(1.0, 50.0)] = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class FlightConfig(DepartureConfig):
     """Times and heights of a mission."""
 
-    land_from_m: float = 5.0  # below this the autopilot's own landing takes over
-    first_fix_timeout_s: float = 20.0  # hovering at height without any fix
-    fixes_to_start: int = 3
-    takeoff_timeout_s: float = 40.0
-    hold_gain_per_s: float = 0.5
-    hold_speed_m_s: float = 1.5
-    ground_station_ids: tuple[int, ...] = (255,)  # MAVLink systems that may command it
+    # Below this the autopilot's own landing takes over; a barometer drifts by 3 m in ten minutes,
+    # and would never tell that it has come down there.
+    land_from_m: Annotated[float, Within(3.0, 50.0)] = 5.0
+    # Hovering at height without any fix
+    first_fix_timeout_s: Annotated[float, Within(1.0, 600.0)] = 20.0
+    fixes_to_start: Annotated[int, Within(1, 1000)] = 3
+    takeoff_timeout_s: Annotated[float, Within(5.0, 600.0)] = 40.0
+    hold_gain_per_s: Annotated[float, Within(0.0, 2.0, above=True)] = 0.5
+    hold_speed_m_s: Annotated[float, Within(0.0, 10.0, above=True)] = 1.5
+    # MAVLink systems that may command it
+    ground_station_ids: Annotated[tuple[int, ...], Within(1, 255)] = (255,)

@@ -55,8 +55,28 @@ class Home:
         return f"the aircraft stood {apart_m:.0f} m from the home that was given: it returns there"
 
 
+def straight_home_ned_m(here_ned_m: Array, home_ne_m: Array, lowest_m: float) -> Array:
+    """(1 or 2, 3) from here to above home, first up where that is lower than `lowest_m`."""
+    down_m = min(float(here_ned_m[2]), -lowest_m)
+    above_home = np.array([[*home_ne_m, down_m]])
+    if down_m == float(here_ned_m[2]):
+        return above_home
+    return np.vstack([[*here_ned_m[:2], down_m], above_home])
+
+
+def from_home_ned_m(route_ned_m: Array, home_ne_m: Array, lowest_m: float) -> Array:
+    """(n + 2 or 3, 3) from above home, where the route's height is reached, over it and back."""
+    return np.vstack(
+        [
+            [*home_ne_m, route_ned_m[0, 2]],
+            route_ned_m,
+            straight_home_ned_m(route_ned_m[-1], home_ne_m, lowest_m),
+        ]
+    )
+
+
 class FlownWay:
-    """Places along the way, horizontally, and how to return along them.
+    """Places along the way, and how to return along them.
 
     They grow with the way: 7 kB for each kilometre.
     """
@@ -66,22 +86,25 @@ class FlownWay:
 
     def note(self, estimate: Estimate) -> None:
         """Remember a place, if it is some way from the last one."""
-        place = estimate.position_ned_m[:2]
-        if not self._places or np.hypot(*(place - self._places[-1])) >= _SPACING_M:
+        place = estimate.position_ned_m
+        if not self._places or np.hypot(*(place - self._places[-1])[:2]) >= _SPACING_M:
             self._places.append(place.copy())
 
     def back_ned_m(self, estimate: Estimate, home_ne_m: Array) -> Array:
-        """(n, 3) from here back to above home, at the height of the estimate; loops are left out.
+        """(n, 3) from here back to above home; loops are left out.
 
-        What was flown twice is flown back once: from each place the earliest that is near.
+        What was flown twice is flown back once: from each place the earliest that is near. No place
+        is flown lower than it was, nor than the estimate is: from higher up the map shows more.
         """
-        places = np.array([home_ne_m, *self._places])
+        here = estimate.position_ned_m
+        first = self._places[0] if self._places else here
+        places = np.array([[*home_ne_m, first[2]], *self._places])
         stops, i = [], len(places)
-        here = estimate.position_ned_m[:2]
         while i > 0:
-            near = np.hypot(*(places[:i] - here).T) <= 1.5 * _SPACING_M
+            near = np.hypot(*(places[:i] - here)[:, :2].T) <= 1.5 * _SPACING_M
             i = int(near.argmax()) if near.any() else i - 1
             here = places[i]
             stops.append(here)
-        down = np.full((len(stops), 1), estimate.position_ned_m[2])
-        return np.hstack([np.array(stops), down])
+        way_ned_m = np.array(stops)
+        way_ned_m[:, 2] = np.minimum(way_ned_m[:, 2], estimate.position_ned_m[2])
+        return way_ned_m

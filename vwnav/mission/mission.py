@@ -6,6 +6,7 @@ from enum import Enum
 from typing import NamedTuple, Protocol
 
 from vwnav.safety.check import Check
+from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Array
 from vwnav.vehicle import Learned, Navigation, VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
@@ -80,6 +81,7 @@ class Mission:
         about_home: the waypoints are counted from home, wherever that turns out to be; else from
             the frame's origin.
         home_ne_m: (2,) where the aircraft is thought to stand; None when nobody knows.
+        way_home_m: least height above home of the straight way there.
         refuse: says why a route (n, 3) must not be flown, "" when it may; asked once home is known
             if it was not before.
     """
@@ -87,6 +89,7 @@ class Mission:
     route_ned_m: Array
     about_home: bool = False
     home_ne_m: Array | None = None
+    way_home_m: float = SafetyConfig().way_home_m
     refuse: Callable[[Array], str] = lambda _: ""
 
 

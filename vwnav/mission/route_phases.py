@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vwnav.guidance.controller import RouteFollower
+from vwnav.guidance.controller import RouteFollower, stops_at_ned_m
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
-from vwnav.mission.home import FlownWay, Home
+from vwnav.mission.home import FlownWay, Home, straight_home_ned_m
 from vwnav.mission.mission import Mission, Next, Phase
 from vwnav.mission.steering import Steering
 from vwnav.types import Array, Estimate
@@ -17,6 +17,8 @@ _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its
 _REACHED = 0.85  # of the height asked for: the autopilot's take-off is over
 _RISES_M = 0.3  # within 3 s, else it has ended whatever height we believe: slower than any
 _RISES_S = 3.0  # take-off, more than a hover in gusts
+_FAR_BELOW_M = 5.0  # its leg, more than any climb along one lags
+_AT_HEIGHT_M = 1.0
 
 
 class RoutePhases:
@@ -50,6 +52,7 @@ class RoutePhases:
         self._fixes = 0
         self._before: Estimate | None = None
         self._offboard: Request | None = None
+        self._rises = False  # to its leg, before it travels on
         self._rose_to_m = 0.0
         self._rose_s = 0.0
 
@@ -95,9 +98,11 @@ class RoutePhases:
         self._settle_home(estimate)
         home_ne_m = self._home.place_ne_m
         assert home_ne_m is not None
-        way_ned_m = np.array([[*home_ne_m, estimate.position_ned_m[2]]])
         if as_flown:
             way_ned_m = self._way.back_ned_m(estimate, home_ne_m)
+        else:
+            here_ned_m = stops_at_ned_m(estimate, self._limits)
+            way_ned_m = straight_home_ned_m(here_ned_m, home_ne_m, self._mission.way_home_m)
         self._follower = RouteFollower(way_ned_m, self._limits)
 
     def step(
@@ -182,12 +187,13 @@ class RoutePhases:
             self._say(told)
 
     def _route_ned_m(self) -> Array:
-        """(n + 1, 3) the waypoints and the way back to above home."""
+        """(n + 1 or 2, 3) the waypoints and the way back to above home."""
         home_ne_m, route_ned_m = self._home.place_ne_m, self._mission.route_ned_m
         assert home_ne_m is not None
         if self._mission.about_home:
             route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
-        return np.vstack([route_ned_m, [*home_ne_m, route_ned_m[-1, 2]]])
+        last_ned_m, lowest_m = route_ned_m[-1], self._mission.way_home_m
+        return np.vstack([route_ned_m, straight_home_ned_m(last_ned_m, home_ne_m, lowest_m)])
 
     def _follow_from_here(self, route_ned_m: Array) -> None:
         self._follower = RouteFollower(route_ned_m, self._limits)
@@ -198,12 +204,28 @@ class RoutePhases:
         assert self._home.place_ne_m is not None
         if phase is Phase.ROUTE:
             self._way.note(estimate)
+        if self._must_rise(estimate):
+            self._steering.rise(estimate, self._follower.below_m(estimate))
+            return None
         step = self._follower.step(estimate, pace)
         self._steering.steer(step.setpoint)
         if not step.done:
             return None
         self._steering.held_ne_m = self._home.place_ne_m
         return Next(Phase.DESCEND)
+
+    def _must_rise(self, estimate: Estimate) -> bool:
+        """Whether it first climbs where it is: the leg clears what stands on the ground.
+
+        A pilot may have given the aircraft back far below it.
+        """
+        assert self._follower is not None
+        below_m = self._follower.below_m(estimate)
+        if below_m > _FAR_BELOW_M and not self._rises:
+            self._steering.held_ne_m = stops_at_ned_m(estimate, self._limits)[:2]
+            self._rises = True
+        self._rises = self._rises and below_m > _AT_HEIGHT_M
+        return self._rises
 
     def _descend(self, estimate: Estimate) -> Next | None:
         if -float(estimate.position_ned_m[2]) < self._config.land_from_m:

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from vwnav.guidance.controller import vertical_speed_m_s
-from vwnav.guidance.limits import LimitsConfig
+from vwnav.guidance.limits import LimitsConfig, vertical_speed_m_s
 from vwnav.mission.config import FlightConfig
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Autopilot, VelocitySetpoint
@@ -65,11 +64,14 @@ class Steering:
 
     def hold_at_height(self, estimate: Estimate) -> None:
         """Stay over the held place, at the route's height."""
-        self.hold(estimate, vertical_speed_m_s(-self.missing_m(estimate), 0.0, self._limits))
+        self.rise(estimate, self.missing_m(estimate))
 
     def climb(self, estimate: Estimate) -> None:
         """Up to the route's height over the held place."""
-        missing_m = max(self.missing_m(estimate), 0.0)
+        self.rise(estimate, max(self.missing_m(estimate), 0.0))
+
+    def rise(self, estimate: Estimate, missing_m: float) -> None:
+        """Up by so much, or down where it is negative, over the held place."""
         self.hold(estimate, vertical_speed_m_s(-missing_m, 0.0, self._limits))
 
     def search_upwards(self, estimate: Estimate, highest_m: float) -> None:

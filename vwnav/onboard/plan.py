@@ -8,8 +8,7 @@ from vwnav.config import Config, load_config, with_camera, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
-from vwnav.guidance.plan_files import LocalWaypoint, load_route
-from vwnav.maps.coverage import check_route
+from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, LocalWaypoint, load_route
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
@@ -18,15 +17,13 @@ from vwnav.screen import say
 from vwnav.sim.named_sites import is_site, parse_site
 from vwnav.sim.renderer import default_camera
 
-DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
-
 
 def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     """All that is known before the link is opened.
 
     Raises:
         VwnavError: a file that cannot be used.
-        PreflightError: the map does not cover the route.
+        PreflightError: the map does not cover the route, or has ground that is too high for it.
     """
     config = with_features(load_config(options.config_path), options.features, options.model)
     assert options.route is not None
@@ -39,14 +36,15 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
         site = parse_site(options.video or DEFAULT_SITE)
         home = (site.home_lat_deg, site.home_lon_deg)
     home_lat, home_lon = home or pack.middle
-    local_frame = LocalFrame(home_lat, home_lon, pack.elevation_m(home_lat, home_lon) or 0.0)
-    route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M)
+    surveyed_m = pack.elevation_m(home_lat, home_lon)
+    local_frame = LocalFrame(home_lat, home_lon, surveyed_m or 0.0)
+    ground_m = route.ground_amsl_m(home, surveyed_m)
+    route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M, ground_m)
     about_home = isinstance(route.waypoints[0], LocalWaypoint)
     plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None, about_home)
-    if plan.home_known or not about_home:
-        covered = check_route(pack, plan.route_lat_lon_deg)
-        if not covered.ok:
-            raise PreflightError(covered.summary())
+    refused = plan.refuse_at_once()
+    if refused:
+        raise PreflightError(refused)
     return plan
 
 

@@ -26,8 +26,7 @@ from vwnav.rules.flight_log import (
     Sent,
     Vector,
 )
-from vwnav.safety.estimate_guard import EstimateLimits
-from vwnav.safety.safety_config import SafetyConfig
+from vwnav.safety.safety_config import EstimateLimits, SafetyConfig
 from vwnav.vehicle import FlightMode
 
 _NOT_RECORDED = frozenset({"commands", "answers", "parameters_set", "beats", "beliefs", "homes"})

@@ -9,8 +9,7 @@ from functools import cached_property
 from vwnav.mission.config import FlightConfig
 from vwnav.mission.mission import Phase
 from vwnav.rules.temporal import Span
-from vwnav.safety.estimate_guard import EstimateLimits
-from vwnav.safety.safety_config import SafetyConfig
+from vwnav.safety.safety_config import EstimateLimits, SafetyConfig
 from vwnav.vehicle import FlightMode
 
 Vector = tuple[float, float, float]  # north, east, down

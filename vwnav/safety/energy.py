@@ -8,7 +8,7 @@ from vwnav.vehicle import VehicleState
 
 _LEAST_FLOWN_S = 30.0  # before that, and this much used, the consumption is not known
 _LEAST_USED_RATIO = 0.03
-_COME_DOWN_M_S = 1.0  # from the height of the flight to the ground
+_UP_AND_DOWN_M_S = 1.0  # to the height of the return, and from there to the ground
 _LEAST_SPEED_M_S = 1.0  # against a wind that is nearly too strong
 
 
@@ -39,7 +39,7 @@ class EnergyWatch:
         return left < self._config.battery_home_share * takes
 
     def home_s(self, estimate: Estimate, home_ne_m: Array) -> float:
-        """How long the way home and down takes in the wind that the filter has measured."""
+        """How long the way up, home and down takes in the wind that the filter has measured."""
         way = home_ne_m - estimate.position_ned_m[:2]
         way_m = float(np.hypot(*way))
         head_m_s = 0.0
@@ -48,4 +48,5 @@ class EnergyWatch:
         speed_m_s = max(
             min(self._cruise_m_s, self._config.airspeed_m_s - head_m_s), _LEAST_SPEED_M_S
         )
-        return way_m / speed_m_s + max(estimate.agl_m, 0.0) / _COME_DOWN_M_S
+        rise_m = max(self._config.way_home_m + float(estimate.position_ned_m[2]), 0.0)
+        return way_m / speed_m_s + (max(estimate.agl_m, 0.0) + 2.0 * rise_m) / _UP_AND_DOWN_M_S

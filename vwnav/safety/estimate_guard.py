@@ -10,66 +10,16 @@ unproven.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from vwnav.safety.estimate_track import Track, Trial, at_least, is_finite, sigma, tilt_rad
+from vwnav.safety.safety_config import EstimateLimits
 from vwnav.types import Estimate
 
 _VELOCITY_LOST = "the estimate's velocity is lost"
 _RESTLESS = "the estimate jumps again and again"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimateLimits:
-    """What may be sent to an autopilot.
-
-    Attributes:
-        max_age_s: against the clock, both ways.
-        max_speed_m_s: horizontal; no multirotor of ours flies faster, wind included.
-        max_tilt_rad: of the attitude that comes with it.
-        max_velocity_sigma_m_s, max_position_sigma_m: larger semi-axis, while it is sent; the
-            position's only after a first fix: before, the aircraft is wherever it stands. It is
-            wide: what comes down without images needs a velocity, or the wind has it.
-        new_velocity_sigma_m_s, new_position_sigma_m: of one that comes back, or that says by its
-            reset counter that it jumped.
-        max_jump_m: beyond what `max_speed_m_s` explains, without another reset counter. Autopilots
-            follow a silent jump of 5 m within 3 s.
-        max_velocity_jump_m_s: from one to the next.
-        max_gap_s: between two; after a longer one nothing is sent at once.
-        brief_gap_s: after a gap no longer than that it goes on as the same, once it is steady.
-        settle_s: for how long it has to be steady then.
-        settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
-        steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
-        handed_on_s: a new one reaches the autopilot so much later: the watchdog looks at it first.
-        new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
-        unproven_s: for how long one without those fixes has had a sure velocity, by images or, once
-            it had none, by the air that is felt, when it comes back. An autopilot that is told
-            neither comes down with the wind.
-        unproven_sigma_m: its place is told with at least this, whatever a fix or two have made of
-            it: a match at a wrong place lies in the region that was searched.
-    """
-
-    max_age_s: float = 0.25
-    max_speed_m_s: float = 35.0
-    max_tilt_rad: float = math.radians(70.0)
-    max_velocity_sigma_m_s: float = 4.0
-    max_position_sigma_m: float = 60.0
-    new_velocity_sigma_m_s: float = 1.5
-    new_position_sigma_m: float = 5.0
-    max_jump_m: float = 3.0
-    max_velocity_jump_m_s: float = 5.0
-    max_gap_s: float = 0.5
-    brief_gap_s: float = 1.0
-    settle_s: float = 0.5
-    settle_drift_m_s: float = 2.0
-    steady_s: float = 1.0
-    handed_on_s: float = 0.5
-    new_fixes: int = 3
-    new_fixes_s: float = 1.0
-    unproven_s: float = 1.5
-    unproven_sigma_m: float = 40.0
 
 
 class EstimateGuard:

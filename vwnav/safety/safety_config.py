@@ -1,10 +1,14 @@
-"""The thresholds of the control hierarchy."""
+"""The thresholds of the control hierarchy, and of what an autopilot may be told."""
 
+import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from vwnav.settings.ranges import Angle, Count, Settings, Within
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SafetyConfig:
+class SafetyConfig(Settings):
     """When safety overrules the route.
 
     Attributes:
@@ -24,6 +28,8 @@ class SafetyConfig:
         hold_fix_age_s: age of the last map fix that stops the flight.
         estimate_age_s: age of the estimate itself that makes the position unusable.
         return_sigma_m: with at most this the way home can still be found.
+        return_height_m: above home, to which it climbs before it goes straight home; never above
+            the ceiling. Who is higher already stays so.
         climb_after_s: of holding for better times; then up, by at most `climb_most_m` and to
             `ceiling_m` above home: from higher up the map shows more.
         hold_time_s: of both; then home, or down where the way is not known.
@@ -38,51 +44,110 @@ class SafetyConfig:
         unknown_mode_s: a flight mode that nobody can name for so long is not ours.
     """
 
-    battery_low_ratio: float = 0.25
-    battery_critical_ratio: float = 0.12
-    battery_takeoff_ratio: float = 0.35
-    battery_time_s: float = 2.0
-    link_hold_s: float = 3.0  # heartbeats come once a second, and one may get lost
-    link_land_s: float = 10.0
-    radio_return_s: float = 5.0
-    ground_return_s: float = 30.0
-    battery_home_share: float = 1.3
-    airspeed_m_s: float = 12.0
-    fence_m: float = 60.0
-    slow_sigma_m: float = 4.0
-    slow_fix_age_s: float = 8.0
-    hold_sigma_m: float = 8.0
-    resume_sigma_ratio: float = 0.7
-    hold_fix_age_s: float = 15.0
-    estimate_age_s: float = 1.0
-    return_sigma_m: float = 30.0
-    climb_after_s: float = 5.0
-    climb_most_m: float = 30.0
-    ceiling_m: float = 120.0
-    hold_time_s: float = 15.0
-    blind_hold_s: float = 1.0
-    blind_land_s: float = 4.0
-    lost_land_s: float = 2.0
-    gap_s: float = 0.5
-    gap_memory_s: float = 10.0
-    resume_gap_s: float = 1.0
-    unknown_mode_s: float = 1.0
+    AT_MOST: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("battery_critical_ratio", "battery_low_ratio"),
+        ("battery_low_ratio", "battery_takeoff_ratio"),
+        ("link_hold_s", "link_land_s"),
+        ("slow_sigma_m", "hold_sigma_m"),
+        ("slow_fix_age_s", "hold_fix_age_s"),
+        ("hold_sigma_m", "return_sigma_m"),
+        ("climb_after_s", "hold_time_s"),
+        ("blind_hold_s", "blind_land_s"),
+        ("gap_s", "resume_gap_s"),
+    )
 
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not 0.0 < value < 3600.0:
-                raise ValueError(f"expected {name} to be positive, got {value}")
-        for lower, upper in (
-            ("battery_critical_ratio", "battery_low_ratio"),
-            ("battery_low_ratio", "battery_takeoff_ratio"),
-            ("link_hold_s", "link_land_s"),
-            ("slow_sigma_m", "hold_sigma_m"),
-            ("slow_fix_age_s", "hold_fix_age_s"),
-            ("hold_sigma_m", "return_sigma_m"),
-            ("climb_after_s", "hold_time_s"),
-            ("blind_hold_s", "blind_land_s"),
-            ("gap_s", "resume_gap_s"),
-        ):
-            if getattr(self, lower) > getattr(self, upper):
-                raise ValueError(f"expected {lower} to be at most {upper}")
+    battery_low_ratio: Annotated[float, Within(0.0, 1.0, above=True)] = 0.25
+    battery_critical_ratio: Annotated[float, Within(0.0, 1.0, above=True)] = 0.12
+    battery_takeoff_ratio: Annotated[float, Within(0.0, 1.0, above=True)] = 0.35
+    battery_time_s: Annotated[float, Within(0.0, 60.0, above=True)] = 2.0
+    # Heartbeats come once a second, and one may get lost
+    link_hold_s: Annotated[float, Within(0.0, 60.0, above=True)] = 3.0
+    link_land_s: Annotated[float, Within(0.0, 600.0, above=True)] = 10.0
+    radio_return_s: Annotated[float, Within(0.0, 3600.0, above=True)] = 5.0
+    ground_return_s: Annotated[float, Within(0.0, 3600.0, above=True)] = 30.0
+    battery_home_share: Annotated[float, Within(1.0, 100.0)] = 1.3
+    airspeed_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 12.0
+    fence_m: Annotated[float, Within(0.0, 3599.0, above=True)] = 60.0
+    slow_sigma_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 4.0
+    slow_fix_age_s: Annotated[float, Within(0.0, 3599.0, above=True)] = 8.0
+    hold_sigma_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 8.0
+    resume_sigma_ratio: Annotated[float, Within(0.0, 1.0, above=True)] = 0.7
+    hold_fix_age_s: Annotated[float, Within(0.0, 3599.0, above=True)] = 15.0
+    estimate_age_s: Annotated[float, Within(0.0, 10.0, above=True)] = 1.0
+    return_sigma_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 30.0
+    # Above trees and houses; ArduPilot's RTL_ALT is the same
+    return_height_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 15.0
+    climb_after_s: Annotated[float, Within(0.0, 3599.0, above=True)] = 5.0
+    climb_most_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 30.0
+    ceiling_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 120.0
+    hold_time_s: Annotated[float, Within(0.0, 3599.0, above=True)] = 15.0
+    blind_hold_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.0
+    blind_land_s: Annotated[float, Within(0.0, 60.0, above=True)] = 4.0
+    lost_land_s: Annotated[float, Within(0.0, 60.0, above=True)] = 2.0
+    gap_s: Annotated[float, Within(0.0, 10.0, above=True)] = 0.5
+    gap_memory_s: Annotated[float, Within(0.0, 600.0, above=True)] = 10.0
+    resume_gap_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.0
+    unknown_mode_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.0
+
+    @property
+    def way_home_m(self) -> float:
+        """Least height above home of the straight way there."""
+        return min(self.return_height_m, self.ceiling_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimateLimits(Settings):
+    """What may be sent to an autopilot.
+
+    Attributes:
+        max_age_s: against the clock, both ways.
+        max_speed_m_s: horizontal; no multirotor of ours flies faster, wind included.
+        max_tilt_rad: of the attitude that comes with it.
+        max_velocity_sigma_m_s, max_position_sigma_m: larger semi-axis, while it is sent; the
+            position's only after a first fix: before, the aircraft is wherever it stands. It is
+            wide: what comes down without images needs a velocity, or the wind has it.
+        new_velocity_sigma_m_s, new_position_sigma_m: of one that comes back, or that says by its
+            reset counter that it jumped.
+        max_jump_m: beyond what `max_speed_m_s` explains, without another reset counter. Autopilots
+            follow a silent jump of 5 m within 3 s.
+        max_velocity_jump_m_s: from one to the next.
+        max_gap_s: between two; after a longer one nothing is sent at once.
+        brief_gap_s: after a gap no longer than that it goes on as the same, once it is steady.
+        settle_s: for how long it has to be steady then.
+        settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
+        steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
+        handed_on_s: a new one reaches the autopilot so much later: the watchdog looks at it first.
+        new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
+        unproven_s: for how long one without those fixes has had a sure velocity, by images or, once
+            it had none, by the air that is felt, when it comes back. An autopilot that is told
+            neither comes down with the wind.
+        unproven_sigma_m: its place is told with at least this, whatever a fix or two have made of
+            it: a match at a wrong place lies in the region that was searched.
+    """
+
+    AT_MOST: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("new_velocity_sigma_m_s", "max_velocity_sigma_m_s"),
+        ("new_position_sigma_m", "unproven_sigma_m"),
+        ("unproven_sigma_m", "max_position_sigma_m"),
+        ("max_gap_s", "brief_gap_s"),
+    )
+
+    max_age_s: Annotated[float, Within(0.0, 5.0, above=True)] = 0.25
+    max_speed_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 35.0
+    max_tilt_rad: Angle = math.radians(70.0)
+    max_velocity_sigma_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 4.0
+    max_position_sigma_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 60.0
+    new_velocity_sigma_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 1.5
+    new_position_sigma_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 5.0
+    max_jump_m: Annotated[float, Within(0.0, 100.0, above=True)] = 3.0
+    max_velocity_jump_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 5.0
+    max_gap_s: Annotated[float, Within(0.0, 10.0, above=True)] = 0.5
+    brief_gap_s: Annotated[float, Within(0.0, 10.0, above=True)] = 1.0
+    settle_s: Annotated[float, Within(0.0, 60.0, above=True)] = 0.5
+    settle_drift_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 2.0
+    steady_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.0
+    handed_on_s: Annotated[float, Within(0.0, 60.0, above=True)] = 0.5
+    new_fixes: Count = 3
+    new_fixes_s: Annotated[float, Within(0.0, 600.0, above=True)] = 1.0
+    unproven_s: Annotated[float, Within(0.0, 600.0, above=True)] = 1.5
+    unproven_sigma_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 40.0

@@ -146,7 +146,7 @@ class World:
         setup, camera = self.setup, place.camera
         home_ne_m = np.array(setup.stands_ne_m) if setup.home_known else None
         route = np.array(setup.route_ned_m)
-        mission = Mission(route, about_home=not setup.home_known, home_ne_m=home_ne_m)
+        mission = Mission(route, not setup.home_known, home_ne_m, setup.config.safety.way_home_m)
         record, notices = LockstepWatcher(self.note, self.clock), deque[str]()
         executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
         assembled = assemble(

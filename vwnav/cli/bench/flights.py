@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from vwnav.bench.flights.world import Place
     from vwnav.sim.config import Manners
 
-_DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
-
 
 def flights(
     output: Annotated[
@@ -117,7 +115,7 @@ def _place(site: str) -> "Place":
 def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Campaign":
     from vwnav.bench.flights.campaign import campaign_of
     from vwnav.geometry.geodesy import LocalFrame
-    from vwnav.guidance.plan_files import load_route
+    from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, load_route
     from vwnav.onboard.simulation import DEFAULT_ROUTE, ROUTES
     from vwnav.sim.site import Site
 
@@ -126,7 +124,9 @@ def _campaign(route: Path | None, wind_m_s: float, sites: int, seed: int) -> "Ca
     path = route or DEFAULT_ROUTE
     embedded = ROUTES / path.name
     path = path if path.exists() or not embedded.exists() else embedded
-    route_ned_m = load_route(path).to_ned(frame, _DEFAULT_HEIGHT_M)
+    loaded = load_route(path)
+    ground_m = loaded.ground_amsl_m((home.home_lat_deg, home.home_lon_deg), None)
+    route_ned_m = loaded.to_ned(frame, DEFAULT_HEIGHT_M, ground_m)
     return campaign_of(route_ned_m, wind_m_s=wind_m_s, sites=sites, seed=seed)
 
 

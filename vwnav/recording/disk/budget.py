@@ -6,8 +6,10 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from vwnav.errors import VwnavError
+from vwnav.settings.ranges import Settings, Within
 
 _OWN_NAME = re.compile(r"fly-\d{8}-\d{6}(-\d+)?")  # what `make_run_folder` calls flights
 _LOOK_EVERY_S = 10.0
@@ -15,7 +17,7 @@ GB = 1e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingConfig:
+class RecordingConfig(Settings):
     """What recordings may take.
 
     Attributes:
@@ -25,12 +27,8 @@ class RecordingConfig:
             on.
     """
 
-    most_gb: float = 16.0
-    keep_free_gb: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (self.most_gb > 0.0 and self.keep_free_gb >= 0.0):
-            raise ValueError("most_gb must be above 0, keep_free_gb not below")
+    most_gb: Annotated[float, Within(0.0, 1e6, above=True)] = 16.0
+    keep_free_gb: Annotated[float, Within(0.0, 1e6)] = 1.0
 
 
 class DiskBudget:

@@ -1,0 +1,133 @@
+"""A route is held against the map before anything is armed, and by the commands that check it."""
+
+import json
+from contextlib import ExitStack
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from vwnav.cli.doctor import _map
+from vwnav.cli.map import app
+from vwnav.errors import PreflightError, RouteError
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.maps.build.builder import BuildOptions, build_pack
+from vwnav.maps.build.raster import array_source, local_georeference
+from vwnav.maps.heights import HeightGrid
+from vwnav.onboard.options import FlyOptions
+from vwnav.onboard.plan import plan_flight
+
+HOME = LocalFrame(47.0, 8.0, 500.0)
+FILES_HOME = [47.0, 8.0, 500.0]
+
+
+def place(north_m: float, east_m: float = 0.0) -> list[float]:
+    lat_deg, lon_deg, _ = HOME.to_geodetic([north_m, east_m, 0.0])
+    return [float(lat_deg), float(lon_deg)]
+
+
+@pytest.fixture(scope="session")
+def packs(tmp_path_factory) -> tuple[Path, Path]:
+    """Packs of 400 m by 400 m about home: a ridge of 60 m from 70 to 90 m north, and no heights."""
+    folder = tmp_path_factory.mktemp("packs")
+    north_m = np.linspace(200.0, -200.0, 81)
+    column = 500.0 + 60.0 * ((north_m > 70.0) & (north_m < 90.0)) - 50.0 * (north_m < -120.0)
+    south, west, north, east = *place(-200.0, -200.0), *place(200.0, 200.0)
+    heights = HeightGrid((south, west, north, east), np.tile(column[:, None], 81).astype("f4"))
+    pictures = np.full((400, 400, 3), 90, np.uint8)
+    for name, grid in (("ridge", heights), ("flat", None)):
+        source = array_source(pictures, local_georeference(HOME, (200.0, -200.0), 1.0), name="f")
+        build_pack([source], folder / f"{name}.mbtiles", [], BuildOptions(heights=grid))
+    return folder / "ridge.mbtiles", folder / "flat.mbtiles"
+
+
+def plan_file(folder: Path, *stops: tuple[float, float], frame: int = 3) -> Path:
+    """A QGroundControl plan through places (north, altitude)."""
+    items = [
+        {"type": "SimpleItem", "command": 16, "frame": frame,
+         "params": [0, 0, 0, None, *place(north_m), altitude_m]}
+        for north_m, altitude_m in stops
+    ]  # fmt: skip
+    mission = {"items": items, "plannedHomePosition": FILES_HOME}
+    path = folder / "route.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "mission": mission}))
+    return path
+
+
+def planned(pack: Path, route: Path, **changes: object):
+    asked = dict.fromkeys(field.name for field in fields(FlyOptions))
+    asked |= {"sim": False, "rejoined": False, "route_frame": "local", "map_source": str(pack)}
+    with ExitStack() as stack:
+        return plan_flight(FlyOptions(**(asked | {"route": route} | changes)), stack)
+
+
+def checked(pack: Path, route: Path, *words: str):
+    return CliRunner().invoke(
+        app, ["check", str(pack), "--route", str(route), "--margin-m", "20", *words]
+    )
+
+
+def test_a_route_over_a_ridge_is_refused_before_arming_and_by_each_command(packs, tmp_path):
+    route = plan_file(tmp_path, (50.0, 30.0), (120.0, 30.0))
+    with pytest.raises(PreflightError, match=r"leg to waypoint 2 .* 30.0 m below .* 35.0 m are"):
+        planned(packs[0], route)
+    failed = checked(packs[0], route, "--json")
+    assert isinstance(failed.exception, PreflightError)
+    values = json.loads(failed.stdout)
+    assert values["ok"] is False
+    assert values["lowest"] == pytest.approx(
+        {"above_ground_m": -30.0, "to_waypoint": 2, "lat_deg": 47.00066, "lon_deg": 8.0}, abs=1e-4
+    )
+    told = _map(packs[0], route)
+    assert told.verdict == "FAIL"
+    assert "35.0 m are missing" in told.detail
+
+
+def test_one_that_clears_it_is_flown_and_how_low_it_comes_is_said(packs, tmp_path):
+    route = plan_file(tmp_path, (50.0, 70.0), (120.0, 70.0))
+    assert planned(packs[0], route).route_ned_m[:, 2].tolist() == pytest.approx(
+        [-70.0] * 2, abs=0.1
+    )
+    assert "10.0 m above the ground" in checked(packs[0], route).stdout
+    assert _map(packs[0], route).verdict == "PASS"
+    assert "10.0 m above the ground" in _map(packs[0], route).detail
+
+
+def test_without_heights_or_a_home_it_is_said_that_nobody_knows(packs, tmp_path):
+    route = plan_file(tmp_path, (50.0, 30.0), (120.0, 30.0))
+    planned(packs[1], route)
+    assert "is not known" in checked(packs[1], route).stdout
+    assert json.loads(checked(packs[1], route, "--json").stdout)["lowest"] is None
+    content = json.loads(route.read_text())
+    content["mission"]["plannedHomePosition"] = None
+    route.write_text(json.dumps(content))
+    assert "is not known" in checked(packs[0], route).stdout
+
+
+def test_a_route_whose_home_is_not_known_is_refused_once_it_is(packs, tmp_path):
+    route = tmp_path / "r.txt"
+    route.write_text("1,40,0,30\n2,60,0,30\n")
+    with ExitStack() as stack:
+        asked = dict.fromkeys(field.name for field in fields(FlyOptions))
+        asked |= {"sim": False, "route_frame": "local", "map_source": str(packs[0])}
+        plan = plan_flight(FlyOptions(**(asked | {"route": route, "rejoined": False})), stack)
+        assert (
+            plan.refuse(np.array([[40.0, 0.0, -30.0], [60.0, 0.0, -30.0], [0.0, 0.0, -30.0]])) == ""
+        )
+        over = np.array([[60.0, 0.0, -30.0], [80.0, 0.0, -30.0], [20.0, 0.0, -30.0]])
+        assert "leg to waypoint 2" in plan.refuse(over)
+        first = np.array([[40.0, 0.0, -30.0], [20.0, 0.0, -30.0], [110.0, 0.0, -30.0]])
+        assert "leg to waypoint 1" in plan.refuse(first)
+
+
+def test_altitudes_above_sea_level_are_flown_there_from_another_home(packs, tmp_path):
+    route = plan_file(tmp_path, (0.0, 550.0), (20.0, 550.0), frame=0)
+    valley = "{},{}".format(*place(-150.0))
+    found = planned(packs[0], route, home=valley)
+    assert found.local_frame.alt_amsl_m == pytest.approx(450.0)
+    assert (450.0 - found.route_ned_m[:, 2]).tolist() == pytest.approx([550.0] * 2, abs=0.1)
+    assert -planned(packs[1], route).route_ned_m[0, 2] == pytest.approx(50.0)
+    with pytest.raises(RouteError, match="the ground at home is not known"):
+        planned(packs[1], route, home=valley)
