@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from vwnav.screen import print_rows, print_table
+
 SAYS_ON = """
 import sys
 import threading
@@ -46,3 +48,13 @@ def test_a_screen_that_breaks_ends_no_thread(tmp_path, screen):
         subprocess.run(command, stderr=writes, timeout=60.0)
         os.close(writes)
     assert done.read_text() == "2"
+
+
+def test_what_stands_in_brackets_is_shown_as_it_is(capsys):
+    """Names of files and what to type are not for whoever draws the table to read."""
+    told = "/maps [old]/field.mbtiles: try /dev/video0[@30]"
+    print_table(told, [("[red]", told)])
+    print_rows(told, ("[a]",), [(told,)])
+    shown = capsys.readouterr().out.replace("\n", "")
+    assert shown.count("[old]") == shown.count("[@30]") == 4
+    assert "[red]" in shown

@@ -81,19 +81,24 @@ class LiveLine:
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     """The table at the end of a run, on stdout."""
-    table = Table(title=title, show_header=False, title_justify="left")
+    table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(style="bold")
     table.add_column(justify="right")
     for name, value in rows:
-        table.add_row(name, value)
+        table.add_row(Text(name), Text(value))
     Console(file=sys.stdout, highlight=False).print(table)
 
 
-def print_rows(title: str, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """A table with a header, on stdout; cells may carry rich's markup."""
-    table = Table(*header, title=title, title_justify="left")
+def verdict_cell(passed: bool) -> Text:
+    """Of a table: what came out of a test."""
+    return Text("pass", style="green") if passed else Text("FAIL", style="red")
+
+
+def print_rows(title: str, header: Iterable[str], rows: Iterable[Iterable[str | Text]]) -> None:
+    """A table with a header, on stdout."""
+    table = Table(*header, title=Text(title), title_justify="left")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
     # A file has no width of its own.
     width = None if sys.stdout.isatty() else _FILE_WIDTH
     Console(file=sys.stdout, highlight=False, width=width).print(table)
@@ -106,7 +111,8 @@ def check_table(checks: Iterable[Check]) -> Table:
     """The readiness list as a table."""
     table = Table(show_header=False)
     for check in checks:
-        table.add_row(f"[{_COLOURS[check.verdict]}]{check.verdict}[/]", check.name, check.detail)
+        verdict = Text(check.verdict, style=_COLOURS[check.verdict])
+        table.add_row(verdict, Text(check.name), Text(check.detail))
     return table
 
 

@@ -15,7 +15,7 @@ import typer
 from vwnav.cli.manners import manners_of
 from vwnav.errors import ConfigError, VwnavError
 from vwnav.files.whole import write_whole
-from vwnav.screen import print_rows, say
+from vwnav.screen import print_rows, say, verdict_cell
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.live.session import Links
@@ -186,7 +186,7 @@ def _fly_test(test: "FlightTest", folder: Path) -> "TestReport":
 
 
 def _show_test(report: "TestReport") -> None:
-    steps = [(_verdict(step.passed), step.name, step.detail) for step in report.steps]
+    steps = [(verdict_cell(step.passed), step.name, step.detail) for step in report.steps]
     print_rows(report.name, ("", "step", "seen"), steps)
     sizes = []
     for each in report.statistics:
@@ -194,11 +194,6 @@ def _show_test(report: "TestReport") -> None:
         thesis = "" if each.thesis is None else f"{each.thesis:g} {each.unit}"
         sizes.append((each.name, *values, thesis))
     print_rows("", ("error", "RMS", "95 %", "largest", "the thesis, with GPS"), sizes)
-
-
-def _verdict(passed: bool) -> str:
-    """As a cell of a table."""
-    return "[green]pass[/]" if passed else "[red]FAIL[/]"
 
 
 def _show_list(rows: "Iterable[Scenario]", as_json: bool) -> None:
@@ -292,7 +287,7 @@ def _tell(result: "RowResult", done: int, count: int) -> None:
 def _show_verdicts(results: "list[RowResult]") -> None:
     cells = [
         (
-            _verdict(each.passed),
+            verdict_cell(each.passed),
             each.family,
             each.name,
             each.expected if each.passed else "; ".join(each.wrong),
