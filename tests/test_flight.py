@@ -382,6 +382,41 @@ def test_a_take_off_that_is_flown_though_its_answers_were_lost_is_guarded_and_la
     assert not scene.vehicle.vehicle.armed
 
 
+@pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD])
+def test_a_pilot_who_arms_just_after_our_arming_was_refused_has_the_aircraft(mode):
+    """His switch has stood there from the start, or he arms where he could have let us."""
+    scene = Scene(vehicle=PointVehicle(refuse={"arm": ["denied"] * 9}))
+    scene.vehicle.be(mode=mode)
+    scene.run(lambda s: any("refused to arm" in line for line in s.said)).go_on(0.3)
+    asked = list(scene.vehicle.asked)
+    scene.vehicle.be(armed=True)
+    scene.go_on(3.0)
+    scene.vehicle.be(in_air=True)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+
+
+def test_who_waits_for_the_motors_of_an_autopilot_that_is_gone_does_not_wait_for_ever():
+    scene = Scene(vehicle=PointVehicle(refuse={"takeoff": ["failed"]}, stays_armed=True))
+    scene.run(lambda s: "takeoff" in s.vehicle.asked)
+    scene.vehicle.be(silence_s=50.0)
+    scene.vehicle.answer = lambda: None  # nothing is heard there any more
+    scene.flight.abort("interrupted")
+    assert scene.go_on(20.0).flight.end is None
+    scene.vehicle.be(silence_s=61.0)
+    assert "not heard any more" in scene.go_on(1.0).flight.end.reason
+
+
+def test_a_loop_that_stalled_on_the_ground_takes_the_aircraft_back_from_the_watchdog():
+    """Which would let neither a take-off nor a disarming pass, and sends none itself."""
+    scene = Scene(vehicle=PointVehicle(answers_after=30)).run(lambda s: s.vehicle.asked == ["arm"])
+    scene.handle.report = WatchdogReport(GuardState.LANDING, 1, 0.1)
+    scene.go_on(2.5)
+    assert scene.flight.phase is Phase.GET_READY
+    assert scene.handle.rejoined >= 2
+
+
 def test_the_watchdog_guards_from_the_first_word_that_may_start_the_motors():
     scene = Scene(vehicle=PointVehicle(answers_after=3)).run(lambda s: s.vehicle.asked == ["arm"])
     scene.go_on(DT_S)

@@ -12,7 +12,7 @@ from vwnav.mission.config import FlightConfig
 from vwnav.mission.departure import Departure
 from vwnav.mission.failsafe import Announcer, FailsafeRecovery
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
-from vwnav.mission.mission import Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
+from vwnav.mission.mission import GONE_S, Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
 from vwnav.mission.route_phases import RoutePhases
 from vwnav.mission.steering import Steering
 from vwnav.mission.takeover import Takeover
@@ -23,7 +23,6 @@ from vwnav.types import Array, Estimate
 from vwnav.vehicle import Autopilot, Navigation, Order, VehicleState, VelocitySetpoint
 from vwnav.watchdog.keepalive import GuardState
 
-GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
 _SLOW_PACE = 0.5
 _REJOIN_S = 1.0
 _CAME_DOWN = "the autopilot came down in a failsafe of its own"
@@ -166,6 +165,7 @@ class Flight:
     def _get_ready(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
         if self._abort_reason:
             self._departure.stop(self._abort_reason)
+        self._rejoin_on_ground(t_s)
         checks = self._crew.checks(vehicle, navigation, t_s)
         outcome = self._departure.step(vehicle, checks, t_s)
         if outcome is None:
@@ -178,6 +178,14 @@ class Flight:
             self._release(t_s, str(outcome.reason))
         else:
             self._finish(outcome.reason, outcome.unsafe)
+
+    def _rejoin_on_ground(self, t_s: float) -> None:
+        """A watchdog that took over a loop that stalled lets no disarming pass, and sends none."""
+        report = self._keep_alive.report
+        acts = report is not None and report.state is not GuardState.RELAY
+        if acts and self.engaged and t_s >= self._rejoined_s + _REJOIN_S:
+            self._keep_alive.rejoin()
+            self._rejoined_s = t_s
 
     # ---- who decides
 

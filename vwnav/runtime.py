@@ -15,8 +15,8 @@ from dataclasses import replace
 
 from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
-from vwnav.flight import GONE_S, Flight
-from vwnav.mission.mission import ASKS, DeadMansHandle, FlightEnd, Phase
+from vwnav.flight import Flight
+from vwnav.mission.mission import ASKS, GONE_S, DeadMansHandle, FlightEnd, Phase
 from vwnav.pipeline import Pipeline
 from vwnav.safety.camera_watch import MOST_AHEAD_S, CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard

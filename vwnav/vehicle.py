@@ -96,6 +96,7 @@ class Order(Enum):
     LAND = "a landing"
 
 
+NO_ANSWER = "no answer"  # begins why a request was refused that may have been done all the same
 Severity = Literal["fail", "warn"]
 
 

@@ -17,7 +17,7 @@ from test_runtime import Handle, Images, Link, Mission, Path, Record
 from vehicles import FLYING
 from vwnav.clock import WallClock
 from vwnav.mission.mission import FlightEnd, Phase
-from vwnav.onboard.program import _interrupted_by_signals
+from vwnav.machine.signals import heeding_signals
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -39,7 +39,7 @@ runtime = FlightRuntime(
     Path(), Flown(ticks=60, phase=Phase[sys.argv[1]]), link, EstimateGuard(), Handle(),
     CameraWatch(64, 48), GuardedWatcher(Says()), deque(),
 )
-with _interrupted_by_signals(runtime):
+with heeding_signals(runtime.interrupt):
     print("flies", flush=True)
     end = runtime.run(images, WallClock())
     print("ended:", end.reason, flush=True)

@@ -34,8 +34,6 @@ class LimitsConfig(Settings):
 
     AT_MOST: ClassVar[tuple[tuple[str, str], ...]] = (
         ("cruise_m_s", "speed_max_m_s"),
-        ("cross_speed_m_s", "speed_max_m_s"),
-        ("bias_max_m_s", "cross_speed_m_s"),
         ("braking_m_s2", "acceleration_m_s2"),
         ("acceptance_m", "acceptance_max_m"),
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 from vwnav.mavlink.modes import Command
 from vwnav.mavlink.ports.port import Fields, Send
-from vwnav.vehicle import Request
+from vwnav.vehicle import NO_ANSWER, Request
 
 Procedure = Generator[None, None, str | None]
 
@@ -134,7 +134,7 @@ def _in_words(result: int | None) -> str | None:
     if result in (_ACCEPTED, _IN_PROGRESS):
         return None
     if result is None:
-        return f"no answer to {_TRIES} tries"
+        return f"{NO_ANSWER} to {_TRIES} tries"
     return _RESULTS.get(result, f"refused with code {result}")
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from vwnav.mission.config import DepartureConfig
+from vwnav.mission.mission import GONE_S
 from vwnav.safety.check import Check
 from vwnav.safety.readiness import missing
-from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
+from vwnav.vehicle import NO_ANSWER, Autopilot, FlightMode, Request, VehicleState
 
 _PILOT_HAS_IT = Check(
     "pilot", "FAIL", "chose a mode of his own: choose Hold (GUIDED on ArduCopter) to go on"
@@ -186,8 +187,11 @@ class Departure:
             self.stop(reason)
         else:
             self._say(reason)
-        self._begin_to_stop(t_s)
-        return None
+        if vehicle.armed or NO_ANSWER in request.refused:
+            self._begin_to_stop(t_s)
+            return None
+        self.stage, self._ready_since_s = Stage.READINESS, None
+        return DepartureOutcome(reason=self._ends) if self._ends else None
 
     def _look_who_has_it(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
         """The heartbeat that shows the motors running shows a pilot's switch of that moment too."""
@@ -230,8 +234,10 @@ class Departure:
 
         An answer that was lost is no refusal: they may start yet, and the aircraft fly.
         """
-        if self._pilots:
+        if self._pilots or (vehicle.mode in _PILOTS and self._armed_s is None and vehicle.armed):
             return self._taken()
+        if vehicle.silence_s > GONE_S:
+            return DepartureOutcome(reason=f"{self._ends}; the autopilot was not heard any more")
         if vehicle.armed and vehicle.in_air:
             return DepartureOutcome(airborne=True, reason=self._ends or "it took off unasked")
         if vehicle.armed:
@@ -240,10 +246,8 @@ class Departure:
                 self._asked_s, self._request = t_s, self._autopilot.disarm()
         if t_s - self._runs_s <= self._config.arming_shows_s:
             return None
-        if self._ends:
-            return DepartureOutcome(reason=self._ends)
         self.stage, self._ready_since_s = Stage.READINESS, None
-        return None
+        return DepartureOutcome(reason=self._ends) if self._ends else None
 
     def _disarmed(self) -> DepartureOutcome:
         self._autopilot.withdraw()

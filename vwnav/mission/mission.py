@@ -12,6 +12,7 @@ from vwnav.vehicle import Learned, Navigation, VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
 
 ASKS = "a ground station asks for"  # as it is said and recorded
+GONE_S = 60.0  # of an autopilot that has not been heard for so long nobody will tell the end
 
 
 class Phase(Enum):

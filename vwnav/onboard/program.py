@@ -1,13 +1,11 @@
 """`vwnav fly` once its options are read: everything opened, flown, and closed again."""
 
-import signal
 import socket
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
+from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
@@ -37,7 +36,6 @@ from vwnav.pace import PacedClock
 from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.disk.thread import sync_file
 from vwnav.recording.run_folder import make_run_folder, unused
-from vwnav.runtime import FlightRuntime
 from vwnav.screen import say
 from vwnav.seams import FrameSource
 from vwnav.sim.config import Manners, VehicleConfig
@@ -48,7 +46,6 @@ from vwnav.sim.vehicle import start_vehicle
 from vwnav.vehicle import Autopilot, VehicleState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
 
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 FIRST_STATE_S = 5.0
 WORTH_SAYING_S = 10.0  # of simulated time that stood still
 MATCHING_LATE_S = 0.2  # a fix that takes longer is late: a simulated time waits for it
@@ -184,7 +181,7 @@ def _fly(
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
     aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, notices, options.arms)
-    with _interrupted_by_signals(aboard.runtime):
+    with heeding_signals(aboard.runtime.interrupt):
         try:
             if not options.arms:
                 _listen_for_enter(aboard.flight)
@@ -217,23 +214,6 @@ def _listen_for_enter(flight: Flight) -> None:
             flight.go()
 
     threading.Thread(target=listen, name="keyboard", daemon=True).start()
-
-
-@contextmanager
-def _interrupted_by_signals(runtime: FlightRuntime) -> Iterator[None]:
-    """A service that is stopped, or a terminal that is closed, lands as Ctrl-C does.
-
-    None of them raises: they come in twos (a terminal's shell sends SIGHUP, and so does the system,
-    a millisecond later), and the second one would end the flight in the midst of the first. One
-    that we were started to ignore (`nohup`, a shell's `&`) stays ignored.
-    """
-    heeded = [each for each in _ENDING if signal.getsignal(each) is not signal.SIG_IGN]
-    before = {each: signal.signal(each, lambda *_: runtime.interrupt()) for each in heeded}
-    try:
-        yield
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 def start_embedded_vehicle(

@@ -23,6 +23,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.machine.never_waits import stderr_that_never_waits
+from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
@@ -161,7 +162,8 @@ def _succeed(
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)
     try:
-        aboard.runtime.run(source, clock)
+        with heeding_signals(aboard.runtime.interrupt):
+            aboard.runtime.run(source, clock)
     finally:
         record.close(options, assembled.pipeline, plan.pack.name)
 

@@ -128,7 +128,6 @@ class EstimateLimits(Settings):
     AT_MOST: ClassVar[tuple[tuple[str, str], ...]] = (
         ("new_velocity_sigma_m_s", "max_velocity_sigma_m_s"),
         ("new_position_sigma_m", "unproven_sigma_m"),
-        ("unproven_sigma_m", "max_position_sigma_m"),
         ("max_gap_s", "brief_gap_s"),
     )
 
