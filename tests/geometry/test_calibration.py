@@ -135,7 +135,11 @@ def test_what_makes_it_another_lens_is_refused(tmp_path: Path, line: str, messag
 
 @pytest.mark.parametrize(
     ("line", "model"),
-    [("camera_model: pinhole", "pinhole"), ("camera_model: Equidistant", "fisheye")],
+    [
+        ("camera_model: pinhole", "pinhole"),
+        ("camera_model: Equidistant", "fisheye"),
+        ("camera_model: pinhole\ndistortion_model: equidistant", "fisheye"),  # Kalibr's words
+    ],
 )
 def test_a_model_by_another_key_is_read(tmp_path: Path, line: str, model: str) -> None:
     path = opencv_yaml(tmp_path / "c.yml", [-0.02, 0.005, -0.003, 0.001])

@@ -100,6 +100,15 @@ def test_altitude_above_sea_level_is_flown_there_wherever_home_is(
     assert -route.to_ned(frame, 50.0, ground_m)[:, 2] == pytest.approx([height_m] * 2, abs=0.2)
 
 
+def test_altitude_above_sea_level_is_refused_where_map_and_route_know_another_ground(write) -> None:
+    """Heights above the ellipsoid, 47 m off in Europe: the route would be flown 47 m too low."""
+    route = load_route(write("route.plan", ABOVE_SEA))
+    with pytest.raises(RouteError, match="488 m above sea level by the route, 535 m by the map"):
+        route.ground_amsl_m(HOME[:2], 535.0)
+    relative = load_route(write("b.plan", plan([item(16, IN_ORDER[0])])))
+    assert relative.ground_amsl_m(HOME[:2], 535.0) == 535.0
+
+
 @pytest.mark.parametrize("home", [VALLEY, None])
 def test_altitude_above_sea_level_is_refused_where_the_ground_at_home_is_not_known(
     write, home

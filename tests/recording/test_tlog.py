@@ -103,6 +103,21 @@ def test_a_packet_that_overtook_another_begins_no_new_run(tmp_path, caplog):
     assert "2 measurements left out, whose time goes back" in caplog.text
 
 
+def test_one_packet_that_is_seconds_late_begins_no_new_start(tmp_path):
+    rows = flight(10.0)
+    rows.insert(60, rows[5])
+    attitudes, _ = read(tmp_path, rows)
+    assert len(attitudes) == COUNT
+
+
+def test_a_second_link_that_is_seconds_late_begins_no_new_start(tmp_path):
+    """Radio and telephone network in one file."""
+    rows, late = flight(10.0), flight(10.0)
+    mixed = rows[:30] + [row for pair in zip(rows[30:], late, strict=False) for row in pair]
+    attitudes, _ = read(tmp_path, mixed + late[70:])
+    assert len(attitudes) == COUNT
+
+
 def test_rows_of_a_csv_whose_time_goes_back_are_told(tmp_path, caplog):
     path = tmp_path / "a.csv"
     path.write_text("t_s,height_m\n5,1\n6,2\n0,1\n7,2\n")

@@ -146,6 +146,10 @@ def test_doctor_blames_the_file_that_is_wrong(vwnav, place, tmp_path):
     assert (verdicts(place.pack)["map"], verdicts(place.pack)["route"]) == ("PASS", "FAIL")
     broken = verdicts(tmp_path / "bad.mbtiles")
     assert (broken["map"], broken["route"]) == ("FAIL", "FAIL")
+    item = {"type": "SimpleItem", "command": 16, "frame": 0, "params": [0, 0, 0, 0, 60.4, 22.5, 90]}
+    mission = {"items": [item]}  # above a sea that nobody knows the ground at home by
+    (tmp_path / "bad.plan").write_text(json.dumps({"fileType": "Plan", "mission": mission}))
+    assert verdicts(place.pack)["route"] == "FAIL"
 
 
 def test_version_and_help_work_everywhere(vwnav):

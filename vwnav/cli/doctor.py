@@ -114,9 +114,13 @@ def _map(path: Path, route: Path | None) -> Check:
 
 
 def _route(path: Path) -> Check:
-    from vwnav.guidance.plan_files import load_route
+    from vwnav.geometry.geodesy import LocalFrame
+    from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, load_route
 
-    return Check("route", "PASS", f"{len(load_route(path).waypoints)} waypoints")
+    route = load_route(path)
+    frame = LocalFrame(*(route.home or (0.0, 0.0)), 0.0)
+    route.to_ned(frame, DEFAULT_HEIGHT_M, route.home_amsl_m)  # refuses heights that nobody flies
+    return Check("route", "PASS", f"{len(route.waypoints)} waypoints")
 
 
 def _calibration(path: Path) -> Check:

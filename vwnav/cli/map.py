@@ -131,7 +131,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Say whether the map covers a route and how high that is above its ground; 3 if it fails."""
-    from vwnav.errors import PreflightError
+    from vwnav.errors import PreflightError, RouteError
     from vwnav.maps.coverage import check_route
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.flight_plan import route_clearance
@@ -139,14 +139,19 @@ def check(
     places = route_places(route, route_frame, home)
     with MapPack.open(pack) as opened:
         coverage = check_route(opened, places, margin_m)
-        clearance = route_clearance(opened, *_route_and_home(route, route_frame, home))
+        if coverage.ok and not as_json:
+            typer.echo(coverage.summary())
+        try:
+            clearance = route_clearance(opened, *_route_and_home(route, route_frame, home))
+        except RouteError as error:
+            raise RouteError(f"{route}: {error}") from error
     if as_json:
         typer.echo(json.dumps(_check_values(coverage, clearance)))
     for each in (coverage, clearance):
         if not each.ok:
             raise PreflightError(f"{pack}: {each.summary()}")
-        if not as_json:
-            typer.echo(each.summary())
+    if not as_json:
+        typer.echo(clearance.summary())
 
 
 def _route_and_home(

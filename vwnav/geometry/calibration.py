@@ -219,6 +219,8 @@ def _yaml_model(storage: cv2.FileStorage) -> CameraModel:
     if not storage.getNode("xi").empty():
         raise ValueError("xi is of an omnidirectional lens, expected pinhole or fisheye")
     told = {key: _model_named(storage.getNode(key), key) for key in _MODEL_KEYS}
+    if told["camera_model"] == "pinhole" and told["distortion_model"] is not None:
+        del told["camera_model"]  # Kalibr's word for the projection, whatever the distortion
     told["fisheye_model"] = _model_numbered(storage.getNode("fisheye_model"))
     known = {key: model for key, model in told.items() if model is not None}
     if len(set(known.values())) > 1:

@@ -36,6 +36,7 @@ RouteFrame = Literal["local", "global"]
 DEFAULT_HEIGHT_M = 50.0  # of waypoints that say none
 MAX_BYTES = 10_000_000
 MAX_WAYPOINTS = 10_000
+_SAME_GROUND_M = 15.0  # by which maps and planners differ; from the ellipsoid it is 47 m in Europe
 _SAME_HOME_M = 10.0  # a home that is written with fewer digits; beyond, the ground may be another
 
 
@@ -61,13 +62,25 @@ class Route:
         Args:
             home: (lat_deg, lon_deg) of the flight, None while it is not known.
             surveyed_m: what a map says of that place; the file knows its own home alone.
+
+        Raises:
+            RouteError: both say it, not the same, and there are altitudes above sea level.
         """
         if home is None:
             return None
-        if surveyed_m is not None or self.home is None:
-            return surveyed_m
-        is_its_own = horizontal_distance_m(*home, *self.home) <= _SAME_HOME_M
-        return self.home_amsl_m if is_its_own else None
+        own_m = None
+        if self.home is not None and horizontal_distance_m(*home, *self.home) <= _SAME_HOME_M:
+            own_m = self.home_amsl_m
+        if surveyed_m is None or own_m is None:
+            return own_m if surveyed_m is None else surveyed_m
+        by_sea = any(getattr(each, "alt_amsl_m", None) is not None for each in self.waypoints)
+        if by_sea and abs(surveyed_m - own_m) > _SAME_GROUND_M:
+            raise RouteError(
+                f"the ground at home is {own_m:.0f} m above sea level by the route, "
+                f"{surveyed_m:.0f} m by the map (heights above the ellipsoid?): make the route's "
+                "altitudes relative, or the map's heights right"
+            )
+        return surveyed_m
 
     def to_ned(
         self, frame: LocalFrame, default_height_m: float, home_amsl_m: float | None

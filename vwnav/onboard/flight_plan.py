@@ -102,6 +102,7 @@ def route_clearance(
         RouteError: its altitudes are above sea level, and nobody knows the ground at home.
     """
     if home is None:
+        route.to_ned(LocalFrame(*pack.middle, 0.0), DEFAULT_HEIGHT_M, None)
         return RouteClearance()
     frame = LocalFrame(*home, 0.0)
     ground_m = route.ground_amsl_m(home, pack.elevation_m(*home))

@@ -23,6 +23,7 @@ _log = logging.getLogger(__name__)
 _STAMP_BYTES = 8
 _MARKER = re.compile(b"[" + bytes(MARKERS) + b"]")
 _RESTART_S = 2.0  # by which an autopilot's clock goes back when it starts again; links reorder less
+_STAYS_S = 1.0  # so long, then it is a new start
 _WANTED = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT,
     mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -94,9 +95,10 @@ def _is_marked(data: bytes, at: int) -> bool:
 def _decoded(packet: Packet) -> Any | None:
     """Its message; None where it is damaged, or of no kind that is known."""
     try:
-        return mavlink.MAVLink(None).decode(bytearray(packet.data))
+        message = mavlink.MAVLink(None).decode(bytearray(packet.data))
     except mavlink.MAVError:
         return None
+    return None if isinstance(message, mavlink.MAVLink_unknown) else message
 
 
 class _Boots:
@@ -105,6 +107,7 @@ class _Boots:
     def __init__(self) -> None:
         self._all: list[_Boot] = []
         self._latest: dict[int, _Boot] = {}
+        self._anew: dict[int, _Boot] = {}  # what may be the next one, while that is not sure
 
     def handle(self, packet: Packet) -> bool:
         """Take one packet in; False where it is damaged."""
@@ -113,12 +116,26 @@ class _Boots:
         message = _decoded(packet)
         if message is None:
             return False
-        boot = self._latest.get(packet.system_id)
-        if boot is None or boot.is_over(message):
-            boot = self._latest[packet.system_id] = _Boot(packet.system_id)
-            self._all.append(boot)
-        boot.handle(message)
+        self._boot_of(packet.system_id, message).handle(message)
         return True
+
+    def _boot_of(self, system: int, message: Any) -> "_Boot":
+        """Of a clock that went back it is a new one once that has stayed so: a second link is late.
+
+        What came too late by that is left out.
+        """
+        boot = self._latest.get(system)
+        if boot is None:
+            self._latest[system] = boot = _Boot(system)
+            self._all.append(boot)
+        elif boot.is_over(message):
+            boot = self._anew.setdefault(system, _Boot(system))
+            if boot.span_s > _STAYS_S:
+                self._latest[system] = self._anew.pop(system)
+                self._all.append(boot)
+        elif _boot_s(message) is not None:
+            self._anew.pop(system, None)
+        return boot
 
     def longest(self, path: Path) -> TelemetryLog:
         """All of the longest."""
