@@ -29,18 +29,19 @@ from vwnav.rules.temporal import (
 from vwnav.vehicle import FlightMode
 
 _OUT = {Phase.LAND, Phase.RELEASED, Phase.FAILSAFE}
+_ENDS = {*_OUT, Phase.DONE}  # disarmed in flight; that it is, the rule below sees to
 _NEXT: dict[Phase, set[Phase]] = {
-    Phase.GET_READY: {Phase.TAKEOFF, Phase.RELEASED, Phase.DONE},
-    Phase.TAKEOFF: {Phase.CLIMB, Phase.DONE, *_OUT},
-    Phase.CLIMB: {Phase.FIRST_FIX, Phase.RETURN, *_OUT},
-    Phase.FIRST_FIX: {Phase.ROUTE, Phase.RETURN, *_OUT},
-    Phase.ROUTE: {Phase.DESCEND, Phase.RETURN, *_OUT},
-    Phase.RETURN: {Phase.DESCEND, *_OUT},
-    Phase.DESCEND: _OUT,
+    Phase.GET_READY: {Phase.TAKEOFF, Phase.RELEASED, Phase.LAND, Phase.DONE},
+    Phase.TAKEOFF: {Phase.CLIMB, *_ENDS},
+    Phase.CLIMB: {Phase.FIRST_FIX, Phase.RETURN, *_ENDS},
+    Phase.FIRST_FIX: {Phase.ROUTE, Phase.RETURN, *_ENDS},
+    Phase.ROUTE: {Phase.DESCEND, Phase.RETURN, *_ENDS},
+    Phase.RETURN: {Phase.DESCEND, *_ENDS},
+    Phase.DESCEND: _ENDS,
     Phase.LAND: {Phase.RELEASED, Phase.DONE},
     Phase.FAILSAFE: set(Phase) - {Phase.GET_READY},  # back to where it was: `_order`
     Phase.RELEASED: {Phase.DONE, Phase.RESUME},
-    Phase.RESUME: {Phase.ROUTE, Phase.RETURN, *_OUT},
+    Phase.RESUME: {Phase.ROUTE, Phase.RETURN, *_ENDS},
     Phase.DONE: set(),
 }
 _TRAVELS = (Phase.ROUTE, Phase.RETURN)

@@ -102,6 +102,10 @@ class SimulatedCopter(SimulatedMultirotor):
     def _motors_turn(self) -> bool:
         return self.commander.armed
 
+    def stop_motors(self) -> None:
+        """By the pilot's kill switch, wherever it is."""
+        self.commander.disarm(self.health, forced=True)
+
     def _decide_all(self, dt_s: float) -> None:
         self._say_boot_texts()
         self._detect_landing(dt_s)

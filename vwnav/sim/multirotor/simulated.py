@@ -75,6 +75,10 @@ class SimulatedMultirotor(ABC):
     def _motors_turn(self) -> bool: ...
 
     @abstractmethod
+    def stop_motors(self) -> None:
+        """By the pilot's kill switch, wherever it is."""
+
+    @abstractmethod
     def _decide_all(self, dt_s: float) -> None:
         """50 times a second: the pilot, the landing, the mode and what is flown in it."""
 

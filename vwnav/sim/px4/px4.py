@@ -97,6 +97,10 @@ class SimulatedPx4(SimulatedMultirotor):
     def _motors_turn(self) -> bool:
         return self.commander.armed
 
+    def stop_motors(self) -> None:
+        """By the pilot's kill switch, wherever it is."""
+        self.commander.disarm(self.health, forced=True)
+
     def _decide_all(self, dt_s: float) -> None:
         self.battery.step(self.commander.armed, dt_s)
         self.pilot.step(self.t_s)

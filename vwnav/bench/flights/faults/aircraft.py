@@ -169,6 +169,16 @@ class PilotSwitches(Lasting):
 
 
 @dataclass(frozen=True)
+class PilotStopsMotors(Lasting):
+    """The pilot flips the kill switch."""
+
+    def begin(self, world: FlightStage) -> None:
+        """Disarmed, wherever it is."""
+        world.core.vehicle.stop_motors()
+        world.note("pilot stops the motors")
+
+
+@dataclass(frozen=True)
 class PilotPushes(Lasting):
     """The pilot pushes the pitch stick forward for three seconds, and flies."""
 

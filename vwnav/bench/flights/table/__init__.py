@@ -55,6 +55,7 @@ QUICK = {
     "map shifted by 10 m",
     "model raises in flight",
     "pilot takes over while on the route",
+    "pilot stops the motors while climbing",
     "take-off refused",
     "simulator stands still for 0.6 s",
     "lens covered for good, and then the link cut for 2 s",

@@ -4,6 +4,7 @@ from vwnav.bench.flights.faults.aircraft import (
     BatteryAt,
     CommandRefused,
     PilotHandsBack,
+    PilotStopsMotors,
     PilotSwitches,
     Reboots,
     SimulatorStands,
@@ -76,6 +77,17 @@ ON_THE_GROUND = [
         ending=Ending.PILOT,
     ),
 ]
+STOPS_MOTORS = [
+    Scenario(
+        name=f"pilot stops the motors while {where}",
+        setup=setup(start),
+        breaks=(Break(fault=PilotStopsMotors(), at_s=at_s),),
+        limit_s=15.0,
+        ending=Ending.ANYHOW,
+        follows=(phase(1.5, "done"),),
+    )
+    for where, start, at_s in (("climbing", CLIMB, 4.0), ("on the route", ROUTE, BREAKS_AT_S))
+]
 GIVES_BACK = [
     Scenario(
         name="pilot takes over and hands back",
@@ -89,7 +101,7 @@ GIVES_BACK = [
         follows=(phase(3.0, "pilot flies"),),
     ),
 ]
-PILOT = [*TAKES, *ON_THE_GROUND, *GIVES_BACK]
+PILOT = [*TAKES, *ON_THE_GROUND, *STOPS_MOTORS, *GIVES_BACK]
 
 
 BATTERY = [
