@@ -112,8 +112,7 @@ class Pipeline:
         is_open = recalibrated is not None
         self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, ekf.attitudes)
         self._R_mount = np.eye(3)  # beyond what it was told
-        self._sequences = Sequences(local_frame)
-        self._lost = True  # images are joined, see `Sequences`
+        self._sequences, self._lost = Sequences(local_frame), True  # then images are joined
         self.attempts = self.accepted = 0
 
     def estimate(self, t_s: float) -> Estimate | None:
@@ -130,6 +129,11 @@ class Pipeline:
         """Take a measurement of the autopilot; the estimate lives on it when images stall."""
         with self._lock:
             self._ekf.handle(measurement)
+
+    def give_up(self) -> None:
+        """End a search that is under way: nobody waits for its outcome any more."""
+        if (attempt := self._pending) is not None:
+            attempt.localizer.give_up()
 
     def covers(self, t_s: float) -> bool:
         """Whether telemetry has reached an exposure: waiting tells no more of the attitude there.

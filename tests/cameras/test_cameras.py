@@ -313,7 +313,8 @@ class FakePicamera:
     def camera_configuration(self):
         return {"sensor": {"output_size": (1640, 1232)}}
 
-    def capture_request(self):
+    def capture_request(self, wait: float):
+        assert wait > 0.0, "a cable that is off would be waited for without end"
         return SimpleNamespace(
             make_array=lambda _: drawn(1),
             get_metadata=lambda: {"SensorTimestamp": 5_000_000_000, "ExposureTime": 4000},

@@ -198,6 +198,48 @@ def test_a_hopeless_prior_is_refused_with_its_reason(pack, ground, orb, known, r
     assert outcome.detail
 
 
+@pytest.mark.parametrize(
+    ("agl_m", "ratio", "true_m"), [(40.0, 0.5, 70.0), (12.0, 4.0, 45.0), (2.2, 13.6, 60.0)]
+)
+def test_a_height_that_shows_too_little_does_not_hide_greater_ones(
+    pack, ground, sift, agl_m, ratio, true_m
+):
+    """Of a height that is open: the lower guess was tried first, and was too low for any fix."""
+    localizer = Localizer(pack, sift, CAMERA)
+    prior = prior_at(12.0, -22.0, agl_m=agl_m, sigma_agl_ratio=ratio)
+    fix = localizer.localize(frame_at(ground, 10.0, -20.0, true_m), prior, 0)
+    assert isinstance(fix, MapFix)
+    assert np.linalg.norm(error_ne_m(fix, 10.0, -20.0)) < 1.0
+
+
+def test_a_search_that_is_given_up_is_gone_on_with_by_the_next(pack, ground, sift, monkeypatch):
+    """On a map of some square kilometres the same corner was looked at every twenty seconds."""
+    localizer, looks = Localizer(pack, sift, CAMERA), []
+    register = localizer._register
+
+    def counted(query, candidate):
+        looks.append((candidate.hypothesis, candidate.area))
+        if len(looks) % 3 == 0:
+            localizer.give_up()
+        return register(query, candidate)
+
+    monkeypatch.setattr(localizer, "_register", counted)
+    nowhere = np.random.default_rng(0).integers(0, 255, (360, 480), dtype=np.uint8)
+    prior = prior_at(0.0, 0.0, lat_deg=None, lon_deg=None, yaw_rad=None, agl_m=None)
+    for seed in range(4):
+        outcome = localizer.localize(Frame(0.0, nowhere, 0), prior, seed)
+        assert outcome.reason is RejectReason.GIVEN_UP
+    assert len(set(looks)) == len(looks) == 12
+
+
+@pytest.mark.parametrize("name", ["lat_deg", "yaw_rad", "roll_rad"])
+def test_with_a_lever_arm_a_prior_that_is_not_finite_is_refused_too(pack, ground, orb, name):
+    camera = replace(CAMERA, t_body_camera_m=np.array([0.3, 0.0, 0.1]))
+    prior = prior_at(0.0, 0.0, **{name: math.inf})
+    outcome = Localizer(pack, orb, camera).localize(frame_at(ground, 0.0, 0.0, AGL_M), prior, 0)
+    assert outcome.reason is RejectReason.PRIOR
+
+
 def test_a_map_without_features_gives_no_fix(tmp_path, ground, orb):
     flat = np.full((600, 600), 120, np.uint8)
     with MapPack.open(ground_pack(tmp_path / "flat.mbtiles", flat, (orb,))) as flat_pack:

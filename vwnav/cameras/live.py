@@ -291,7 +291,7 @@ class PicameraGrabber:
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
-        request = self._camera.capture_request()
+        request = self._camera.capture_request(wait=_NO_IMAGE_TIMEOUT_S)
         try:
             image = request.make_array("main")
             metadata = request.get_metadata()
@@ -302,7 +302,9 @@ class PicameraGrabber:
         return metadata["SensorTimestamp"] / 1e9 + to_centre_s, np.asarray(image, np.uint8)
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Give the camera back, also one whose cable is off: what waits for images is cancelled."""
+        with suppress(AttributeError):  # older versions cannot
+            self._camera.cancel_all_and_flush()
         self._camera.close()
 
 
@@ -323,6 +325,7 @@ def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
             "picamera2 is not installed: `sudo apt install python3-picamera2`, and make the "
             "virtual environment with --system-site-packages"
         ) from error
+    camera = None
     try:
         camera = picamera2.Picamera2()
         # picamera2 names formats back to front: "RGB888" is BGR in memory, as OpenCV has it.
@@ -330,5 +333,7 @@ def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
         camera.configure(camera.create_video_configuration(main, controls={"FrameRate": fps}))
         camera.start()
     except (RuntimeError, IndexError) as error:
+        if camera is not None:
+            camera.close()  # else the next one finds it taken
         raise SourceError(f"no Raspberry Pi camera: {error}; `rpicam-hello` shows why") from error
     return camera

@@ -12,6 +12,7 @@ from vwnav.types import Array
 # 3 m in ten minutes, and a height is held to 2 m.
 LEAST_CLEARANCE_M = 5.0
 STEP_M = 5.0
+_AS_LOW_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +84,9 @@ def check_clearance(
         for (leg, place), ground_m in zip(passed, grounds_m, strict=True)
         if ground_m is not None
     ]
+    lowest_m = min(height_m for height_m, _, _ in known)
     # The first of those that are as low: what is flown over twice is named on the way out.
-    lowest_m, leg, here = min(known, key=lambda each: round(each[0], 1))
+    _, leg, here = next(each for each in known if each[0] < lowest_m + _AS_LOW_M)
     return RouteClearance(lowest_m, leg if leg <= waypoints else 0, here, len(known) / len(passed))
 
 

@@ -170,6 +170,7 @@ def _fly(
         *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
         plan.config, executor, notices.append,
     )  # fmt: skip
+    stack.callback(assembled.pipeline.give_up)
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, plan.config.features.name, "nadir")

@@ -110,6 +110,7 @@ def stand_by(options: FlyOptions) -> None:
             *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
             plan.config, executor, notices.append,
         )  # fmt: skip
+        stack.callback(assembled.pipeline.give_up)
         _warm(assembled, plan.camera)
         renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()

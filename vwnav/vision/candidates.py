@@ -37,6 +37,7 @@ MAX_YAW_BOUND_RAD = math.radians(50.0)
 MAX_SCALE_BOUND = 1.6
 PRIOR_SIGMAS = 3.0  # of the prior's position are looked at
 MAX_UPSAMPLING = 1.67  # a view much sharper than the image shows blur the map does not have
+MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 COARSE_VIEW_PX = 300.0  # of the longer side of a coarse view
 COARSE_KEYPOINTS = 600
 THRIFTY_VIEW_AREA_PX = 130_000.0  # of a first look: decides, with the height, which level it is at
@@ -108,7 +109,7 @@ class Candidate:
         )
 
 
-def _is_finite(prior: Prior) -> bool:
+def is_finite(prior: Prior) -> bool:
     """Whether every number of a prior is one, and makes sense."""
     numbers = (
         prior.lat_deg,
@@ -134,7 +135,7 @@ def hypotheses(prior: Prior, agl_range_m: tuple[float, float]) -> list[Hypothesi
         prior: one that is not finite gives none.
         agl_range_m: heights to try where it says none.
     """
-    if not _is_finite(prior):
+    if not is_finite(prior):
         return []
     yaws, yaw_bound_rad = _yaws(prior)
     agls, scale_bound = _agls(prior, agl_range_m)
@@ -216,13 +217,26 @@ def thrifty_first(pack: MapReader, query: Query, fine: list[Candidate]) -> list[
     return looks
 
 
-def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Candidate]:
+def large_enough(pack: MapReader, query: Query, todo: list[Hypothesis]) -> list[Hypothesis]:
+    """The likeliest that show enough of the map; all of them where none does.
+
+    A height that shows too little says nothing of greater ones.
+    """
+    least_m = MIN_VIEW_PX * pack.levels[0].m_per_px
+    seen = [each for each in todo if max(query.footprint_m(each.agl_m)) >= least_m]
+    return seen or todo
+
+
+def coarse_candidates(
+    pack: MapReader, query: Query, todo: list[Hypothesis], begin: int
+) -> list[Candidate]:
     """Every hypothesis at the level where its view is small, on every window of the prior's area.
 
     Args:
         pack: the map.
         query: with its prior; without a place in it the area is the whole map.
         todo: the likeliest first.
+        begin: so many were looked at by a search that was given up: they come last.
     """
     found: list[tuple[Hypothesis, Level, Window]] = []
     for agl_m in dict.fromkeys(each.agl_m for each in todo):
@@ -240,7 +254,9 @@ def coarse_candidates(pack: MapReader, query: Query, todo: list[Hypothesis]) -> 
         found += [
             (each, level, window) for window in _pieces(area, long_px) for each in same_height
         ]
-    return [_coarse(*each, tests=len(found)) for each in found]
+    made = [_coarse(*each, tests=len(found)) for each in found]
+    turn = begin % len(made) if made else 0
+    return made[turn:] + made[:turn]
 
 
 def _coarse(hypothesis: Hypothesis, level: Level, window: Window, tests: int) -> Candidate:

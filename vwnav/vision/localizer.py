@@ -30,6 +30,7 @@ from vwnav.types import (
 )
 from vwnav.vision.by_correlation import Correlated, best_correlated, fix_by_correlation
 from vwnav.vision.candidates import (
+    MIN_VIEW_PX,
     PRIOR_SIGMAS,
     Acceptance,
     Candidate,
@@ -37,6 +38,8 @@ from vwnav.vision.candidates import (
     coarse_candidates,
     fine_level,
     hypotheses,
+    is_finite,
+    large_enough,
     thrifty_first,
 )
 from vwnav.vision.config import LocalizerConfig
@@ -54,7 +57,6 @@ from vwnav.vision.registration import (
 )
 from vwnav.vision.rivals import best_of
 
-MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
 WEAK_LOG10_NFA = 2.0  # less is not even held against the image
@@ -70,8 +72,7 @@ HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 class Localizer:
     """Locates the images of one camera on one map with one kind of features.
 
-    Prior and fix are of the body that the camera is mounted on, turned and at the end of its lever
-    arm; without an arm they are of the camera.
+    Prior and fix are of the body that the camera hangs on, turned, by its lever arm if it has one.
     """
 
     def __init__(
@@ -98,9 +99,10 @@ class Localizer:
         arm_m = camera.t_body_camera_m
         self._arm = LeverArm(arm_m) if np.any(arm_m) else None
         self._given_up = threading.Event()
+        self._reached = 0  # by a search that was given up
 
     def give_up(self) -> None:
-        """Let a search that is running in another thread end at its next candidate."""
+        """Let a search that runs in another thread end soon; the next one goes on from there."""
         self._given_up.set()
 
     def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
@@ -119,22 +121,21 @@ class Localizer:
             ModelError: the pack holds features of another model, or the model fails.
         """
         self._given_up.clear()
-        of_camera = self._arm.prior_of_camera(prior) if self._arm else prior
+        of_camera = self._arm.prior_of_camera(prior) if self._arm and is_finite(prior) else prior
         query = self._maker.query(frame, of_camera, seed)
         outcome = self._located(query)
         if isinstance(outcome, MapFix) and self._arm:
             outcome = self._arm.fix_of_body(outcome, prior)
-        stats = outcome.stats
-        timed = MatchStats(
-            keypoints=stats.keypoints, matches=stats.matches, inliers=stats.inliers, **query.ms
-        )
         if isinstance(outcome, Rejected) and outcome.reason not in SAID_NOTHING_OF:
             outcome = replace(outcome, weak=self._weak(query, prior))
+        seen = outcome.stats
+        timed = MatchStats(seen.keypoints, seen.matches, seen.inliers, **query.ms)
         return replace(outcome, stats=timed)
 
     def _located(self, query: Query) -> MapFix | Rejected:
         """The way of an image: candidates, registered, refined, verified, one of them the fix."""
         candidates = self._candidates(query)
+        begun, self._reached = self._reached, 0
         if isinstance(candidates, Rejected):
             return candidates
         refusal: Rejected | None = None
@@ -143,6 +144,7 @@ class Localizer:
         look = cache(partial(best_correlated, self._pack, self._maker, query, first))
         for made, candidate in enumerate(candidates):
             if self._given_up.is_set():
+                self._reached = begun + made
                 detail = f"after {made} of {len(candidates)} looks"
                 return query.rejected(RejectReason.GIVEN_UP, detail)
             found = self._register(query, candidate)
@@ -179,7 +181,7 @@ class Localizer:
 
     def _candidates(self, query: Query) -> list[Candidate] | Rejected:
         """What to try: around a prior at the sharpest level, else everywhere, coarsely."""
-        prior, config = query.prior, self._config
+        prior, config, pack = query.prior, self._config, self._pack
         todo = hypotheses(prior, config.search_agl_m)
         if not todo:
             return query.rejected(RejectReason.PRIOR, "the prior holds no finite numbers")
@@ -190,14 +192,13 @@ class Localizer:
         if lat_deg is not None and lon_deg is not None and None not in (prior.yaw_rad, prior.agl_m):
             radius_m = PRIOR_SIGMAS * prior.sigma_m
             fine: list[Candidate] = []
-            for tests, each in enumerate(todo[: config.max_guesses], 1):
+            for tests, each in enumerate(large_enough(pack, query, todo)[: config.max_guesses], 1):
                 fine.append(self._fine(query, each, (lat_deg, lon_deg), radius_m, tests))
             if radius_m <= config.max_track_radius_px * fine[0].level.m_per_px:
-                return thrifty_first(self._pack, query, fine)
-        coarse = coarse_candidates(self._pack, query, todo)
+                return thrifty_first(pack, query, fine)
+        coarse = coarse_candidates(pack, query, todo, self._reached)
         if not coarse:
-            detail = "the map has no level at which to search there"
-            return query.rejected(RejectReason.NO_MAP, detail)
+            return query.rejected(RejectReason.NO_MAP, "the map has no level to search at")
         return coarse
 
     def _fine(
