@@ -134,8 +134,7 @@ class Localizer:
 
     def _located(self, query: Query) -> MapFix | Rejected:
         """The way of an image: candidates, registered, refined, verified, one of them the fix."""
-        candidates = self._candidates(query)
-        begun, self._reached = self._reached, 0
+        candidates, begun, self._reached = self._candidates(query), self._reached, 0
         if isinstance(candidates, Rejected):
             return candidates
         refusal: Rejected | None = None
@@ -192,7 +191,8 @@ class Localizer:
         if lat_deg is not None and lon_deg is not None and None not in (prior.yaw_rad, prior.agl_m):
             radius_m = PRIOR_SIGMAS * prior.sigma_m
             fine: list[Candidate] = []
-            for tests, each in enumerate(large_enough(pack, query, todo)[: config.max_guesses], 1):
+            guesses = large_enough(pack, query, todo) if len(todo) > 1 else todo
+            for tests, each in enumerate(guesses[: config.max_guesses], 1):
                 fine.append(self._fine(query, each, (lat_deg, lon_deg), radius_m, tests))
             if radius_m <= config.max_track_radius_px * fine[0].level.m_per_px:
                 return thrifty_first(pack, query, fine)
