@@ -408,6 +408,14 @@ def test_who_waits_for_the_motors_of_an_autopilot_that_is_gone_does_not_wait_for
     assert "not heard any more" in scene.go_on(1.0).flight.end.reason
 
 
+def test_an_autopilot_that_is_gone_while_its_arming_was_not_answered_is_named_with_its_reason():
+    scene = Scene(vehicle=PointVehicle(refuse={"arm": ["no answer to 3 tries"]}))
+    scene.run(lambda s: any("refused to arm" in line for line in s.said))
+    scene.vehicle.be(armed=True, silence_s=61.0)
+    reason = scene.go_on(1.0).flight.end.reason
+    assert reason == "it could not be armed; the autopilot was not heard any more"
+
+
 def test_a_loop_that_stalled_on_the_ground_takes_the_aircraft_back_from_the_watchdog():
     """Which would let neither a take-off nor a disarming pass, and sends none itself."""
     scene = Scene(vehicle=PointVehicle(answers_after=30)).run(lambda s: s.vehicle.asked == ["arm"])

@@ -182,6 +182,17 @@ def above_home(sigma_m: float = 5.0) -> Start:
     return Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), sigma_m=sigma_m, agl_m=50.0)
 
 
+@pytest.mark.parametrize(("sigma_agl_m", "looks"), [(0.3, False), (30.0, True)])
+def test_a_height_too_low_to_see_is_looked_from_only_while_it_is_unsure(sigma_agl_m, looks):
+    localizer, position = FakeLocalizer(None), np.array([0.0, 0.0, -1.0])
+    start = Start(t_s=0.0, position_ned_m=position, sigma_m=5.0, agl_m=1.0, sigma_agl_m=sigma_agl_m)
+    pipeline = make_pipeline(localizer, start=start)
+    for i in range(1, 11):
+        pipeline.feed(Attitude(0.1 * i, LEVEL))
+        pipeline.step(Frame(0.1 * i, IMAGE, i))
+    assert bool(localizer.priors) is looks
+
+
 def test_a_fix_moves_the_estimate_and_the_next_prior_is_tighter():
     localizer = FakeLocalizer((4.0, -3.0))
     steps = fly(make_pipeline(localizer, start=above_home()), 5.0)

@@ -1,1 +1,1 @@
-"""Files as text: tables read, files written whole or not at all."""
+"""Files and folders: tables read, what lies in a folder, files written whole or not at all."""

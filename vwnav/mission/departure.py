@@ -132,10 +132,11 @@ class Departure:
         """Until the list has been complete for a while, and somebody says go."""
         if vehicle.armed:
             return self._armed_by_somebody(vehicle)
-        trouble = missing((*checks, _PILOT_HAS_IT) if self._pilots else checks)
+        listed = (*checks, _PILOT_HAS_IT) if self._pilots else checks
+        trouble = missing(listed)
         if trouble != self._shown:
             self._shown = trouble
-            self._show((*checks, _PILOT_HAS_IT) if self._pilots else checks)
+            self._show(listed)
         if trouble:
             self._ready_since_s, self.stage = None, Stage.READINESS
             return self._out_of_time(missing(checks), t_s)
@@ -237,7 +238,8 @@ class Departure:
         if self._pilots or (vehicle.mode in _PILOTS and self._armed_s is None and vehicle.armed):
             return self._taken()
         if vehicle.silence_s > GONE_S:
-            return DepartureOutcome(reason=f"{self._ends}; the autopilot was not heard any more")
+            why = self._ends or "it could not be armed"
+            return DepartureOutcome(reason=f"{why}; the autopilot was not heard any more")
         if vehicle.armed and vehicle.in_air:
             return DepartureOutcome(airborne=True, reason=self._ends or "it took off unasked")
         if vehicle.armed:

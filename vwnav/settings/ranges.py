@@ -1,7 +1,6 @@
 """Where each number of the settings makes sense, declared beside it, and asked in one place.
 
-class FlightConfig(Settings):
-land_from_m: Annotated[float, Within(3.0, 50.0)] = 5.0
+Written as `land_from_m: Annotated[float, Within(3.0, 50.0)] = 5.0` in a class of `Settings`.
 """
 
 import math
