@@ -34,7 +34,7 @@ from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candi
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
 from vwnav.vision.matching import is_mistakable, match, paired_similarity, share_alike
-from vwnav.vision.query import Query, View, seen
+from vwnav.vision.query import Query, View
 
 MIN_KEYPOINTS = 12
 MIN_MATCHES = 8
@@ -131,7 +131,7 @@ class Registration:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         on_view = cv2.warpPerspective(gray, shift @ H, (w, h), flags=flags)
         known = cv2.warpPerspective(data.astype(np.uint8), shift @ H, (w, h), flags=flags)
-        shown = seen(query, self.view.rectification)
+        shown = query.seen(self.view.rectification)
         return peak_sigmas(
             self.view.gray, shown, np.asarray(on_view, np.uint8), np.asarray(known) > 0
         )
