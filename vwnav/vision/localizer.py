@@ -15,8 +15,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from vwnav.geometry.camera import Camera, Rectification, cut_to_image
-from vwnav.geometry.geodesy import Window
+from vwnav.geometry.camera import Camera, cut_to_image
 from vwnav.maps.image import MapReader
 from vwnav.types import (
     FeatureExtractor,
@@ -232,37 +231,26 @@ class Localizer:
         )
 
     def _register(self, query: Query, candidate: Candidate) -> Registration | Rejected:
-        """Put the query on the map as a candidate has it."""
+        """Put the query on the map as a candidate has it; first what needs no features made."""
         hypothesis, zoom = candidate.hypothesis, candidate.level.zoom
         made = query.rectify(hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
         if made is None:
             return query.rejected(RejectReason.TILTED, "the camera does not look down")
         if candidate.thrifty:
             made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX)
-        window = candidate.window(made)
-        if (refusal := self._hopeless(query, candidate, made, window)) is not None:
-            return refusal
+        window, side_px = candidate.window(made), max(made.size_wh)
+        if not candidate.coarse and side_px < MIN_VIEW_PX:
+            detail = f"the picture covers {side_px} px of a map of {made.m_per_px:.2f} m/px"
+            return query.rejected(RejectReason.TOO_LOW, detail)
+        if not candidate.coarse and 0 in window.clipped(self._pack.window(zoom)).shape:
+            place = f"{candidate.lat_deg:.5f}, {candidate.lon_deg:.5f}"
+            return query.rejected(RejectReason.NO_MAP, f"{self._pack.name} does not cover {place}")
         if query.piece is None or query.piece[:2] != (zoom, window):
             with query.stage("match_ms"):
                 query.piece = (zoom, window, self._pack.features_in(zoom, *window, self._extractor))
         map_ = query.piece[2]
         view = query.view(hypothesis.yaw_rad, made, candidate.max_keypoints)
         return register(query, candidate, view, map_, self._acceptance(candidate))
-
-    def _hopeless(
-        self, query: Query, candidate: Candidate, view: Rectification, window: Window
-    ) -> Rejected | None:
-        """A refusal of what no features need to be made for."""
-        if candidate.coarse:
-            return None
-        side_px = max(view.size_wh)
-        if side_px < MIN_VIEW_PX:
-            detail = f"the picture covers {side_px} px of a map of {view.m_per_px:.2f} m/px"
-            return query.rejected(RejectReason.TOO_LOW, detail)
-        if 0 in window.clipped(self._pack.window(candidate.level.zoom)).shape:
-            place = f"{candidate.lat_deg:.5f}, {candidate.lon_deg:.5f}"
-            return query.rejected(RejectReason.NO_MAP, f"{self._pack.name} does not cover {place}")
-        return None
 
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.
