@@ -158,20 +158,7 @@ def log10_nfa(
     cells, agreeing = occupied_cells(uv_view), occupied_cells(uv_view[agree])
     if agreeing <= 2:
         return 0.0
-    per_cell = len(uv_view) / cells
-    chance = min(1.0, per_cell * _chance(H_map_view, uv_view, uv_map, threshold_px))
-    couples = cells * (cells - 1) / 2.0  # each makes a similarity that is looked at
-    return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
-
-
-def occupied_cells(uv_view: Array) -> int:
-    """In how many cells of the view the points (m, 2) lie."""
-    column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
-    return len(np.unique(column + 100_000 * row))
-
-
-def _chance(H_map_view: Array, uv_view: Array, uv_map: Array, threshold_px: float) -> float:
-    """Probability that the map point of another match is within the threshold of the fit."""
+    # How often the map point of another match is within the threshold of the fit.
     step = max(1, len(uv_view) // MAX_SAMPLE)
     mapped = transform_points(H_map_view, uv_view[::step])
     # A wider circle counts more pairs; the area brings it back.
@@ -181,9 +168,17 @@ def _chance(H_map_view: Array, uv_view: Array, uv_map: Array, threshold_px: floa
     dv = mapped[:, None, 1] - uv_map[:, 1]
     near = np.count_nonzero(du**2 + dv**2 <= radius_px**2)
     own = np.count_nonzero(np.sum((mapped - uv_map[::step]) ** 2, axis=1) <= radius_px**2)
-    others = len(mapped) * (len(uv_map) - 1)
     # One pair more than was seen: absence of evidence is no evidence of zero.
-    return (near - own + 1) / others / 16.0
+    one = (near - own + 1) / (len(mapped) * (len(uv_map) - 1)) / 16.0
+    chance = min(1.0, len(uv_view) / cells * one)  # that any of a cell agrees
+    couples = cells * (cells - 1) / 2.0  # each makes a similarity that is looked at
+    return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
+
+
+def occupied_cells(uv_view: Array) -> int:
+    """In how many cells of the view the points (m, 2) lie."""
+    column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
+    return len(np.unique(column + 100_000 * row))
 
 
 def _log10_tail(n: int, k: int, p: float) -> float:
