@@ -33,8 +33,6 @@ MAX_SAMPLE = 160
 MAX_LANDMARKS = 150  # that are looked for elsewhere
 # Of its likeness to the query, what makes a like of a landmark: the matched are the luckiest.
 AS_LIKE = np.float32(0.8)
-MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
-MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 MIN_SHIFT_PX = 8.0  # what is nearer is the same place
 SHIFT_CELL_PX = 4.0  # of the table of shifts, of which 3 x 3 are taken together
 _WINDOW_PX = 15  # of a corner that is followed
@@ -236,11 +234,6 @@ def share_alike(
     at_best = np.abs(shifts - best).max(axis=1) <= 1.5 * SHIFT_CELL_PX
     agreeing = uv[np.unique(owners[at_best])].astype(np.float64)
     return occupied_cells(agreeing) / occupied_cells(uv.astype(np.float64))
-
-
-def is_mistakable(share: float, cells: int) -> bool:
-    """Whether most landmarks have their like elsewhere, and too few have not."""
-    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS
 
 
 def _peak(shifts: Array) -> Array:

@@ -6,6 +6,7 @@ that fix is plausible.
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -33,7 +34,7 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import is_mistakable, match, paired_similarity, share_alike
+from vwnav.vision.matching import match, paired_similarity, share_alike
 from vwnav.vision.query import Query, View
 
 MIN_KEYPOINTS = 12
@@ -55,6 +56,8 @@ SYSTEMATIC_YAW_RAD = math.radians(0.3)
 SYSTEMATIC_SCALE = 0.01
 SLOPE = 0.1  # one sigma of the ground's: what is seen aside lies higher or lower than the nadir
 QUARTERS = (1, 2, 3)  # turns of the map that are tried
+MAX_ALIKE = 0.6  # of the landmarks' cells may have their like at one place, or ...
+MIN_UNLIKE_CELLS = 6.0  # ... so many must have none there
 BESIDE = 2.0  # views around a registration in which its like is looked for
 
 
@@ -298,19 +301,18 @@ def ambiguous(
     pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
 ) -> Rejected | None:
     """A refusal where the map shows the like at other places, or turned, that are open too."""
+    looks = {"beside it": partial(_share_beside, pack, extractor, query, found)}
+    if query.heading_open:
+        looks["turned by a quarter or a half"] = partial(_share_turned, pack, extractor, found)
     # A part of the image tells places less apart: twice as many must be unlike.
-    cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
-    share = _share_beside(pack, extractor, query, found)
-    mistakable = is_mistakable(share, cells)
-    if not mistakable and query.heading_open:
-        where = "turned by a quarter or a half"
-        share = _share_turned(pack, extractor, found)
-        mistakable = is_mistakable(share, cells)
-    if not mistakable:
-        return None
+    cells = found.consensus.cells // (1 + found.candidate.thrifty)
     matches, inliers = found.consensus.matches, len(found.consensus.uv_view)
-    detail = f"{share:.0%} of what was seen is {where} too"
-    return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
+    for where, look in looks.items():
+        share = look()
+        if share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS:
+            detail = f"{share:.0%} of what was seen is {where} too"
+            return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
+    return None
 
 
 def _share_beside(
