@@ -10,26 +10,24 @@ from vision_scenes import CAMERA, M_PER_PX, frame_at, texture
 from vwnav.errors import CalibrationError
 from vwnav.geometry.homography import transform_points
 from vwnav.types import Frame, Prior
-from vwnav.vision.query import QueryMaker, Taken
+from vwnav.vision.query import Query, Taken
 from vwnav.vision.shutter import seen_by_rows
 
 GROUND = texture(8)
 
 
-def maker_of(extractor, camera=CAMERA):
-    return QueryMaker(camera, extractor, time.perf_counter)
-
-
-def query_of(maker, image, rpy_deg=(0.0, 0.0, 0.0)):
+def query_of(extractor, image, rpy_deg=(0.0, 0.0, 0.0), camera=CAMERA):
     roll_rad, pitch_rad, _ = map(math.radians, rpy_deg)
-    return maker.query(Frame(0.0, image, 0), Prior(roll_rad=roll_rad, pitch_rad=pitch_rad), 0)
+    prior = Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
+    return Query(camera, extractor, Frame(0.0, image, 0), prior, 0, time.perf_counter)
 
 
 def view_of(extractor, rpy_deg=(0.0, 0.0, 0.0)):
-    maker, yaw_rad = maker_of(extractor), math.radians(rpy_deg[2])
-    query = query_of(maker, frame_at(GROUND, 10.0, -5.0, 60.0, rpy_deg=rpy_deg).image, rpy_deg)
-    made = maker.rectify(query, yaw_rad, 60.0, M_PER_PX)
-    return query, maker.view(query, yaw_rad, made, 500)
+    yaw_rad = math.radians(rpy_deg[2])
+    image = frame_at(GROUND, 10.0, -5.0, 60.0, rpy_deg=rpy_deg).image
+    query = query_of(extractor, image, rpy_deg)
+    made = query.rectify(yaw_rad, 60.0, M_PER_PX)
+    return query, query.view(yaw_rad, made, 500)
 
 
 @pytest.mark.parametrize("rpy_deg", [(0, 0, 0), (0, 0, 117), (8, -6, 40)])
@@ -67,9 +65,8 @@ def test_halving_keeps_the_centre_convention():
 def test_an_image_shrunk_a_lot_does_not_alias(orb):
     stripes = np.zeros((360, 480), np.uint8)
     stripes[:, ::2] = 255
-    maker = maker_of(orb)
-    query = query_of(maker, stripes)
-    assert maker.warp(query, maker.rectify(query, 0.0, 60.0, 4 * M_PER_PX)).std() < 3.0
+    query = query_of(orb, stripes)
+    assert query.warp(query.rectify(0.0, 60.0, 4 * M_PER_PX)).std() < 3.0
 
 
 BENT = replace(CAMERA, distortion=(-0.2, 0.03, 0.001, -0.001))
@@ -79,10 +76,9 @@ def test_distortion_is_removed(orb):
     grid = np.stack(np.meshgrid(np.arange(480), np.arange(360)), axis=-1).reshape(-1, 2)
     bearings = BENT.bearings(grid.astype(np.float64))
     line = np.abs(bearings[:, 0] / bearings[:, 2] - 0.3).reshape(360, 480) < 0.004
-    maker = maker_of(orb, BENT)
-    query = query_of(maker, np.where(line, 255, 0).astype(np.uint8))
-    made = maker.rectify(query, 0.0, 60.0, M_PER_PX)
-    view = maker.warp(query, made)
+    query = query_of(orb, np.where(line, 255, 0).astype(np.uint8), camera=BENT)
+    made = query.rectify(0.0, 60.0, M_PER_PX)
+    view = query.warp(made)
     middle = view[20:-20]
     columns = middle @ np.arange(view.shape[1]) / middle.sum(axis=1)
     assert np.abs(columns - (made.nadir_uv[0] + 0.3 * 60.0 / M_PER_PX)).max() < 0.5
@@ -92,17 +88,16 @@ def test_distortion_is_removed(orb):
 @pytest.mark.parametrize("rpy_deg", [(0, 0, 30), (20, -15, 200)])
 def test_between_its_grid_points_a_view_is_fetched_from_the_right_places(orb, rpy_deg, flow):
     camera = replace(BENT, readout_s=0.02)
-    maker, yaw_rad = maker_of(orb, camera), math.radians(rpy_deg[2])
-    query = query_of(maker, np.zeros((360, 480), np.uint8), rpy_deg)
+    query = query_of(orb, np.zeros((360, 480), np.uint8), rpy_deg, camera)
     query.flow = flow
-    made = maker.rectify(query, yaw_rad, 60.0, M_PER_PX)
+    made = query.rectify(math.radians(rpy_deg[2]), 60.0, M_PER_PX)
     w, h = made.size_wh
     uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 2)
     straight = transform_points(np.linalg.inv(made.H_rect_frame), uv)
     inside = np.all((straight >= 0.0) & (straight <= (479.0, 359.0)), axis=1)
     rays = camera.undistorted().bearings(straight[inside])
     exact = camera.project(rays) if flow is None else seen_by_rows(rays, camera, flow)
-    places = maker.places(query, made, 1.0).reshape(-1, 2)[inside]
+    places = query.places(made, 1.0).reshape(-1, 2)[inside]
     assert np.count_nonzero(inside) > 5000
     px_per_view_px = CAMERA.K[0, 0] * M_PER_PX / 60.0
     assert np.abs(places - exact).max() < 0.15 * px_per_view_px
@@ -110,12 +105,10 @@ def test_between_its_grid_points_a_view_is_fetched_from_the_right_places(orb, rp
 
 def test_an_image_of_another_size_is_an_error_of_calibration(orb):
     with pytest.raises(CalibrationError, match="480 x 360"):
-        query_of(maker_of(orb), np.zeros((480, 640), np.uint8))
+        query_of(orb, np.zeros((480, 640), np.uint8))
 
 
 def test_colour_and_gray_images_give_the_same_view(orb):
     gray = frame_at(GROUND, 0.0, 0.0, 60.0).image
-    from_colour = query_of(maker_of(orb), cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)).image.at_scale(
-        1.0
-    )[0]
+    from_colour = query_of(orb, cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)).image.at_scale(1.0)[0]
     assert np.array_equal(from_colour, gray)

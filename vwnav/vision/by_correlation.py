@@ -21,7 +21,7 @@ from vwnav.maps.image import MapReader
 from vwnav.types import MapFix
 from vwnav.vision.candidates import MAX_RIVALRY, Acceptance, Candidate
 from vwnav.vision.correlation import RING_PX, Peak, best_shift, decades_of_shift
-from vwnav.vision.query import Query, QueryMaker, seen
+from vwnav.vision.query import Query
 
 YAW_STEP_RAD = math.radians(2.0)  # a view of 140 px turned by half of it is 1 px off at its ends
 MAX_YAW_STEPS = 3  # to either side
@@ -58,9 +58,7 @@ class Correlated:
         return strong and apart_m > RING_PX[0] * self.view.m_per_px
 
 
-def best_correlated(
-    pack: MapReader, maker: QueryMaker, query: Query, candidate: Candidate
-) -> Correlated | None:
+def best_correlated(pack: MapReader, query: Query, candidate: Candidate) -> Correlated | None:
     """Look for a view within a radius of the prior's place; None where that cannot be.
 
     Headings that the prior leaves open are tried. Each is a test more, but none is measured: the
@@ -68,7 +66,6 @@ def best_correlated(
 
     Args:
         pack: the map.
-        maker: makes the view.
         query: with a prior that holds place and tilt; else None comes back.
         candidate: place, radius, level, heading and height; no other height is tried.
     """
@@ -78,7 +75,7 @@ def best_correlated(
     steps = min(open_steps, MAX_YAW_STEPS)
     yaw_rad = candidate.hypothesis.yaw_rad
     yaws_rad = [wrap_pi(yaw_rad + i * YAW_STEP_RAD) for i in range(-steps, steps + 1)]
-    looks = [_correlate(pack, maker, query, candidate, each) for each in yaws_rad]
+    looks = [_correlate(pack, query, candidate, each) for each in yaws_rad]
     found = [look for look in looks if look is not None]
     if not found:
         return None
@@ -107,11 +104,11 @@ def fix_by_correlation(
 
 
 def _correlate(
-    pack: MapReader, maker: QueryMaker, query: Query, candidate: Candidate, yaw_rad: float
+    pack: MapReader, query: Query, candidate: Candidate, yaw_rad: float
 ) -> Correlated | None:
     """The best shift with one heading; None where there is too little to compare."""
     lat_deg, lon_deg, zoom = candidate.lat_deg, candidate.lon_deg, candidate.level.zoom
-    view = maker.rectify(query, yaw_rad, candidate.hypothesis.agl_m, candidate.m_per_px)
+    view = query.rectify(yaw_rad, candidate.hypothesis.agl_m, candidate.m_per_px)
     if view is None:
         return None
     reach_px = math.ceil(candidate.radius_m / view.m_per_px)
@@ -122,7 +119,7 @@ def _correlate(
     low = np.floor(corner_px).astype(np.int64) - reach_px
     high = low + np.array(view.size_wh) + 2 * reach_px
     with query.stage("rectify_ms"):
-        gray, shown = maker.warp(query, view), seen(query, view)
+        gray, shown = query.warp(view), query.seen(view)
     with query.stage("verify_ms"):
         map_, known = pack.image(zoom, *low.tolist(), *high.tolist())
         peak = best_shift(gray, shown, map_, known, reach_px)

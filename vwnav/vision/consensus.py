@@ -224,7 +224,13 @@ def _votes(
     z0: Complex, z1: Complex, bounds: SimilarityBounds, seed: int
 ) -> tuple[Complex, Complex]:
     """Factor and place of the reference point, of every pair that the bounds allow."""
-    first, second = _pairs(len(z0), seed)
+    n = len(z0)
+    if n * (n - 1) // 2 <= MAX_PAIRS:
+        first, second = np.triu_indices(n, 1)
+    else:  # every match takes part in equally many pairs
+        steps = np.random.default_rng(seed).permutation(n - 1)[: MAX_PAIRS // n] + 1
+        first = np.tile(np.arange(n), len(steps))
+        second = (first + np.repeat(steps, n)) % n
     base, moved = z0[second] - z0[first], z1[second] - z1[first]
     base2, moved2 = base.real**2 + base.imag**2, moved.real**2 + moved.imag**2
     # Lengths first, squared: angles of all would take most of the time.
@@ -235,18 +241,6 @@ def _votes(
     allowed = bounds.allows(a)
     a, first = a[allowed], first[allowed]
     return a, z1[first] - a * z0[first]
-
-
-def _pairs(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    if n * (n - 1) // 2 <= MAX_PAIRS:
-        upper = np.triu_indices(n, 1)
-        return upper[0].astype(np.int64), upper[1].astype(np.int64)
-    # Every match takes part in equally many pairs.
-    steps = np.random.default_rng(seed).permutation(n - 1)[: MAX_PAIRS // n] + 1
-    first = np.tile(np.arange(n), len(steps))
-    second = first + np.repeat(steps, n)
-    second[second >= n] -= n
-    return first, second
 
 
 def _peaks(centers: Complex) -> Complex:

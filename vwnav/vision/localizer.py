@@ -15,8 +15,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from vwnav.geometry.camera import Camera, Rectification, cut_to_image
-from vwnav.geometry.geodesy import Window
+from vwnav.geometry.camera import Camera, cut_to_image
 from vwnav.maps.image import MapReader
 from vwnav.types import (
     FeatureExtractor,
@@ -45,7 +44,7 @@ from vwnav.vision.candidates import (
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
 from vwnav.vision.lever_arm import LeverArm
-from vwnav.vision.query import Query, QueryMaker
+from vwnav.vision.query import Query
 from vwnav.vision.registration import (
     MAX_RESCALE,
     Registration,
@@ -93,9 +92,8 @@ class Localizer:
             clock: seconds, for the times in `MatchStats` only.
         """
         self._config = config or LocalizerConfig()
-        self._pack = pack
-        self._extractor = extractor
-        self._maker = QueryMaker(camera, extractor, clock)
+        self._pack, self._camera = pack, camera
+        self._extractor, self._clock = extractor, clock
         arm_m = camera.t_body_camera_m
         self._arm = LeverArm(arm_m) if np.any(arm_m) else None
         self._given_up = threading.Event()
@@ -122,7 +120,7 @@ class Localizer:
         """
         self._given_up.clear()
         of_camera = self._arm.prior_of_camera(prior) if self._arm and is_finite(prior) else prior
-        query = self._maker.query(frame, of_camera, seed)
+        query = Query(self._camera, self._extractor, frame, of_camera, seed, self._clock)
         outcome = self._located(query)
         if isinstance(outcome, MapFix) and self._arm:
             outcome = self._arm.fix_of_body(outcome, prior)
@@ -140,7 +138,7 @@ class Localizer:
         refusal: Rejected | None = None
         coarse: list[Registration] = []
         first = candidates[int(candidates[0].thrifty)]  # of the whole image
-        look = cache(partial(best_correlated, self._pack, self._maker, query, first))
+        look = cache(partial(best_correlated, self._pack, query, first))
         for made, candidate in enumerate(candidates):
             if self._given_up.is_set():
                 self._reached = begun + made
@@ -233,37 +231,26 @@ class Localizer:
         )
 
     def _register(self, query: Query, candidate: Candidate) -> Registration | Rejected:
-        """Put the query on the map as a candidate has it."""
+        """Put the query on the map as a candidate has it; first what needs no features made."""
         hypothesis, zoom = candidate.hypothesis, candidate.level.zoom
-        made = self._maker.rectify(query, hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
+        made = query.rectify(hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
         if made is None:
             return query.rejected(RejectReason.TILTED, "the camera does not look down")
         if candidate.thrifty:
             made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX)
-        window = candidate.window(made)
-        if (refusal := self._hopeless(query, candidate, made, window)) is not None:
-            return refusal
+        window, side_px = candidate.window(made), max(made.size_wh)
+        if not candidate.coarse and side_px < MIN_VIEW_PX:
+            detail = f"the picture covers {side_px} px of a map of {made.m_per_px:.2f} m/px"
+            return query.rejected(RejectReason.TOO_LOW, detail)
+        if not candidate.coarse and 0 in window.clipped(self._pack.window(zoom)).shape:
+            place = f"{candidate.lat_deg:.5f}, {candidate.lon_deg:.5f}"
+            return query.rejected(RejectReason.NO_MAP, f"{self._pack.name} does not cover {place}")
         if query.piece is None or query.piece[:2] != (zoom, window):
             with query.stage("match_ms"):
                 query.piece = (zoom, window, self._pack.features_in(zoom, *window, self._extractor))
         map_ = query.piece[2]
-        view = self._maker.view(query, hypothesis.yaw_rad, made, candidate.max_keypoints)
+        view = query.view(hypothesis.yaw_rad, made, candidate.max_keypoints)
         return register(query, candidate, view, map_, self._acceptance(candidate))
-
-    def _hopeless(
-        self, query: Query, candidate: Candidate, view: Rectification, window: Window
-    ) -> Rejected | None:
-        """A refusal of what no features need to be made for."""
-        if candidate.coarse:
-            return None
-        side_px = max(view.size_wh)
-        if side_px < MIN_VIEW_PX:
-            detail = f"the picture covers {side_px} px of a map of {view.m_per_px:.2f} m/px"
-            return query.rejected(RejectReason.TOO_LOW, detail)
-        if 0 in window.clipped(self._pack.window(candidate.level.zoom)).shape:
-            place = f"{candidate.lat_deg:.5f}, {candidate.lon_deg:.5f}"
-            return query.rejected(RejectReason.NO_MAP, f"{self._pack.name} does not cover {place}")
-        return None
 
     def _refined(self, query: Query, found: Registration) -> Registration:
         """The same place registered again, with the heading and height that were found.

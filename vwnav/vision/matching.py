@@ -33,8 +33,6 @@ MAX_SAMPLE = 160
 MAX_LANDMARKS = 150  # that are looked for elsewhere
 # Of its likeness to the query, what makes a like of a landmark: the matched are the luckiest.
 AS_LIKE = np.float32(0.8)
-MAX_ALIKE = 0.6  # of the landmarks' cells, and so many must be
-MIN_UNLIKE_CELLS = 6.0  # with landmarks that have no like where most of the others have theirs
 MIN_SHIFT_PX = 8.0  # what is nearer is the same place
 SHIFT_CELL_PX = 4.0  # of the table of shifts, of which 3 x 3 are taken together
 _WINDOW_PX = 15  # of a corner that is followed
@@ -158,20 +156,7 @@ def log10_nfa(
     cells, agreeing = occupied_cells(uv_view), occupied_cells(uv_view[agree])
     if agreeing <= 2:
         return 0.0
-    per_cell = len(uv_view) / cells
-    chance = min(1.0, per_cell * _chance(H_map_view, uv_view, uv_map, threshold_px))
-    couples = cells * (cells - 1) / 2.0  # each makes a similarity that is looked at
-    return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
-
-
-def occupied_cells(uv_view: Array) -> int:
-    """In how many cells of the view the points (m, 2) lie."""
-    column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
-    return len(np.unique(column + 100_000 * row))
-
-
-def _chance(H_map_view: Array, uv_view: Array, uv_map: Array, threshold_px: float) -> float:
-    """Probability that the map point of another match is within the threshold of the fit."""
+    # How often the map point of another match is within the threshold of the fit.
     step = max(1, len(uv_view) // MAX_SAMPLE)
     mapped = transform_points(H_map_view, uv_view[::step])
     # A wider circle counts more pairs; the area brings it back.
@@ -181,9 +166,17 @@ def _chance(H_map_view: Array, uv_view: Array, uv_map: Array, threshold_px: floa
     dv = mapped[:, None, 1] - uv_map[:, 1]
     near = np.count_nonzero(du**2 + dv**2 <= radius_px**2)
     own = np.count_nonzero(np.sum((mapped - uv_map[::step]) ** 2, axis=1) <= radius_px**2)
-    others = len(mapped) * (len(uv_map) - 1)
     # One pair more than was seen: absence of evidence is no evidence of zero.
-    return (near - own + 1) / others / 16.0
+    one = (near - own + 1) / (len(mapped) * (len(uv_map) - 1)) / 16.0
+    chance = min(1.0, len(uv_view) / cells * one)  # that any of a cell agrees
+    couples = cells * (cells - 1) / 2.0  # each makes a similarity that is looked at
+    return math.log10(couples) + _log10_tail(cells - 2, agreeing - 2, chance)
+
+
+def occupied_cells(uv_view: Array) -> int:
+    """In how many cells of the view the points (m, 2) lie."""
+    column, row = np.floor((uv_view + 0.5) / CELL_PX).astype(np.int64).T
+    return len(np.unique(column + 100_000 * row))
 
 
 def _log10_tail(n: int, k: int, p: float) -> float:
@@ -241,11 +234,6 @@ def share_alike(
     at_best = np.abs(shifts - best).max(axis=1) <= 1.5 * SHIFT_CELL_PX
     agreeing = uv[np.unique(owners[at_best])].astype(np.float64)
     return occupied_cells(agreeing) / occupied_cells(uv.astype(np.float64))
-
-
-def is_mistakable(share: float, cells: int) -> bool:
-    """Whether most landmarks have their like elsewhere, and too few have not."""
-    return share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS
 
 
 def _peak(shifts: Array) -> Array:

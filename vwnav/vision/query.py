@@ -17,7 +17,6 @@ from vwnav.maps.image import MapFeatures
 from vwnav.types import (
     Array,
     FeatureExtractor,
-    FeatureName,
     Features,
     Frame,
     Gray,
@@ -91,46 +90,54 @@ class Taken:
 
 
 class Query:
-    """An image that is to be registered, and what was made of it so far.
+    """An image of a camera that is to be registered, and what was made of it so far.
 
     Attributes:
         t_s: time of exposure.
-        image: as it was taken; its K is that of what it is undistorted to.
-        flow: A of `ray_flow`, while its rows were exposed one after the other; None at rest.
         prior: what is known.
         seed: of every random choice.
         features: name of the feature set.
+        image: as it was taken; its K is that of what it is undistorted to.
+        flow: A of `ray_flow`, while its rows were exposed one after the other; None at rest, and
+            where nothing is known of it.
+        attitude_known: whether roll and pitch are.
+        heading_open: whether nothing, or next to nothing, is known of it.
         views: made so far, by heading, height in pixels, size and nadir: a cut one has another.
         piece: of the map that was looked at last: its level, its window and its features.
         weak: places found so far that too little speaks for.
-        attitude_known: whether roll and pitch are.
-        heading_open: whether nothing, or next to nothing, is known of it.
         ms: milliseconds spent per stage, named as in `MatchStats`.
     """
 
     def __init__(
         self,
-        t_s: float,
-        image: Taken,
+        camera: Camera,
+        extractor: FeatureExtractor,
+        frame: Frame,
         prior: Prior,
         seed: int,
-        features: FeatureName,
         clock: Callable[[], float],
-        flow: Array | None = None,
     ) -> None:
-        self.t_s = t_s
-        self.flow = flow
-        self.image = image
-        self.prior = prior
-        self.seed = seed
-        self.features = features
+        """Take a frame, (h, w) gray or (h, w, 3) BGR; `clock` in seconds is for the times alone.
+
+        Raises:
+            CalibrationError: the calibration is for another image size.
+        """
+        start, image = clock(), frame.image
+        check_fits(camera, image.shape[1], image.shape[0])
+        self._camera, self._extractor, self._clock = camera, extractor, clock
+        self.t_s, self.prior, self.seed, self.features = frame.t_s, prior, seed, extractor.name
+        self.image = Taken(image if image.ndim == 2 else to_gray(image), camera.K)
+        self.attitude_known = prior.roll_rad is not None and prior.pitch_rad is not None
+        self.heading_open = prior.yaw_rad is None or not prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
+        self.flow: Array | None = None
+        if camera.readout_s and self.attitude_known and prior.agl_m is not None:
+            R_level_body = rotation_from_euler(prior.roll_rad or 0.0, prior.pitch_rad or 0.0, 0.0)
+            down_camera = (R_level_body @ camera.R_body_camera)[2]
+            self.flow = ray_flow(frame, camera, down_camera, prior.agl_m)
         self.views: dict[tuple[float, ...], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []
-        self.ms: dict[str, float] = {}
-        self.attitude_known = prior.roll_rad is not None and prior.pitch_rad is not None
-        self.heading_open = prior.yaw_rad is None or not prior.sigma_yaw_rad < MAX_YAW_SIGMA_RAD
-        self._clock = clock
+        self.ms = {"rectify_ms": 1e3 * (clock() - start)}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -159,89 +166,51 @@ class Query:
         stats = MatchStats(keypoints=keypoints, matches=matches, inliers=inliers)
         return Rejected(self.t_s, reason, detail, self.features, stats)
 
-
-class QueryMaker:
-    """Makes queries of the images of one camera, rectifies them and extracts their features."""
-
-    def __init__(
-        self, camera: Camera, extractor: FeatureExtractor, clock: Callable[[], float]
-    ) -> None:
-        self._camera = camera
-        self._extractor = extractor
-        self._clock = clock
-
-    def query(self, frame: Frame, prior: Prior, seed: int) -> Query:
-        """A query of a frame, (h, w) gray or (h, w, 3) BGR.
-
-        Raises:
-            CalibrationError: the calibration is for another image size.
-        """
-        start = self._clock()
-        image = frame.image
-        check_fits(self._camera, image.shape[1], image.shape[0])
-        gray = image if image.ndim == 2 else to_gray(image)
-        taken, flow = Taken(gray, self._camera.K), self._flow(frame, prior)
-        query = Query(frame.t_s, taken, prior, seed, self._extractor.name, self._clock, flow)
-        query.ms["rectify_ms"] = 1e3 * (self._clock() - start)
-        return query
-
-    def _flow(self, frame: Frame, prior: Prior) -> Array | None:
-        """How what is seen moves while rows are read; None where nothing is known of it."""
-        if not self._camera.readout_s or prior.agl_m is None:
-            return None
-        if prior.roll_rad is None or prior.pitch_rad is None:
-            return None
-        R_level_body = rotation_from_euler(prior.roll_rad, prior.pitch_rad, 0.0)
-        down_camera = (R_level_body @ self._camera.R_body_camera)[2]
-        return ray_flow(frame, self._camera, down_camera, prior.agl_m)
-
-    def rectify(
-        self, query: Query, yaw_rad: float, agl_m: float, m_per_px: float
-    ) -> Rectification | None:
-        """The view's geometry; None when the camera does not look down."""
-        prior = query.prior
+    def rectify(self, yaw_rad: float, agl_m: float, m_per_px: float) -> Rectification | None:
+        """A view's geometry; None when the camera does not look down."""
+        prior = self.prior
         R_ned_body = rotation_from_euler(prior.roll_rad or 0.0, prior.pitch_rad or 0.0, yaw_rad)
         sheared = np.eye(3)  # along down, so that the view of a slope is that of level ground
         sheared[2, :2] = prior.slope_ne
         return rectification(
-            query.image.K,
-            query.image.size_wh,
+            self.image.K,
+            self.image.size_wh,
             sheared @ R_ned_body @ self._camera.R_body_camera,
             agl_m,
             m_per_px,
             MAX_VIEW_PX,
         )
 
-    def view(self, query: Query, yaw_rad: float, made: Rectification, max_keypoints: int) -> View:
+    def view(self, yaw_rad: float, made: Rectification, max_keypoints: int) -> View:
         """The view with its features; kept, since levels of twice the size share it."""
         height_px = round(made.agl_m / made.m_per_px, 1)
         key = (round(yaw_rad, 6), height_px, *made.size_wh, *np.round(made.nadir_uv, 1).tolist())
-        if key not in query.views:
-            with query.stage("rectify_ms"):
-                gray = self.warp(query, made)
-            with query.stage("extract_ms"):
-                query.views[key] = self._extract(query, made, gray, max_keypoints)
-        return replace(query.views[key], rectification=made)
+        if key not in self.views:
+            with self.stage("rectify_ms"):
+                gray = self.warp(made)
+            with self.stage("extract_ms"):
+                self.views[key] = self._extract(made, gray, max_keypoints)
+        return replace(self.views[key], rectification=made)
 
-    def warp(self, query: Query, made: Rectification) -> Gray:
+    def warp(self, made: Rectification) -> Gray:
         """The gray view in one warp; what the image does not show continues its edge."""
-        center = (np.array(query.image.size_wh) - 1.0) / 2.0
+        center = (np.array(self.image.size_wh) - 1.0) / 2.0
         scale = float(np.sqrt(abs(np.linalg.det(jacobian_at(made.H_rect_frame, center)))))
-        source, H_frame_source = query.image.at_scale(scale)
+        source, H_frame_source = self.image.at_scale(scale)
         replicate = cv2.BORDER_REPLICATE
-        if not self._camera.distortion and query.flow is None:
+        if not self._camera.distortion and self.flow is None:
             H_view_source = made.H_rect_frame @ H_frame_source
             view = cv2.warpPerspective(
                 source, H_view_source, made.size_wh, flags=cv2.INTER_LINEAR, borderMode=replicate
             )
         else:
             shrunk = np.float32(1.0 / H_frame_source[0, 0])
-            places = (self.places(query, made, scale) + np.float32(0.5)) * shrunk - np.float32(0.5)
+            places = (self.places(made, scale) + np.float32(0.5)) * shrunk - np.float32(0.5)
             u, v = cv2.split(places)
             view = cv2.remap(source, u, v, cv2.INTER_LINEAR, borderMode=replicate)
         return np.asarray(view, np.uint8)
 
-    def places(self, query: Query, made: Rectification, scale: float) -> NDArray[np.float32]:
+    def places(self, made: Rectification, scale: float) -> NDArray[np.float32]:
         """Pixels (h, w, 2) of the image as it was taken that the view's pixels show.
 
         They bend smoothly: they are computed on a grid that reaches a cell past the view.
@@ -252,11 +221,11 @@ class QueryMaker:
         H_frame_rect = np.asarray(np.linalg.inv(made.H_rect_frame), np.float64)
         straight = transform_points(H_frame_rect, GRID_PX * uv - 0.5)
         # Far outside of the image a lens model folds back.
-        beyond, last = 2.0 * GRID_PX / scale, np.array(query.image.size_wh) - 1.0
+        beyond, last = 2.0 * GRID_PX / scale, np.array(self.image.size_wh) - 1.0
         straight = np.clip(np.nan_to_num(straight), -beyond, last + beyond)
         flat = (straight - self._camera.K[:2, 2]) / np.diag(self._camera.K)[:2]
         rays, camera = np.column_stack([flat, np.ones(len(flat))]), self._camera
-        flow = query.flow
+        flow = self.flow
         grid = camera.project(rays) if flow is None else seen_by_rows(rays, camera, flow)
         fine = cv2.resize(
             grid.reshape(rows, columns, 2).astype(np.float32),
@@ -265,9 +234,17 @@ class QueryMaker:
         )
         return np.asarray(fine[GRID_PX : GRID_PX + h, GRID_PX : GRID_PX + w])
 
-    def _extract(self, query: Query, made: Rectification, gray: Gray, max_keypoints: int) -> View:
+    def seen(self, made: Rectification) -> NDArray[np.bool_]:
+        """Mask (h, w) of the view pixels that the image shows."""
+        everywhere = np.ones(self.image.size_wh[::-1], np.uint8)
+        shown = cv2.warpPerspective(
+            everywhere, made.H_rect_frame, made.size_wh, flags=cv2.INTER_NEAREST
+        )
+        return np.asarray(shown) > 0
+
+    def _extract(self, made: Rectification, gray: Gray, max_keypoints: int) -> View:
         """Features of a view, those that the image really shows."""
-        size = np.array(query.image.size_wh, np.float64)
+        size = np.array(self.image.size_wh, np.float64)
         corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
         shown_uv = transform_points(
             made.H_rect_frame, np.array([*corners, [0.5, 0.5]]) * (size - 1.0)
@@ -282,15 +259,6 @@ class QueryMaker:
         inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size, center_uv)
         features = found.take(np.flatnonzero(inside)[:max_keypoints])
         return View(made, center_uv, gray, features)
-
-
-def seen(query: Query, made: Rectification) -> NDArray[np.bool_]:
-    """Mask (h, w) of the view pixels that the image shows."""
-    everywhere = np.ones(query.image.size_wh[::-1], np.uint8)
-    shown = cv2.warpPerspective(
-        everywhere, made.H_rect_frame, made.size_wh, flags=cv2.INTER_NEAREST
-    )
-    return np.asarray(shown) > 0
 
 
 def _inside(uv: Array, H_rect_frame: Array, size_wh: Array, center_uv: Array) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ that fix is plausible.
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -33,8 +34,8 @@ from vwnav.types import (
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
 from vwnav.vision.correlation import peak_sigmas
-from vwnav.vision.matching import is_mistakable, match, paired_similarity, share_alike
-from vwnav.vision.query import Query, View, seen
+from vwnav.vision.matching import match, paired_similarity, share_alike
+from vwnav.vision.query import Query, View
 
 MIN_KEYPOINTS = 12
 MIN_MATCHES = 8
@@ -55,6 +56,8 @@ SYSTEMATIC_YAW_RAD = math.radians(0.3)
 SYSTEMATIC_SCALE = 0.01
 SLOPE = 0.1  # one sigma of the ground's: what is seen aside lies higher or lower than the nadir
 QUARTERS = (1, 2, 3)  # turns of the map that are tried
+MAX_ALIKE = 0.6  # of the landmarks' cells may have their like at one place, or ...
+MIN_UNLIKE_CELLS = 6.0  # ... so many must have none there
 BESIDE = 2.0  # views around a registration in which its like is looked for
 
 
@@ -79,14 +82,9 @@ class Registration:
     likeness: NDArray[np.float32]
     pose: MapPose
 
-    def lat_lon(self, map_uv: Array) -> tuple[float, float]:
-        """Of a pixel (2,) of the piece of map, centre convention."""
-        x, y = self.piece.origin_px + map_uv + 0.5
-        return lat_lon_from_mercator_px(float(x), float(y), self.candidate.level.zoom)
-
     def lat_lon_of_view(self, view_uv: Array) -> tuple[float, float]:
         """Of a pixel (2,) of the view."""
-        return self.lat_lon(transform_points(self.consensus.H_map_view, view_uv)[0])
+        return _lat_lon(self.piece, transform_points(self.consensus.H_map_view, view_uv)[0])
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -131,7 +129,7 @@ class Registration:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         on_view = cv2.warpPerspective(gray, shift @ H, (w, h), flags=flags)
         known = cv2.warpPerspective(data.astype(np.uint8), shift @ H, (w, h), flags=flags)
-        shown = seen(query, self.view.rectification)
+        shown = query.seen(self.view.rectification)
         return peak_sigmas(
             self.view.gray, shown, np.asarray(on_view, np.uint8), np.asarray(known) > 0
         )
@@ -169,14 +167,13 @@ def register(
         refusal = _refusal(query, consensus, accept)
         if refusal is not None:
             return refusal
-        origin_px = map_.origin_px.astype(np.float64)
-        pose = _pose(query, candidate, view, origin_px, consensus, accept)
+        pose = _pose(query, view, map_, consensus, accept)
     if pose is None:
         geometry = RejectReason.GEOMETRY
         return query.rejected(geometry, "the matches do not fix a position", matches=len(pairs))
     of_view, of_map = pairs[consensus.inliers].T
-    matched, landmarks = view.features.take(of_view), map_.features.take(of_map)
-    likeness = paired_similarity(matched.descriptors, landmarks.descriptors)
+    landmarks = map_.features.take(of_map)
+    likeness = paired_similarity(view.features.descriptors[of_view], landmarks.descriptors)
     return Registration(candidate, view, map_, consensus, landmarks, likeness, pose)
 
 
@@ -222,19 +219,19 @@ def _refusal(query: Query, consensus: Consensus, accept: Acceptance) -> Rejected
     return query.rejected(reason, detail, matches=matches, inliers=inliers)
 
 
+def _lat_lon(map_: MapFeatures, uv: Array) -> tuple[float, float]:
+    """Of a pixel (2,) of a piece of map, centre convention."""
+    x, y = map_.origin_px + uv + 0.5
+    return lat_lon_from_mercator_px(float(x), float(y), map_.zoom)
+
+
 def _pose(
-    query: Query,
-    candidate: Candidate,
-    view: View,
-    origin_px: Array,
-    consensus: Consensus,
-    accept: Acceptance,
+    query: Query, view: View, map_: MapFeatures, consensus: Consensus, accept: Acceptance
 ) -> MapPose | None:
     """Pose of the point that is reported: below the camera, or the image's centre."""
     H, made, known = consensus.H_map_view, view.rectification, query.attitude_known
     point_uv = made.nadir_uv if known else view.center_uv
-    x, y = origin_px + transform_points(H, point_uv)[0] + 0.5
-    lat_deg, _ = lat_lon_from_mercator_px(float(x), float(y), candidate.level.zoom)
+    lat_deg, _ = _lat_lon(map_, transform_points(H, point_uv)[0])
     error = transform_points(H, consensus.uv_view) - consensus.uv_map
     scatter_px = max(MIN_SIGMA_PX, math.sqrt(float(np.mean(error**2))))
     # Neighbours err alike: only as many are independent as there are cells with an inlier.
@@ -251,7 +248,7 @@ def _pose(
         replace(made, nadir_uv=point_uv),
         consensus.uv_view,
         consensus.uv_map,
-        mercator_px_per_m(lat_deg, candidate.level.zoom),
+        mercator_px_per_m(lat_deg, map_.zoom),
         errors,
     )
 
@@ -259,7 +256,7 @@ def _pose(
 def fix_of(query: Query, found: Registration) -> MapFix:
     """The fix that a registration is."""
     pose, consensus, made = found.pose, found.consensus, found.view.rectification
-    lat_deg, lon_deg = found.lat_lon(pose.nadir_px)
+    lat_deg, lon_deg = _lat_lon(found.piece, pose.nadir_px)
     aside_px = math.dist(found.view.center_uv, made.nadir_uv) if query.attitude_known else 0.0
     rough_m = math.hypot(SYSTEMATIC_SCALE * pose.agl_m, SLOPE * aside_px * made.m_per_px)
     return MapFix(
@@ -304,19 +301,18 @@ def ambiguous(
     pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
 ) -> Rejected | None:
     """A refusal where the map shows the like at other places, or turned, that are open too."""
+    looks = {"beside it": partial(_share_beside, pack, extractor, query, found)}
+    if query.heading_open:
+        looks["turned by a quarter or a half"] = partial(_share_turned, pack, extractor, found)
     # A part of the image tells places less apart: twice as many must be unlike.
-    cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
-    share = _share_beside(pack, extractor, query, found)
-    mistakable = is_mistakable(share, cells)
-    if not mistakable and query.heading_open:
-        where = "turned by a quarter or a half"
-        share = _share_turned(pack, extractor, found)
-        mistakable = is_mistakable(share, cells)
-    if not mistakable:
-        return None
+    cells = found.consensus.cells // (1 + found.candidate.thrifty)
     matches, inliers = found.consensus.matches, len(found.consensus.uv_view)
-    detail = f"{share:.0%} of what was seen is {where} too"
-    return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
+    for where, look in looks.items():
+        share = look()
+        if share > MAX_ALIKE and (1.0 - share) * cells < MIN_UNLIKE_CELLS:
+            detail = f"{share:.0%} of what was seen is {where} too"
+            return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
+    return None
 
 
 def _share_beside(

@@ -45,7 +45,7 @@ from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.consensus import SimilarityBounds, vote
 from vwnav.vision.features.learned import LOG10_PER_DECADE
 from vwnav.vision.matching import log10_nfa, match
-from vwnav.vision.query import QueryMaker, View
+from vwnav.vision.query import Query, View
 from vwnav.vision.registration import MIN_KEYPOINTS, MIN_MATCHES
 
 IMAGES = 90  # views, and as many pieces of map: each view is held against many of them
@@ -143,7 +143,6 @@ def _photos(folder: Path, name: str) -> list[Photo]:
 
 
 def _views(folder: Path, extractor: FeatureExtractor) -> list[tuple[str, View]]:
-    maker = QueryMaker(CAMERA, extractor, time.perf_counter)
     keypoints = LocalizerConfig().max_keypoints
     m_per_px = ground_resolution_m_per_px(ORIGIN_LAT_DEG, ZOOM)
     found: list[tuple[str, View]] = []
@@ -153,10 +152,11 @@ def _views(folder: Path, extractor: FeatureExtractor) -> list[tuple[str, View]]:
             continue
         roll_rad, pitch_rad, yaw_rad = cut.rpy_rad
         prior = Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
-        query = maker.query(Frame(0.0, cut.image, number), prior, number)
-        made = maker.rectify(query, yaw_rad, cut.agl_px * m_per_px, m_per_px)
+        frame = Frame(0.0, cut.image, number)
+        query = Query(CAMERA, extractor, frame, prior, number, time.perf_counter)
+        made = query.rectify(yaw_rad, cut.agl_px * m_per_px, m_per_px)
         if made is not None:
-            found.append((photo.place, maker.view(query, yaw_rad, made, keypoints)))
+            found.append((photo.place, query.view(yaw_rad, made, keypoints)))
         if len(found) == IMAGES:
             break
     return found

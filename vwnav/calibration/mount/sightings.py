@@ -18,7 +18,7 @@ from vwnav.types import Array, FeatureExtractor, Frame, MapFix, Prior
 from vwnav.vision.candidates import Acceptance, Candidate, Hypothesis, fine_level
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.localizer import Localizer
-from vwnav.vision.query import QueryMaker
+from vwnav.vision.query import Query
 from vwnav.vision.registration import REFINED, Registration, register
 
 TILT_OPEN_RAD = np.radians(8.0)  # of a mount that nobody measured
@@ -60,7 +60,6 @@ class Spotter:
         camera = camera.without_arm()  # sought are the camera's own places
         self._pack, self._extractor, self._camera = pack, extractor, camera
         self._localizer = Localizer(pack, extractor, camera, config)
-        self._maker = QueryMaker(camera, extractor, time.perf_counter)
         self._flight, self._history, self._offset_s = flight, history, offset_s
         self.frame = LocalFrame(*pack.middle, 0.0)
         self._last: MapFix | None = None
@@ -107,7 +106,7 @@ class Spotter:
         """The image on the map's sharpest level at the place that was found."""
         assert fix.yaw_rad is not None
         assert fix.agl_m is not None
-        query = self._maker.query(image, prior, image.index)
+        query = Query(self._camera, self._extractor, image, prior, image.index, time.perf_counter)
         level = fine_level(self._pack, query, fix.agl_m, self._config.max_view_area_px)
         candidate = Candidate(
             hypothesis=Hypothesis(float(wrap_pi(fix.yaw_rad)), fix.agl_m, REFINED),
@@ -117,12 +116,12 @@ class Spotter:
             radius_m=0.1 * fix.agl_m,
             max_keypoints=KEYPOINTS,
         )
-        made = self._maker.rectify(query, fix.yaw_rad, fix.agl_m, candidate.m_per_px)
+        made = query.rectify(fix.yaw_rad, fix.agl_m, candidate.m_per_px)
         if made is None:
             return None
         window = candidate.window(made)
         points = self._pack.features_in(level.zoom, *window, self._extractor)
-        view = self._maker.view(query, fix.yaw_rad, made, KEYPOINTS)
+        view = query.view(fix.yaw_rad, made, KEYPOINTS)
         accept = Acceptance(
             threshold_px=WIDE_PX,
             max_log10_nfa=KEEP_LOG10_NFA,

@@ -25,7 +25,7 @@ _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LEAST_COS_LEAN = 0.5
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
 LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
-_RATE_OVER_S = 0.04
+_TILTS_OVER_S = 0.04  # before an image, to tell how fast it tilted
 _FORGET_AT_ONCE = 1000  # samples
 
 
@@ -82,11 +82,6 @@ class GyroHistory:
         if zero is None or one is None or zero[0] != one[0]:
             return None
         return quat_multiply(quat_conjugate(zero[1]), one[1])
-
-    def rate_rad_s(self, t_s: float) -> float:
-        """How fast the body tilted about then; 0 where nothing tells."""
-        turn = self.between(t_s - _RATE_OVER_S, t_s)
-        return 0.0 if turn is None else 2.0 * math.hypot(*turn[1:3].tolist()) / _RATE_OVER_S
 
     def _append(self, t_s: float, series: int, turned: Array) -> None:
         self.newest_s = t_s
@@ -262,8 +257,10 @@ class AttitudeHistory:
         quat_wxyz = self.held(t_s).quat_wxyz
         forward, right, down = down_axis(quat_wxyz)
         lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
-        tilts_rad_s, told = self.gyro.rate_rad_s(t_s), self.at(t_s) is not None
-        return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, told)
+        turn = self.gyro.between(t_s - _TILTS_OVER_S, t_s)
+        turned = 0.0 if turn is None else math.hypot(*turn[1:3].tolist())
+        tilts_rad_s = 2.0 * turned / _TILTS_OVER_S
+        return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, told=self.at(t_s) is not None)
 
 
 def yaw_of(quat_wxyz: Array) -> float:

@@ -20,9 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.camera import to_gray
 from vwnav.geometry.rotations import rotation_from_vector
-from vwnav.types import Array, Gray
+from vwnav.types import Array
 
 _T, _PHI, _SLOPE, _BEND = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11)
 _SIZE = 11
@@ -316,23 +315,3 @@ def _told_slope(slope: Array, C: Array, prior: MotionPrior) -> tuple[Array, Arra
         return None
     told = np.linalg.solve(K, np.column_stack([slope - prior.slope_ne, C])).astype(np.float64)
     return prior.slope_ne + told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)
-
-
-def reduction(width_px: int, widest_px: int) -> int:
-    """The whole number by which images are shrunk so that they are at most `widest_px` wide."""
-    return max(1, math.ceil(width_px / widest_px))
-
-
-def reduced_gray(image: NDArray[np.uint8], factor: int) -> Gray:
-    """Gray image shrunk by a whole number; what does not fill a pixel at the end is cut off.
-
-    Args:
-        image: (h, w) gray or (h, w, 3) BGR.
-        factor: from `reduction`.
-    """
-    gray = image if image.ndim == 2 else to_gray(image)
-    if factor == 1:
-        return np.ascontiguousarray(gray, dtype=np.uint8)
-    height, width = gray.shape[0] // factor, gray.shape[1] // factor
-    cut = gray[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from vwnav.geometry.camera import Camera
+from vwnav.geometry.camera import Camera, to_gray
 from vwnav.geometry.rotations import (
     euler_from_rotation,
     quat_from_rotation,
@@ -22,6 +23,7 @@ from vwnav.types import (
     Array,
     Attitude,
     Frame,
+    Gray,
     MatchStats,
     OdometryMotion,
     Rejected,
@@ -36,8 +38,6 @@ from vwnav.vision.odometry.ground_motion import (
     Sightings,
     TiltSeen,
     fit_motion,
-    reduced_gray,
-    reduction,
     tilt_seen,
 )
 from vwnav.vision.odometry.views import Course, Keyframe, ReducedView, turned
@@ -68,7 +68,7 @@ class Odometry:
     def __init__(self, camera: Camera, config: OdometryConfig, alone: bool = False) -> None:
         self._config = config
         self._alone = alone
-        self._factor = reduction(camera.width_px, config.widest_px)
+        self._factor = max(1, math.ceil(camera.width_px / config.widest_px))
         self._full_wh = (camera.width_px, camera.height_px)
         width_px, height_px = (size // self._factor for size in self._full_wh)
         whole = replace(
@@ -169,7 +169,7 @@ class Odometry:
             return self._lost(frame.t_s, RejectReason.TOO_LOW, f"{height_m:.2f} m above ground")
         if not np.all(np.isfinite(R_ned_camera)) or R_ned_camera[2, 2] < _LEAST_COS_TILT:
             return self._lost(frame.t_s, RejectReason.TILTED, "the camera does not look down")
-        gray = reduced_gray(frame.image, self._factor)
+        gray = _reduced(frame.image, self._factor)
         contrast = float(cv2.meanStdDev(gray)[1][0, 0])
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
@@ -325,3 +325,13 @@ class Odometry:
 
 def _heading(R_ned_camera: Array, camera: Camera) -> float:
     return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
+
+
+def _reduced(image: NDArray[np.uint8], factor: int) -> Gray:
+    """Gray, and shrunk by a whole number; what does not fill a pixel at the end is cut off."""
+    gray = image if image.ndim == 2 else to_gray(image)
+    if factor == 1:
+        return np.ascontiguousarray(gray, dtype=np.uint8)
+    height, width = gray.shape[0] // factor, gray.shape[1] // factor
+    cut = gray[: height * factor, : width * factor]
+    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
