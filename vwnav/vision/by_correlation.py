@@ -7,6 +7,7 @@ and rows a dozen matches agree on another of them: there the edges contradict.
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from vwnav.geometry.geodesy import (
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.image import MapReader
 from vwnav.types import MapFix
-from vwnav.vision.candidates import MAX_RIVALRY, Acceptance, Candidate
+from vwnav.vision.candidates import MAX_RIVALRY, Acceptance, Candidate, Hypothesis
 from vwnav.vision.correlation import RING_PX, Peak, best_shift, decades_of_shift
 from vwnav.vision.query import Query
 
@@ -47,40 +48,65 @@ class Correlated:
     nadir_lat_lon: tuple[float, float]
     decades: float
 
+    def stands_out(self, min_decades: float) -> bool:
+        """Whether unrelated images hardly correlate so well, and no other shift nearly does."""
+        alone = self.peak.rival_sigmas <= MAX_RIVALRY * self.peak.sigmas
+        return alone and self.decades >= min_decades
+
+    def is_at(self, lat_lon: tuple[float, float]) -> bool:
+        """Whether it is this place, degrees, that it shows."""
+        apart_m = horizontal_distance_m(*lat_lon, *self.nadir_lat_lon)
+        return apart_m <= RING_PX[0] * self.view.m_per_px
+
     def contradicts(self, lat_lon: tuple[float, float], sigmas: float) -> bool:
         """Whether it speaks for another place than one that correlates by so many deviations.
 
         It is turned and scaled as the prior has it, which what was found need not be: so it may
         correlate somewhat less.
         """
-        apart_m = horizontal_distance_m(*lat_lon, *self.nadir_lat_lon)
         strong = self.decades >= CONTRADICTS_DECADES and self.peak.sigmas > MAX_RIVALRY * sigmas
-        return strong and apart_m > RING_PX[0] * self.view.m_per_px
+        return strong and not self.is_at(lat_lon)
 
 
-def best_correlated(pack: MapReader, query: Query, candidate: Candidate) -> Correlated | None:
-    """Look for a view within a radius of the prior's place; None where that cannot be.
+class Edges:
+    """What a view's edges say of the places that a candidate leaves open; made when asked for.
 
-    Headings that the prior leaves open are tried. Each is a test more, but none is measured: the
-    best one is only good to a step.
-
-    Args:
-        pack: the map.
-        query: with a prior that holds place and tilt; else None comes back.
-        candidate: place, radius, level, heading and height; no other height is tried.
+    A coarse candidate leaves open too much.
     """
-    if candidate.coarse or not query.attitude_known:
-        return None
-    open_steps = math.floor(YAW_SIGMAS * query.prior.sigma_yaw_rad / YAW_STEP_RAD + 0.5)
-    steps = min(open_steps, MAX_YAW_STEPS)
-    yaw_rad = candidate.hypothesis.yaw_rad
-    yaws_rad = [wrap_pi(yaw_rad + i * YAW_STEP_RAD) for i in range(-steps, steps + 1)]
-    looks = [_correlate(pack, query, candidate, each) for each in yaws_rad]
-    found = [look for look in looks if look is not None]
-    if not found:
-        return None
-    best = max(found, key=lambda look: look.peak.sigmas)
-    return replace(best, decades=best.decades - math.log10(len(yaws_rad)))
+
+    def __init__(self, pack: MapReader, query: Query, candidate: Candidate) -> None:
+        """Hold a query, with a prior of place and tilt, against a candidate's part of a map."""
+        self._pack, self._query, self._candidate = pack, query, candidate
+
+    @cached_property
+    def best(self) -> Correlated | None:
+        """The best look at the candidate's height; None where nothing can be compared.
+
+        Headings that the prior leaves open are tried. Each is a test more, but none is measured:
+        the best one is only good to a step.
+        """
+        open_steps = YAW_SIGMAS * self._query.prior.sigma_yaw_rad / YAW_STEP_RAD
+        steps = min(math.floor(open_steps + 0.5), MAX_YAW_STEPS)
+        assumed = self._candidate.hypothesis
+        yaws_rad = [wrap_pi(assumed.yaw_rad + i * YAW_STEP_RAD) for i in range(-steps, steps + 1)]
+        looks = [self._look(replace(assumed, yaw_rad=each)) for each in yaws_rad]
+        found = [look for look in looks if look is not None]
+        if not found:
+            return None
+        best = max(found, key=lambda look: look.peak.sigmas)
+        return replace(best, decades=best.decades - math.log10(len(yaws_rad)))
+
+    def single_out(
+        self, hypothesis: Hypothesis, lat_lon: tuple[float, float], min_decades: float
+    ) -> bool:
+        """Whether they tell a place (degrees) apart, the view turned and scaled as was found."""
+        seen = self._look(hypothesis)
+        return seen is not None and seen.stands_out(min_decades) and seen.is_at(lat_lon)
+
+    def _look(self, hypothesis: Hypothesis) -> Correlated | None:
+        if self._candidate.coarse or not self._query.attitude_known:
+            return None
+        return _correlate(self._pack, self._query, replace(self._candidate, hypothesis=hypothesis))
 
 
 def fix_by_correlation(
@@ -96,19 +122,16 @@ def fix_by_correlation(
         accept: holds the errors behind a position.
         min_decades: unrelated images may pass once in ten to this power.
     """
-    if look is None or look.decades < min_decades:
-        return None
-    if look.peak.rival_sigmas > MAX_RIVALRY * look.peak.sigmas:
+    if look is None or not look.stands_out(min_decades):
         return None
     return _fix(query, look, accept)
 
 
-def _correlate(
-    pack: MapReader, query: Query, candidate: Candidate, yaw_rad: float
-) -> Correlated | None:
-    """The best shift with one heading; None where there is too little to compare."""
+def _correlate(pack: MapReader, query: Query, candidate: Candidate) -> Correlated | None:
+    """The best shift within a candidate's radius; None where there is too little to compare."""
     lat_deg, lon_deg, zoom = candidate.lat_deg, candidate.lon_deg, candidate.level.zoom
-    view = query.rectify(yaw_rad, candidate.hypothesis.agl_m, candidate.m_per_px)
+    hypothesis = candidate.hypothesis
+    view = query.rectify(hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
     if view is None:
         return None
     reach_px = math.ceil(candidate.radius_m / view.m_per_px)

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from vwnav.types import (
     RejectReason,
     WeakFix,
 )
-from vwnav.vision.by_correlation import Correlated, best_correlated, fix_by_correlation
+from vwnav.vision.by_correlation import Edges, fix_by_correlation
 from vwnav.vision.candidates import (
     MIN_VIEW_PX,
     PRIOR_SIGMAS,
@@ -138,7 +138,7 @@ class Localizer:
         refusal: Rejected | None = None
         coarse: list[Registration] = []
         first = candidates[int(candidates[0].thrifty)]  # of the whole image
-        look = cache(partial(best_correlated, self._pack, query, first))
+        edges = Edges(self._pack, query, first)
         for made, candidate in enumerate(candidates):
             if self._given_up.is_set():
                 self._reached = begun + made
@@ -150,7 +150,7 @@ class Localizer:
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):
-                outcome = self._weighed(query, self._verified(query, look, found))
+                outcome = self._weighed(query, self._verified(query, edges, found))
                 if isinstance(outcome, MapFix):
                     return outcome
                 if outcome.reason in SETTLED and not candidate.thrifty:
@@ -162,10 +162,10 @@ class Localizer:
             if found.reason in HOPELESS and not candidate.coarse:
                 return refusal
         if candidates[0].coarse:
-            best = best_of(query, coarse, len(candidates), partial(self._verified, query, look))
+            best = best_of(query, coarse, len(candidates), partial(self._verified, query, edges))
             return self._weighed(query, best)
         accept, decades = self._acceptance(first), self._config.min_decades
-        fix = fix_by_correlation(query, look(), accept, decades)
+        fix = fix_by_correlation(query, edges.best, accept, decades)
         refusal = refusal or query.rejected(RejectReason.NO_MAP, "no place to look at")
         return self._weighed(query, fix or refusal)
 
@@ -271,9 +271,7 @@ class Localizer:
             return again
         return found
 
-    def _verified(
-        self, query: Query, look: Callable[[], Correlated | None], found: Registration
-    ) -> Registration | Rejected:
+    def _verified(self, query: Query, edges: Edges, found: Registration) -> Registration | Rejected:
         """Refine and weigh a registration; where matches do not convince, images must correlate.
 
         A coarse one is not believed: what the sharpest level does not show again is not there.
@@ -294,10 +292,13 @@ class Localizer:
             return may_be_chance(query, consensus)
         agl_m, told_m = found.candidate.hypothesis.agl_m * found.pose.scale_ratio, query.prior.agl_m
         rescaled = abs(math.log(agl_m / (told_m or agl_m))) > math.log(MAX_RESCALE)
-        if (rescaled or decades < SURE_DECADES) and self._contradicted(query, look, found):
+        if (rescaled or decades < SURE_DECADES) and self._contradicted(query, edges, found):
             return may_be_chance(query, consensus, "on a place that the edges contradict")
         with query.stage("verify_ms"):
             refusal = ambiguous(self._pack, self._extractor, query, found)
+        # A dozen landmarks hardly alike, as of another season, have their like beside by chance.
+        if refusal is not None and not query.heading_open and self._singled_out(edges, found):
+            refusal = None
         if not chance:
             return refusal or found
         if refusal is None:
@@ -305,19 +306,21 @@ class Localizer:
             query.weak.append(WeakFix(fix_of(query, found), decades, needed, seen_m))
         return may_be_chance(query, consensus)
 
-    def _contradicted(
-        self, query: Query, look: Callable[[], Correlated | None], found: Registration
-    ) -> bool:
+    def _contradicted(self, query: Query, edges: Edges, found: Registration) -> bool:
         """Whether matches agree on one place, and edges on another.
 
         Ground that repeats (slabs, rows of vines) has features that agree on the wrong one of them,
         mostly at another height than the prior's.
         """
-        if (seen := look()) is None:
+        if (seen := edges.best) is None:
             return False
         nadir = found.lat_lon_of_view(found.view.rectification.nadir_uv)
         with query.stage("verify_ms"):
             return seen.contradicts(nadir, found.correlation_sigmas(self._pack, query))
+
+    def _singled_out(self, edges: Edges, found: Registration) -> bool:
+        nadir = found.lat_lon_of_view(found.view.rectification.nadir_uv)
+        return edges.single_out(found.hypothesis, nadir, self._config.min_decades)
 
     def _weak(self, query: Query, prior: Prior) -> tuple[WeakFix, ...]:
         """What was kept that is certain and near enough to be a fix, if more spoke for it."""

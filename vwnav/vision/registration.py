@@ -322,17 +322,16 @@ def _share_beside(
 
     Without a place in the prior that is some views around.
     """
-    reach_m = PRIOR_SIGMAS * query.prior.sigma_m
-    if query.prior.lat_deg is not None and found.candidate.radius_m >= reach_m:
-        # What was searched is all that the prior leaves open.
-        return share_alike(found.landmarks, found.likeness, found.piece.features)
+    reach_m, within_px = PRIOR_SIGMAS * query.prior.sigma_m, math.inf
+    if query.prior.lat_deg is not None:
+        within_px = 2.0 * reach_m / found.view.rectification.m_per_px
+        if found.candidate.radius_m >= reach_m:  # what was searched is all that it leaves open
+            around = found.piece.features
+            return share_alike(found.landmarks, found.likeness, around, within_px)
     window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
     around = pack.features_in(found.candidate.level.zoom, *window, extractor)
     moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
     landmarks = replace(found.landmarks, uv=moved)
-    within_px = math.inf
-    if query.prior.lat_deg is not None:
-        within_px = 2.0 * reach_m / found.view.rectification.m_per_px
     return share_alike(landmarks, found.likeness, around.features, within_px)
 
 
