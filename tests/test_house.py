@@ -9,15 +9,15 @@ from tests.house import measure
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.
 BOUNDS = {
     "step_files": 25,
-    "step_functions": 201,
-    "step_crossings": 170,
+    "step_functions": 194,
+    "step_crossings": 167,
     "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,
     "circles": 0,
     "doubled_classes": 0,
-    "function_median": 8,
-    "function_p90": 21,
+    "function_median": 7,
+    "function_p90": 20,
 }
 
 
