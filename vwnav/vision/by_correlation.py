@@ -68,15 +68,19 @@ class Correlated:
         return strong and not self.is_at(lat_lon)
 
 
+@dataclass(eq=False)
 class Edges:
     """What a view's edges say of the places that a candidate leaves open; made when asked for.
 
-    A coarse candidate leaves open too much.
+    Attributes:
+        pack: the map.
+        query: with a prior of place and tilt, else they say nothing.
+        candidate: place, radius, level, heading and height; a coarse one leaves open too much.
     """
 
-    def __init__(self, pack: MapReader, query: Query, candidate: Candidate) -> None:
-        """Hold a query, with a prior of place and tilt, against a candidate's part of a map."""
-        self._pack, self._query, self._candidate = pack, query, candidate
+    pack: MapReader
+    query: Query
+    candidate: Candidate
 
     @cached_property
     def best(self) -> Correlated | None:
@@ -85,9 +89,9 @@ class Edges:
         Headings that the prior leaves open are tried. Each is a test more, but none is measured:
         the best one is only good to a step.
         """
-        open_steps = YAW_SIGMAS * self._query.prior.sigma_yaw_rad / YAW_STEP_RAD
+        open_steps = YAW_SIGMAS * self.query.prior.sigma_yaw_rad / YAW_STEP_RAD
         steps = min(math.floor(open_steps + 0.5), MAX_YAW_STEPS)
-        assumed = self._candidate.hypothesis
+        assumed = self.candidate.hypothesis
         yaws_rad = [wrap_pi(assumed.yaw_rad + i * YAW_STEP_RAD) for i in range(-steps, steps + 1)]
         looks = [self._look(replace(assumed, yaw_rad=each)) for each in yaws_rad]
         found = [look for look in looks if look is not None]
@@ -104,9 +108,9 @@ class Edges:
         return seen is not None and seen.stands_out(min_decades) and seen.is_at(lat_lon)
 
     def _look(self, hypothesis: Hypothesis) -> Correlated | None:
-        if self._candidate.coarse or not self._query.attitude_known:
+        if self.candidate.coarse or not self.query.attitude_known:
             return None
-        return _correlate(self._pack, self._query, replace(self._candidate, hypothesis=hypothesis))
+        return _correlate(self.pack, self.query, replace(self.candidate, hypothesis=hypothesis))
 
 
 def fix_by_correlation(
