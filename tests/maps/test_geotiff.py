@@ -213,6 +213,46 @@ def test_heights_are_multiplied_and_moved_as_their_band_says(tmp_path: Path):
     assert set(heights_around(path).ravel()) == {350.0}
 
 
+FEET_CRS = "EPSG:32643+6360"  # UTM, and NAVD88 height in US survey feet
+
+
+@pytest.mark.parametrize(
+    ("unit", "crs", "height_m"),
+    [
+        ("m", "EPSG:32643", 1000.0),
+        ("metre", FEET_CRS, 1000.0),  # the band speaks of its own values
+        ("ft", "EPSG:32643", 304.8),
+        ("foot", "EPSG:32643", 304.8),
+        ("US survey foot", "EPSG:32643", 304.8006),
+        (None, FEET_CRS, 304.8006),
+        (None, "EPSG:32643+5703", 1000.0),  # NAVD88 height in metres
+        ("cm", "EPSG:32643", 10.0),
+    ],
+)
+def test_heights_are_of_the_unit_that_band_or_vertical_system_names(
+    tmp_path: Path, unit: str | None, crs: str, height_m: float
+):
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), 1000.0, np.float32), crs=crs)
+    if unit is not None:
+        with rasterio.open(path, "r+") as dem:
+            dem.units = (unit,)
+    assert heights_around(path).ravel() == pytest.approx(height_m, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("unit", "crs"),
+    [("furlong", "EPSG:32643"), ("dB", "EPSG:32643"), (None, "EPSG:32643+6357")],  # a depth
+)
+def test_what_is_no_height_in_a_known_unit_is_one_line(tmp_path: Path, unit: str | None, crs: str):
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), 100.0, np.float32), crs=crs)
+    if unit is not None:
+        with rasterio.open(path, "r+") as dem:
+            dem.units = (unit,)
+    with pytest.raises(MapError, match=r"dem\.tif: .*(furlong|dB|depth)") as caught:
+        heights_around(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_nothing_but_voids_is_refused(tmp_path: Path):
     path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), -9999, np.int16))
     with pytest.raises(MapError, match="no heights under the map"):

@@ -55,9 +55,7 @@ def build(
     crs: Annotated[
         str | None, typer.Option(help="Of rasters that name none, such as EPSG:32643.")
     ] = None,
-    heights: Annotated[
-        Path | None, typer.Option(help="Elevation raster, metres above sea level.")
-    ] = None,
+    heights: Annotated[Path | None, typer.Option(help="Elevation raster, above sea level.")] = None,
     model: Annotated[
         Path | None, typer.Option(help="Learned features of another size (nano) or ONNX file.")
     ] = None,
