@@ -82,6 +82,21 @@ class Route:
             )
         return surveyed_m
 
+    def lat_lon_deg(self) -> Array:
+        """The waypoints (n, 2) in degrees, wherever home is.
+
+        Raises:
+            RouteError: they count in metres from there.
+        """
+        places = [
+            (each.lat_deg, each.lon_deg)
+            for each in self.waypoints
+            if isinstance(each, GlobalWaypoint)
+        ]
+        if len(places) < len(self.waypoints):
+            raise RouteError("counts in metres from home; say where with --home LAT,LON")
+        return np.array(places)
+
     def to_ned(
         self, frame: LocalFrame, default_height_m: float, home_amsl_m: float | None
     ) -> Array:
