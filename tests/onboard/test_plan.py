@@ -133,3 +133,12 @@ def test_altitudes_above_sea_level_are_flown_there_from_another_home(packs, tmp_
     assert -planned(packs[1], route).route_ned_m[0, 2] == pytest.approx(50.0)
     with pytest.raises(RouteError, match="the ground at home is not known"):
         planned(packs[1], route, home=valley)
+
+
+def test_doctor_lets_a_route_pass_that_counts_from_a_home_it_cannot_be_told(packs, tmp_path):
+    route = tmp_path / "r.txt"
+    route.write_text("1,40,0,30\n2,60,0,30\n")
+    told = _map(packs[0], load_route(route))
+    assert told.verdict == "WARN"
+    assert "vwnav map check" in told.detail
+    assert "--home LAT,LON" in told.detail

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
 CAMERA_FPS = 8.0
+_HOME_UNTOLD = (
+    "whether it covers the route is not known, which counts in metres from home: "
+    "`vwnav map check PACK --route FILE --home LAT,LON` tells"
+)
 # MAVSDK asks nobody whether a port is free, and two who read one take it from each other.
 _LINK_TAKEN = "a watchdog has that link: end its vwnav first, which flies or gets ready to"
 
@@ -108,6 +112,8 @@ def _map(path: Path, route: "Route | None") -> Check:
         detail = f"{pack.name}: {len(pack.levels)} levels from {finest:.2f} m/px, {sets}"
         if route is None:
             return Check("map", "PASS", detail)
+        if route.about_home and route.home is None:
+            return Check("map", "WARN", f"{detail}; {_HOME_UNTOLD}")
         found = route_on_map(pack, route, route.home)
     each = (found.coverage, found.clearance)
     told = (detail, *(one.summary() for one in each), found.returns)

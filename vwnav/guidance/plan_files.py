@@ -54,6 +54,11 @@ class Route:
     home: tuple[float, float] | None
     home_amsl_m: float | None = None
 
+    @property
+    def about_home(self) -> bool:
+        """Its waypoints count in metres from home."""
+        return isinstance(self.waypoints[0], LocalWaypoint)
+
     def ground_amsl_m(
         self, home: tuple[float, float] | None, surveyed_m: float | None
     ) -> float | None:
@@ -88,14 +93,10 @@ class Route:
         Raises:
             RouteError: they count in metres from there.
         """
-        places = [
-            (each.lat_deg, each.lon_deg)
-            for each in self.waypoints
-            if isinstance(each, GlobalWaypoint)
-        ]
-        if len(places) < len(self.waypoints):
+        if self.about_home:
             raise RouteError("counts in metres from home; say where with --home LAT,LON")
-        return np.array(places)
+        places = (each for each in self.waypoints if isinstance(each, GlobalWaypoint))
+        return np.array([(each.lat_deg, each.lon_deg) for each in places])
 
     def to_ned(
         self, frame: LocalFrame, default_height_m: float, home_amsl_m: float | None

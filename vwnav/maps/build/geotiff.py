@@ -19,7 +19,7 @@ from vwnav.geometry.geodesy import Window
 from vwnav.maps.build.collar import Collar, find_collar
 from vwnav.maps.build.coordinates import WGS84, height_unit_m, transformed, wkt
 from vwnav.maps.build.raster import Bounds, Georeference
-from vwnav.maps.heights import HeightGrid
+from vwnav.maps.heights import MAX_SIDE, HeightGrid
 from vwnav.maps.image import MapImage, Mask
 from vwnav.types import Array
 
@@ -28,7 +28,6 @@ _CACHE_MB = 256  # GDAL would take a twentieth of the memory
 _STRETCH_PERCENT = (1.0, 99.0)
 _STRETCH_SAMPLE_PX = 1024
 _HEIGHT_STEP_M = 10.0
-_HEIGHT_MAX_SIDE = 1024
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0  # the shore of the Dead Sea, Mount Everest, and some more
 
 
@@ -168,7 +167,7 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     """
     south, west, north, east = bounds
     rows, columns = (
-        int(np.clip(span * 111_000.0 / _HEIGHT_STEP_M, 2, _HEIGHT_MAX_SIDE))
+        int(np.clip(span * 111_000.0 / _HEIGHT_STEP_M, 2, MAX_SIDE))
         for span in (north - south, (east - west) * np.cos(np.radians(north)))
     )
     lat, lon = np.meshgrid(
