@@ -28,7 +28,7 @@ import vwnav
 from export import parity
 from models.extractor import Extractor
 from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
-from vwnav.files.whole import write_whole
+from training.whole import write_whole
 
 OPSET = 18
 

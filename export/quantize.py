@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python 
 
 from export.export_onnx import ExportError, check_folders
 from export.images import Image, read_grey, training_images
-from vwnav.files.whole import write_whole
+from training.whole import write_whole
 
 IMAGES = 48
 IMAGE_PX = 320  # the calibration keeps the activations of all images in memory

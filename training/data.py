@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from training import warps
 from training.landmarks import landmarks, register
 from training.warps import FloatArray, Image
-from vwnav.files.whole import write_whole
+from training.whole import write_whole
 
 ROOT = Path(__file__).resolve().parents[1]
 WEAK_PAIRS = "pairs_weak.json"

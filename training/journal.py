@@ -11,7 +11,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from training.config import TrainConfig
 from training.validate import MatchScore
-from vwnav.files.whole import write_whole
+from training.whole import write_whole
 
 LOSSES = (
     "total",
