@@ -13,7 +13,7 @@ The graph is compared with PyTorch first; if they differ, nothing is written.
 
 import argparse
 import hashlib
-import os
+import io
 import sys
 from pathlib import Path
 
@@ -28,6 +28,7 @@ import vwnav
 from export import parity
 from models.extractor import Extractor
 from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
+from training.whole import write_whole
 
 OPSET = 18
 
@@ -55,10 +56,8 @@ def load_network(checkpoint: Path) -> FeatureNetwork:
             f"no checkpoint at {checkpoint}; train one with `python training/train.py`"
         ) from error
     except Exception as error:  # torch.load raises whatever a damaged file makes it stumble over
-        reason = str(error).splitlines()[0]
-        raise ExportError(
-            f"{checkpoint} is not a whole vwnav checkpoint ({type(error).__name__}: {reason})"
-        ) from error
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise ExportError(f"{checkpoint} is not a whole vwnav checkpoint ({reason})") from error
     if not all(torch.isfinite(p).all() for p in network.state_dict().values()):
         raise ExportError(
             f"{checkpoint} holds weights that are not finite; the training has diverged"
@@ -150,24 +149,34 @@ def export(checkpoint: Path, output: Path) -> str:
 
     Raises:
         ExportError: Nothing was written.
+        OSError: It cannot be.
     """
     network = load_network(checkpoint)
     model = to_onnx(network)
     check(model, network)
-    partial = output.with_suffix(".partial")
-    partial.write_bytes(model.SerializeToString())
-    os.replace(partial, output)
+    write_whole(output, model.SerializeToString())
     return feature_set_id(network)
 
 
 def slim_checkpoint(checkpoint: Path, output: Path) -> None:
     """Keep of a checkpoint what `train.py --init` needs: the averaged weights, and their recipe."""
     whole = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    state = {name: whole[name] for name in ("config", "step", "average")}
+    state = {name: whole[name] for name in ("config", "step", "average") if name in whole}
     state["config"] |= {"data": "", "init": ""}
-    partial = output.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, output)
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_whole(output, buffer.getvalue())
+
+
+def check_folders(*outputs: Path | None) -> None:
+    """Say at once, not after minutes of work, that a file cannot be written.
+
+    Raises:
+        ExportError: its folder is not there, or it is one itself.
+    """
+    for output in outputs:
+        if output is not None and (output.is_dir() or not output.parent.is_dir()):
+            raise ExportError(f"{output} is a folder, or its own is not there")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -185,10 +194,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     given = parser.parse_args(arguments)
     try:
+        check_folders(given.output, given.release)
         identity = export(given.checkpoint, given.output)
         if given.release:
             slim_checkpoint(given.checkpoint, given.release)
-    except ExportError as error:
+    except (ExportError, OSError) as error:
         print(f"export: {error}", file=sys.stderr)
         return 1
     print(f"wrote {given.output}: {identity}, {given.output.stat().st_size / 1e6:.2f} MB")

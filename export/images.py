@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 def training_images(data: str, count: int) -> list[Path]:
     """At most `count` images of `train/`, from all of its sources in turn; none without data."""
     folder = data_folder(data)
-    if folder is None:
+    if folder is None or count < 1:
         return []
     sources = sorted(p for p in (folder / "train").glob("*/*") if p.is_dir())
     lists = [_of_source(source) for source in sources]

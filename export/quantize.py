@@ -12,7 +12,6 @@ it says. All that comes after the network stays float.
 
 import argparse
 import logging
-import os
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -31,8 +30,9 @@ from onnxruntime.quantization import (
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python export/...` works
 
-from export.export_onnx import ExportError
+from export.export_onnx import ExportError, check_folders
 from export.images import Image, read_grey, training_images
+from training.whole import write_whole
 
 IMAGES = 48
 IMAGE_PX = 320  # the calibration keeps the activations of all images in memory
@@ -143,15 +143,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--pictures", type=int, default=IMAGES, help="to calibrate with")
     given = parser.parse_args(arguments)
     try:
+        check_folders(given.output)
         paths = training_images(given.data, given.pictures)
         images = [read_grey(path, IMAGE_PX) for path in paths]
         quantised = quantise(load_model(given.model), images)
-    except ExportError as error:
+        write_whole(given.output, quantised.SerializeToString())
+    except (ExportError, OSError) as error:
         print(f"quantize: {error}", file=sys.stderr)
         return 1
-    partial = given.output.with_suffix(".partial")
-    partial.write_bytes(quantised.SerializeToString())
-    os.replace(partial, given.output)
     size_mb = given.output.stat().st_size / 1e6
     print(f"wrote {given.output}: calibrated on {len(images)} pictures, {size_mb:.2f} MB")
     return 0

@@ -119,6 +119,8 @@ def load_checkpoint(path: str | Path, device: torch.device | str = "cpu") -> dic
     """
     try:
         state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+        if "network" not in state["config"] or not state["average"]:
+            raise ValueError("it holds no network")
     except FileNotFoundError:
         raise SystemExit(f"no checkpoint at {path}: give the last.pt of a run") from None
     except Exception as error:  # torch raises whatever a damaged file makes it stumble over

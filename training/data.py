@@ -3,10 +3,12 @@
 Everything is decoded once. Training reads `train/` of the data folder and generated pairs only.
 """
 
+import io
 import json
 import os
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from training import warps
 from training.landmarks import landmarks, register
 from training.warps import FloatArray, Image
+from training.whole import write_whole
 
 ROOT = Path(__file__).resolve().parents[1]
 WEAK_PAIRS = "pairs_weak.json"
@@ -83,6 +86,15 @@ def data_folder(given: str = "") -> Path | None:
     """Where the data are: the argument, else VWNAV_DATA, else ../shared/data; None if absent."""
     path = Path(given or os.environ.get("VWNAV_DATA", "") or ROOT.parent / "shared" / "data")
     return path if (path / "train").is_dir() else None
+
+
+@contextmanager
+def one_line() -> Iterator[None]:
+    """What cannot be read or written ends a program with one line instead of a traceback."""
+    try:
+        yield
+    except OSError as error:
+        raise SystemExit(str(error)) from error
 
 
 def read(path: Path) -> Image:
@@ -152,10 +164,22 @@ def place_of(entry: dict[str, Any]) -> str:
             return f"{source} {stem.removesuffix('_a')}"
 
 
+def listed(path: Path) -> list[dict[str, Any]]:
+    """The entries of a listing; none where there is no such file.
+
+    Raises:
+        SystemExit: it is damaged; one line says so.
+    """
+    try:
+        entries: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
+    except ValueError as error:
+        raise SystemExit(f"{path} is not a whole listing of pairs ({error})") from error
+    return entries
+
+
 def real_pairs(folder: Path, split: str = "train", listing: str = "pairs.json") -> Iterator[Scene]:
     """Pairs of two dates or two sensors, from one split of a listing of the data folder."""
-    path = folder / listing
-    entries = json.loads(path.read_text()) if path.exists() else []
+    entries = listed(folder / listing)
     pairs_of = Counter(place_of(entry) for entry in entries)
     for entry in entries:
         H_b_a = registration(entry)
@@ -203,7 +227,7 @@ def single_images(folder: Path, group: str) -> Iterator[Scene]:
 
 def series(folder: Path) -> Iterator[Scene]:
     """Many dates of one place."""
-    for place in sorted((folder / "train" / "series").iterdir()):
+    for place in sorted((folder / "train" / "series").glob("*/")):
         images = [
             read(path) for path in sorted(place.iterdir()) if path.suffix.lower() in IMAGE_SUFFIXES
         ]
@@ -238,11 +262,9 @@ def overlapping(frames: list[Scene]) -> Iterator[Scene]:
 
 def save_registration(folder: Path, pair: Scene, offsets: NDArray[np.float32]) -> None:
     """Leave what `training/register.py` found of a pair, whole or not at all."""
-    path = folder / f"{pair.name}.npz"
-    partial = path.with_suffix(".partial")
-    with partial.open("wb") as file:
-        np.savez_compressed(file, offsets=offsets.astype(np.float16))
-    os.replace(partial, path)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, offsets=offsets.astype(np.float16))
+    write_whole(folder / f"{pair.name}.npz", buffer.getvalue())
 
 
 def registered(pair: Scene, folder: Path) -> Scene:

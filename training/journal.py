@@ -1,7 +1,7 @@
 """What a run leaves behind: time spent, log.csv, TensorBoard, lines on the screen, checkpoints."""
 
 import csv
-import os
+import io
 import time
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from training.config import TrainConfig
 from training.validate import MatchScore
+from training.whole import write_whole
 
 LOSSES = (
     "total",
@@ -124,9 +125,9 @@ class Every:
 
 def save_checkpoint(path: Path, **state: Any) -> Path:
     """Write a checkpoint whole or not at all."""
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_whole(path, buffer.getvalue())
     return path
 
 

@@ -31,6 +31,7 @@ from training.data import (
     Terms,
     data_folder,
     has_terms,
+    one_line,
     overlapping,
     real_pairs,
     save_registration,
@@ -137,11 +138,12 @@ def pairs_to_register(folder: Path, terms: Terms = "all") -> Iterator[Scene]:
     yield from overlapping(frames)
 
 
+@one_line()
 def main(arguments: list[str] | None = None) -> None:
     """Register every pair and leave one file for each.
 
     Raises:
-        SystemExit: no data, no model, or nowhere to write; one line says so.
+        SystemExit: no data, no pairs, no model, or nowhere to write; one line says so.
     """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -162,11 +164,12 @@ def main(arguments: list[str] | None = None) -> None:
     if folder is None:
         raise SystemExit("no data folder: give --data, or set VWNAV_DATA")
     extract = learned(read_network(str(given.weights), torch.device("cpu")), ALL)
-    try:
-        given.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SystemExit(str(error)) from error
-    for pair in pairs_to_register(folder, given.terms):
+    given.out.mkdir(parents=True, exist_ok=True)
+    pairs = pairs_to_register(folder, given.terms)
+    first = next(pairs, None)
+    if first is None:
+        raise SystemExit(f"{folder} holds no pairs of such terms: nothing is registered")
+    for pair in itertools.chain([first], pairs):
         offsets = register_again(pair, extract)
         if offsets is None:
             print(f"{pair.name}: too few matches that agree; the label stays")

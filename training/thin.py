@@ -12,6 +12,7 @@ minutes of training bring back. Layers of another shape than before start anew.
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -28,7 +29,7 @@ from models.network import (
     NetworkConfig,
 )
 from training.config import load_checkpoint
-from training.data import IMAGE_SUFFIXES, data_folder
+from training.data import IMAGE_SUFFIXES, data_folder, one_line
 from training.journal import save_checkpoint
 from training.train import start_from
 
@@ -123,7 +124,7 @@ def training_images(folder: Path) -> list[Tensor]:
     """Images of the training set, evenly over its single and drone images."""
     paths = sorted(p for kind in ("single", "drone") for p in (folder / "train" / kind).glob("*/*"))
     paths = [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES]
-    chosen = [paths[i] for i in np.linspace(0, len(paths) - 1, IMAGES).astype(int)]
+    chosen = [paths[i] for i in np.linspace(0, len(paths) - 1, IMAGES).astype(int) if paths]
     read = (cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in chosen)
     images = [image[:SIDE_PX, :SIDE_PX] for image in read if image is not None]
     whole = [p[: p.shape[0] // SIZE_MULTIPLE_PX * SIZE_MULTIPLE_PX] for p in images]
@@ -131,11 +132,12 @@ def training_images(folder: Path) -> list[Tensor]:
     return [torch.from_numpy(p.astype(np.float32))[None, None] for p in whole if p.size]
 
 
+@one_line()
 def main(arguments: list[str] | None = None) -> None:
     """Read weights, make them thin, write weights to start from.
 
     Raises:
-        SystemExit: no data or no weights; one line says so.
+        SystemExit: no data, no weights, those of another size; one line says so.
     """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -152,7 +154,12 @@ def main(arguments: list[str] | None = None) -> None:
     whole = FeatureNetwork(NetworkConfig(**saved["config"]["network"]))
     start_from(whole, str(given.weights))
     config = NETWORK_SIZES[given.size]
-    thin = thinned(whole, config, training_images(folder))
+    if whole.config != replace(config, name=whole.config.name, stem_rank=0, rank=0, coarse_rank=0):
+        raise SystemExit(f"{given.weights}: no whole convolutions of the size {given.size}")
+    images = training_images(folder)
+    if not images:
+        raise SystemExit(f"no readable pictures in {folder / 'train'}")
+    thin = thinned(whole, config, images)
     fields = {name: getattr(config, name) for name in config.__dataclass_fields__}
     given.out.parent.mkdir(parents=True, exist_ok=True)
     save_checkpoint(

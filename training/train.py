@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 from models.network import FeatureNetwork, NetworkConfig
 from training import validate
 from training.config import TrainConfig, load_checkpoint, parse
-from training.data import ROOT, Scene, data_folder, load_scenes
+from training.data import ROOT, Scene, data_folder, load_scenes, one_line
 from training.journal import Every, Journal, StopWatch, progress_of, save_checkpoint
 from training.objective import compute_losses
 from training.photometric import batch_augmentation
@@ -86,19 +86,20 @@ def main(
     torch.manual_seed(config.seed + team.rank)
     device = team.device
     out = ROOT / config.out
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "config.json").write_text(json.dumps(asdict(config), indent=2))
 
     # images, and what SIFT makes of the kept-aside ones
     started = time.monotonic()
-    training, kept = scenes or load_scenes(
-        data_folder(config.data),
-        ROOT / config.sites,
-        ROOT / config.registered,
-        config.terms,
-    )
-    if not training:
-        raise SystemExit("no training pictures: give --data, or generate pairs (docs/training.md)")
+    with one_line():
+        training, kept = scenes or load_scenes(
+            data_folder(config.data),
+            ROOT / config.sites,
+            ROOT / config.registered,
+            config.terms,
+        )
+        if not training:
+            raise SystemExit("no training pictures: give --data, or make pairs (docs/training.md)")
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "config.json").write_text(json.dumps(asdict(config), indent=2))
     groups = {g: sum(s.group == g for s in training) for g in config.samples.shares}
     took_s = time.monotonic() - started
     team.say(f"{len(training)} scenes {groups}, {len(kept)} kept aside, read in {took_s:.0f} s")

@@ -183,9 +183,16 @@ class Flight:
         """A watchdog that took over a loop that stalled lets no disarming pass, and sends none."""
         report = self._keep_alive.report
         acts = report is not None and report.state is not GuardState.RELAY
-        if acts and self.engaged and t_s >= self._rejoined_s + _REJOIN_S:
-            self._keep_alive.rejoin()
-            self._rejoined_s = t_s
+        if acts and self.engaged:
+            self._rejoin(t_s)
+
+    def _rejoin(self, t_s: float) -> bool:
+        """Take the aircraft back from the watchdog, which hears of a claim within a second."""
+        if t_s < self._rejoined_s + _REJOIN_S:
+            return False
+        self._keep_alive.rejoin()
+        self._rejoined_s = t_s
+        return True
 
     # ---- who decides
 
@@ -197,10 +204,8 @@ class Flight:
         if self.phase is Phase.RESUME and self._in_phase_s(t_s) < _REJOIN_S:
             return False  # it stood down, and has not heard of the new claim yet
         if report.state is GuardState.BRAKING:
-            if t_s >= self._rejoined_s + _REJOIN_S:  # it has not heard of the claim before that
+            if self._rejoin(t_s):
                 self._say("the control loop had stalled: taking over from the watchdog again")
-                self._keep_alive.rejoin()
-                self._rejoined_s = t_s
             return False
         self._release(
             t_s, "the watchdog has the aircraft: the control loop was silent for too long"

@@ -82,8 +82,14 @@ def forget_weights(path):
     torch.save(state, path)
 
 
+def empty(path):
+    path.write_bytes(b"")
+
+
 @pytest.mark.parametrize(
-    "harm", [Path.unlink, break_bytes, cut_short, diverge, forget_weights], ids=lambda f: f.__name__
+    "harm",
+    [Path.unlink, empty, break_bytes, cut_short, diverge, forget_weights],
+    ids=lambda f: f.__name__,
 )
 def test_a_broken_checkpoint_is_refused_with_one_line(harm, checkpoint, tmp_path, capsys):
     broken, output = tmp_path / "last.pt", tmp_path / "model.onnx"
@@ -92,6 +98,27 @@ def test_a_broken_checkpoint_is_refused_with_one_line(harm, checkpoint, tmp_path
     assert export_onnx.main([str(broken), "-o", str(output)]) == 1
     assert capsys.readouterr().err.strip().count("\n") == 0
     assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("-o", "no/such/model.onnx"), ("-o", "."), ("-o", "m.onnx", "--checkpoint", "no/w.ckpt")],
+)
+def test_where_nothing_can_be_written_is_said_before_anything_is_done(
+    words, checkpoint, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(export_onnx, "to_onnx", lambda _: pytest.fail("it began to export"))
+    assert export_onnx.main([str(checkpoint), *words]) == 1
+    assert capsys.readouterr().err.strip().count("\n") == 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_weights_without_their_step_can_be_released(checkpoint, tmp_path):
+    state = torch.load(checkpoint, weights_only=True)
+    torch.save({name: state[name] for name in ("config", "average")}, tmp_path / "lean.ckpt")
+    export_onnx.slim_checkpoint(tmp_path / "lean.ckpt", tmp_path / "released.ckpt")
+    export_onnx.load_network(tmp_path / "released.ckpt")
 
 
 def test_a_graph_that_differs_from_pytorch_is_not_written(network, model):

@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import onnx
 import pytest
@@ -71,9 +72,20 @@ def test_without_training_images_nothing_is_written(model, tmp_path, capsys):
     assert "--data" in capsys.readouterr().err
 
 
-def test_calibration_images_come_from_all_training_sources_and_no_other(tmp_path):
-    import cv2
+@pytest.mark.parametrize("words", [("--pictures", "0"), ("-o", "no/int8.onnx"), ("-o", ".")])
+def test_what_cannot_be_calibrated_or_written_is_one_line(
+    words, model, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "train/single/a").mkdir(parents=True)
+    cv2.imwrite("train/single/a/0.png", np.full((64, 96), 90, np.uint8))
+    onnx.save(model, "model.onnx")
+    assert quantize.main(["model.onnx", "-o", "int8.onnx", "--data", ".", *words]) == 1
+    assert capsys.readouterr().err.strip().count("\n") == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"train", "model.onnx"}
 
+
+def test_calibration_images_come_from_all_training_sources_and_no_other(tmp_path):
     for place in ("train/single/a", "train/single/b", "train/drone/c", "eval/single/d"):
         (tmp_path / place).mkdir(parents=True)
         for number in range(5):

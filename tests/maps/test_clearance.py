@@ -24,6 +24,10 @@ class Ridge:
             return None
         return 500.0 + (self.ridge_m if 150.0 < north_m < 250.0 else 0.0)
 
+    def elevations_m(self, lat_deg: np.ndarray, lon_deg: np.ndarray) -> np.ndarray:
+        each = [self.elevation_m(*place) for place in zip(lat_deg, lon_deg, strict=True)]
+        return np.array([np.nan if ground_m is None else ground_m for ground_m in each])
+
 
 def flown(*legs: tuple[float, float]) -> np.ndarray:
     """Places (north, height), from above home and back."""

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import rasterio
 from geotiff_samples import (
+    LEFT_M,
+    TOP_M,
     TRANSFORM,
     found_mark,
     marked_rgb,
@@ -211,6 +213,60 @@ def test_heights_are_multiplied_and_moved_as_their_band_says(tmp_path: Path):
     with rasterio.open(path, "r+") as dem:
         dem.scales, dem.offsets = (0.1,), (-50.0,)
     assert set(heights_around(path).ravel()) == {350.0}
+
+
+FEET_CRS = "EPSG:32643+6360"  # UTM, and NAVD88 height in US survey feet
+
+
+@pytest.mark.parametrize(
+    ("unit", "crs", "height_m"),
+    [
+        ("m", "EPSG:32643", 1000.0),
+        ("metre", FEET_CRS, 1000.0),  # the band speaks of its own values
+        ("ft", "EPSG:32643", 304.8),
+        ("foot", "EPSG:32643", 304.8),
+        ("US survey foot", "EPSG:32643", 304.8006),
+        (None, FEET_CRS, 304.8006),
+        (None, "EPSG:32643+5703", 1000.0),  # NAVD88 height in metres
+        ("cm", "EPSG:32643", 10.0),
+    ],
+)
+def test_heights_are_of_the_unit_that_band_or_vertical_system_names(
+    tmp_path: Path, unit: str | None, crs: str, height_m: float
+):
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), 1000.0, np.float32), crs=crs)
+    if unit is not None:
+        with rasterio.open(path, "r+") as dem:
+            dem.units = (unit,)
+    assert heights_around(path).ravel() == pytest.approx(height_m, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("unit", "crs"),
+    [("furlong", "EPSG:32643"), ("dB", "EPSG:32643"), (None, "EPSG:32643+6357")],  # a depth
+)
+def test_what_is_no_height_in_a_known_unit_is_one_line(tmp_path: Path, unit: str | None, crs: str):
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), 100.0, np.float32), crs=crs)
+    if unit is not None:
+        with rasterio.open(path, "r+") as dem:
+            dem.units = (unit,)
+    with pytest.raises(MapError, match=r"dem\.tif: .*(furlong|dB|depth)") as caught:
+        heights_around(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_ridges_of_a_long_map_are_as_high_as_those_of_a_short_one(tmp_path: Path):
+    """Slopes of 45 degrees between nodes that are 10 m apart: no more than 5 m are lost."""
+    rows = np.arange(2000)
+    heights_m = 560.0 - 10.0 * np.abs((rows + 6) % 13 - 6)  # a crest at every thirteenth
+    dem = np.tile(heights_m.astype(np.float32)[:, None], 200)[None]
+    place = Affine(10.0, 0.0, LEFT_M, 0.0, -10.0, TOP_M)
+    path = write_tiff(tmp_path / "dem.tif", dem, transform=place)
+    crests = rows[13:-13:13] + 0.5
+    lat, lon = RasterFile(path).georeference.lat_lon_from_pixel(np.full(len(crests), 100.0), crests)
+    margin = 2e-4
+    bounds = (lat[-1] - margin, lon.min() - margin, lat[0] + margin, lon.max() + margin)
+    assert read_heights(path, bounds).at_each(lat, lon).min() > 554.0
 
 
 def test_nothing_but_voids_is_refused(tmp_path: Path):

@@ -11,7 +11,7 @@ from geotiff_samples import marked_rgb, texture_rgb, write_tiff
 from map_samples import ORIGIN_PX, ZOOM
 from typer.testing import CliRunner
 
-from vwnav.cli.map import app, route_places
+from vwnav.cli.map import app, route_and_home
 from vwnav.errors import ConfigError, MapError, PreflightError, RouteError
 from vwnav.geometry.geodesy import lat_lon_from_mercator_px
 
@@ -83,13 +83,15 @@ def test_check_fails_a_route_beyond_the_map_and_says_where(sift_pack_file: Path,
     assert values["uncovered"][0]["end_m"] == pytest.approx(values["length_m"])
 
 
-def test_a_local_route_needs_a_home(tmp_path: Path):
+def test_a_local_route_needs_a_home(sift_pack_file: Path, tmp_path: Path):
     (tmp_path / "r.txt").write_text("1,0,0,50\n2,111,0,50\n")
-    with pytest.raises(RouteError, match="--home LAT,LON"):
-        route_places(tmp_path / "r.txt", "local", None)
-    places = route_places(tmp_path / "r.txt", "local", "60.0,22.0")
-    assert places.shape == (3, 2)
-    assert places[2] == pytest.approx((60.000996, 22.0), abs=2e-6)
+    words = ("check", sift_pack_file, "--route", tmp_path / "r.txt", "--json")
+    with pytest.raises(RouteError, match=r"r\.txt: counts in metres .* --home LAT,LON"):
+        run(*words)
+    away = [str(word) for word in (*words, "--home", "60.0,22.0")]
+    values = json.loads(CliRunner().invoke(app, away).stdout)
+    assert values["length_m"] == pytest.approx(222.0, abs=0.2)  # there and back
+    assert values["uncovered"][0]["start_lat_deg"] == pytest.approx(60.0)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +100,7 @@ def test_a_local_route_needs_a_home(tmp_path: Path):
 def test_arguments_that_make_no_sense_are_refused(tmp_path: Path, frame: str, home: str | None):
     (tmp_path / "r.txt").write_text("1,0,0,50\n")
     with pytest.raises(ConfigError):
-        route_places(tmp_path / "r.txt", frame, home)
+        route_and_home(tmp_path / "r.txt", frame, home)
 
 
 def test_levels_that_are_no_numbers_are_a_usage_error(tmp_path: Path):

@@ -13,6 +13,7 @@ from vwnav.cli.doctor import _map
 from vwnav.cli.map import app
 from vwnav.errors import PreflightError, RouteError
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.guidance.plan_files import load_route
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.heights import HeightGrid
@@ -80,7 +81,7 @@ def test_a_route_over_a_ridge_is_refused_before_arming_and_by_each_command(packs
     assert values["lowest"] == pytest.approx(
         {"above_ground_m": -30.0, "to_waypoint": 2, "lat_deg": 47.00066, "lon_deg": 8.0}, abs=1e-4
     )
-    told = _map(packs[0], route)
+    told = _map(packs[0], load_route(route))
     assert told.verdict == "FAIL"
     assert "35.0 m are missing" in told.detail
 
@@ -91,8 +92,9 @@ def test_one_that_clears_it_is_flown_and_how_low_it_comes_is_said(packs, tmp_pat
         [-70.0] * 2, abs=0.1
     )
     assert "10.0 m above the ground" in checked(packs[0], route).stdout
-    assert _map(packs[0], route).verdict == "PASS"
-    assert "10.0 m above the ground" in _map(packs[0], route).detail
+    told = _map(packs[0], load_route(route))
+    assert told.verdict == "PASS"
+    assert "10.0 m above the ground" in told.detail
 
 
 def test_without_heights_or_a_home_it_is_said_that_nobody_knows(packs, tmp_path):
@@ -131,3 +133,12 @@ def test_altitudes_above_sea_level_are_flown_there_from_another_home(packs, tmp_
     assert -planned(packs[1], route).route_ned_m[0, 2] == pytest.approx(50.0)
     with pytest.raises(RouteError, match="the ground at home is not known"):
         planned(packs[1], route, home=valley)
+
+
+def test_doctor_lets_a_route_pass_that_counts_from_a_home_it_cannot_be_told(packs, tmp_path):
+    route = tmp_path / "r.txt"
+    route.write_text("1,40,0,30\n2,60,0,30\n")
+    told = _map(packs[0], load_route(route))
+    assert told.verdict == "WARN"
+    assert "vwnav map check" in told.detail
+    assert "--home LAT,LON" in told.detail

@@ -55,19 +55,46 @@ def away(north_m: float, wind=None, agl_m: float = 50.0):
     return replace(ESTIMATE, position_ned_m=position, agl_m=agl_m, wind_ne_m_s=wind)
 
 
-def home_s(estimate) -> float:
-    return EnergyWatch(SafetyConfig(), 8.0).home_s(estimate, HOME)
+def straight(estimate, lowest_m: float = 15.0) -> np.ndarray:
+    return np.array([[*HOME, min(estimate.position_ned_m[2], -lowest_m)]])
+
+
+def home_s(estimate, lowest_m: float = 15.0) -> float:
+    return EnergyWatch(SafetyConfig(), 8.0).home_s(estimate, straight(estimate, lowest_m))
+
+
+def watching() -> EnergyWatch:
+    watch = EnergyWatch(SafetyConfig(), 8.0)
+    watch.way_home_ned_m = straight
+    return watch
 
 
 def test_the_way_home_takes_its_length_at_cruise_and_a_metre_a_second_down():
     assert home_s(away(400.0)) == pytest.approx(400.0 / 8.0 + 50.0)
-    assert home_s(away(400.0, agl_m=20.0)) == pytest.approx(400.0 / 8.0 + 20.0)
     assert home_s(away(0.5, (0.0, 10.0))) == pytest.approx(0.5 / 8.0 + 50.0)
 
 
 def test_from_low_down_it_takes_the_climb_to_the_height_of_the_return_besides():
     low = replace(away(400.0, agl_m=4.0), position_ned_m=np.array([400.0, 0.0, -4.0]))
     assert home_s(low) == pytest.approx(400.0 / 8.0 + 11.0 + 15.0)
+
+
+@pytest.mark.parametrize("agl_m", [20.0, 90.0])
+def test_what_it_comes_down_is_its_height_above_home_whatever_ground_it_is_over(agl_m):
+    assert home_s(away(400.0, agl_m=agl_m)) == pytest.approx(400.0 / 8.0 + 50.0)
+
+
+def test_a_way_home_over_a_ridge_takes_the_climb_and_each_leg():
+    assert home_s(away(400.0), 80.0) == pytest.approx(400.0 / 8.0 + 30.0 + 80.0)
+    back = np.array([[400.0, 300.0, -50.0], [0.0, 300.0, -50.0], [0.0, 0.0, -50.0]])
+    watch = EnergyWatch(SafetyConfig(), 8.0)
+    assert watch.home_s(away(400.0), back) == pytest.approx(1000.0 / 8.0 + 50.0)
+
+
+def test_a_wind_from_aside_takes_what_is_held_against_it():
+    made_m_s = math.sqrt(12.0**2 - 11.0**2)
+    assert home_s(away(400.0, (0.0, 11.0))) == pytest.approx(400.0 / made_m_s + 50.0)
+    assert home_s(away(400.0, (0.0, -30.0))) == pytest.approx(400.0 / 1.0 + 50.0)
 
 
 def test_a_head_wind_makes_it_longer_and_a_tail_wind_no_faster_than_cruise():
@@ -78,11 +105,11 @@ def test_a_head_wind_makes_it_longer_and_a_tail_wind_no_faster_than_cruise():
 
 def flown(seconds: float, used: float, north_m: float = 800.0, **changes) -> bool:
     """Whether it says that it is time, at the end of a flight that used so much."""
-    watch = EnergyWatch(SafetyConfig(), 8.0)
+    watch = watching()
     vehicle = replace(FLYING, in_air=True, battery_ratio=0.5)
-    watch.step(vehicle, away(0.0), HOME, 100.0)
+    watch.step(vehicle, away(0.0), 100.0)
     last = replace(vehicle, **{"battery_ratio": 0.5 - used} | changes)
-    return watch.step(last, away(north_m), HOME, 100.0 + seconds)
+    return watch.step(last, away(north_m), 100.0 + seconds)
 
 
 def test_it_is_time_when_what_is_left_is_less_than_what_the_way_takes_and_a_share_more():
@@ -106,11 +133,11 @@ def test_without_a_reading_or_on_the_ground_there_is_no_verdict(changes):
 
 
 def test_a_fresh_battery_begins_anew():
-    watch = EnergyWatch(SafetyConfig(), 8.0)
+    watch = watching()
     low, full = (replace(FLYING, in_air=True, battery_ratio=r) for r in (0.3, 0.9))
-    watch.step(low, away(0.0), HOME, 0.0)
-    watch.step(full, away(0.0), HOME, 50.0)
+    watch.step(low, away(0.0), 0.0)
+    watch.step(full, away(0.0), 50.0)
     used = replace(full, battery_ratio=0.5)
-    assert not watch.step(used, away(800.0), HOME, 79.0)  # 29 s since it was full
-    assert watch.step(used, away(8000.0), HOME, 81.0)
-    assert math.isfinite(watch.home_s(away(0.0), HOME))
+    assert not watch.step(used, away(800.0), 79.0)  # 29 s since it was full
+    assert watch.step(used, away(8000.0), 81.0)
+    assert math.isfinite(watch.home_s(away(0.0), straight(away(0.0))))

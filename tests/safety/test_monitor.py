@@ -324,10 +324,15 @@ def test_a_poor_position_slows_down() -> None:
     assert flight.fly().action is Action.NAVIGATE
 
 
+def straight_to(home_ne_m: np.ndarray):
+    return lambda now: np.array([[*home_ne_m, now.position_ned_m[2]]])
+
+
 def test_whoever_is_off_the_route_goes_home() -> None:
     flight = Flight()
     far_m = CONFIG.fence_m + 5.0
-    flight.monitor.fly_within(np.array([[100.0, far_m, -50.0]]), np.array([50.0, far_m]))
+    home = np.array([50.0, far_m])
+    flight.monitor.fly_within(np.array([[100.0, far_m, -50.0]]), home, straight_to(home))
     decision = flight.fly()  # it flies at (0, 0)
     assert decision.action is Action.RETURN
     assert "off the route" in decision.reason
@@ -374,7 +379,8 @@ def test_it_turns_back_while_the_battery_still_carries_it_home_in_the_wind(
 ) -> None:
     """Home is 800 m north: 150 s with the height, in a wind from there 250 s; 1 % takes 6 s."""
     monitor = SafetyMonitor(CONFIG, 8.0)
-    monitor.fly_within(np.array([[0.0, 0.0, -50.0]]), np.array([800.0, 0.0]))
+    home = np.array([800.0, 0.0])
+    monitor.fly_within(np.array([[0.0, 0.0, -50.0]]), home, straight_to(home))
     for i in range(600):
         t_s = STEP_S * i
         place = np.array([0.0, 0.0, -50.0])

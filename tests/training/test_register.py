@@ -3,6 +3,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from training import data, register
 from training.validate import upright_sift
@@ -109,12 +110,23 @@ def test_offsets_that_no_neighbour_shares_are_dropped():
     [
         (["--data", "nowhere"], "no data folder"),
         (["--weights", "nowhere.ckpt"], "no checkpoint at nowhere.ckpt"),
+        (["--weights", "list.ckpt"], "list.ckpt is not a whole checkpoint"),
+        (["--weights", "bare.ckpt"], "bare.ckpt is not a whole checkpoint"),
         (["--out", "in_the_way"], "in_the_way"),
+        (["--out", "out"], "data holds no pairs"),
+        (["--data", "damaged"], r"pairs\.json is not a whole listing"),
+        (["--data", "unreadable"], r"no readable picture at .*0\.png"),
     ],
 )
 def test_what_is_missing_is_one_line(arguments, said, tmp_path, monkeypatch):
     (tmp_path / "data/train").mkdir(parents=True)
+    (tmp_path / "damaged/train").mkdir(parents=True)
+    (tmp_path / "damaged/pairs.json").write_text("[{")
+    (tmp_path / "unreadable/train/drone/a").mkdir(parents=True)
+    (tmp_path / "unreadable/train/drone/a/0.png").write_bytes(b"no picture")
     (tmp_path / "in_the_way").write_text("a file")
+    torch.save([1, 2], tmp_path / "list.ckpt")
+    torch.save({"config": {}, "average": {}}, tmp_path / "bare.ckpt")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit, match=said) as stop:
         register.main(["--data", "data", *arguments])

@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models.network import FeatureNetwork, NetworkConfig
-from training.thin import Responses, thin_blocks, thinned
+from models.network import NETWORK_SIZES, FeatureNetwork, NetworkConfig
+from training.thin import Responses, main, thin_blocks, thinned
 
 SMALL = NetworkConfig(stem_channels=8, channels=16, keypoint_channels=16, score_channels=8)
 
@@ -58,3 +58,20 @@ def test_directions_are_those_of_the_responses():
     directions, kept = responses.directions(1)
     assert kept == pytest.approx(1.0)
     assert abs(directions[:, 0] @ along.double()).item() == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [("default", "no whole convolutions of the size"), ("nano", "no readable pictures")],
+)
+def test_what_cannot_be_made_thin_is_one_line(size, said, tmp_path):
+    (tmp_path / "train").mkdir()
+    config = replace(NETWORK_SIZES["nano"], stem_rank=0, rank=0, coarse_rank=0)
+    average = {f"module.{name}": v for name, v in FeatureNetwork(config).state_dict().items()}
+    fields = {name: getattr(config, name) for name in config.__dataclass_fields__}
+    weights = tmp_path / "whole.ckpt"
+    torch.save({"config": {"network": fields}, "average": average}, weights)
+    words = ["--size", size, "--data", str(tmp_path), "-o", str(tmp_path / "thin.ckpt")]
+    with pytest.raises(SystemExit, match=said):
+        main([str(weights), *words])
+    assert not (tmp_path / "thin.ckpt").exists()

@@ -127,9 +127,24 @@ def test_a_student_becomes_like_the_network_it_is_distilled_from(drawn_scenes, t
     assert 0.0 < unlike[-1] < 0.7 * unlike[0]
 
 
-def test_without_images_training_says_what_to_do(tmp_path):
+def test_without_images_training_says_what_to_do_and_leaves_nothing(tmp_path):
     with pytest.raises(SystemExit, match="no training pictures"):
-        train.main(replace(SHORT, out=str(tmp_path)), scenes=([], []))
+        train.main(replace(SHORT, out=str(tmp_path / "run")), scenes=([], []))
+    assert not (tmp_path / "run").exists()
+
+
+def test_data_that_cannot_be_read_and_a_run_that_cannot_be_kept_are_one_line(
+    drawn_scenes, tmp_path
+):
+    (tmp_path / "train/single/a").mkdir(parents=True)
+    with pytest.raises(SystemExit, match="no training pictures"):  # no series either
+        train.main(replace(SHORT, data=str(tmp_path), sites="no", out=str(tmp_path / "run")))
+    (tmp_path / "train/single/a/0.png").write_bytes(b"no picture")
+    with pytest.raises(SystemExit, match=r"no readable picture at .*0\.png"):
+        train.main(replace(SHORT, data=str(tmp_path), sites="no", out=str(tmp_path / "run")))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit, match="file"):
+        train.main(replace(SHORT, out=str(tmp_path / "file")), scenes=(drawn_scenes, []))
 
 
 def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(

@@ -6,14 +6,22 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from vwnav.errors import PreflightError, VwnavError
 from vwnav.safety.check import Check, CheckVerdict
 
+if TYPE_CHECKING:
+    from vwnav.guidance.plan_files import Route
+
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
 CAMERA_FPS = 8.0
+_HOME_UNTOLD = (
+    "whether it covers the route is not known, which counts in metres from home: "
+    "`vwnav map check PACK --route FILE --home LAT,LON` tells"
+)
 # MAVSDK asks nobody whether a port is free, and two who read one take it from each other.
 _LINK_TAKEN = "a watchdog has that link: end its vwnav first, which flies or gets ready to"
 
@@ -29,9 +37,10 @@ def doctor(
     """Check machine, model, and whatever is named: map, route, camera, autopilot."""
     checks = list(_machine())
     checks.append(_learned_model())
+    flown: Route | None = None
     if route:
-        checks.append(_guarded("route", lambda: _route(route)))
-    flown = route if route and checks[-1].verdict == "PASS" else None
+        check, flown = _route(route)
+        checks.append(check)
     if map_path:
         checks.append(_guarded("map", lambda: _map(map_path, flown)))
     if camera:
@@ -93,12 +102,9 @@ def _learned_model() -> Check:
     )
 
 
-def _map(path: Path, route: Path | None) -> Check:
-    from vwnav.cli.map import route_places
-    from vwnav.guidance.plan_files import load_route
-    from vwnav.maps.coverage import check_route
+def _map(path: Path, route: "Route | None") -> Check:
     from vwnav.maps.pack import MapPack
-    from vwnav.onboard.flight_plan import route_clearance
+    from vwnav.onboard.flight_plan import route_on_map
 
     with MapPack.open(path) as pack:
         sets = ", ".join(each.name for each in pack.feature_sets) or "no features"
@@ -106,21 +112,27 @@ def _map(path: Path, route: Path | None) -> Check:
         detail = f"{pack.name}: {len(pack.levels)} levels from {finest:.2f} m/px, {sets}"
         if route is None:
             return Check("map", "PASS", detail)
-        covered = check_route(pack, route_places(route, "local", None))
-        loaded = load_route(route)
-        clearance = route_clearance(pack, loaded, loaded.home)
-    detail = "; ".join((detail, covered.summary(), clearance.summary()))
-    return Check("map", "PASS" if covered.ok and clearance.ok else "FAIL", detail)
+        if route.about_home and route.home is None:
+            return Check("map", "WARN", f"{detail}; {_HOME_UNTOLD}")
+        found = route_on_map(pack, route, route.home)
+    each = (found.coverage, found.clearance)
+    told = (detail, *(one.summary() for one in each), found.returns)
+    verdict: CheckVerdict = "PASS" if all(one.ok for one in each) else "FAIL"
+    return Check("map", verdict, "; ".join(filter(None, told)))
 
 
-def _route(path: Path) -> Check:
+def _route(path: Path) -> "tuple[Check, Route | None]":
+    """What is wrong with it, if anything; the route where nothing is."""
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, load_route
 
-    route = load_route(path)
-    frame = LocalFrame(*(route.home or (0.0, 0.0)), 0.0)
-    route.to_ned(frame, DEFAULT_HEIGHT_M, route.home_amsl_m)  # refuses heights that nobody flies
-    return Check("route", "PASS", f"{len(route.waypoints)} waypoints")
+    try:
+        route = load_route(path)
+        frame = LocalFrame(*(route.home or (0.0, 0.0)), 0.0)
+        route.to_ned(frame, DEFAULT_HEIGHT_M, route.home_amsl_m)  # refuses what nobody flies
+    except VwnavError as error:
+        return Check("route", "FAIL", str(error)), None
+    return Check("route", "PASS", f"{len(route.waypoints)} waypoints"), route
 
 
 def _calibration(path: Path) -> Check:

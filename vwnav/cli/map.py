@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from vwnav.maps.build.builder import BuildOptions
     from vwnav.maps.build.raster import RasterSource
     from vwnav.maps.clearance import RouteClearance
-    from vwnav.maps.coverage import RouteCoverage
     from vwnav.maps.heights import HeightGrid
     from vwnav.maps.pack import MapPack
-    from vwnav.types import Array
+    from vwnav.onboard.flight_plan import RouteOnMap
 
 app = typer.Typer(no_args_is_help=True, help="Make a map pack, describe it, check it.")
 
@@ -55,9 +54,7 @@ def build(
     crs: Annotated[
         str | None, typer.Option(help="Of rasters that name none, such as EPSG:32643.")
     ] = None,
-    heights: Annotated[
-        Path | None, typer.Option(help="Elevation raster, metres above sea level.")
-    ] = None,
+    heights: Annotated[Path | None, typer.Option(help="Elevation raster, above sea level.")] = None,
     model: Annotated[
         Path | None, typer.Option(help="Learned features of another size (nano) or ONNX file.")
     ] = None,
@@ -132,32 +129,41 @@ def check(
 ) -> None:
     """Say whether the map covers a route and how high that is above its ground; 3 if it fails."""
     from vwnav.errors import PreflightError, RouteError
-    from vwnav.maps.coverage import check_route
     from vwnav.maps.pack import MapPack
-    from vwnav.onboard.flight_plan import route_clearance
+    from vwnav.onboard.flight_plan import route_on_map
 
-    places = route_places(route, route_frame, home)
+    loaded, start = route_and_home(route, route_frame, home)
     with MapPack.open(pack) as opened:
-        coverage = check_route(opened, places, margin_m)
-        if coverage.ok and not as_json:
-            typer.echo(coverage.summary())
         try:
-            clearance = route_clearance(opened, *_route_and_home(route, route_frame, home))
+            found = route_on_map(opened, loaded, start, margin_m)
         except RouteError as error:
             raise RouteError(f"{route}: {error}") from error
+    coverage, clearance = found.coverage, found.clearance
     if as_json:
-        typer.echo(json.dumps(_check_values(coverage, clearance)))
+        typer.echo(json.dumps(_check_values(found)))
+    elif coverage.ok:
+        typer.echo(coverage.summary())
     for each in (coverage, clearance):
         if not each.ok:
             raise PreflightError(f"{pack}: {each.summary()}")
     if not as_json:
-        typer.echo(clearance.summary())
+        typer.echo("\n".join(filter(None, (clearance.summary(), found.returns))))
 
 
-def _route_and_home(
+def route_and_home(
     route: Path, route_frame: str, home: str | None
 ) -> "tuple[Route, tuple[float, float] | None]":
-    """What the file says, and (lat_deg, lon_deg) of the take-off where that is known."""
+    """What the file says, and (lat_deg, lon_deg) of the take-off where that is known.
+
+    Args:
+        route: its file.
+        route_frame: "local" or "global", for text routes.
+        home: LAT,LON of the take-off; the route's own home if not given.
+
+    Raises:
+        RouteError: the route cannot be read.
+        ConfigError: one of the other arguments makes no sense.
+    """
     from vwnav.errors import ConfigError
     from vwnav.geometry.geodesy import parse_lat_lon
     from vwnav.guidance.plan_files import load_route
@@ -166,39 +172,6 @@ def _route_and_home(
         raise ConfigError(f"--route-frame {route_frame!r}: choose local or global")
     loaded = load_route(route, "global" if route_frame == "global" else "local")
     return loaded, parse_lat_lon(home) if home is not None else loaded.home
-
-
-def route_places(route: Path, route_frame: str, home: str | None) -> "Array":
-    """The places (n, 2), latitude and longitude in degrees, that a flight of the route passes.
-
-    Args:
-        route: its file.
-        route_frame: "local" or "global", for text routes.
-        home: LAT,LON of the take-off; the route's own home if not given.
-
-    Raises:
-        RouteError: the route cannot be read, or counts from a home that nobody knows.
-        ConfigError: one of the other arguments makes no sense.
-    """
-    import numpy as np
-
-    from vwnav.errors import RouteError
-    from vwnav.geometry.geodesy import LocalFrame
-    from vwnav.guidance.plan_files import LocalWaypoint
-
-    loaded, start = _route_and_home(route, route_frame, home)
-    places = [] if start is None else [start]
-    for point in loaded.waypoints:
-        if not isinstance(point, LocalWaypoint):
-            places.append((point.lat_deg, point.lon_deg))
-            continue
-        if start is None:
-            raise RouteError(f"{route}: counts in metres from home; say where with --home LAT,LON")
-        lat_deg, lon_deg, _ = LocalFrame(*start, 0.0).to_geodetic(
-            [point.north_m, point.east_m, 0.0]
-        )
-        places.append((float(lat_deg), float(lon_deg)))
-    return np.array(places)
 
 
 def _names(features: str) -> list[str]:
@@ -296,9 +269,11 @@ def _lowest(clearance: "RouteClearance", lowest_m: float) -> dict[str, Any]:
     }
 
 
-def _check_values(coverage: "RouteCoverage", clearance: "RouteClearance") -> dict[str, Any]:
+def _check_values(found: "RouteOnMap") -> dict[str, Any]:
+    coverage, clearance = found.coverage, found.clearance
     return {
         "ok": coverage.ok and clearance.ok,
+        "returns": found.returns,
         "lowest": None if clearance.lowest_m is None else _lowest(clearance, clearance.lowest_m),
         "length_m": round(coverage.length_m, 1),
         "margin_m": coverage.margin_m,

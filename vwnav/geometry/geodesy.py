@@ -279,7 +279,21 @@ def places_along(stops: Array, step_m: float) -> Iterator[tuple[float, int, Arra
     yield along_m, 1, stops[0]
     for leg, (start, end) in enumerate(pairwise(stops), start=1):
         leg_m = horizontal_distance_m(*map(float, start[:2]), *map(float, end[:2]))
-        steps = max(1, math.ceil(leg_m / step_m))
-        for fraction in np.arange(1, steps + 1) / steps:
-            yield along_m + float(fraction) * leg_m, leg, start + fraction * (end - start)
+        places = places_on_leg(start, end, step_m)[1:]
+        for k, place in enumerate(places, start=1):
+            yield along_m + k / len(places) * leg_m, leg, place
         along_m += leg_m
+
+
+def places_on_leg(start: Array, end: Array, step_m: float) -> Array:
+    """(n, k) from one place to another, both of them too, `step_m` apart at most.
+
+    Args:
+        start: (k,) latitude and longitude in degrees, and what else changes along the leg.
+        end: (k,).
+        step_m: horizontal.
+    """
+    leg_m = horizontal_distance_m(*map(float, start[:2]), *map(float, end[:2]))
+    steps = max(1, math.ceil(leg_m / step_m))
+    fraction = np.arange(steps + 1)[:, None] / steps
+    return np.asarray(start + fraction * (end - start))

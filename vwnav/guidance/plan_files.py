@@ -54,6 +54,11 @@ class Route:
     home: tuple[float, float] | None
     home_amsl_m: float | None = None
 
+    @property
+    def about_home(self) -> bool:
+        """Its waypoints count in metres from home."""
+        return isinstance(self.waypoints[0], LocalWaypoint)
+
     def ground_amsl_m(
         self, home: tuple[float, float] | None, surveyed_m: float | None
     ) -> float | None:
@@ -81,6 +86,17 @@ class Route:
                 "altitudes relative, or the map's heights right"
             )
         return surveyed_m
+
+    def lat_lon_deg(self) -> Array:
+        """The waypoints (n, 2) in degrees, wherever home is.
+
+        Raises:
+            RouteError: they count in metres from there.
+        """
+        if self.about_home:
+            raise RouteError("counts in metres from home; say where with --home LAT,LON")
+        places = (each for each in self.waypoints if isinstance(each, GlobalWaypoint))
+        return np.array([(each.lat_deg, each.lon_deg) for each in places])
 
     def to_ned(
         self, frame: LocalFrame, default_height_m: float, home_amsl_m: float | None

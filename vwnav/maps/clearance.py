@@ -1,10 +1,11 @@
 """How high a route is above the ground, where a map has heights."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from vwnav.geometry.geodesy import LocalFrame, places_along
+from vwnav.geometry.geodesy import LocalFrame, places_along, places_on_leg
 from vwnav.maps.pack import MapPack
 from vwnav.types import Array
 
@@ -13,6 +14,7 @@ from vwnav.types import Array
 LEAST_CLEARANCE_M = 5.0
 STEP_M = 5.0
 _AS_LOW_M = 0.05
+_ROUNDED_M = 0.01  # what clears the ground so passes the check of the route, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +79,41 @@ def check_clearance(
     if home_m is None:
         return RouteClearance()
     passed = [(leg, place) for _, leg, place in places_along(stops, STEP_M)]
-    grounds_m = [pack.elevation_m(*_lat_lon(place)) for _, place in passed]
+    places = np.array([place for _, place in passed])
+    above_m = home_m + places[:, 2] - pack.elevations_m(places[:, 0], places[:, 1])
     # At home it is known, so that there is one.
     known = [
-        (home_m + float(place[2]) - ground_m, leg, _lat_lon(place))
-        for (leg, place), ground_m in zip(passed, grounds_m, strict=True)
-        if ground_m is not None
+        (float(height_m), leg, _lat_lon(place))
+        for height_m, (leg, place) in zip(above_m, passed, strict=True)
+        if np.isfinite(height_m)
     ]
     lowest_m = min(height_m for height_m, _, _ in known)
     # The first of those that are as low: what is flown over twice is named on the way out.
     _, leg, here = next(each for each in known if each[0] < lowest_m + _AS_LOW_M)
     return RouteClearance(lowest_m, leg if leg <= waypoints else 0, here, len(known) / len(passed))
+
+
+def clears_m(pack: MapPack, frame: LocalFrame, here_ne_m: Array, home_ne_m: Array) -> float:
+    """Height above the ground at home from which on a straight way there clears what it passes.
+
+    Args:
+        pack: the map.
+        frame: of the places.
+        here_ne_m: (2,) where it begins.
+        home_ne_m: (2,).
+
+    Returns:
+        -inf where the map has no height of home.
+    """
+    ends_ned_m = np.array([[*here_ne_m, 0.0], [*home_ne_m, 0.0]])
+    lat_deg, lon_deg, _ = frame.to_geodetic(ends_ned_m)
+    home_m = pack.elevation_m(float(lat_deg[1]), float(lon_deg[1]))
+    if home_m is None:
+        return -math.inf
+    here, home = np.stack([lat_deg, lon_deg], axis=-1)
+    places = places_on_leg(here, home, STEP_M)
+    highest_m = float(np.nanmax(pack.elevations_m(places[:, 0], places[:, 1])))
+    return highest_m - home_m + LEAST_CLEARANCE_M + _ROUNDED_M
 
 
 def _lat_lon(place: Array) -> tuple[float, float]:

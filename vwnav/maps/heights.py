@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.types import Array
+
 MAX_SIDE = 4096
 
 
@@ -32,16 +34,23 @@ class HeightGrid:
 
     def at(self, lat_deg: float, lon_deg: float) -> float | None:
         """Height in metres above mean sea level, bilinear; None outside and next to holes."""
+        height_m = float(self.at_each(np.array([lat_deg]), np.array([lon_deg]))[0])
+        return height_m if np.isfinite(height_m) else None
+
+    def at_each(self, lat_deg: Array, lon_deg: Array) -> Array:
+        """The same of places (n,), (n,): (n,), NaN where it is not known."""
         south, west, north, east = self.bounds
         rows, columns = self.heights_m.shape
         row = (north - lat_deg) / (north - south) * (rows - 1)
         column = (lon_deg - west) / (east - west) * (columns - 1)
-        if not (0.0 <= row <= rows - 1 and 0.0 <= column <= columns - 1):
-            return None
-        r, c = min(int(row), rows - 2), min(int(column), columns - 2)
-        weights = np.outer([r + 1 - row, row - r], [c + 1 - column, column - c])
-        height = float((weights * self.heights_m[r : r + 2, c : c + 2]).sum())
-        return height if np.isfinite(height) else None
+        inside = (row >= 0.0) & (row <= rows - 1) & (column >= 0.0) & (column <= columns - 1)
+        row, column = np.where(inside, row, 0.0), np.where(inside, column, 0.0)
+        r = np.minimum(row.astype(int), rows - 2)
+        c = np.minimum(column.astype(int), columns - 2)
+        down, right = row - r, column - c
+        upper = (1.0 - right) * self.heights_m[r, c] + right * self.heights_m[r, c + 1]
+        lower = (1.0 - right) * self.heights_m[r + 1, c] + right * self.heights_m[r + 1, c + 1]
+        return np.where(inside, (1.0 - down) * upper + down * lower, np.nan)
 
     @property
     def identity(self) -> str:

@@ -26,7 +26,7 @@ from vwnav.maps.mbtiles import (
     read_image,
     read_tile_window,
 )
-from vwnav.types import FEATURE_NAMES, FeatureExtractor, FeatureName, Features, Gray
+from vwnav.types import FEATURE_NAMES, Array, FeatureExtractor, FeatureName, Features, Gray
 
 _LOG = logging.getLogger(__name__)
 _CACHED_IMAGES = 64  # tiles; 0.25 MB each
@@ -220,6 +220,12 @@ class MapPack:
     def elevation_m(self, lat_deg: float, lon_deg: float) -> float | None:
         """Height of the ground above mean sea level in metres, None where it is not known."""
         return None if self.heights is None else self.heights.at(lat_deg, lon_deg)
+
+    def elevations_m(self, lat_deg: Array, lon_deg: Array) -> Array:
+        """The same of places (n,), (n,): (n,), NaN where it is not known."""
+        if self.heights is None:
+            return np.full(len(lat_deg), np.nan)
+        return self.heights.at_each(lat_deg, lon_deg)
 
     def tile_count(self, zoom: int) -> int:
         """Number of tiles of a level.

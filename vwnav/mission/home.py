@@ -1,9 +1,12 @@
 """Where the aircraft stood, known once fixes say where that was; and the way it has flown since."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Array, Estimate
 
 _AGREES_M = 3.0  # a home that was given is right when the way flown from it ends this near
@@ -64,13 +67,54 @@ def straight_home_ned_m(here_ned_m: Array, home_ne_m: Array, lowest_m: float) ->
     return np.vstack([[*here_ned_m[:2], down_m], above_home])
 
 
-def from_home_ned_m(route_ned_m: Array, home_ne_m: Array, lowest_m: float) -> Array:
+def _nobody_knows(_here_ne_m: Array, _home_ne_m: Array) -> float:
+    return -math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class WayHome:
+    """How high the straight way home is flown.
+
+    Attributes:
+        lowest_m: above home, at least.
+        ceiling_m: above home; where the ground asks for more, only who is as high flies straight.
+        clears_m: from a place (2,) to home (2,), the height above home that clears the ground in
+            between; -inf where nobody knows.
+    """
+
+    lowest_m: float = SafetyConfig().way_home_m
+    ceiling_m: float = SafetyConfig().ceiling_m
+    clears_m: Callable[[Array, Array], float] = _nobody_knows
+
+    @classmethod
+    def within(
+        cls, safety: SafetyConfig, clears_m: Callable[[Array, Array], float] = _nobody_knows
+    ) -> "WayHome":
+        """As the settings have it."""
+        return cls(safety.way_home_m, safety.ceiling_m, clears_m)
+
+    def straight_ned_m(self, here_ned_m: Array, home_ne_m: Array) -> Array | None:
+        """(1 or 2, 3) from here to above home; None where the ground in between is too high."""
+        clears_m = self.clears_m(here_ned_m[:2], home_ne_m)
+        if clears_m > max(self.ceiling_m, -float(here_ned_m[2])):
+            return None
+        return straight_home_ned_m(here_ned_m, home_ne_m, max(self.lowest_m, clears_m))
+
+    def after_route_ned_m(self, last_ned_m: Array, home_ne_m: Array) -> Array:
+        """The same from the last waypoint; ground that is too high is left to who checks routes."""
+        straight_ned_m = self.straight_ned_m(last_ned_m, home_ne_m)
+        if straight_ned_m is None:
+            return straight_home_ned_m(last_ned_m, home_ne_m, self.lowest_m)
+        return straight_ned_m
+
+
+def from_home_ned_m(route_ned_m: Array, home_ne_m: Array, way_home: WayHome) -> Array:
     """(n + 2 or 3, 3) from above home, where the route's height is reached, over it and back."""
     return np.vstack(
         [
             [*home_ne_m, route_ned_m[0, 2]],
             route_ned_m,
-            straight_home_ned_m(route_ned_m[-1], home_ne_m, lowest_m),
+            way_home.after_route_ned_m(route_ned_m[-1], home_ne_m),
         ]
     )
 

@@ -1,12 +1,12 @@
 """What is to be flown, in which phases, how it may end, and who the mission speaks with."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, Protocol
 
+from vwnav.mission.home import WayHome
 from vwnav.safety.check import Check
-from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Array
 from vwnav.vehicle import Learned, Navigation, VehicleState
 from vwnav.watchdog.keepalive import WatchdogReport
@@ -82,7 +82,7 @@ class Mission:
         about_home: the waypoints are counted from home, wherever that turns out to be; else from
             the frame's origin.
         home_ne_m: (2,) where the aircraft is thought to stand; None when nobody knows.
-        way_home_m: least height above home of the straight way there.
+        way_home: how high the straight way there is flown.
         refuse: says why a route (n, 3) must not be flown, "" when it may; asked once home is known
             if it was not before.
     """
@@ -90,7 +90,7 @@ class Mission:
     route_ned_m: Array
     about_home: bool = False
     home_ne_m: Array | None = None
-    way_home_m: float = SafetyConfig().way_home_m
+    way_home: WayHome = field(default_factory=WayHome)
     refuse: Callable[[Array], str] = lambda _: ""
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from vwnav.guidance.controller import RouteFollower, stops_at_ned_m
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
-from vwnav.mission.home import FlownWay, Home, straight_home_ned_m
+from vwnav.mission.home import FlownWay, Home
 from vwnav.mission.mission import Mission, Next, Phase
 from vwnav.mission.steering import Steering
 from vwnav.types import Array, Estimate
@@ -25,7 +25,8 @@ class RoutePhases:
     """Flies take-off, climb, first fix, route, return and descent.
 
     Args:
-        fly_within: told the route (n, 3) and home (2,) once both are known.
+        fly_within: told the route (n, 3), home (2,) once both are known, and how to tell the way
+            home (n, 3) from an estimate.
         say: receives one line per event.
     """
 
@@ -36,7 +37,7 @@ class RoutePhases:
         steering: Steering,
         config: FlightConfig,
         limits: LimitsConfig,
-        fly_within: Callable[[Array, Array], None],
+        fly_within: Callable[[Array, Array, Callable[[Estimate], Array]], None],
         say: Callable[[str], None],
     ) -> None:
         self._autopilot = autopilot
@@ -94,16 +95,32 @@ class RoutePhases:
             self._follow_from_here(self._route_ned_m())
 
     def turn_home(self, estimate: Estimate, as_flown: bool = False) -> None:
-        """Straight home, or `as_flown`: over ground where the map has matched."""
+        """Straight home, or `as_flown`: over ground where the map has matched.
+
+        As flown too where the ground on the straight way is too high.
+        """
         self._settle_home(estimate)
-        home_ne_m = self._home.place_ne_m
-        assert home_ne_m is not None
-        if as_flown:
-            way_ned_m = self._way.back_ned_m(estimate, home_ne_m)
+        straight_ned_m = None if as_flown else self._straight_home_ned_m(estimate)
+        if straight_ned_m is None:
+            if not as_flown:
+                self._say("the ground on the straight way home is too high: back the flown way")
+            self._follower = RouteFollower(self._flown_back_ned_m(estimate), self._limits)
         else:
-            here_ned_m = stops_at_ned_m(estimate, self._limits)
-            way_ned_m = straight_home_ned_m(here_ned_m, home_ne_m, self._mission.way_home_m)
-        self._follower = RouteFollower(way_ned_m, self._limits)
+            self._follower = RouteFollower(straight_ned_m, self._limits)
+
+    def way_home_ned_m(self, estimate: Estimate) -> Array:
+        """(n, 3) of a return that begins now, on a good position."""
+        straight_ned_m = self._straight_home_ned_m(estimate)
+        return self._flown_back_ned_m(estimate) if straight_ned_m is None else straight_ned_m
+
+    def _straight_home_ned_m(self, estimate: Estimate) -> Array | None:
+        assert self._home.place_ne_m is not None
+        here_ned_m = stops_at_ned_m(estimate, self._limits)
+        return self._mission.way_home.straight_ned_m(here_ned_m, self._home.place_ne_m)
+
+    def _flown_back_ned_m(self, estimate: Estimate) -> Array:
+        assert self._home.place_ne_m is not None
+        return self._way.back_ned_m(estimate, self._home.place_ne_m)
 
     def step(
         self, phase: Phase, since_s: float, estimate: Estimate, vehicle: VehicleState, pace: float
@@ -192,12 +209,12 @@ class RoutePhases:
         assert home_ne_m is not None
         if self._mission.about_home:
             route_ned_m = np.add(route_ned_m, [*home_ne_m, 0.0])
-        last_ned_m, lowest_m = route_ned_m[-1], self._mission.way_home_m
-        return np.vstack([route_ned_m, straight_home_ned_m(last_ned_m, home_ne_m, lowest_m)])
+        back_ned_m = self._mission.way_home.after_route_ned_m(route_ned_m[-1], home_ne_m)
+        return np.vstack([route_ned_m, back_ned_m])
 
     def _follow_from_here(self, route_ned_m: Array) -> None:
         self._follower = RouteFollower(route_ned_m, self._limits)
-        self._fly_within(route_ned_m, route_ned_m[-1, :2])
+        self._fly_within(route_ned_m, route_ned_m[-1, :2], self.way_home_ned_m)
 
     def _follow(self, phase: Phase, estimate: Estimate, pace: float) -> Next | None:
         assert self._follower is not None

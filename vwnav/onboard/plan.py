@@ -8,7 +8,7 @@ from vwnav.config import Config, load_config, with_camera, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
-from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, LocalWaypoint, load_route
+from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, load_route
 from vwnav.maps.pack import MapPack
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
@@ -40,8 +40,9 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     local_frame = LocalFrame(home_lat, home_lon, surveyed_m or 0.0)
     ground_m = route.ground_amsl_m(home, surveyed_m)
     route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M, ground_m)
-    about_home = isinstance(route.waypoints[0], LocalWaypoint)
-    plan = FlightPlan(config, pack, camera, local_frame, route_ned_m, home is not None, about_home)
+    plan = FlightPlan(
+        config, pack, camera, local_frame, route_ned_m, home is not None, route.about_home
+    )
     refused = plan.refuse_at_once()
     if refused:
         raise PreflightError(refused)

@@ -65,6 +65,8 @@ def fly_route(options: FlyOptions) -> None:
     with ExitStack() as stack:
         stack.enter_context(stderr_that_never_waits())
         plan = plan_flight(options, stack)
+        if plan.returns:
+            say(plan.returns)
         if not options.sim and wait_for_the_aircraft(str(options.connection), ServiceManager()):
             options = _of_a_flight_that_broke_off(options)
         folder = make_run_folder(options.output, "fly")

@@ -14,7 +14,6 @@ class RouteBounds:
     """
 
     def __init__(self, route_ned_m: Array, home_ne_m: Array) -> None:
-        self.home_ne_m = home_ne_m
         stops = np.vstack([home_ne_m, np.asarray(route_ned_m)[:, :2], home_ne_m])
         self._legs: Array = np.stack([stops[:-1], stops[1:]], axis=1)  # (n + 1, 2, 2)
 

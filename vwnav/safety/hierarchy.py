@@ -253,8 +253,9 @@ _DOES = {
     Action.SLOW: "goes on at half speed",
     Action.HOLD: "zero velocity",
     Action.CLIMB: "climbs, {climb_most_m:g} m at most, to where the map shows more",
-    Action.RETURN: "returns: up to {return_height_m:g} m above home where it is lower, then home "
-    "by the shortest way, or along the flown way where it is the position that is poor",
+    Action.RETURN: "returns: up to {return_height_m:g} m above home where it is lower, more where "
+    "the map's ground on the shortest way home asks for it, then home by that way, or along the "
+    "flown way where the position is poor or that ground too high for the ceiling",
     Action.LAND: "Land, here",
     Action.YIELD: "commands nothing; see section 5 for what follows",
     Action.RELEASE: "commands nothing until the motors stop; estimates go on",

@@ -4,6 +4,7 @@ Only a pilot takes control away for good, and only a pilot gives it back (`Safet
 """
 
 import math
+from collections.abc import Callable
 
 from vwnav.safety.bounds import RouteBounds
 from vwnav.safety.conditions import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
@@ -11,7 +12,7 @@ from vwnav.safety.energy import EnergyWatch
 from vwnav.safety.hierarchy import Action, Decision, Hierarchy
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
-from vwnav.types import Array
+from vwnav.types import Array, Estimate
 from vwnav.vehicle import Navigation, Order, VehicleState
 
 
@@ -59,9 +60,15 @@ class SafetyMonitor:
         self._pilot.resume()
         self._begin_watching()
 
-    def fly_within(self, route_ned_m: Array, home_ne_m: Array) -> None:
-        """From now on the aircraft belongs near a route (n, 3) and the way home (2,) from it."""
+    def fly_within(
+        self, route_ned_m: Array, home_ne_m: Array, way_home_ned_m: Callable[[Estimate], Array]
+    ) -> None:
+        """From now on the aircraft belongs near a route (n, 3) and the way home (2,) from it.
+
+        `way_home_ned_m` tells the way (n, 3) of a return that begins with an estimate.
+        """
         self._bounds = RouteBounds(route_ned_m, home_ne_m)
+        self._energy.way_home_ned_m = way_home_ned_m
 
     def obey(self, order: Order) -> None:
         """What a ground station asks for; it has its place in the hierarchy."""
@@ -85,7 +92,7 @@ class SafetyMonitor:
         home_only, off_route_m = False, 0.0
         if estimate is not None and bounds is not None:
             off_route_m = bounds.off_route_m(estimate.position_ned_m)
-            home_only = self._energy.step(vehicle, estimate, bounds.home_ne_m, t_s)
+            home_only = self._energy.step(vehicle, estimate, t_s)
         return Situation(
             released=self._pilot.released,
             failsafe=self._pilot.failsafe,

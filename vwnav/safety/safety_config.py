@@ -28,8 +28,8 @@ class SafetyConfig(Settings):
         hold_fix_age_s: age of the last map fix that stops the flight.
         estimate_age_s: age of the estimate itself that makes the position unusable.
         return_sigma_m: with at most this the way home can still be found.
-        return_height_m: above home, to which it climbs before it goes straight home; never above
-            the ceiling. Who is higher already stays so.
+        return_height_m: above home, to which it climbs before it goes straight home, or more where
+            the map's ground asks for it; never above the ceiling. Who is higher already stays so.
         climb_after_s: of holding for better times; then up, by at most `climb_most_m` and to
             `ceiling_m` above home: from higher up the map shows more.
         hold_time_s: of both; then home, or down where the way is not known.

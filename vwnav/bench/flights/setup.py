@@ -8,7 +8,8 @@ import numpy as np
 from vwnav.config import Config
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler
-from vwnav.mission.mission import Phase
+from vwnav.mission.home import WayHome
+from vwnav.mission.mission import Mission, Phase
 from vwnav.sim.config import Manners
 from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
@@ -98,6 +99,16 @@ class Setup:
     copies_map: bool = False
     parameters: tuple[tuple[str, float], ...] = ()
     config: Config = field(default_factory=Config)
+
+    @property
+    def mission(self) -> Mission:
+        """What the flight is asked to do."""
+        return Mission(
+            np.array(self.route_ned_m),
+            about_home=not self.home_known,
+            home_ne_m=np.array(self.stands_ne_m) if self.home_known else None,
+            way_home=WayHome.within(self.config.safety),
+        )
 
     def vehicle_s(self, t_s: float) -> float:
         """The time on the vehicle's clock at a time on ours."""

@@ -22,7 +22,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
-from vwnav.mission.mission import Mission, Phase
+from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import At
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.sim.config import PilotPlan, VehicleConfig
@@ -144,9 +144,6 @@ class World:
 
     def _equipped(self, place: Place) -> Equipped:
         setup, camera = self.setup, place.camera
-        home_ne_m = np.array(setup.stands_ne_m) if setup.home_known else None
-        route = np.array(setup.route_ned_m)
-        mission = Mission(route, not setup.home_known, home_ne_m, setup.config.safety.way_home_m)
         record, notices = LockstepWatcher(self.note, self.clock), deque[str]()
         executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
         assembled = assemble(
@@ -154,9 +151,9 @@ class World:
             setup.config, executor, notices.append,
         )  # fmt: skip
         return Equipped(
-            mission, self.local_frame, setup.config, CameraWatch(camera.width_px, camera.height_px),
-            assembled.pipeline, assembled.ekf, executor, record,
-            notices, about_run(assembled, self.features.name, "nadir"),
+            setup.mission, self.local_frame, setup.config,
+            CameraWatch(camera.width_px, camera.height_px), assembled.pipeline, assembled.ekf,
+            executor, record, notices, about_run(assembled, self.features.name, "nadir"),
         )  # fmt: skip
 
     def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:

@@ -10,27 +10,24 @@ import numpy as np
 import rasterio
 import rasterio.errors
 from numpy.typing import NDArray
-from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.warp import transform as transform_crs
 from rasterio.windows import Window as RasterioWindow
 
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import Window
 from vwnav.maps.build.collar import Collar, find_collar
+from vwnav.maps.build.coordinates import WGS84, height_unit_m, transformed, wkt
 from vwnav.maps.build.raster import Bounds, Georeference
-from vwnav.maps.heights import HeightGrid
+from vwnav.maps.heights import MAX_SIDE, HeightGrid
 from vwnav.maps.image import MapImage, Mask
 from vwnav.types import Array
 
 _LOG = logging.getLogger(__name__)
-_WGS84 = CRS.from_epsg(4326)
 _CACHE_MB = 256  # GDAL would take a twentieth of the memory
 _STRETCH_PERCENT = (1.0, 99.0)
 _STRETCH_SAMPLE_PX = 1024
 _HEIGHT_STEP_M = 10.0
-_HEIGHT_MAX_SIDE = 1024
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0  # the shore of the Dead Sea, Mount Everest, and some more
 
 
@@ -59,6 +56,7 @@ class RasterFile:
         self._path = path
         self._crs = self._dataset.crs or _crs_beside(path) or _named_crs(crs)
         self._check_georeference()
+        self._wkt = wkt(self._crs)
         self._bands = _colour_bands(self._dataset)
         self._palette = _palette(self._dataset)
         self._stretch = self._stretch_limits()
@@ -91,13 +89,13 @@ class RasterFile:
         return MapImage(image.bgr, image.mask & ~self._collar.at(image.bgr, window))
 
     def _pixel_from_lat_lon(self, lat_deg: Array, lon_deg: Array) -> tuple[Array, Array]:
-        x, y = _transform(self._path, _WGS84, self._crs, lon_deg.ravel(), lat_deg.ravel())
+        x, y = transformed(self._path, WGS84, self._wkt, lon_deg.ravel(), lat_deg.ravel())
         u, v = ~self._dataset.transform @ (x, y)
         return u.reshape(lat_deg.shape), v.reshape(lat_deg.shape)
 
     def _lat_lon_from_pixel(self, u: Array, v: Array) -> tuple[Array, Array]:
         x, y = self._dataset.transform @ (u.ravel(), v.ravel())
-        lon, lat = _transform(self._path, self._crs, _WGS84, x, y)
+        lon, lat = transformed(self._path, self._wkt, WGS84, x, y)
         return lat.reshape(u.shape), lon.reshape(u.shape)
 
     def _read(self, window: Window) -> MapImage:
@@ -160,7 +158,7 @@ class RasterFile:
 
 
 def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
-    """Terrain heights under (south, west, north, east) from an elevation raster in metres.
+    """Terrain heights under (south, west, north, east) from an elevation raster.
 
     What the raster declares missing is a hole, and so is what no ground on earth is as high as.
 
@@ -169,7 +167,7 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     """
     south, west, north, east = bounds
     rows, columns = (
-        int(np.clip(span * 111_000.0 / _HEIGHT_STEP_M, 2, _HEIGHT_MAX_SIDE))
+        int(np.clip(span * 111_000.0 / _HEIGHT_STEP_M, 2, MAX_SIDE))
         for span in (north - south, (east - west) * np.cos(np.radians(north)))
     )
     lat, lon = np.meshgrid(
@@ -187,26 +185,10 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     return HeightGrid(bounds, heights)
 
 
-def _transform(path: Path, crs: CRS, wanted: CRS, x: Array, y: Array) -> tuple[Array, Array]:
-    """Places (n,), (n,) of one coordinate system in another; longitude goes before latitude.
-
-    Raises:
-        MapError: there is no way from one to the other, as of a site's own metres.
-    """
-    try:
-        moved_x, moved_y = transform_crs(crs, wanted, x, y)
-    except (CPLE_BaseError, rasterio.errors.RasterioError) as error:
-        raise MapError(
-            f"{path}: its coordinate system does not tell latitude and longitude here; warp it "
-            f"with gdalwarp ({_line(error)[:100]})"
-        ) from error
-    return np.array(moved_x), np.array(moved_y)
-
-
 def _heights_at(path: Path, dataset: Any, lat: Array, lon: Array) -> NDArray[np.float32]:
     if dataset.crs is None:
         raise MapError(f"{path}: names no coordinate system")
-    x, y = _transform(path, _WGS84, dataset.crs, lon.ravel(), lat.ravel())
+    x, y = transformed(path, WGS84, wkt(dataset.crs), lon.ravel(), lat.ravel())
     u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (x, y))
     x0, y0 = max(int(u.min()) - 2, 0), max(int(v.min()) - 2, 0)
     x1 = min(int(u.max()) + 3, dataset.width)
@@ -224,7 +206,7 @@ def _heights_at(path: Path, dataset: Any, lat: Array, lon: Array) -> NDArray[np.
 
 def _metres(path: Path, dataset: Any, values: Array) -> NDArray[np.float32]:
     """What the values of the first band say, NaN where nothing or what no ground is as high as."""
-    heights = values * dataset.scales[0] + dataset.offsets[0]
+    heights = (values * dataset.scales[0] + dataset.offsets[0]) * height_unit_m(path, dataset)
     absurd = (heights < _LOWEST_M) | (heights > _HIGHEST_M)
     if absurd.any():
         _LOG.warning(
