@@ -326,8 +326,8 @@ def _share_beside(
     if query.prior.lat_deg is not None:
         within_px = 2.0 * reach_m / found.view.rectification.m_per_px
         if found.candidate.radius_m >= reach_m:  # what was searched is all that it leaves open
-            around = found.piece.features
-            return share_alike(found.landmarks, found.likeness, around, within_px)
+            there = found.piece.features
+            return share_alike(found.landmarks, found.likeness, there, within_px)
     window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
     around = pack.features_in(found.candidate.level.zoom, *window, extractor)
     moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
