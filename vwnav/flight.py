@@ -220,7 +220,7 @@ class Flight:
             case Action.RELEASE:
                 self._release(t_s, decision.reason)
             case Action.YIELD:
-                self._yield(t_s, decision.reason)
+                self._yield(t_s, self._announcer.of_failsafe(decision))
             case Action.LAND:
                 self._begin_landing(t_s, vehicle, decision.reason)
             case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
@@ -323,6 +323,8 @@ class Flight:
             self._finish(f"{trouble}the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
+            if words := self._announcer.of_failsafe(decision):
+                self._say(words)
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._takeover.given_back:

@@ -85,6 +85,14 @@ class VehicleState:
     ground_station: bool = False
     own_position_ned_m: Array | None = None
 
+    @property
+    def is_fallback(self) -> bool:
+        """It is told that another mode than the flown one was asked for: nobody chose this one.
+
+        PX4 alone tells it. In its 1.16 era that may be a mode of the sticks, with nobody at them.
+        """
+        return self.intended_mode not in (self.mode, FlightMode.UNKNOWN)
+
 
 class Order(Enum):
     """What a ground station may ask of the mission."""

@@ -77,10 +77,20 @@ class Announcer:
 
     def __init__(self) -> None:
         self._decided = (Action.NAVIGATE, Rank.NAVIGATION)
+        self._yields_to = ""
+
+    def of_failsafe(self, decision: Decision) -> str:
+        """What the autopilot flies in our place, when that is news."""
+        if decision.action is not Action.YIELD or decision.reason == self._yields_to:
+            return ""
+        self._yields_to = decision.reason
+        return decision.reason
 
     def words(self, decision: Decision) -> str:
         """Of a decision that is another than the last one; "" where nothing is to be said."""
         before, self._decided = self._decided, (decision.action, decision.rank)
+        if decision.action is not Action.YIELD:
+            self._yields_to = ""
         if self._decided == before or decision.action in _TOLD_ELSEWHERE:
             return ""
         if decision.action is not Action.NAVIGATE:
