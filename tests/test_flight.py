@@ -675,6 +675,19 @@ def test_a_pilot_who_takes_over_where_the_autopilot_had_fallen_back_to_sticks_ha
     assert scene.vehicle.asked == asked
 
 
+def test_the_failsafe_of_a_pilot_who_took_over_a_landing_is_his():
+    """His radio is lost: PX4 returns, and still intends the mode that he chose."""
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["no answer"]}
+    scene.flight.abort("interrupted")
+    scene.go_on(0.5)
+    scene.vehicle.be(mode=FlightMode.RETURN, intended_mode=FlightMode.MANUAL, failsafe=True)
+    asked = list(scene.vehicle.asked)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+
+
 @pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.MANUAL, FlightMode.RETURN])
 def test_a_landing_is_asked_for_again_out_of_a_failsafe_that_does_not_come_down(mode):
     """COM_OBL_RC_ACT 5 holds, 0 of the 1.16 era goes to Position: until the battery is empty."""

@@ -6,6 +6,7 @@ from enum import Enum
 from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState, VelocitySetpoint
 
 COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
+_ASKED_BY_US = frozenset({FlightMode.TAKEOFF, FlightMode.OFFBOARD, FlightMode.LAND})
 _ASK_AGAIN_S = 1.0
 _TAKEN_AFTER_S = 3.0  # modes told late are not somebody's choice yet
 _DISARM_AFTER_S = 10.0  # on the ground; autopilots do it by themselves after 2 to 3 s
@@ -71,7 +72,7 @@ class Landing:
 
     def _is_changed(self, vehicle: VehicleState) -> bool:
         """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too."""
-        if vehicle.is_fallback:
+        if vehicle.is_fallback and vehicle.intended_mode in _ASKED_BY_US:
             return False
         is_pilots = vehicle.mode is FlightMode.MANUAL
         return is_pilots or self._comes_down or vehicle.mode is not self._mode_before
