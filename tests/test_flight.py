@@ -675,6 +675,28 @@ def test_a_pilot_who_takes_over_where_the_autopilot_had_fallen_back_to_sticks_ha
     assert scene.vehicle.asked == asked
 
 
+def test_offboard_is_not_asked_for_out_of_a_failsafe_that_holds_the_take_off():
+    """PX4 waits 5 s in Hold before it returns; a mode that is asked for then ends the failsafe."""
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.TAKEOFF, failsafe=True)
+    scene.go_on(5.0)
+    scene.vehicle.be(mode=FlightMode.RETURN, intended_mode=FlightMode.TAKEOFF)
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.FAILSAFE
+    assert scene.vehicle.asked == ["arm", "takeoff"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "phase"), [(FlightMode.TAKEOFF, Phase.ROUTE), (FlightMode.HOLD, Phase.RELEASED)]
+)
+def test_after_a_failsafe_in_the_take_off_it_goes_on_in_it_and_not_in_somebodys_hold(mode, phase):
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.TAKEOFF, failsafe=True)
+    scene.go_on(1.0)
+    scene.vehicle.be(mode=mode, failsafe=False)
+    assert scene.run(in_phase(phase)).flight.phase is phase
+
+
 def test_the_failsafe_of_a_pilot_who_took_over_a_landing_is_his():
     """His radio is lost: PX4 returns, and still intends the mode that he chose."""
     scene = on_route()

@@ -11,7 +11,10 @@ from vwnav.vehicle import FlightMode, VehicleState
 
 # Modes in which nobody else has taken over, by how far we have got.
 _TAKING_OFF = frozenset({FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD})
+_TAKING_OFF_ONLY = _TAKING_OFF - {FlightMode.HOLD}
 _STEERING = frozenset({FlightMode.OFFBOARD})
+# No end of a take-off but a failsafe: PX4 waits in Hold before it returns.
+_HELD_UP = (FlightMode.HOLD, FlightMode.TAKEOFF)
 _LANDING = frozenset(
     {FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND, FlightMode.DESCEND, FlightMode.UNKNOWN}
 )
@@ -61,6 +64,8 @@ class PilotWatch:
             self._own_modes = _STEERING
         elif mode is FlightMode.TAKEOFF and self._own_modes != _STEERING:
             self._own_modes = _TAKING_OFF
+        elif (mode, intended) == _HELD_UP and self._own_modes != _STEERING:
+            self._own_modes = _TAKING_OFF_ONLY
         own_modes = self._own_modes | _LANDING if landing else self._own_modes
         self.failsafe, self.is_told = None, False
         if mode in own_modes or self.released is not None:

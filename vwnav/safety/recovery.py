@@ -64,7 +64,7 @@ class Recovery:
         if self._held_s is not None:
             waited = t_s - self._held_s >= _HOLD_WAIT_S
             return Wish.LAND if waited or vehicle.mode is FlightMode.HOLD else Wish.WAIT
-        if vehicle.mode is FlightMode.OFFBOARD:
+        if vehicle.mode in (FlightMode.OFFBOARD, FlightMode.TAKEOFF):
             return Wish.GO_ON if gap_s <= self._config.resume_gap_s else Wish.LAND
         if self._is_unmanned_for_long(vehicle, t_s):
             return Wish.LAND
