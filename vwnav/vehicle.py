@@ -63,6 +63,7 @@ class VehicleState:
         ground_station: one has been heard within some seconds.
         own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
             when that is older than a second, or the two have not agreed upon an origin.
+        complaints: its own warnings of the last while; PX4 tells them to ground stations alone.
     """
 
     t_s: float
@@ -84,6 +85,7 @@ class VehicleState:
     aiding: bool | None = None
     ground_station: bool = False
     own_position_ned_m: Array | None = None
+    complaints: tuple[str, ...] = ()
 
     @property
     def is_fallback(self) -> bool:

@@ -145,6 +145,12 @@ def test_copter_is_ready_only_with_flag_0x10(copter_flight):
     assert at(copter_flight, 60.0)[0].rc_available
 
 
+def test_why_a_copter_cannot_be_armed_is_kept_for_whoever_waits(data_folder):
+    states = replay(data_folder / "mavlink/arducopter-4.7dev_setpoint_loss.tlog.gz")
+    told = {text for _, state, _ in states if not state.armed for text in state.complaints}
+    assert any(text.startswith(("PreArm:", "Arm:")) for text in told), told
+
+
 @pytest.mark.parametrize("name", ["px4-1.18_nominal", "arducopter-4.7dev_extnav_nogps"])
 def test_the_imu_is_heard_in_order_and_feels_gravity_at_rest(data_folder, name):
     samples = imu_of(data_folder / f"mavlink/{name}.tlog.gz")

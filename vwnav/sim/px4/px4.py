@@ -182,7 +182,7 @@ class SimulatedPx4(SimulatedMultirotor):
             position_stable=not estimator.origin_broken,
             offboard_ok=fresh and position_ok,
             manual_ok=self.manual.available(t_s),
-            gcs_lost=heard is not None and t_s - heard > get["COM_DL_LOSS_T"],
+            gcs_lost=heard is None or t_s - heard > get["COM_DL_LOSS_T"],
             battery_warning=self.battery.warning,
             landed=self.landed,
             fence_breached=self._outside_fence(),
