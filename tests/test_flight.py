@@ -796,11 +796,24 @@ def test_a_mode_is_called_a_failsafe_only_when_that_is_told(mode):
     assert sum(f"flies its failsafe: {mode.value}" in line for line in scene.said[said:]) == 1
 
 
+@pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD])
+def test_what_a_person_interrupted_is_gone_on_with_however_late_it_is_told_that_he_did(mode):
+    scene = on_route()
+    scene.vehicle.be(mode=mode, intended_mode=FlightMode.UNKNOWN)
+    scene.go_on(0.4)
+    scene.vehicle.be(mode=mode)
+    scene.go_on(2.0)
+    assert scene.flight.phase is Phase.RELEASED
+    scene.flight.obey(Order.GO_ON)
+    assert scene.run(in_phase(Phase.ROUTE)).flight.phase is Phase.ROUTE
+
+
 def test_no_setpoint_is_sent_where_the_sticks_may_be_a_pilots():
     scene = on_route()
     setpoints = scene.vehicle.setpoints
     scene.vehicle.be(mode=FlightMode.MANUAL, intended_mode=FlightMode.UNKNOWN)
     scene.go_on(0.5)
+    assert scene.flight.phase is Phase.ROUTE  # which is no failsafe, as far as anybody knows
     scene.vehicle.be(mode=FlightMode.MANUAL)
     scene.go_on(5.0)
     assert scene.flight.phase is Phase.RELEASED

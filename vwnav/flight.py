@@ -219,6 +219,9 @@ class Flight:
                 return False
             case Action.RELEASE:
                 self._release(t_s, decision.reason)
+            case Action.YIELD if vehicle.may_be_pilots:
+                self._autopilot.withdraw()
+                self._steering.stop()
             case Action.YIELD:
                 self._yield(t_s, self._announcer.of_failsafe(decision))
             case Action.LAND:
@@ -257,7 +260,8 @@ class Flight:
     def _release(self, t_s: float, reason: str) -> None:
         """Somebody else has the aircraft: nothing more is asked for, estimates go on."""
         self._autopilot.withdraw()
-        self._takeover.begin(self.phase, self._trouble)
+        interrupted = self._failsafe.interrupted if self.phase is Phase.FAILSAFE else None
+        self._takeover.begin(interrupted or self.phase, self._trouble)
         self._trouble = self._trouble or reason
         self._steering.stop()
         self._say(reason)

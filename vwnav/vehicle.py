@@ -95,6 +95,11 @@ class VehicleState:
         """
         return self.intended_mode not in (self.mode, FlightMode.UNKNOWN)
 
+    @property
+    def may_be_pilots(self) -> bool:
+        """It flies a mode of the sticks, and nobody has said that it fell back to it."""
+        return self.mode is FlightMode.MANUAL and not self.is_fallback
+
 
 class Order(Enum):
     """What a ground station may ask of the mission."""

@@ -71,8 +71,7 @@ class Recovery:
         if not self._explained:
             # From the first moment: who asked for the mode is told up to two seconds later. But in
             # one of the sticks that may be a pilot.
-            may_be_pilot = vehicle.mode is FlightMode.MANUAL and not vehicle.is_fallback
-            waits = may_be_pilot or vehicle.mode is FlightMode.UNKNOWN
+            waits = vehicle.may_be_pilots or vehicle.mode is FlightMode.UNKNOWN
             return Wish.WAIT if waits else Wish.STAY
         if not vehicle.failsafe:
             return Wish.WAIT  # whose mode it is has not been told yet
