@@ -662,6 +662,76 @@ def test_a_pilot_who_takes_over_a_landing_has_it():
     assert scene.vehicle.asked == asked
 
 
+def test_a_pilot_who_takes_over_where_the_autopilot_had_fallen_back_to_sticks_has_it():
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["not now"] * 100}
+    failsafe(gap(scene, 4.0), FlightMode.MANUAL).go_on(9.0)
+    assert scene.flight.phase is Phase.LAND
+    assert scene.vehicle.asked[-2:] == ["land", "land"]
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    asked = list(scene.vehicle.asked)
+    scene.go_on(2.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+
+
+def test_offboard_is_not_asked_for_out_of_a_failsafe_that_holds_the_take_off():
+    """PX4 waits 5 s in Hold before it returns; a mode that is asked for then ends the failsafe."""
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.TAKEOFF, failsafe=True)
+    scene.go_on(5.0)
+    scene.vehicle.be(mode=FlightMode.RETURN, intended_mode=FlightMode.TAKEOFF)
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.FAILSAFE
+    assert scene.vehicle.asked == ["arm", "takeoff"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "phase"), [(FlightMode.TAKEOFF, Phase.ROUTE), (FlightMode.HOLD, Phase.RELEASED)]
+)
+def test_after_a_failsafe_in_the_take_off_it_goes_on_in_it_and_not_in_somebodys_hold(mode, phase):
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.TAKEOFF, failsafe=True)
+    scene.go_on(1.0)
+    scene.vehicle.be(mode=mode, failsafe=False)
+    assert scene.run(in_phase(phase)).flight.phase is phase
+
+
+def test_the_failsafe_of_a_pilot_who_took_over_a_landing_is_his():
+    """His radio is lost: PX4 returns, and still intends the mode that he chose."""
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["no answer"]}
+    scene.flight.abort("interrupted")
+    scene.go_on(0.5)
+    scene.vehicle.be(mode=FlightMode.RETURN, intended_mode=FlightMode.MANUAL, failsafe=True)
+    asked = list(scene.vehicle.asked)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+
+
+@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.MANUAL, FlightMode.RETURN])
+def test_a_landing_is_asked_for_again_out_of_a_failsafe_that_does_not_come_down(mode):
+    """COM_OBL_RC_ACT 5 holds, 0 of the 1.16 era goes to Position: until the battery is empty."""
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["no answer"]}
+    scene.flight.abort("interrupted")
+    scene.go_on(0.5)
+    failsafe(scene, mode).go_on(10.0)
+    assert scene.flight.phase is Phase.LAND
+    assert not [line for line in scene.said if "the pilot" in line]
+    assert scene.run().flight.end.reason == "interrupted"
+
+
+def test_a_fallback_to_sticks_is_no_pilot_and_ends_when_the_autopilot_comes_back():
+    scene = failsafe(gap(on_route(), 0.8), FlightMode.MANUAL).go_on(1.0)
+    assert scene.flight.phase is Phase.FAILSAFE
+    assert not [line for line in scene.said if "the pilot" in line]
+    scene.vehicle.be(mode=FlightMode.OFFBOARD, failsafe=False)
+    scene.run()
+    assert scene.flight.end.reason is None
+
+
 def failsafe(scene: Scene, mode: FlightMode) -> Scene:
     """The autopilot flies `mode` though ours is still the intended one."""
     scene.vehicle.be(mode=mode, intended_mode=FlightMode.OFFBOARD, failsafe=True)
@@ -712,6 +782,42 @@ def test_a_failsafe_that_is_not_for_want_of_us_is_flown_to_its_end_and_not_made_
     assert scene.flight.setpoint == VelocitySetpoint(0.0, 0.0, 0.0)
     scene.vehicle.be(armed=False, in_air=False)
     assert scene.run().flight.end.reason
+
+
+@pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD])
+def test_a_mode_is_called_a_failsafe_only_when_that_is_told(mode):
+    """A HEARTBEAT shows it before CURRENT_MODE says who asked for it."""
+    scene = on_route()
+    said = len(scene.said)
+    scene.vehicle.be(mode=mode, intended_mode=FlightMode.UNKNOWN)
+    scene.go_on(0.4)
+    assert not [line for line in scene.said[said:] if "its failsafe" in line]
+    failsafe(scene, mode).go_on(0.4)
+    assert sum(f"flies its failsafe: {mode.value}" in line for line in scene.said[said:]) == 1
+
+
+@pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD])
+def test_what_a_person_interrupted_is_gone_on_with_however_late_it_is_told_that_he_did(mode):
+    scene = on_route()
+    scene.vehicle.be(mode=mode, intended_mode=FlightMode.UNKNOWN)
+    scene.go_on(0.4)
+    scene.vehicle.be(mode=mode)
+    scene.go_on(2.0)
+    assert scene.flight.phase is Phase.RELEASED
+    scene.flight.obey(Order.GO_ON)
+    assert scene.run(in_phase(Phase.ROUTE)).flight.phase is Phase.ROUTE
+
+
+def test_no_setpoint_is_sent_where_the_sticks_may_be_a_pilots():
+    scene = on_route()
+    setpoints = scene.vehicle.setpoints
+    scene.vehicle.be(mode=FlightMode.MANUAL, intended_mode=FlightMode.UNKNOWN)
+    scene.go_on(0.5)
+    assert scene.flight.phase is Phase.ROUTE  # which is no failsafe, as far as anybody knows
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.setpoints <= setpoints + 1
 
 
 def test_setpoints_go_on_while_nobody_has_said_who_asked_for_the_mode():

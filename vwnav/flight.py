@@ -224,8 +224,11 @@ class Flight:
                 return False
             case Action.RELEASE:
                 self._release(t_s, decision.reason)
+            case Action.YIELD if vehicle.may_be_pilots:
+                self._autopilot.withdraw()
+                self._steering.stop()
             case Action.YIELD:
-                self._yield(t_s, decision.reason)
+                self._yield(t_s, self._announcer.of_failsafe(decision))
             case Action.LAND:
                 self._begin_landing(t_s, vehicle, decision.reason)
             case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
@@ -262,7 +265,8 @@ class Flight:
     def _release(self, t_s: float, reason: str) -> None:
         """Somebody else has the aircraft: nothing more is asked for, estimates go on."""
         self._autopilot.withdraw()
-        self._takeover.begin(self.phase, self._trouble)
+        interrupted = self._failsafe.interrupted if self.phase is Phase.FAILSAFE else None
+        self._takeover.begin(interrupted or self.phase, self._trouble)
         self._trouble = self._trouble or reason
         self._steering.stop()
         self._say(reason)
@@ -328,6 +332,8 @@ class Flight:
             self._finish(f"{trouble}the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
+            if words := self._announcer.of_failsafe(decision):
+                self._say(words)
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._takeover.given_back:

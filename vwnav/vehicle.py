@@ -63,6 +63,7 @@ class VehicleState:
         ground_station: one has been heard within some seconds.
         own_position_ned_m: (3,) where the autopilot believes to be, about the run's origin; None
             when that is older than a second, or the two have not agreed upon an origin.
+        complaints: its own warnings of the last while; PX4 tells them to ground stations alone.
     """
 
     t_s: float
@@ -84,6 +85,20 @@ class VehicleState:
     aiding: bool | None = None
     ground_station: bool = False
     own_position_ned_m: Array | None = None
+    complaints: tuple[str, ...] = ()
+
+    @property
+    def is_fallback(self) -> bool:
+        """It is told that another mode than the flown one was asked for: nobody chose this one.
+
+        PX4 alone tells it. In its 1.16 era that may be a mode of the sticks, with nobody at them.
+        """
+        return self.intended_mode not in (self.mode, FlightMode.UNKNOWN)
+
+    @property
+    def may_be_pilots(self) -> bool:
+        """It flies a mode of the sticks, and nobody has said that it fell back to it."""
+        return self.mode is FlightMode.MANUAL and not self.is_fallback
 
 
 class Order(Enum):

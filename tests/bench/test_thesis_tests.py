@@ -50,7 +50,7 @@ def test_modes_must_come_in_the_order_asked_for():
 
 
 def test_each_autopilot_flies_the_failsafe_test_in_its_own_modes():
-    assert in_manners(FAILSAFE, "px4") is FAILSAFE
+    assert in_manners(FAILSAFE, "px4") == FAILSAFE
     test = in_manners(FAILSAFE, "copter")
     assert test.scenario.setup.manners == "copter"
     assert test.modes == ("OFFBOARD", "MANUAL", "OFFBOARD", "RETURN")

@@ -58,7 +58,7 @@ def test_what_cannot_be_flown_is_said(words, says, tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--manners", "rover"], "--manners is px4 or copter, not 'rover'"),
+        (["--manners", "rover"], "--manners is px4 or px4-1.16 or copter, not 'rover'"),
         (["--connection", "udpin://0.0.0.0:24000"], "--truth"),
     ],
 )

@@ -9,6 +9,7 @@ from autopilot_links import (
     COPTER_LOITER,
     HIGHRES_IMU,
     RAW_IMU,
+    SET_MODE,
     TAKEOFF,
     Bench,
 )
@@ -97,6 +98,18 @@ def test_a_copter_without_highres_imu_is_asked_for_its_raw_one():
 def test_a_copter_with_highres_imu_is_not_asked_for_the_raw_one(bench):
     bench.run(10.0)
     assert RAW_IMU not in bench.peer.intervals_us
+
+
+def test_after_a_failsafe_a_pilots_switch_ends_what_is_being_asked_for_too(bench):
+    """The battery's leaves the system status critical for the rest of the flight."""
+    bench.peer.custom_mode, bench.peer.system_status = COPTER_GUIDED, 5
+    bench.run(0.3)
+    bench.peer.deaf, bench.peer.refuse = {SET_MODE}, {SET_MODE: 4}
+    request = bench.autopilot.land()
+    bench.wait(lambda: bench.peer.commands(SET_MODE))
+    bench.peer.custom_mode = COPTER_LOITER
+    assert "somebody else chose the mode manual" in bench.finish(request)
+    assert len(bench.peer.commands(SET_MODE)) == 1
 
 
 def test_a_failsafe_shows_in_the_system_status_and_a_pilot_does_not(bench):

@@ -11,6 +11,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
+from vwnav.safety.conditions import PilotWatch
+from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import ImuSample, Range
 from vwnav.vehicle import FlightMode, VehicleState
 
@@ -143,6 +145,12 @@ def test_copter_is_ready_only_with_flag_0x10(copter_flight):
     assert at(copter_flight, 60.0)[0].rc_available
 
 
+def test_why_a_copter_cannot_be_armed_is_kept_for_whoever_waits(data_folder):
+    states = replay(data_folder / "mavlink/arducopter-4.7dev_setpoint_loss.tlog.gz")
+    told = {text for _, state, _ in states if not state.armed for text in state.complaints}
+    assert any(text.startswith(("PreArm:", "Arm:")) for text in told), told
+
+
 @pytest.mark.parametrize("name", ["px4-1.18_nominal", "arducopter-4.7dev_extnav_nogps"])
 def test_the_imu_is_heard_in_order_and_feels_gravity_at_rest(data_folder, name):
     samples = imu_of(data_folder / f"mavlink/{name}.tlog.gz")
@@ -201,6 +209,8 @@ PX4_CHOICES = [
     ("px4-1.18_battery", 77.0, FlightMode.LAND, FlightMode.OFFBOARD),
     ("px4-1.18_pilot_sticks", 30.5, FlightMode.MANUAL, FlightMode.MANUAL),
     ("px4-1.16dev_pilot_sticks", 30.5, FlightMode.MANUAL, FlightMode.MANUAL),
+    ("px4-1.16dev_offboard_loss", 40.0, FlightMode.MANUAL, FlightMode.OFFBOARD),  # no setpoints
+    ("px4-1.16dev_vpe_gps_lost", 70.0, FlightMode.MANUAL, FlightMode.OFFBOARD),  # no position
 ]
 
 
@@ -210,7 +220,7 @@ def test_px4_says_whether_a_failsafe_or_a_person_chose_the_mode(
 ):
     state = at(replay(data_folder / f"mavlink/{name}.tlog.gz"), t_s)[0]
     assert (state.mode, state.intended_mode) == (flown, asked)
-    assert state.failsafe == (flown is not asked)
+    assert state.failsafe == state.is_fallback == (flown is not asked)
 
 
 COPTER_CHOICES = [
@@ -249,6 +259,21 @@ def test_no_recorded_failsafe_ever_looks_like_a_person(data_folder):
         for _, state, _ in replay(data_folder / f"mavlink/{name}.tlog.gz"):
             own = state.mode in (FlightMode.DESCEND, FlightMode.RETURN)
             assert not own or state.intended_mode in (FlightMode.UNKNOWN, FlightMode.OFFBOARD)
+
+
+@pytest.mark.parametrize(
+    ("name", "since_s", "until_s"),
+    [("px4-1.16dev_vpe_gps_lost", 66.0, 76.0), ("px4-1.16dev_offboard_loss", 36.0, 45.0)],
+)
+def test_no_recorded_fallback_to_sticks_looks_like_a_pilot(data_folder, name, since_s, until_s):
+    """HEARTBEAT is told of it 1 s before CURRENT_MODE there: both come as rarely as unasked."""
+    watch, failsafes = PilotWatch(SafetyConfig(unknown_mode_s=2.0)), set()
+    for t_s, state, _ in replay(data_folder / f"mavlink/{name}.tlog.gz"):
+        if since_s < t_s < until_s:
+            watch.step(state.mode, False, t_s, state.intended_mode)
+            failsafes.add(watch.failsafe)
+    assert watch.released is None
+    assert failsafes == {None, FlightMode.MANUAL}
 
 
 def test_another_component_with_the_autopilots_id_changes_nothing():

@@ -32,6 +32,11 @@ def test_nothing_is_missing_when_all_is_well():
     assert trouble() == ""
 
 
+def test_the_autopilots_own_reason_is_said():
+    vehicle = replace(STANDING, armable=False, complaints=("Low", "PreArm: VisOdom: not healthy"))
+    assert trouble(vehicle=vehicle).endswith("arm: Low; PreArm: VisOdom: not healthy")
+
+
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
@@ -98,7 +103,7 @@ def test_all_that_is_wrong_is_shown_at_once():
         ("battery", "FAIL", "20 %, 35 % is wanted: charge it"),
         ("camera", "FAIL", "no picture for 1.1 s: check its cable"),
         ("estimate", "FAIL", "neither attitude nor height has come from the autopilot"),
-        ("autopilot", "FAIL", "it reports no readiness to arm"),
+        ("autopilot", "FAIL", "it reports no readiness to arm: a ground station may show why"),
     ]
 
 

@@ -91,3 +91,24 @@ def test_a_failsafe_that_no_gap_of_ours_explains_is_not_ours_to_end():
         assert recovery.step(seen, ESTIMATE, 0.5, 0.1 * i) is Wish.STAY
     untold = replace(LANDS, mode=FlightMode.UNKNOWN)
     assert recovery.step(untold, ESTIMATE, 0.5, 0.3) is Wish.WAIT
+
+
+STICKS = replace(
+    LANDS, mode=FlightMode.MANUAL, intended_mode=FlightMode.OFFBOARD, failsafe=True,
+    own_position_ned_m=None,
+)  # fmt: skip
+
+
+def test_in_a_mode_of_the_sticks_nothing_is_sent_until_it_is_told_that_no_pilot_chose_it():
+    recovery = Recovery(CONFIG, explained=False)
+    untold = replace(STICKS, intended_mode=FlightMode.UNKNOWN, failsafe=False)
+    assert recovery.step(untold, ESTIMATE, 0.5, 0.0) is Wish.WAIT
+    assert recovery.step(STICKS, ESTIMATE, 0.5, 0.2) is Wish.STAY
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_left_in_a_mode_of_the_sticks_it_is_asked_to_land(explained):
+    """PX4 of the 1.16 era holds its height in it for as long as the battery lasts."""
+    asked = wishes(Recovery(CONFIG, explained=explained), 6.0, STICKS, None)
+    assert Wish.LAND not in asked[:49]
+    assert set(asked[51:]) == {Wish.LAND}

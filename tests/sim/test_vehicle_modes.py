@@ -225,6 +225,7 @@ def test_a_low_battery_only_warns_by_default(hovering: Bench) -> None:
 
 
 def test_a_lost_ground_station_holds_then_returns_when_told_to(hovering: Bench) -> None:
+    hovering.vehicle.gcs_heard_s = hovering.vehicle.t_s + 1.0
     set_parameter(hovering, "NAV_DLL_ACT", 2)
     hovering.offboard()
     hovering.vehicle.gcs_heard_s = hovering.vehicle.t_s
@@ -270,3 +271,12 @@ def test_a_zero_setpoint_does_not_lift_it_off_the_ground() -> None:
     bench.velocity = (0.0, 0.0, -1.0)
     bench.run(4.0)
     assert bench.vehicle.body.d < -1.0
+
+
+def test_it_does_not_arm_before_a_ground_station_was_heard_where_its_loss_acts() -> None:
+    bench = Bench(parameters=(("NAV_DLL_ACT", 2),))
+    bench.get_ready()
+    assert bench.arm() is Result.TEMPORARILY_REJECTED
+    bench.vehicle.gcs_heard_s = bench.vehicle.t_s
+    bench.run(0.1)
+    assert bench.arm() is Result.ACCEPTED

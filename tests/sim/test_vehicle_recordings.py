@@ -1,5 +1,6 @@
 """Conformance of the simulated vehicle with recordings of the real PX4 1.18."""
 
+import struct
 from collections import Counter
 
 import pytest
@@ -8,6 +9,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from test_vehicle_session import Talk
 from tlogs import RECORDS, needs, packets, recorded
 
+from vwnav.sim.mavlink.command import Result
 from vwnav.sim.px4 import estimate_messages, messages
 from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.streams import COMPANION_RATES
@@ -210,3 +212,90 @@ def test_a_stick_changes_the_intended_mode_as_recorded() -> None:
     ours.append(messages.current_mode(bench.vehicle))
     pairs = [(m.custom_mode, m.intended_custom_mode) for m in ours]
     assert pairs == intended_from("px4-1.18_pilot_sticks", 23.0, 32.0)
+
+
+# ---- of the 1.16 era
+
+OLD_VISION, OLD_OFFBOARD = "px4-1.16dev_vpe_gps_lost", "px4-1.16dev_offboard_loss"
+OLD_STICKS = "px4-1.16dev_pilot_sticks"
+
+
+def mode_pair(bench: Bench) -> tuple[int, int]:
+    m = messages.current_mode(bench.vehicle)
+    return (m.custom_mode, m.intended_custom_mode)
+
+
+def test_the_old_one_falls_back_to_altitude_when_vision_is_lost_as_recorded() -> None:
+    bench = Bench(manners="px4-1.16").hover().offboard()
+    ours, pairs = [mode_now(bench)], [mode_pair(bench)]
+    bench.vision = False
+    bench.run(7.0)
+    ours.append(mode_now(bench))
+    pairs.append(mode_pair(bench))
+    bench.vision = True
+    bench.run(3.0)
+    ours.append(mode_now(bench))
+    assert ours == modes_from(OLD_VISION, 29.9)[:3]
+    assert pairs == intended_from(OLD_VISION, 30.5, 70.0)
+
+
+def test_the_old_one_without_setpoints_falls_back_to_position_as_recorded() -> None:
+    bench = Bench(manners="px4-1.16").hover().offboard()
+    ours = [mode_now(bench)]
+    for action in (0, 5, 4):
+        bench.vehicle.parameters.set_wire("COM_OBL_RC_ACT", bits(action), 6)
+        velocity, bench.velocity = bench.velocity, None
+        bench.run(3.0)
+        ours.append(mode_now(bench))
+        if action != 4:
+            bench.velocity = velocity
+            bench.run(2.0)
+            ours.append(mode_now(bench))
+    assert ours == modes_from(OLD_OFFBOARD, 21.9)[: len(ours)]
+
+
+def bits(number: int) -> float:
+    return float(struct.unpack("<f", struct.pack("<i", number))[0])
+
+
+def test_a_stick_step_takes_the_old_one_over_as_recorded() -> None:
+    bench = Bench(manners="px4-1.16", parameters=(("COM_RC_OVERRIDE", 3),))
+    bench.sticks = (0, 0, 500, 0)
+    bench.hover().offboard()
+    ours = [mode_pair(bench)]
+    bench.sticks = (900, 0, 500, 0)
+    bench.run(0.2)
+    ours.append(mode_pair(bench))
+    assert ours == intended_from(OLD_STICKS, 23.5, 32.0)
+    later = Bench(parameters=(("COM_RC_OVERRIDE", 3),))
+    later.sticks = (0, 0, 500, 0)
+    later.hover().offboard()
+    later.sticks = (900, 0, 500, 0)
+    later.run(0.2)
+    assert mode_pair(later) == ours[0]
+
+
+def test_by_default_no_stick_ends_the_old_ones_offboard() -> None:
+    bench = Bench(manners="px4-1.16")
+    bench.sticks = (0, 0, 500, 0)
+    bench.hover().offboard()
+    bench.sticks = (900, 0, 500, 0)
+    bench.run(0.2)
+    assert bench.state is NavState.OFFBOARD
+
+
+def test_the_old_one_tells_pressure_in_the_recorded_unit_and_its_version() -> None:
+    theirs_pa = recorded(OLD_VISION, 105)[0][1].abs_pressure
+    bench = Bench(manners="px4-1.16", home_alt_amsl_m=40.0)
+    assert messages.highres_imu(bench.vehicle).abs_pressure == pytest.approx(theirs_pa, rel=0.01)
+    version = messages.autopilot_version(bench.vehicle).flight_sw_version
+    assert version == recorded(OLD_VISION, 148)[0][1].flight_sw_version
+
+
+def test_no_landing_begins_in_the_air_without_a_position() -> None:
+    """As PX4's UserModeIntention: a mode that cannot be flown is refused; Descend goes on."""
+    bench = Bench().hover().offboard()
+    bench.vision = False
+    bench.run(7.0)
+    assert bench.ask(NavState.LAND) is Result.TEMPORARILY_REJECTED
+    assert bench.state is NavState.DESCEND

@@ -42,7 +42,7 @@ def fly(
     ),
     home: str | None = typer.Option(None, help="LAT,LON of the take-off; the route's home if not."),
     home_sigma_m: float = typer.Option(5.0, min=0.5, help="How well home is known."),
-    manners: str = typer.Option("px4", help="With --sim: the vehicle's, px4 or copter."),
+    manners: str = typer.Option("px4", help="With --sim: the vehicle's: px4, px4-1.16 or copter."),
     wind_m_s: float = typer.Option(5.0, min=0.0, max=15.0, help="With --sim: mean wind, gusty."),
     seed: int = typer.Option(1, help="With --sim: of wind and sensor noise."),
     model: Path | None = typer.Option(

@@ -162,7 +162,8 @@ class Procedures:
     def _chosen_by_another(self, before: FlightMode, wanted: FlightMode) -> str | None:
         state = self._state()
         came_by_itself = state.mode is FlightMode.HOLD and before in _END_BY_THEMSELVES
-        if state.mode in (before, wanted, FlightMode.UNKNOWN) or state.failsafe or came_by_itself:
+        fell_back = state.is_fallback and state.intended_mode in (before, wanted)
+        if state.mode in (before, wanted, FlightMode.UNKNOWN) or fell_back or came_by_itself:
             return None
         return f"somebody else chose the mode {state.mode.value}"
 

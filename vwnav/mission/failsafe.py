@@ -20,7 +20,12 @@ _TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RE
 
 
 class FailsafeRecovery:
-    """The autopilot's failsafe, one at a time, and whether the estimate was lost before it."""
+    """The autopilot's failsafe, one at a time, and whether the estimate was lost before it.
+
+    Attributes:
+        interrupted: the phase of the mission that a person ended, where it was none: who chose the
+            mode is told a moment after the mode. None once it was told to be one.
+    """
 
     def __init__(self, autopilot: Autopilot, steering: Steering, config: SafetyConfig) -> None:
         self._autopilot = autopilot
@@ -29,6 +34,7 @@ class FailsafeRecovery:
         self._lost_s: float | None = None
         self._before = Phase.GET_READY
         self._recovery: Recovery | None = None
+        self.interrupted: Phase | None = None
 
     def note(self, navigation: Navigation, t_s: float) -> None:
         """Remember that there was no estimate."""
@@ -39,7 +45,7 @@ class FailsafeRecovery:
         """It has begun, in that phase of the mission; `gap_s` as `SafetyMonitor` has it."""
         missed = self._lost_lately(t_s) or gap_s > 0.0
         self._recovery = Recovery(self._config, explained=battery_is_enough and missed)
-        self._before = phase
+        self._before = self.interrupted = phase
 
     def step(
         self,
@@ -51,6 +57,8 @@ class FailsafeRecovery:
     ) -> Next | None:
         """What follows when it has ended; what may be asked for until then is asked for."""
         assert self._recovery is not None
+        if vehicle.is_fallback:
+            self.interrupted = None
         if decision.action is Action.RELEASE and not self._recovery.has_asked:
             return Next(Phase.RELEASED, decision.reason)
         self.note(navigation, t_s)
@@ -77,10 +85,20 @@ class Announcer:
 
     def __init__(self) -> None:
         self._decided = (Action.NAVIGATE, Rank.NAVIGATION)
+        self._yields_to = ""
+
+    def of_failsafe(self, decision: Decision) -> str:
+        """What the autopilot flies in our place, when that is news."""
+        if decision.action is not Action.YIELD or decision.reason == self._yields_to:
+            return ""
+        self._yields_to = decision.reason
+        return decision.reason
 
     def words(self, decision: Decision) -> str:
         """Of a decision that is another than the last one; "" where nothing is to be said."""
         before, self._decided = self._decided, (decision.action, decision.rank)
+        if decision.action is not Action.YIELD:
+            self._yields_to = ""
         if self._decided == before or decision.action in _TOLD_ELSEWHERE:
             return ""
         if decision.action is not Action.NAVIGATE:

@@ -6,6 +6,7 @@ from enum import Enum
 from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState, VelocitySetpoint
 
 COMING_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
+_ASKED_BY_US = frozenset({FlightMode.TAKEOFF, FlightMode.OFFBOARD, FlightMode.LAND})
 _ASK_AGAIN_S = 1.0
 _TAKEN_AFTER_S = 3.0  # modes told late are not somebody's choice yet
 _DISARM_AFTER_S = 10.0  # on the ground; autopilots do it by themselves after 2 to 3 s
@@ -62,13 +63,24 @@ class Landing:
         if vehicle.mode in COMING_DOWN:
             self._comes_down = True
             return LandingState.COMING_DOWN
-        changed = self._comes_down or vehicle.mode is not self._mode_before
-        if changed and t_s - self._began_s > _TAKEN_AFTER_S:
+        if not self._is_changed(vehicle):
+            self._ask(vehicle, t_s)
+        elif t_s - self._began_s > _TAKEN_AFTER_S and not self._may_be_fallback(vehicle):
             self._autopilot.withdraw()
             return LandingState.TAKEN
-        if not changed:
-            self._ask(vehicle, t_s)
         return LandingState.ASKED
+
+    def _is_changed(self, vehicle: VehicleState) -> bool:
+        """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too."""
+        if vehicle.is_fallback and vehicle.intended_mode in _ASKED_BY_US:
+            return False
+        is_pilots = vehicle.mode is FlightMode.MANUAL
+        return is_pilots or self._comes_down or vehicle.mode is not self._mode_before
+
+    @staticmethod
+    def _may_be_fallback(vehicle: VehicleState) -> bool:
+        """For the moment until it is told who chose the mode."""
+        return vehicle.intended_mode is FlightMode.UNKNOWN is not vehicle.mode
 
     def _ask(self, vehicle: VehicleState, t_s: float) -> None:
         """The mode is still the one that we want to leave: not heard, refused, or under way."""

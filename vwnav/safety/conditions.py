@@ -11,7 +11,10 @@ from vwnav.vehicle import FlightMode, VehicleState
 
 # Modes in which nobody else has taken over, by how far we have got.
 _TAKING_OFF = frozenset({FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD})
+_TAKING_OFF_ONLY = _TAKING_OFF - {FlightMode.HOLD}
 _STEERING = frozenset({FlightMode.OFFBOARD})
+# No end of a take-off but a failsafe: PX4 waits in Hold before it returns.
+_HELD_UP = (FlightMode.HOLD, FlightMode.TAKEOFF)
 _LANDING = frozenset(
     {FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND, FlightMode.DESCEND, FlightMode.UNKNOWN}
 )
@@ -23,11 +26,13 @@ class PilotWatch:
 
     Any mode that we did not ask for counts, whoever chose it: it is not to be fought. Only where
     the autopilot itself says that our mode is still the intended one (PX4's CURRENT_MODE) it is a
-    failsafe, which may end by itself.
+    failsafe, which may end by itself; one of the sticks too, to which PX4 of the 1.16 era falls
+    back.
 
     Attributes:
         released: why the aircraft is not ours any more.
         failsafe: the mode that the autopilot flies in our place, while it does.
+        is_told: that it is one; not yet, in the moment until the autopilot says who chose the mode.
     """
 
     def __init__(self, config: SafetyConfig) -> None:
@@ -36,6 +41,7 @@ class PilotWatch:
         self._unknown_since_s: float | None = None
         self.released: str | None = None
         self.failsafe: FlightMode | None = None
+        self.is_told = False
 
     def resume(self) -> None:
         """Forget the takeover; the next OFFBOARD is the start of our control again."""
@@ -58,14 +64,14 @@ class PilotWatch:
             self._own_modes = _STEERING
         elif mode is FlightMode.TAKEOFF and self._own_modes != _STEERING:
             self._own_modes = _TAKING_OFF
+        elif (mode, intended) == _HELD_UP and self._own_modes != _STEERING:
+            self._own_modes = _TAKING_OFF_ONLY
         own_modes = self._own_modes | _LANDING if landing else self._own_modes
-        self.failsafe = None
+        self.failsafe, self.is_told = None, False
         if mode in own_modes or self.released is not None:
             self._unknown_since_s = None
-        elif mode is FlightMode.MANUAL:
-            self.released = "the pilot took over"
         elif mode is not FlightMode.UNKNOWN and intended in self._own_modes:
-            self.failsafe = mode
+            self.failsafe, self.is_told = mode, True
         elif FlightMode.UNKNOWN in (mode, intended):
             # It has not been told, or who wanted it has not.
             self._unknown_since_s = t_s if self._unknown_since_s is None else self._unknown_since_s
@@ -77,6 +83,8 @@ class PilotWatch:
 
 
 def _not_ours(mode: FlightMode) -> str:
+    if mode is FlightMode.MANUAL:
+        return "the pilot took over"
     if mode in (FlightMode.OTHER, FlightMode.UNKNOWN):
         return "the flight mode is one that is not ours"
     return f"the flight mode was changed to {mode.value}, not by us"

@@ -74,7 +74,11 @@ def _released(now: Situation, config: SafetyConfig) -> str | None:
 
 
 def _failsafe(now: Situation, config: SafetyConfig) -> str | None:
-    return now.failsafe and f"the autopilot flies its failsafe: {now.failsafe.value}"
+    if now.failsafe is None:
+        return None
+    if now.is_failsafe_told:
+        return f"the autopilot flies its failsafe: {now.failsafe.value}"
+    return f"the flight mode is {now.failsafe.value}: who chose it is not told yet"
 
 
 def _battery_critical(now: Situation, config: SafetyConfig) -> str | None:
@@ -173,7 +177,10 @@ def _ordered(order: Order) -> Reason:
 
 TABLE = (
     SafetyRule(Rank.PILOT, "the mode was changed, not by us", Action.RELEASE, _released),
-    SafetyRule(Rank.PILOT, "the autopilot flies a failsafe", Action.YIELD, _failsafe),
+    SafetyRule(
+        Rank.PILOT, "the autopilot flies a failsafe, or has not said yet who chose its mode",
+        Action.YIELD, _failsafe,
+    ),
     SafetyRule(
         Rank.BATTERY, "battery below {battery_critical_ratio:.0%} for {battery_time_s:g} s",
         Action.LAND, _battery_critical, stays=True,

@@ -96,6 +96,7 @@ class SafetyMonitor:
         return Situation(
             released=self._pilot.released,
             failsafe=self._pilot.failsafe,
+            is_failsafe_told=self._pilot.is_told,
             battery=self._battery.level,
             is_battery_for_home_only=home_only,
             connected=vehicle.connected,

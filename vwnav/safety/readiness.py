@@ -117,7 +117,8 @@ def _autopilot(vehicle: VehicleState) -> Check:
     if vehicle.in_air:
         return Check("autopilot", "FAIL", "it reports to be in the air")
     if not vehicle.armable:
-        return Check("autopilot", "FAIL", "it reports no readiness to arm")
+        why = "; ".join(vehicle.complaints[-2:]) or "a ground station may show why"
+        return Check("autopilot", "FAIL", f"it reports no readiness to arm: {why}")
     if not vehicle.local_position_ok:
         return Check("autopilot", "FAIL", "it reports no local position: is it set up for vision?")
     return Check("autopilot", "PASS", "ready to arm, with a position")

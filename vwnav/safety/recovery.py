@@ -17,6 +17,7 @@ _AGREES_S = 1.0
 _AGREES_M = 3.0
 _AGREES_SIGMAS = 3.0
 _HOLD_WAIT_S = 2.0
+_UNMANNED_S = 5.0  # in a mode of the sticks that nobody chose, which holds its height for good
 
 
 class Wish(Enum):
@@ -49,6 +50,7 @@ class Recovery:
         self._explained = explained
         self._agrees_since_s: float | None = None
         self._held_s: float | None = None
+        self._unmanned_since_s: float | None = None
 
     @property
     def has_asked(self) -> bool:
@@ -62,11 +64,15 @@ class Recovery:
         if self._held_s is not None:
             waited = t_s - self._held_s >= _HOLD_WAIT_S
             return Wish.LAND if waited or vehicle.mode is FlightMode.HOLD else Wish.WAIT
-        if vehicle.mode is FlightMode.OFFBOARD:
+        if vehicle.mode in (FlightMode.OFFBOARD, FlightMode.TAKEOFF):
             return Wish.GO_ON if gap_s <= self._config.resume_gap_s else Wish.LAND
+        if self._is_unmanned_for_long(vehicle, t_s):
+            return Wish.LAND
         if not self._explained:
-            # From the first moment: who asked for the mode is told up to two seconds later.
-            return Wish.WAIT if vehicle.mode is FlightMode.UNKNOWN else Wish.STAY
+            # From the first moment: who asked for the mode is told up to two seconds later. But in
+            # one of the sticks that may be a pilot.
+            waits = vehicle.may_be_pilots or vehicle.mode is FlightMode.UNKNOWN
+            return Wish.WAIT if waits else Wish.STAY
         if not vehicle.failsafe:
             return Wish.WAIT  # whose mode it is has not been told yet
         if gap_s <= self._config.resume_gap_s and estimate is not None:
@@ -79,6 +85,15 @@ class Recovery:
             return Wish.WAIT
         self._held_s = t_s
         return Wish.HOLD
+
+    def _is_unmanned_for_long(self, vehicle: VehicleState, t_s: float) -> bool:
+        """PX4 refuses to land without a position: then the operator reads that, at least."""
+        if vehicle.mode is not FlightMode.MANUAL or not vehicle.is_fallback:
+            self._unmanned_since_s = None
+            return False
+        since_s = self._unmanned_since_s
+        self._unmanned_since_s = t_s if since_s is None else since_s
+        return t_s - self._unmanned_since_s >= _UNMANNED_S
 
 
 def _agrees(vehicle: VehicleState, estimate: Estimate) -> bool:

@@ -21,7 +21,8 @@ class Situation:
 
     Attributes:
         released: why the aircraft is not ours any more.
-        failsafe: the mode that the autopilot flies in our place.
+        failsafe: the mode that the autopilot flies in our place; `is_failsafe_told` once it has
+            said so.
         is_battery_for_home_only: what is left is just enough for the way home.
         connected, silence_s: of the autopilot; our own sleep left out.
         lost_s, lost: since when there is no estimate to fly on, and why; negative while there is.
@@ -38,6 +39,7 @@ class Situation:
 
     released: str | None = None
     failsafe: FlightMode | None = None
+    is_failsafe_told: bool = True
     battery: BatteryLevel = BatteryLevel.ENOUGH
     is_battery_for_home_only: bool = False
     connected: bool = True

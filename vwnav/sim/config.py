@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from vwnav.errors import ConfigError
 from vwnav.sim.relief import Relief
 
-Manners = Literal["px4", "copter"]
+Manners = Literal["px4", "px4-1.16", "copter"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,7 @@ class VehicleConfig:
     """The simulated vehicle. Times are simulated seconds since its start.
 
     Attributes:
-        manners: of PX4 1.18 or of ArduCopter 4.7.
+        manners: of PX4 1.18, of PX4 of the 1.16 era, or of ArduCopter 4.7.
         home_lat_deg, home_lon_deg, home_alt_amsl_m: where it stands; the ground is level there.
         heading_deg: true heading on the ground, 0 = north, clockwise.
         companion_url, ground_url, truth_url: MAVLink links, "udpout:HOST:PORT" speaks first to

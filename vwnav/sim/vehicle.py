@@ -34,7 +34,7 @@ _STOP_TIMEOUT_S = 5.0
 
 
 _HELP = {
-    "manners": "px4 or copter: whose ways it has",
+    "manners": "px4, px4-1.16 or copter: whose ways it has",
     "home_lat_deg": "where it stands",
     "home_lon_deg": "where it stands",
     "home_alt_amsl_m": "height of the ground above mean sea level",

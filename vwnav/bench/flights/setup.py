@@ -18,6 +18,7 @@ from vwnav.vehicle import FlightMode
 # As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
 PARAMETERS: dict[Manners, tuple[tuple[str, float], ...]] = {
     "px4": (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3)),
+    "px4-1.16": (("COM_OBL_RC_ACT", 4), ("COM_LOW_BAT_ACT", 3), ("COM_RC_OVERRIDE", 3)),
     "copter": (
         ("BATT_FS_LOW_ACT", 2),
         ("BATT_LOW_VOLT", 10.8),

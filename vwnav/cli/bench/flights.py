@@ -34,7 +34,10 @@ def flights(
     wind_m_s: Annotated[float, typer.Option(min=0.0, max=15.0, help="Mean wind, gusty.")] = 8.0,
     sites: Annotated[int, typer.Option(min=1, max=999, help="Generated sites in turn.")] = 4,
     manners: Annotated[
-        str, typer.Option(help="The simulated vehicle's: px4, copter or px4,copter.")
+        str,
+        typer.Option(
+            help="The simulated vehicle's: px4, px4-1.16, copter, or some of them with commas."
+        ),
     ] = "px4",
     seed: Annotated[int, typer.Option(help="Flight k of a seed is always the same.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,

@@ -42,6 +42,7 @@ _CLOCK_ERROR_S = 0.5
 _INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
 _OWN_POSITION_STALE_S = 1.0
 _CARRIED_S = 0.25  # an attitude is turned on by its rates for no longer
+_COMPLAINTS_S = 35.0  # ArduPilot says every 30 s why it cannot be armed
 _QUEUED = 4000  # measurements that nobody takes: twenty seconds of them
 
 
@@ -171,6 +172,7 @@ class TelemetryState:
             failsafe=self.modes.is_failsafe(t_s),
             aiding=self.aiding(t_s),
             own_position_ned_m=self._own_position_about_run(t_s),
+            complaints=tuple(self.texts.warnings_since(t_s - _COMPLAINTS_S)),
         )
 
     def _own_position_about_run(self, t_s: float) -> Array | None:

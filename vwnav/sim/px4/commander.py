@@ -17,15 +17,19 @@ Say = Callable[[Severity, str], None]
 class Px4Commander:
     """The vehicle's will.
 
+    Args:
+        old: as the 1.16 era.
+
     Attributes:
         intended: what the user asked for; `state` is what is flown.
         armed: rotors may turn.
     """
 
-    def __init__(self, parameters: Px4Parameters, say: Say) -> None:
+    def __init__(self, parameters: Px4Parameters, say: Say, old: bool = False) -> None:
         self._parameters = parameters
         self._say = say
-        self.failsafe = Failsafe(parameters)
+        self._old = old
+        self.failsafe = Failsafe(parameters, old)
         self.intended = NavState.HOLD
         self._before = NavState.HOLD
         self.state = NavState.HOLD
@@ -106,7 +110,7 @@ class Px4Commander:
         return Result.ACCEPTED
 
     def _may(self, wanted: NavState, health: Px4Health) -> bool:
-        if not self.armed or wanted is NavState.LAND:
+        if not self.armed:
             return True
         if wanted is NavState.OFFBOARD and not health.offboard_ok:
             return False
@@ -121,6 +125,9 @@ class Px4Commander:
     def take_over(self, health: Px4Health) -> None:
         """The pilot moved the sticks: Position, or Altitude without a position."""
         if not self.armed or self.intended in STICK_STATES or health.landed:
+            return
+        bit = 2 if self.intended is NavState.OFFBOARD else 1
+        if self._old and not int(self._parameters["COM_RC_OVERRIDE"]) & bit:
             return
         wanted = NavState.POSITION if health.local_position_ok else NavState.ALTITUDE
         self.intended = wanted

@@ -54,6 +54,8 @@ _OFFBOARD_ACTIONS = {
     4: FailsafeAction.LAND,
     5: FailsafeAction.HOLD,
 }
+# Offboard flies attitudes too: velocities that lack a position count as setpoints that are lost.
+_WANT_A_POSITION = POSITION_STATES - {NavState.OFFBOARD}
 _LINK_ACTIONS = {1: FailsafeAction.HOLD, 2: FailsafeAction.RETURN, 3: FailsafeAction.LAND}
 _FENCE_ACTIONS = {
     1: FailsafeAction.WARN,
@@ -83,12 +85,16 @@ class Px4Health:
 class Failsafe:
     """Turns health into the state to fly instead of the intended one.
 
+    Args:
+        old: as the 1.16 era: it falls back to the modes of the sticks where there are none.
+
     Attributes:
         active: a failsafe is flying.
     """
 
-    def __init__(self, parameters: Px4Parameters) -> None:
+    def __init__(self, parameters: Px4Parameters, old: bool = False) -> None:
         self._parameters = parameters
+        self._old = old
         self._since_s: dict[Cause, float] = {}
         self._overridden: set[Cause] = set()
         self._manual_seen = False
@@ -136,7 +142,7 @@ class Failsafe:
         found: set[Cause] = set()
         if intended is NavState.OFFBOARD and not health.offboard_ok:
             found.add(Cause.OFFBOARD_LOST)
-        if intended in POSITION_STATES and not health.local_position_ok:
+        if intended in _WANT_A_POSITION and not health.local_position_ok:
             found.add(Cause.POSITION_LOST)
         if self._manual_lost(intended, health):
             found.add(Cause.MANUAL_LOST)
@@ -166,7 +172,8 @@ class Failsafe:
             case Cause.OFFBOARD_LOST:
                 wanted = _OFFBOARD_ACTIONS.get(int(get["COM_OBL_RC_ACT"]), FailsafeAction.HOLD)
                 stick = wanted in (FailsafeAction.POSITION, FailsafeAction.ALTITUDE)
-                return FailsafeAction.RETURN if stick and not health.manual_ok else wanted
+                reachable = health.manual_ok or self._old
+                return FailsafeAction.RETURN if stick and not reachable else wanted
             case Cause.POSITION_LOST:
                 sticks = intended is NavState.POSITION and health.manual_ok
                 return FailsafeAction.ALTITUDE if sticks else FailsafeAction.DESCEND

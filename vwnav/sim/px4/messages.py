@@ -19,6 +19,8 @@ _UNUSED_CELLS = [65535] * (10 - 1)
 _UINT16_MAX = 65535
 _UPDATED = 63  # accelerometer, gyroscope, magnetometer
 _ARMED = 128
+_PASCAL = 100.0  # in which the 1.16 era tells HIGHRES_IMU's pressure
+_OLD_VERSION = 0x010E0080  # 1.14.0, type 128, of the 1.16 era
 _VERSION = 0x01080080  # 1.8.0, type 128: what the PX4 1.18-era simulation says of itself
 _CAPABILITIES = 0xE8FF
 _GIT_HASH = [0, 0, 0, 211, 36, 228, 74, 13]
@@ -79,7 +81,7 @@ def highres_imu(v: SimulatedPx4) -> Any:
     imu = v.imu
     alt_m = v.config.home_alt_amsl_m + v.baro_height_m
     inertial = (imu.ax, imu.ay, imu.az, imu.p, imu.q, imu.r)
-    pressure = pressure_hpa(alt_m)
+    pressure = pressure_hpa(alt_m) * (_PASCAL if v.old else 1.0)
     return mavlink.MAVLink_highres_imu_message(
         us(v.t_s), *inertial, *field_gauss(v), pressure, 0.0, alt_m, 15.0, _UPDATED
     )
@@ -137,9 +139,10 @@ def vibration(v: SimulatedPx4) -> Any:
 
 
 def autopilot_version(v: SimulatedPx4) -> Any:
-    """Capabilities and version, as the PX4 1.18-era simulation reports itself."""
+    """Capabilities and version, as the PX4 of its era reports itself in simulation."""
+    version = _OLD_VERSION if v.old else _VERSION
     return mavlink.MAVLink_autopilot_version_message(
-        _CAPABILITIES, _VERSION, _VERSION, 0x06122BFF, 1, _GIT_HASH, _GIT_HASH, [0] * 8, 0, 0, 1
+        _CAPABILITIES, version, version, 0x06122BFF, 1, _GIT_HASH, _GIT_HASH, [0] * 8, 0, 0, 1
     )
 
 

@@ -40,6 +40,9 @@ RADIO_SETUP: tuple[tuple[str, float], ...] = (
 class ManualInput:
     """What arrives from the pilot, and what it means.
 
+    Args:
+        old: as the 1.16 era: a stick that is far out takes over, moving or not.
+
     Attributes:
         sticks: as last heard.
         channels: microseconds of the radio, () without one.
@@ -47,8 +50,9 @@ class ManualInput:
         wanted: state the mode switch was turned to since `clear`, None when untouched.
     """
 
-    def __init__(self, parameters: Px4Parameters) -> None:
+    def __init__(self, parameters: Px4Parameters, old: bool = False) -> None:
         self._parameters = parameters
+        self._old = old
         self.sticks = Sticks()
         self.channels: tuple[int, ...] = ()
         self.took_over = False
@@ -112,6 +116,10 @@ class ManualInput:
         threshold = self._parameters["MAN_OVERRIDE_SPD"]
         dt_s = t_s - (self._heard_s if self._heard_s is not None else t_s)
         old, self.sticks, self._heard_s = self.sticks, sticks, t_s
+        if self._old:
+            out = 100.0 * max(abs(sticks.roll), abs(sticks.pitch), abs(sticks.yaw))
+            self.took_over = self.took_over or out > self._parameters["COM_RC_STICK_OV"]
+            return
         if dt_s == 0.0:  # two samples within one step
             return
         if threshold <= 0.0 or not 0.0 < dt_s < 0.5:

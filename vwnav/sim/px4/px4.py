@@ -12,7 +12,7 @@ from vwnav.sim.px4.commander import Px4Commander
 from vwnav.sim.px4.estimator import Px4Estimator
 from vwnav.sim.px4.failsafe import Px4Battery, Px4Health
 from vwnav.sim.px4.flight_tasks import FlightTasks
-from vwnav.sim.px4.modes import STATE_OF, NavState
+from vwnav.sim.px4.modes import STATE_OF, STICK_STATES, NavState
 from vwnav.sim.px4.parameters import NO_GPS, Px4Parameters
 from vwnav.sim.px4.pilot import RADIO_SETUP, SWITCH_US, ManualInput
 from vwnav.sim.scripted_pilot import ScriptedPilot
@@ -35,6 +35,9 @@ class SimulatedPx4(SimulatedMultirotor):
     Args:
         config: where it stands and what goes wrong.
         parameters: kept over a reboot, fresh ones when None.
+
+    Attributes:
+        old: as PX4 of the 1.16 era.
     """
 
     estimator: Px4Estimator
@@ -48,8 +51,9 @@ class SimulatedPx4(SimulatedMultirotor):
         self.controller = Controller(gains_of(self.parameters), heading_rad)
         self.battery = Px4Battery(config.battery_start, self.parameters)
         self.tasks = FlightTasks(self.parameters)
-        self.commander = Px4Commander(self.parameters, self.say)
-        self.manual = ManualInput(self.parameters)
+        self.old = config.manners == "px4-1.16"
+        self.commander = Px4Commander(self.parameters, self.say, self.old)
+        self.manual = ManualInput(self.parameters, self.old)
         self.pilot = ScriptedPilot(config.pilot, self.manual, SWITCH_US)
         self.offboard: Setpoint | None = None
         self.offboard_s = -math.inf
@@ -59,8 +63,10 @@ class SimulatedPx4(SimulatedMultirotor):
 
     @property
     def flight_mode(self) -> FlightMode:
-        """The state as a navigator calls it."""
+        """The state as a navigator calls it; one of the sticks that nobody chose is no pilot's."""
         state = self.commander.state
+        if state in STICK_STATES and self.commander.intended not in STICK_STATES:
+            return FlightMode.OTHER
         return next((each for each, same in STATE_OF.items() if same is state), FlightMode.MANUAL)
 
     def begin_in_flight(
@@ -176,7 +182,7 @@ class SimulatedPx4(SimulatedMultirotor):
             position_stable=not estimator.origin_broken,
             offboard_ok=fresh and position_ok,
             manual_ok=self.manual.available(t_s),
-            gcs_lost=heard is not None and t_s - heard > get["COM_DL_LOSS_T"],
+            gcs_lost=heard is None or t_s - heard > get["COM_DL_LOSS_T"],
             battery_warning=self.battery.warning,
             landed=self.landed,
             fence_breached=self._outside_fence(),

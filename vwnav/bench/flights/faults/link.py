@@ -14,7 +14,11 @@ from vwnav.vehicle import FlightMode
 
 _GARBAGE_BYTES = 60
 _GARBAGE_EVERY = 10  # packets: so often comes rubbish, and so often one is cut off
-_KINDS = {"px4": AutopilotKind.PX4, "copter": AutopilotKind.ARDUPILOT}
+_KINDS = {
+    "px4": AutopilotKind.PX4,
+    "px4-1.16": AutopilotKind.PX4,
+    "copter": AutopilotKind.ARDUPILOT,
+}
 _STATION = (255, 190)  # system and component of QGroundControl
 
 

@@ -1,5 +1,7 @@
 """The link to the autopilot: cut, slow, dirty, and used by others."""
 
+from dataclasses import replace
+
 from vwnav.bench.flights.faults import link
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
@@ -16,6 +18,7 @@ from vwnav.bench.flights.scenario import (
 )
 from vwnav.bench.flights.setup import AirStart
 from vwnav.mission.mission import Phase
+from vwnav.sim.config import Manners
 from vwnav.vehicle import FlightMode
 
 CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
@@ -59,6 +62,17 @@ CUTS = [
     *(link_cut("while descending", DESCEND, seconds) for seconds in CUTS_S),
     *(link_cut("while landing", DESCEND, seconds, Phase.LAND) for seconds in CUTS_S),
 ]
+# One that only holds, as is recommended too, and what the 1.16 era does by itself: Position.
+_STAY_UP: tuple[tuple[Manners, int], ...] = (("px4", 5), ("px4-1.16", 0))
+NOT_DOWN = [
+    replace(
+        row,
+        name=f"{row.name}, {ways} with COM_OBL_RC_ACT {action}",
+        setup=replace(row.setup, manners=ways, parameters=(("COM_OBL_RC_ACT", action),)),
+    )
+    for row in (link_cut("on the route", ROUTE, 3.0), link_cut("on the route", ROUTE, 5.0))
+    for ways, action in _STAY_UP
+]
 SLOW = [
     Scenario(
         name="round trip of 0.25 s at take-off",
@@ -93,4 +107,4 @@ OTHERS = [
     )
     for mode in (FlightMode.HOLD, FlightMode.RETURN)
 ]
-LINK = [*CUTS, *SLOW, *DIRTY, *OTHERS]
+LINK = [*CUTS, *NOT_DOWN, *SLOW, *DIRTY, *OTHERS]

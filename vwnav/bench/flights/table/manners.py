@@ -32,7 +32,7 @@ FLOWN_IN_COPTER_MANNERS = {
 def in_manners(row: Scenario, manners: Manners) -> Scenario:
     """The row as this autopilot flies it, with the bounds that are its own."""
     setup = replace(row.setup, manners=manners)
-    if manners == "px4" or row.lands_within_m is None:
+    if manners != "copter" or row.lands_within_m is None:
         return replace(row, setup=setup)
     own = (bound_m for part, bound_m in COPTER_LANDS_WITHIN_M.items() if part in row.name)
     return replace(row, setup=setup, lands_within_m=next(own, row.lands_within_m))

@@ -83,13 +83,13 @@ def in_manners(test: FlightTest, manners: Manners) -> FlightTest:
     ArduCopter takes off in GUIDED, which the mode switch ends and a stick does not; a lost radio is
     RTL at once, and the loiter is a part of it, above home.
     """
-    if manners == "px4":
-        return test
+    setup = replace(test.scenario.setup, manners=manners)
+    if manners != "copter":
+        return replace(test, scenario=replace(test.scenario, setup=setup))
     breaks = tuple(
         replace(each, fault=PilotSwitches()) if isinstance(each.fault, PilotPushes) else each
         for each in test.scenario.breaks
     )
-    setup = replace(test.scenario.setup, manners=manners)
     return replace(
         test,
         scenario=replace(test.scenario, setup=setup, breaks=breaks),
