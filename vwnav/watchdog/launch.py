@@ -116,7 +116,7 @@ class WatchdogProcess:
             self.process, spare = self._spare, self._spare
             assert spare.stdin is not None
             with contextlib.suppress(OSError):  # it has died too: the next turn sees it
-                spare.stdin.write(json.dumps(self._ports).encode() + b"\n")
+                spare.stdin.write(self._handover().encode() + b"\n")
                 spare.stdin.flush()
             try:
                 self._spare = self._start(["--spare"])
@@ -124,6 +124,10 @@ class WatchdogProcess:
                 self._say(f"no spare watchdog can be started, the present one is the last: {error}")
                 return
         self._say("watchdogs die again and again: nobody guards the aircraft any more")
+
+    def _handover(self) -> str:
+        """The line with which the spare one takes over: `WatchdogOptions` that it has not got."""
+        return json.dumps({**self._ports, "takes_over": True})
 
     def _wait_for_its_end(self) -> int:
         """Its exit status. One that lives and does not answer guards nobody: it is killed."""

@@ -39,6 +39,7 @@ class WatchdogOptions:
         standby: command line of the successor; none when empty.
         limit_s: longest time it goes on without the navigator.
         clock_file: of a simulated time; empty for the wall's.
+        takes_over: in the place of one that has died in flight. It comes up whatever the link does.
     """
 
     connection: str
@@ -49,6 +50,7 @@ class WatchdogOptions:
     standby: Sequence[str] = ()
     limit_s: float = 900.0
     clock_file: str = ""
+    takes_over: bool = False
 
 
 class ParentWatch:
@@ -129,7 +131,7 @@ class WatchdogPorts:
         self._navigator = _local_link(options.navigator_port)
         self._observer = _local_link(options.observer_port)
         self._beats = UdpChannel(options.keepalive_port, listens=True)
-        self._link = open_link(address)
+        self._link = open_link(address, at_once=not options.takes_over)
         links = WatchdogLinks(self._link, self._navigator, self._observer, self._beats)
         config = WatchdogConfig(calls_first=address.kind != "udpin", limit_s=options.limit_s)
         successor = None
