@@ -9,6 +9,7 @@ import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 
 from vwnav.errors import LinkError
@@ -106,6 +107,8 @@ class ParentWatch:
             self._fd = None
 
     def _lives(self) -> bool:
+        if _is_left_over(self._pid):
+            return False
         if self._is_parent:
             return os.getppid() == self._pid
         try:
@@ -115,6 +118,13 @@ class ParentWatch:
         except PermissionError:
             return True
         return True
+
+
+def _is_left_over(pid: int) -> bool:
+    """Its first thread has ended: another one that waits for a disk keeps it from being gone."""
+    with contextlib.suppress(OSError):  # gone, or not Linux
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    return False
 
 
 class WatchdogPorts:
