@@ -127,7 +127,9 @@ class WatchdogProcess:
 
     def _handover(self) -> str:
         """The line with which the spare one takes over: `WatchdogOptions` that it has not got."""
-        return json.dumps({**self._ports, "takes_over": True})
+        told = self.keepalive.handed_on
+        goes_on = "" if told is None else told.pack().hex()
+        return json.dumps({**self._ports, "takes_over": True, "goes_on": goes_on})
 
     def _wait_for_its_end(self) -> int:
         """Its exit status. One that lives and does not answer guards nobody: it is killed."""

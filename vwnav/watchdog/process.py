@@ -15,7 +15,7 @@ from types import FrameType
 from vwnav.errors import LinkError
 from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.pace import clock_of
-from vwnav.watchdog.keepalive import UdpChannel
+from vwnav.watchdog.keepalive import HandedOn, UdpChannel
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.watchdog.successor import SuccessorProcess
 from vwnav.watchdog.visitors import Reception
@@ -41,6 +41,7 @@ class WatchdogOptions:
         limit_s: longest time it goes on without the navigator.
         clock_file: of a simulated time; empty for the wall's.
         takes_over: in the place of one that has died in flight. It comes up whatever the link does.
+        goes_on: what that one handed on last (`HandedOn`, as hexadecimal digits).
     """
 
     connection: str
@@ -52,6 +53,7 @@ class WatchdogOptions:
     limit_s: float = 900.0
     clock_file: str = ""
     takes_over: bool = False
+    goes_on: str = ""
 
 
 class ParentWatch:
@@ -143,7 +145,11 @@ class WatchdogPorts:
         self._beats = UdpChannel(options.keepalive_port, listens=True)
         self._link = open_link(address, at_once=not options.takes_over)
         links = WatchdogLinks(self._link, self._navigator, self._observer, self._beats)
-        config = WatchdogConfig(calls_first=address.kind != "udpin", limit_s=options.limit_s)
+        config = WatchdogConfig(
+            calls_first=address.kind != "udpin",
+            limit_s=options.limit_s,
+            goes_on=HandedOn.unpack(bytes.fromhex(options.goes_on)),
+        )
         successor = None
         if options.standby:
             successor = SuccessorProcess(
