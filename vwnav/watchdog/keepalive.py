@@ -138,7 +138,9 @@ class HandedOn:
         if len(data) != _HANDED_ON.size:
             return None
         t_s, north_m, east_m, down_m, sigma_m, *velocity, counter = _HANDED_ON.unpack(data)
-        return HandedOn(t_s, (north_m, east_m, down_m), sigma_m, (velocity[0], velocity[1]), counter)
+        return HandedOn(
+            t_s, (north_m, east_m, down_m), sigma_m, (velocity[0], velocity[1]), counter
+        )
 
 
 @dataclass(frozen=True, slots=True)
