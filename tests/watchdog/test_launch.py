@@ -303,6 +303,21 @@ def test_a_spare_one_is_started_though_the_log_cannot_be_opened_again(tmp_path):
     assert said == ["the watchdog has died (code -9): another one takes its place"]
 
 
+def test_a_spare_one_that_was_ended_while_it_waited_is_followed_by_another(flown):
+    """For want of memory, say; it is needed when the first one dies."""
+    wait_for(loaded_spares, 20.0)
+    ended = flown.watchdog._spare
+    ended.kill()
+    ended.wait()
+    wait_for(loaded_spares, 20.0)
+    flown.engage()
+    flown.watchdog.process.kill()
+    killed_s = time.monotonic()
+    flown.fly(2.0)
+    assert flown.state() is GuardState.RELAY
+    assert len(flown.setpoints(killed_s + 1.0)) > 10
+
+
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):
     wait_for(loaded_spares, 20.0)
     flown.engage()
