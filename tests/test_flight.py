@@ -397,6 +397,25 @@ def test_a_pilot_who_arms_just_after_our_arming_was_refused_has_the_aircraft(mod
     assert scene.vehicle.asked == asked
 
 
+@pytest.mark.parametrize("ready", [True, False])
+def test_a_pilot_who_arms_as_he_was_told_beside_an_arming_without_an_answer_is_taken_off(ready):
+    """Enter was pressed, nothing came, and he armed by the radio: both ask for the same."""
+    scene = Scene(arms=False, vehicle=PointVehicle(refuse={"arm": ["no answer to 3 tries"]}))
+    scene.vehicle.be(mode=FlightMode.HOLD)
+    scene.vehicle.stays_armed = not ready
+    scene.run(lambda s: any("press Enter" in line for line in s.said))
+    scene.flight.go()
+    scene.run(lambda s: any("refused to arm" in line for line in s.said)).go_on(0.5)
+    scene.checks = () if ready else (Check("battery", "FAIL", "is low"),)
+    scene.vehicle.be(armed=True)
+    scene.go_on(1.0)
+    assert ("disarm" in scene.vehicle.asked) is not ready
+    assert ("takeoff" in scene.vehicle.asked) is ready
+    scene.checks = ()
+    scene.go_on(1.0)
+    assert ("takeoff" in scene.vehicle.asked) is ready  # not after it was told to stand
+
+
 def test_who_waits_for_the_motors_of_an_autopilot_that_is_gone_does_not_wait_for_ever():
     scene = Scene(vehicle=PointVehicle(refuse={"takeoff": ["failed"]}, stays_armed=True))
     scene.run(lambda s: "takeoff" in s.vehicle.asked)

@@ -190,3 +190,27 @@ def test_udpin_answers_whoever_spoke_last():
     link.write(b"to a peer that is gone")
     assert link.read() == b""
     link.close()
+
+
+def test_a_tcp_link_whose_far_end_takes_nothing_any_more_is_opened_anew():
+    """It is gone without a word, or hangs: the system would try for a quarter of an hour."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        link = open_link(parse_link(f"tcpout://127.0.0.1:{server.getsockname()[1]}"))
+        hangs, _ = server.accept()
+        server.settimeout(0.0)
+
+        def called_again() -> socket.socket | None:
+            assert link.read() == b""
+            link.write(bytes(280))
+            try:
+                return server.accept()[0]
+            except BlockingIOError:
+                return None
+
+        again = wait_for(called_again, 10.0)
+        wait_for(lambda: link.read() == b"" and link.fileno() >= 0)
+        link.write(b"here")
+        assert again.recv(1 << 16).endswith(b"here")
+        hangs.close()
+        link.close()

@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError, VwnavError
+from vwnav.recording import recorder as recorder_room
 from vwnav.recording.reader import RecordedFrames, is_cut_off, read_recording
 from vwnav.recording.recorder import Recorder, plain
 from vwnav.recording.telemetry_files import load_telemetry
@@ -48,6 +49,38 @@ def test_what_is_recorded_is_read_back(tmp_path):
     assert setpoint.content["down_m_s"] is None
     assert records[-1].content == {"t_s": 3.0, "text": "landing"}
     assert records[-1].t_s == 3.0
+
+
+def test_a_recording_whose_file_is_made_later_keeps_nobody_waiting_and_has_all(
+    tmp_path, monkeypatch
+):
+    """As on a disk that hangs for a while."""
+    goes_on, make = threading.Event(), recorder_room.make_folder
+
+    def make_later(folder) -> None:
+        goes_on.wait(60.0)
+        make(folder)
+
+    monkeypatch.setattr(recorder_room, "make_folder", make_later)
+    path, began_s = tmp_path / "run" / "a.mcap", time.monotonic()
+    recorder = Recorder(path, {}, at_once=False)
+    recorder.frame(Frame(0.0, IMAGE, 0))
+    for i in range(100):
+        recorder.outcome(fix(i / 10))
+    assert time.monotonic() - began_s < 5.0
+    assert not path.exists()
+    goes_on.set()
+    recorder.close()
+    kept = [r.topic for r in read_recording(path)]
+    assert kept.count("/fix") == 100
+
+
+def test_a_recording_that_is_made_later_and_cannot_be_is_said(tmp_path, caplog):
+    (tmp_path / "run").write_text("a file")
+    recorder = Recorder(tmp_path / "run" / "a.mcap", {}, at_once=False)
+    recorder.event(0.0, "on route")
+    recorder.close()
+    assert "recording has stopped, the flight goes on: cannot record to" in caplog.text
 
 
 def test_images_come_back_at_no_more_than_the_rate(tmp_path):

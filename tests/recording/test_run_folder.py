@@ -82,6 +82,20 @@ def test_a_killed_run_keeps_its_rows_under_another_name(tmp_path):
     writer.close()
 
 
+def test_rows_whose_file_is_made_later_keep_nobody_waiting(tmp_path):
+    writer = TrajectoryWriter(tmp_path / "run" / "trajectory.csv", HOME, 0.0, at_once=False)
+    writer.write(step(0.0))
+    writer.close()
+    assert len((tmp_path / "run" / "trajectory.csv").read_text().splitlines()) == 2
+
+
+def test_rows_whose_file_cannot_be_made_later_say_so_at_the_end(tmp_path):
+    (tmp_path / "run").write_text("a file")
+    writer = TrajectoryWriter(tmp_path / "run" / "trajectory.csv", HOME, 0.0, at_once=False)
+    with pytest.raises(OSError, match="run"):
+        writer.close()
+
+
 def test_rows_end_where_the_disk_does_not_answer_for_minutes(tmp_path, monkeypatch):
     answers = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda handle: answers.wait(60.0))

@@ -28,7 +28,8 @@ ROOT = Path(__file__).resolve().parents[2]
 HOME = LocalFrame(60.4, 22.5, 40.0)
 ROUTE_TEXT = "1,45,0,32\n2,45,-40,32\n"
 DOWN_M = 0.5
-_IN_THE_NAVIGATOR = 'import sys\nif "fly" in sys.orig_argv and "--standby" not in sys.orig_argv:\n'
+_IN_THE_FIRST = 'import sys\nif "fly" in sys.orig_argv and "--standby" not in sys.orig_argv:\n'
+_IN_OTHERS = 'import sys\nif "--standby" in sys.orig_argv:\n'
 
 
 @dataclass
@@ -125,11 +126,12 @@ class RealFlight:
         return 0.0 if state is None else float(np.hypot(*state.velocity_ned_m_s[:2]))
 
 
-def broken(code: str, folder: Path) -> dict[str, str]:
-    """Environment in which the navigator has been patched by `code`."""
+def broken(code: str, folder: Path, in_others: bool = False) -> dict[str, str]:
+    """Environment in which the navigator, or those that follow it, have been patched by `code`."""
     folder.mkdir(parents=True, exist_ok=True)
     body = "".join(f"    {line}\n" for line in code.strip().splitlines())
-    (folder / "sitecustomize.py").write_text(_IN_THE_NAVIGATOR + body)
+    where = _IN_OTHERS if in_others else _IN_THE_FIRST
+    (folder / "sitecustomize.py").write_text(where + body)
     return {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
 
 
@@ -141,6 +143,7 @@ def real_flight(
     wind_m_s: float = 5.0,
     route_text: str = ROUTE_TEXT,
     hear: Callable[[Any], None] | None = None,
+    in_others: bool = False,
 ) -> Iterator[RealFlight]:
     """Start vehicle and navigator; both are gone at the end.
 
@@ -151,6 +154,7 @@ def real_flight(
         wind_m_s: with gusts.
         route_text: what is flown.
         hear: is called with messages of the link, through a relay.
+        in_others: it is those that follow the navigator that are broken.
     """
     link, truth = free_ports(2)
     config = VehicleConfig(
@@ -174,7 +178,7 @@ def real_flight(
         if file_limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
-    env = os.environ | broken(patch, folder / "patch")
+    env = os.environ | broken(patch, folder / "patch", in_others)
     with start_vehicle(config), (folder / "log").open("wb") as log:
         process = subprocess.Popen(
             command, stdout=log, stderr=log, env=env, cwd=ROOT, preexec_fn=limit

@@ -90,6 +90,14 @@ def tick(self, t_s, navigation):
     return whole(self, t_s, navigation)
 flight.Flight.tick = tick
 """
+DISK_HANGS = """
+import os, time
+def hang(event, arguments):
+    makes = event == "os.mkdir" or (event == "open" and arguments[2] & os.O_ACCMODE)
+    while makes and os.sep + "successor" in str(arguments[0]):
+        time.sleep(1.0)
+sys.addaudithook(hang)
+"""
 LOADED = "100/100"  # drawing the site is what it does last
 
 
@@ -103,6 +111,20 @@ def test_a_navigator_that_is_killed_is_landed_and_a_second_one_tells_the_autopil
         assert flight.fastest_m_s() < 15.0
         successor = (flight.folder / "watchdog.log").read_text()
     assert "the navigator ended in flight" in successor
+
+
+@pytest.mark.long
+def test_a_second_navigator_whose_disk_takes_nothing_tells_the_autopilot_where_it_is(tmp_path):
+    with real_flight(tmp_path, DISK_HANGS, in_others=True) as flight:
+        flight.wait_until_on_route()
+        flight.wait(lambda: LOADED in (flight.folder / "watchdog.log").read_text(), 60.0)
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        told = "estimates are handed on again"
+        flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
+        flight.wait_until_down(90.0)
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 40.0
+        assert not (flight.folder / "successor").exists()
 
 
 def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight, stalled_log
 from vwnav.errors import LinkError
 from vwnav.watchdog import process as watchdog_process
 from vwnav.watchdog.launch import start_watchdog
+from vwnav.watchdog.successor import Resume, SuccessorProcess
 
 # The bounds of flight are 0.3 s after an end and 0.6 s after a stop (see the trials); a loaded
 # machine that runs the tests may take longer to run the watchdog at all.
@@ -195,3 +197,60 @@ def test_two_that_call_the_same_autopilot_do_not_share_it():
     url = f"udpout://127.0.0.1:{free_port()}"
     with start_watchdog(url), pytest.raises(LinkError, match="another watchdog"):
         start_watchdog(url)
+
+
+LEFT_BEHIND = """
+import ctypes, threading, time
+threading.Thread(target=time.sleep, args=(60.0,)).start()
+print(flush=True)
+ctypes.CDLL(None).syscall({"x86_64": 60, "aarch64": 93}["MACHINE"], 0)
+""".replace("MACHINE", platform.machine())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads of Linux")
+def test_a_process_of_which_a_thread_is_left_that_waits_for_a_disk_has_ended():
+    """The system tells its end when the last one has gone; killed, it does not run any more."""
+    command = [sys.executable, "-c", LEFT_BEHIND]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        time.sleep(0.3)
+        watch = watchdog_process.ParentWatch(other.pid)
+        assert other.poll() is None
+        assert watch.has_ended(1.0)
+        watch.close()
+        other.kill()
+
+
+HELD = """
+import sys, time
+if sys.stdin.readline():
+    with open(sys.argv[1], "a") as notes:
+        notes.write("woken\\n")
+    time.sleep(60.0)
+"""
+
+
+def test_a_successor_that_is_killed_is_followed_though_the_system_still_holds_it(
+    tmp_path, monkeypatch
+):
+    """As one does that waits for a camera, or a disk; nor is it waited for at the end."""
+    notes, ours = tmp_path / "notes", []
+    monkeypatch.setattr(subprocess.Popen, "kill", lambda each: ours.append(each))
+    monkeypatch.setattr(subprocess.Popen, "terminate", lambda each: ours.append(each))
+    successor = SuccessorProcess([sys.executable, "-c", HELD, str(notes)], "", "", 0)
+    resume, t_s = Resume(None, (0.0, 0.0), None), 0.0
+    for number in 1, 2:
+        began_s = t_s
+        while not notes.exists() or notes.read_text().count("woken") < number:
+            successor.step(resume, t_s)
+            t_s += 0.02
+            time.sleep(0.002)
+            assert t_s - began_s < 30.0
+        successor.handle_beat()
+    left_s = time.monotonic()
+    successor.close()
+    assert time.monotonic() - left_s < 10.0
+    for each in set(ours):
+        os.kill(each.pid, signal.SIGKILL)
+        each.wait()

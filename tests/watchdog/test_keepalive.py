@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from vwnav.errors import LinkError
 from vwnav.vehicle import Learned
-from vwnav.watchdog.keepalive import Beat, GuardState, KeepAlive, UdpChannel, WatchdogReport
+from vwnav.watchdog.keepalive import (
+    Beat,
+    GuardState,
+    HandedOn,
+    KeepAlive,
+    UdpChannel,
+    WatchdogReport,
+)
 
 FINITE = st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=80).map(tuple)
 BEATS = st.builds(
@@ -24,12 +31,22 @@ BEATS = st.builds(
     st.none() | st.builds(Learned, st.floats(0.0, 1e9), FINITE, FINITE),
     st.integers(0, 255),
 )
+NUMBERS = st.floats(allow_nan=False)
+PLACES = st.builds(
+    HandedOn,
+    NUMBERS,
+    st.tuples(NUMBERS, NUMBERS, NUMBERS),
+    NUMBERS,
+    st.tuples(NUMBERS, NUMBERS),
+    st.integers(0, 255),
+)
 REPORTS = st.builds(
     WatchdogReport,
     st.sampled_from(GuardState),
     st.integers(0, 2**32 - 1),
     st.floats(0.0, 1e6, width=32),
     st.booleans(),
+    st.none() | PLACES,
 )
 
 

@@ -48,6 +48,7 @@ class Flown:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.connect(("127.0.0.1", port))
         self.socket.settimeout(2.0)
+        self.estimates, self.jump_m, self.begun_s = False, 0.0, time.monotonic()
 
     def engage(self) -> None:
         self.peer.armed, self.peer.custom_mode, self.peer.landed_state = True, PX4_OFFBOARD, IN_AIR
@@ -59,7 +60,18 @@ class Flown:
             self.keepalive.beat(True, "on route")
             with contextlib.suppress(ConnectionRefusedError):  # while one takes another's place
                 self.socket.send(setpoint(3.0))
+                if self.estimates:
+                    self.socket.send(self.unsure_estimate())
             time.sleep(0.02)
+
+    def unsure_estimate(self) -> bytes:
+        """At 8 m/s north, by 20 m."""
+        now_s = time.monotonic()
+        place = (8.0 * (now_s - self.begun_s) + self.jump_m, 0.0, -50.0, 0.0, 0.0, 0.0)
+        message = mavlink.MAVLink_vision_position_estimate_message(
+            int(now_s * 1e6), *place, [400.0] * 21, 0
+        )
+        return bytes(message.pack(MAV))
 
     def state(self) -> GuardState:
         report = self.keepalive.report
@@ -249,6 +261,34 @@ def test_a_watchdog_that_died_is_replaced_within_a_second_and_it_flies_on(flown)
     assert len(flown.setpoints(replaced_s)) > 10
 
 
+def test_a_spare_one_hands_on_estimates_that_are_unsure_but_go_on(flown):
+    """The autopilot was given them all the time; they would not do as new ones."""
+    wait_for(loaded_spares, 20.0)
+    flown.estimates = True
+    flown.fly(0.5)
+    flown.engage()
+    flown.fly(1.0)
+    flown.watchdog.process.kill()
+    flown.fly(1.0)
+    again_s = time.monotonic()
+    flown.fly(1.0)
+    assert len(flown.peer.of("VISION_POSITION_ESTIMATE", again_s)) > 20
+
+
+def test_a_spare_one_hands_no_estimate_on_that_has_jumped_meanwhile(flown):
+    wait_for(loaded_spares, 20.0)
+    flown.estimates = True
+    flown.fly(0.5)
+    flown.engage()
+    flown.fly(1.0)
+    flown.watchdog.process.kill()
+    flown.jump_m = 30.0
+    again_s = time.monotonic() + 0.1
+    flown.fly(2.0)
+    assert flown.peer.of("SET_POSITION_TARGET_LOCAL_NED", again_s)
+    assert not flown.peer.of("VISION_POSITION_ESTIMATE", again_s)
+
+
 def test_a_spare_one_is_started_though_the_log_cannot_be_opened_again(tmp_path):
     """As on a disk that stalls, where opening it waits."""
     folder, said = tmp_path / "card", []
@@ -261,6 +301,21 @@ def test_a_spare_one_is_started_though_the_log_cannot_be_opened_again(tmp_path):
         wait_for(lambda: said)
         wait_for(loaded_spares, 20.0)
     assert said == ["the watchdog has died (code -9): another one takes its place"]
+
+
+def test_a_spare_one_that_was_ended_while_it_waited_is_followed_by_another(flown):
+    """For want of memory, say; it is needed when the first one dies."""
+    wait_for(loaded_spares, 20.0)
+    ended = flown.watchdog._spare
+    ended.kill()
+    ended.wait()
+    wait_for(loaded_spares, 20.0)
+    flown.engage()
+    flown.watchdog.process.kill()
+    killed_s = time.monotonic()
+    flown.fly(2.0)
+    assert flown.state() is GuardState.RELAY
+    assert len(flown.setpoints(killed_s + 1.0)) > 10
 
 
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):

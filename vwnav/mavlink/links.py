@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 from urllib.parse import urlsplit
 
 from vwnav.errors import LinkError
+from vwnav.mavlink.opener import Opener
 
 LinkKind = Literal["udpin", "udpout", "tcpout", "serial"]
 _ALIASES: dict[str, LinkKind] = {
@@ -33,8 +34,7 @@ _QUEUE_S = 0.05  # what may wait in the system's queue: nothing overtakes it the
 _SMALLEST_QUEUE_BYTES = 128
 _TCP_QUEUE_BYTES = 2048
 _CONNECT_TIMEOUT_S = 5.0
-_RECONNECT_TIMEOUT_S = 0.3  # with the link down the watchdog has nobody to speak to
-_REOPEN_PERIOD_S = 1.0
+_TCP_DEAD_MS = 3000  # a far end that takes nothing for so long; the system tries for 15 min
 _PEER_SILENT_S = 10.0
 _MOST_PEERS = 4
 _BUSY = frozenset({errno.EAGAIN, errno.EBUSY})  # a serial port that is locked
@@ -105,16 +105,20 @@ class Link(Protocol):
         ...
 
 
-def open_link(address: LinkAddress) -> Link:
+def open_link(address: LinkAddress, at_once: bool = True) -> Link:
     """Open the way.
+
+    Args:
+        address: of its far end.
+        at_once: wait until it is open. Else what has a far end may come up later.
 
     Raises:
         LinkError: it cannot be opened; says which and why.
     """
     try:
         if address.kind in ("udpin", "udpout"):
-            return UdpLink(address)
-        return StreamLink(address)
+            return UdpLink(address, at_once)
+        return StreamLink(address, at_once)
     except (OSError, ValueError) as error:
         raise LinkError(_why_not_open(address, error)) from error
 
@@ -136,15 +140,18 @@ def _why_not_open(address: LinkAddress, error: Exception) -> str:
 class UdpLink:
     """Listens and answers everybody who speaks (udpin), or calls a fixed address (udpout)."""
 
-    def __init__(self, address: LinkAddress) -> None:
+    def __init__(self, address: LinkAddress, at_once: bool = True) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._peers: dict[tuple[str, int], float] = {}  # when each was heard
+        self._looked_up: Opener[tuple[str, int]] | None = None
         try:
             if address.kind == "udpin":
                 self._socket.bind((address.place, address.number))
+            elif at_once:
+                self._peers[_looked_up(address)] = -math.inf
             else:
-                self._peers[socket.gethostbyname(address.place), address.number] = -math.inf
+                self._looked_up = Opener(lambda: _looked_up(address))
         except OSError:
             self._socket.close()
             raise
@@ -173,6 +180,8 @@ class UdpLink:
 
     def write(self, data: bytes) -> None:
         """One datagram; a full queue or a peer that is not up drops it, as the air would."""
+        if self._looked_up is not None and (far := self._looked_up.take()) is not None:
+            self._looked_up, self._peers[far] = None, -math.inf
         for peer in self._peers:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, peer)
@@ -191,14 +200,17 @@ class UdpLink:
 
 
 class StreamLink:
-    """TCP or a serial port: a stream that may break and is opened again every second."""
+    """TCP or a serial port: a stream that may break and is opened again every second.
 
-    def __init__(self, address: LinkAddress) -> None:
+    It is opened again, and what was lost of it closed, by a thread: either may take long.
+    """
+
+    def __init__(self, address: LinkAddress, at_once: bool = True) -> None:
         self._address = address
         self._unsent = b""
-        self._retry_at_s = 0.0
         self._queue_limit_bytes = _queue_limit_bytes(address)
-        self._port: _StreamHandle | None = _open_stream(address, _CONNECT_TIMEOUT_S)
+        self._port: _StreamHandle | None = self._open() if at_once else None
+        self._opener = None if at_once else Opener(self._open)
 
     def fileno(self) -> int:
         """Its descriptor, -1 while it is down."""
@@ -206,8 +218,8 @@ class StreamLink:
 
     def read(self) -> bytes:
         """What has arrived; an end of the stream takes the link down, a second later up again."""
-        if self._port is None:
-            self._reopen()
+        if self._port is None and self._opener is not None:
+            self._port = self._opener.take()
         if self._port is None:
             return b""
         try:
@@ -246,27 +258,29 @@ class StreamLink:
 
     def close(self) -> None:
         """Give the port back."""
+        if self._opener is not None:
+            self._opener.give_up()
         if self._port is not None:
             self._port.close()
         self._port = None
 
     def _lose(self) -> None:
-        self.close()
-        self._unsent = b""
-        self._retry_at_s = time.monotonic() + _REOPEN_PERIOD_S
+        assert self._port is not None
+        lost, self._port, self._unsent = self._port, None, b""
+        self._opener = Opener(self._open, lost.close)
 
-    def _reopen(self) -> None:
-        if time.monotonic() < self._retry_at_s:
-            return
-        self._retry_at_s = time.monotonic() + _REOPEN_PERIOD_S
-        with contextlib.suppress(OSError, ValueError):
-            self._port = _open_stream(self._address, _RECONNECT_TIMEOUT_S)
+    def _open(self) -> "_StreamHandle":
+        return _open_stream(self._address, _CONNECT_TIMEOUT_S)
 
 
 class _StreamHandle(Protocol):
     def fileno(self) -> int: ...
 
     def close(self) -> None: ...
+
+
+def _looked_up(address: LinkAddress) -> tuple[str, int]:
+    return socket.gethostbyname(address.place), address.number
 
 
 def _queue_limit_bytes(address: LinkAddress) -> int:
@@ -291,6 +305,8 @@ def _open_stream(address: LinkAddress, timeout_s: float) -> _StreamHandle:
         return _open_serial(address)
     connection = socket.create_connection((address.place, address.number), timeout_s)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _TCP_DEAD_MS)
     connection.setblocking(False)
     return connection
 

@@ -20,6 +20,7 @@ _PILOT_HAS_IT = Check(
     "pilot", "FAIL", "chose a mode of his own: choose Hold (GUIDED on ArduCopter) to go on"
 )
 _PILOTS = frozenset({FlightMode.MANUAL, FlightMode.MISSION, FlightMode.OTHER})
+_LETS_US = frozenset({FlightMode.HOLD, FlightMode.OFFBOARD})  # who arms in them
 _ASK_AGAIN_S = 1.0
 
 
@@ -71,6 +72,7 @@ class Departure:
         self._autopilot = autopilot
         self._config = config
         self._arms = arms
+        self._invited = False  # a pilot was told that he may arm
         self._say = say
         self._show = show
         self._unready_since_s: float | None = None
@@ -82,7 +84,7 @@ class Departure:
         self._mode = FlightMode.UNKNOWN
         self._pilots = False  # a mode of a pilot's was chosen since it began
         self._ends: str | None = None  # why it is to end
-        self._runs_s = self._asked_s = -math.inf
+        self._stops_s = self._runs_s = self._asked_s = -math.inf
         self.stage = Stage.READINESS
 
     @property
@@ -117,7 +119,7 @@ class Departure:
             case Stage.TAKE_OFF:
                 return self._take_off(vehicle, t_s)
             case Stage.STOP:
-                return self._stop(vehicle, t_s)
+                return self._stop(vehicle, checks, t_s)
 
     def _note_mode(self, mode: FlightMode) -> None:
         """A switch that stands on sticks from the start is how many aircraft are left standing."""
@@ -147,7 +149,7 @@ class Departure:
         if self._arms:
             self.stage, self._request = Stage.ARM, self._autopilot.arm()
         elif self.stage is Stage.READINESS:
-            self.stage = Stage.PERSON
+            self.stage, self._invited = Stage.PERSON, True
             self._say(
                 "ready: arm by the radio (in Hold on PX4, in GUIDED on ArduCopter), or press Enter"
             )
@@ -155,7 +157,7 @@ class Departure:
 
     def _armed_by_somebody(self, vehicle: VehicleState) -> DepartureOutcome | None:
         invited = self.stage is Stage.PERSON and not vehicle.in_air
-        if invited and vehicle.mode in (FlightMode.HOLD, FlightMode.OFFBOARD):
+        if invited and vehicle.mode in _LETS_US:
             self._say("armed by the pilot: taking off")
             self._begin_take_off()
             return None
@@ -228,13 +230,19 @@ class Departure:
 
     def _begin_to_stop(self, t_s: float) -> None:
         self._autopilot.withdraw()
-        self.stage, self._runs_s = Stage.STOP, t_s
+        self.stage, self._stops_s, self._runs_s = Stage.STOP, t_s, t_s
 
-    def _stop(self, vehicle: VehicleState, t_s: float) -> DepartureOutcome | None:
+    def _stop(
+        self, vehicle: VehicleState, checks: tuple[Check, ...], t_s: float
+    ) -> DepartureOutcome | None:
         """Until the motors are told to stand, and nothing under way can start them any more.
 
         An answer that was lost is no refusal: they may start yet, and the aircraft fly.
         """
+        if self._is_armed_as_told(vehicle, checks):
+            self._say("armed, by the pilot or after all: taking off")
+            self._begin_take_off()
+            return None
         if self._pilots or (vehicle.mode in _PILOTS and self._armed_s is None and vehicle.armed):
             return self._taken()
         if vehicle.silence_s > GONE_S:
@@ -250,6 +258,12 @@ class Departure:
             return None
         self.stage, self._ready_since_s = Stage.READINESS, None
         return DepartureOutcome(reason=self._ends) if self._ends else None
+
+    def _is_armed_as_told(self, vehicle: VehicleState, checks: tuple[Check, ...]) -> bool:
+        """Beside an arming of ours without an answer: whoever did it, a person wants to fly."""
+        may = self._invited and self._ends is None and not missing(checks)
+        may = may and self._asked_s < self._stops_s  # the motors have not been told to stand
+        return may and vehicle.armed and not vehicle.in_air and vehicle.mode in _LETS_US
 
     def _disarmed(self) -> DepartureOutcome:
         self._autopilot.withdraw()

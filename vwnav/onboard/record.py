@@ -32,6 +32,10 @@ _log = logging.getLogger(__name__)
 class FlightRecord:
     """A `vwnav.seams.Watcher` that keeps and shows everything.
 
+    Args:
+        folder: of the run; made where it is missing.
+        at_once: what cannot be recorded is not flown. Else the flight goes on without.
+
     Attributes:
         input_log: what the filter is told, from before its start: `Ekf.record(input_log.input)`.
     """
@@ -45,6 +49,7 @@ class FlightRecord:
         truth: TruthReader | None,
         clock: Clock,
         budget: DiskBudget | None = None,
+        at_once: bool = True,
     ) -> None:
         self._folder = folder
         self._clock = clock
@@ -52,7 +57,7 @@ class FlightRecord:
         self._started_s = clock()
         self._trajectory: TrajectoryWriter | None = None
         settings = config.model_dump(mode="json")
-        recorder = Recorder(folder / "flight.mcap", settings, budget=budget)
+        recorder = Recorder(folder / "flight.mcap", settings, budget=budget, at_once=at_once)
         self._recorder = FlightRecorder(recorder, about)
         self.input_log = self._recorder.input_log
         self._image = TrackPlot(pack, about.local_frame)
@@ -87,7 +92,8 @@ class FlightRecord:
         self._saw_outcome(step.outcome)
         if self._trajectory is None:
             path = self._folder / "trajectory.csv"
-            self._trajectory = TrajectoryWriter(path, self.input_log.about.local_frame, frame.t_s)
+            local_frame = self.input_log.about.local_frame
+            self._trajectory = TrajectoryWriter(path, local_frame, frame.t_s, at_once=False)
         yaw_rad = setpoint.yaw_rad if setpoint else None
         self._trajectory.write(step, yaw_rad)  # last: a full disk takes nothing else along
 

@@ -33,7 +33,7 @@ from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
 from vwnav.onboard.succession import start_after
-from vwnav.recording.run_folder import make_run_folder, unused
+from vwnav.recording.run_folder import unused
 from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array
@@ -146,10 +146,10 @@ def _succeed(
     truth = open_truth(options.truth, str(options.connection), handover.observer, clock, stack)
     source = open_camera(options, plan, renderer, truth, clock, stack, handover.height_m)
     assert options.output is not None  # the watchdog names it
-    folder = make_run_folder(unused(options.output), "fly")  # another one may have come before
+    folder = unused(options.output)  # another one may have come before
     record = FlightRecord(
         folder, about_run(assembled, plan.config.features.name, "nadir"), plan.pack, plan.config,
-        truth, clock,
+        truth, clock, at_once=False,
     )  # fmt: skip
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)

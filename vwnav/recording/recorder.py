@@ -28,7 +28,7 @@ from foxglove.messages import CompressedImage, Timestamp
 
 from vwnav.errors import VwnavError
 from vwnav.recording.disk.budget import DiskBudget
-from vwnav.recording.disk.thread import DiskThread, sync_names
+from vwnav.recording.disk.thread import DiskThread, make_folder, sync_names
 from vwnav.recording.reader import CAMERA_TOPIC, VEHICLE_TOPIC
 from vwnav.types import Estimate, Frame, MapFix, Rejected
 from vwnav.vehicle import VehicleState, VelocitySetpoint
@@ -51,10 +51,12 @@ class Recorder:
     `InputLog` adds what the filter was told.
 
     Args:
-        path: must not exist.
+        path: must not exist; its folder is made where it is missing.
         config: the resolved configuration, kept as JSON in the metadata record "config".
         image_rate_hz: at most so many images a second are kept.
         budget: of the disk; recording stops where it cannot be kept.
+        at_once: the file is there, or an error raised. Else it is made by the thread that writes:
+            whoever must not wait for a disk does not, and a file that cannot be made is said.
 
     Attributes:
         dropped: messages that the disk was too slow for.
@@ -69,8 +71,11 @@ class Recorder:
         config: Mapping[str, Any],
         image_rate_hz: float = 2.0,
         budget: DiskBudget | None = None,
+        at_once: bool = True,
     ) -> None:
         self.dropped = 0
+        self._path = path
+        self._config = config
         self._budget = budget
         self._image_period_s = 1.0 / image_rate_hz
         self._next_image_s = 0.0
@@ -78,24 +83,31 @@ class Recorder:
         self._stopped = False
         self._torn = False
         self._context = foxglove.Context()
+        self._started = {"wall_clock_s": repr(time.time()), "monotonic_s": repr(time.monotonic())}
+        self._channels: dict[str, foxglove.Channel] = {}
+        self._camera = CompressedImageChannel(CAMERA_TOPIC, context=self._context)
+        if at_once:
+            self._open()
+        first = None if at_once else self._open
+        self._disk = DiskThread("recorder", self._sync, self._stop, first)
+
+    def _open(self) -> None:
         # Without seeking a chunk is written when it is whole: a killed recorder leaves no half.
         options = MCAPWriteOptions(
             chunk_size=_CHUNK_BYTES, compression=MCAPCompression.Lz4, disable_seeking=True
         )
+        path = self._path
         try:
+            make_folder(path.parent)
             self._writer = foxglove.open_mcap(path, context=self._context, writer_options=options)
             self._file = path.open("rb")  # to be synced: the writer's own is not to be had
         except OSError as error:
             raise VwnavError(f"cannot record to {path}: {error.strerror or error}") from error
         except Exception as error:  # the SDK's own errors have no common base
             raise VwnavError(f"cannot record to {path}: {error}") from error
-        started = {"wall_clock_s": repr(time.time()), "monotonic_s": repr(time.monotonic())}
-        self._writer.write_metadata("config", {"json": json.dumps(plain(config))})
-        self._writer.write_metadata("started", started)
+        self._writer.write_metadata("config", {"json": json.dumps(plain(self._config))})
+        self._writer.write_metadata("started", self._started)
         sync_names(path.parent)
-        self._channels: dict[str, foxglove.Channel] = {}
-        self._camera = CompressedImageChannel(CAMERA_TOPIC, context=self._context)
-        self._disk = DiskThread("recorder", self._sync, self._stop)
 
     def frame(self, frame: Frame) -> None:
         """Keep an image, if one is due; it must not be changed afterwards."""
@@ -180,9 +192,10 @@ class Recorder:
     def _stop(self, error: Exception) -> None:
         self._stopped = True
         _log.warning("recording has stopped, the flight goes on: %s", error)
-        with suppress(Exception):
+        with suppress(Exception):  # not even open
             self._writer.close()
-        self._file.close()
+        with suppress(Exception):
+            self._file.close()
 
     def _write_image(self, frame: Frame) -> None:
         self._images_taken += 1

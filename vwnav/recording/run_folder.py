@@ -79,25 +79,35 @@ class TrajectoryWriter:
     takes them for a whole run. After a power cut the rows older than a second are there.
 
     Args:
-        path: of the CSV.
+        path: of the CSV; its folder is made where it is missing.
         local_frame: NED origin of the run.
         t0_s: time of the first image; `t_s` in the file counts from it.
+        at_once: the file is there, or an error raised. Else it is made by the thread that writes,
+            and it is `write` that raises.
 
     Raises:
         OSError: the file cannot be made.
     """
 
-    def __init__(self, path: Path, local_frame: LocalFrame, t0_s: float) -> None:
+    def __init__(
+        self, path: Path, local_frame: LocalFrame, t0_s: float, at_once: bool = True
+    ) -> None:
         self._path = path
         self._local_frame = local_frame
         self._t0_s = t0_s
         self._partial = path.with_suffix(".csv.part")
-        self._file = self._partial.open("w", newline="", buffering=1)
-        self._rows = csv.DictWriter(self._file, COLUMNS, restval="")
         self._named = False
         self._failure: Exception | None = None
-        self._disk = DiskThread("trajectory", self._sync, self._fail)
-        self._disk.put(self._rows.writeheader)
+        if at_once:
+            self._open()
+        first = None if at_once else self._open
+        self._disk = DiskThread("trajectory", self._sync, self._fail, first)
+
+    def _open(self) -> None:
+        make_folder(self._path.parent)
+        self._file = self._partial.open("w", newline="", buffering=1)
+        self._rows = csv.DictWriter(self._file, COLUMNS, restval="")
+        self._rows.writeheader()
 
     def write(self, step: StepResult, commanded_yaw_rad: float | None = None) -> None:
         """Append the row of one image.

@@ -23,8 +23,11 @@ from vwnav.vehicle import Learned
 _BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
 _BEAT_MAGIC = b"VWB4"
 _LEARNED_HEAD = struct.Struct("<dHH")  # when, how many of means and of covariances
-_REPORT = struct.Struct("<4sBBIf")  # magic, state, flags, sequence of the beat, heartbeat age
-_REPORT_MAGIC = b"VWR2"
+_REPORT = struct.Struct(
+    "<4sBBIf"
+)  # magic, state, flags, of the beat, heartbeat age; then handed on
+_REPORT_MAGIC = b"VWR3"
+_HANDED_ON = struct.Struct("<7dB")
 _ENGAGED, _ENDED = 0x01, 0x02
 _RELAYS_ESTIMATES = 0x01
 _MANY_BEATS = 15  # unanswered: fewer may be those of a loop that slept
@@ -110,6 +113,37 @@ def _unpacked(data: bytes) -> Learned | None:
 
 
 @dataclass(frozen=True, slots=True)
+class HandedOn:
+    """The estimate that the autopilot was given last: a spare watchdog goes on from it.
+
+    Attributes:
+        position_ned_m: about the autopilot's origin, one sigma of it `sigma_m`.
+        velocity_ne_m_s: of the positions of the last second.
+    """
+
+    t_s: float
+    position_ned_m: tuple[float, float, float]
+    sigma_m: float
+    velocity_ne_m_s: tuple[float, float]
+    reset_counter: int
+
+    def pack(self) -> bytes:
+        """As bytes."""
+        numbers = (self.t_s, *self.position_ned_m, self.sigma_m, *self.velocity_ne_m_s)
+        return _HANDED_ON.pack(*numbers, self.reset_counter)
+
+    @staticmethod
+    def unpack(data: bytes) -> "HandedOn | None":
+        """Of bytes, None of what is none."""
+        if len(data) != _HANDED_ON.size:
+            return None
+        t_s, north_m, east_m, down_m, sigma_m, *velocity, counter = _HANDED_ON.unpack(data)
+        return HandedOn(
+            t_s, (north_m, east_m, down_m), sigma_m, (velocity[0], velocity[1]), counter
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class WatchdogReport:
     """The watchdog's answer to a beat.
 
@@ -119,29 +153,35 @@ class WatchdogReport:
         heartbeat_age_s: since the autopilot was last heard by the watchdog.
         relays_estimates: the last estimate was handed on. False: they are held back until they
             come as new ones, with another reset counter.
+        handed_on: what the autopilot was told last; None while it is not.
     """
 
     state: GuardState
     sequence: int
     heartbeat_age_s: float
     relays_estimates: bool = True
+    handed_on: HandedOn | None = None
 
     def pack(self) -> bytes:
         """As a datagram."""
         flags = _RELAYS_ESTIMATES if self.relays_estimates else 0
-        return _REPORT.pack(
+        report = _REPORT.pack(
             _REPORT_MAGIC, self.state.value, flags, self.sequence, self.heartbeat_age_s
         )
+        return report + (b"" if self.handed_on is None else self.handed_on.pack())
 
     @staticmethod
     def unpack(data: bytes) -> "WatchdogReport | None":
         """Of a datagram, None if it is no report."""
-        if len(data) != _REPORT.size or data[:4] != _REPORT_MAGIC:
+        if len(data) < _REPORT.size or data[:4] != _REPORT_MAGIC:
             return None
-        _, state, flags, sequence, age_s = _REPORT.unpack(data)
-        if state not in _STATES:
+        _, state, flags, sequence, age_s = _REPORT.unpack_from(data)
+        rest = data[_REPORT.size :]
+        handed_on = HandedOn.unpack(rest)
+        if state not in _STATES or (rest and handed_on is None):
             return None
-        return WatchdogReport(GuardState(state), sequence, age_s, bool(flags & _RELAYS_ESTIMATES))
+        relays = bool(flags & _RELAYS_ESTIMATES)
+        return WatchdogReport(GuardState(state), sequence, age_s, relays, handed_on)
 
 
 class Channel(Protocol):
@@ -266,6 +306,12 @@ class KeepAlive:
         if since_s is None or self._unanswered < _MANY_BEATS:
             return 0.0
         return self._clock() - since_s
+
+    @property
+    def handed_on(self) -> HandedOn | None:
+        """What a spare watchdog goes on from; None where the last one has been silent for long."""
+        report = self.report
+        return None if report is None or self.unanswered_s > HANGS_S else report.handed_on
 
     def leave(self) -> None:
         """Say that the navigator ends. A watchdog that hears the aircraft fly acts at once."""

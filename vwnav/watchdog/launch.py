@@ -75,7 +75,7 @@ class WatchdogProcess:
         self.observer_url = f"udpout://127.0.0.1:{self._ports['observer_port']}"
         channel = UdpChannel(self._ports["keepalive_port"], listens=False)
         self.keepalive = KeepAlive(channel, clock)
-        self._spare = self._start(["--spare"])
+        self._spare, self._spares_left = self._start(["--spare"]), _MOST_DEATHS
         threading.Thread(target=self._replace_the_dead, name="watchdog", daemon=True).start()
 
     def __enter__(self) -> "WatchdogProcess":
@@ -116,14 +116,34 @@ class WatchdogProcess:
             self.process, spare = self._spare, self._spare
             assert spare.stdin is not None
             with contextlib.suppress(OSError):  # it has died too: the next turn sees it
-                spare.stdin.write(json.dumps(self._ports).encode() + b"\n")
+                spare.stdin.write(self._handover().encode() + b"\n")
                 spare.stdin.flush()
-            try:
-                self._spare = self._start(["--spare"])
-            except OSError as error:
-                self._say(f"no spare watchdog can be started, the present one is the last: {error}")
+            if not self._start_spare():
                 return
         self._say("watchdogs die again and again: nobody guards the aircraft any more")
+
+    def _start_spare(self) -> bool:
+        try:
+            self._spare = self._start(["--spare"])
+        except OSError as error:
+            self._say(f"no spare watchdog can be started, the present one is the last: {error}")
+            return False
+        return True
+
+    def _keep_a_spare(self) -> None:
+        """One may be ended while it waits, where memory is short."""
+        if self._spare.poll() is None or self._closing or not self._spares_left:
+            return
+        self._spares_left -= 1
+        self._say("the spare watchdog has died: another one is started")
+        if not self._start_spare():
+            self._spares_left = 0
+
+    def _handover(self) -> str:
+        """The line with which the spare one takes over: `WatchdogOptions` that it has not got."""
+        told = self.keepalive.handed_on
+        goes_on = "" if told is None else told.pack().hex()
+        return json.dumps({**self._ports, "takes_over": True, "goes_on": goes_on})
 
     def _wait_for_its_end(self) -> int:
         """Its exit status. One that lives and does not answer guards nobody: it is killed."""
@@ -132,6 +152,7 @@ class WatchdogProcess:
             try:
                 return self.process.wait(_LOOKS_EVERY_S)
             except subprocess.TimeoutExpired:
+                self._keep_a_spare()
                 hangs = self.keepalive.unanswered_s > HANGS_S and time.monotonic() > due_s
                 if hangs and not self._closing:
                     self._say(f"the watchdog has not answered for {HANGS_S:.0f} s: it is ended")

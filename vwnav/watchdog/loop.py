@@ -15,7 +15,7 @@ from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
 from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
 from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
-from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
+from vwnav.watchdog.keepalive import Beat, Channel, GuardState, HandedOn, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
 from vwnav.watchdog.successor import Resume, Successor
@@ -39,12 +39,14 @@ class WatchdogConfig:
         calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
         useless: when the navigator is ended.
+        goes_on: what the autopilot was told by the one that this one takes the place of.
     """
 
     calls_first: bool = False
     limit_s: float = 900.0
     useless: UselessConfig = field(default_factory=UselessConfig)
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
+    goes_on: HandedOn | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ class Watchdog:
         self._from_navigator, self._from_observer = Framer(), Framer()
         self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
-        self._estimates = RelayGuard()
+        self._estimates = RelayGuard(goes_on=config.goes_on)
         self._call_t_s = self._origin_t_s = self._ended_t_s = -math.inf
         self.finished = False
 
@@ -212,7 +214,8 @@ class Watchdog:
         return good
 
     def _admits(self, message: Any, t_s: float) -> bool:
-        armed = self._ear.vehicle(t_s).armed
+        # One that has not been heard may fly: a spare watchdog comes up in between two heartbeats.
+        armed = self._ear.kind is None or self._ear.vehicle(t_s).armed
         match told_by(message):
             case RelayedPosition() as position, None:
                 return self._estimates.admit_position(position, t_s, armed)
@@ -246,8 +249,8 @@ class Watchdog:
                 self._successor.handle_beat()
             self._guard.handle_beat(beat, t_s)
             age_s = self._ear.heartbeat_age_s(t_s)
-            is_good = self._estimates.lost_since_s is None
-            report = WatchdogReport(self._guard.state, beat.sequence, age_s, is_good)
+            is_good, told = self._estimates.lost_since_s is None, self._estimates.handed_on
+            report = WatchdogReport(self._guard.state, beat.sequence, age_s, is_good, told)
             self._links.beats.send(report.pack())
 
     def _follow_autopilot(self, system_id: int) -> None:

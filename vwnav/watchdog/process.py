@@ -9,12 +9,13 @@ import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 
 from vwnav.errors import LinkError
 from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.pace import clock_of
-from vwnav.watchdog.keepalive import UdpChannel
+from vwnav.watchdog.keepalive import HandedOn, UdpChannel
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.watchdog.successor import SuccessorProcess
 from vwnav.watchdog.visitors import Reception
@@ -39,6 +40,8 @@ class WatchdogOptions:
         standby: command line of the successor; none when empty.
         limit_s: longest time it goes on without the navigator.
         clock_file: of a simulated time; empty for the wall's.
+        takes_over: in the place of one that has died in flight. It comes up whatever the link does.
+        goes_on: what that one handed on last (`HandedOn`, as hexadecimal digits).
     """
 
     connection: str
@@ -49,6 +52,8 @@ class WatchdogOptions:
     standby: Sequence[str] = ()
     limit_s: float = 900.0
     clock_file: str = ""
+    takes_over: bool = False
+    goes_on: str = ""
 
 
 class ParentWatch:
@@ -104,6 +109,8 @@ class ParentWatch:
             self._fd = None
 
     def _lives(self) -> bool:
+        if _is_left_over(self._pid):
+            return False
         if self._is_parent:
             return os.getppid() == self._pid
         try:
@@ -113,6 +120,13 @@ class ParentWatch:
         except PermissionError:
             return True
         return True
+
+
+def _is_left_over(pid: int) -> bool:
+    """Its first thread has ended: another one that waits for a disk keeps it from being gone."""
+    with contextlib.suppress(OSError):  # gone, or not Linux
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    return False
 
 
 class WatchdogPorts:
@@ -129,9 +143,13 @@ class WatchdogPorts:
         self._navigator = _local_link(options.navigator_port)
         self._observer = _local_link(options.observer_port)
         self._beats = UdpChannel(options.keepalive_port, listens=True)
-        self._link = open_link(address)
+        self._link = open_link(address, at_once=not options.takes_over)
         links = WatchdogLinks(self._link, self._navigator, self._observer, self._beats)
-        config = WatchdogConfig(calls_first=address.kind != "udpin", limit_s=options.limit_s)
+        config = WatchdogConfig(
+            calls_first=address.kind != "udpin",
+            limit_s=options.limit_s,
+            goes_on=HandedOn.unpack(bytes.fromhex(options.goes_on)),
+        )
         successor = None
         if options.standby:
             successor = SuccessorProcess(

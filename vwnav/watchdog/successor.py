@@ -9,6 +9,7 @@ prepared: an autopilot keeps its position for 5 s without estimates, and loading
 import contextlib
 import json
 import logging
+import math
 import os
 import subprocess
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ _MOST_STARTS = 5
 _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
+_UNWINDS_S = 1.0  # of a killed one; it runs no more, whatever the system still holds of it
 _SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
 _NICER = 5  # one that loads goes behind one that serves
 
@@ -92,6 +94,7 @@ class SuccessorProcess:
         self._starts = 0
         self._start_at_s = 0.0
         self._has_beaten = False
+        self._given_up_t_s = math.inf
         self._silence = Silence()
 
     @property
@@ -109,10 +112,10 @@ class SuccessorProcess:
         self._silence.listen(t_s)
         if self._has_ended(self._ready, t_s):
             self._ready = None
-        if self._has_ended(self._serving, t_s):
+        if self._has_ended(self._serving, t_s) or t_s >= self._given_up_t_s:
             self._serving = None
         if self._serving is not None:
-            self._end_if_silent(self._serving)
+            self._end_if_silent(self._serving, t_s)
         if self._wants_another and t_s >= self._start_at_s:
             self._start(t_s)
         if resume is not None and self._serving is None and self._ready is not None:
@@ -158,16 +161,17 @@ class SuccessorProcess:
         """The next one is started after a while, a longer one each time."""
         self._start_at_s = t_s + _FIRST_BACK_OFF_S * 2.0 ** (self._starts - 1)
 
-    def _end_if_silent(self, process: subprocess.Popen[bytes]) -> None:
+    def _end_if_silent(self, process: subprocess.Popen[bytes], t_s: float) -> None:
         limit_s = _SILENT_S if self._has_beaten else _COMES_UP_S
         if self._silence.waking_s > limit_s:
             self._silence.end()
             _log.warning("the successor has been silent for %.0f s: it is ended", limit_s)
             process.kill()
+            self._given_up_t_s = t_s + _UNWINDS_S
 
     def _wake(self, process: subprocess.Popen[bytes], resume: Resume) -> None:
         self._serving, self._ready = process, None
-        self._has_beaten = False
+        self._has_beaten, self._given_up_t_s = False, math.inf
         self._silence.end()
         assert process.stdin is not None
         line = json.dumps({**self._ways, **asdict(resume)}) + "\n"
@@ -189,7 +193,8 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             return
         except subprocess.TimeoutExpired:
             end()
-    process.wait()
+    with contextlib.suppress(subprocess.TimeoutExpired):  # held by the system: it runs no more
+        process.wait(_END_TIMEOUT_S)
 
 
 def _go_behind(process: subprocess.Popen[bytes]) -> None:

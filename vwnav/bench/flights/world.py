@@ -126,10 +126,10 @@ class World:
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
     def _watchdog(self) -> Watchdog:
-        links = WatchdogLinks(
-            self.autopilot_link.b, self._navigator_link.a, self._observer_link.a, self._beats.a
-        )
-        return Watchdog(links, WatchdogConfig(), self.successor, self.navigator)
+        ways = self.autopilot_link.b, self._navigator_link.a, self._observer_link.a
+        links = WatchdogLinks(*ways, self._beats.a)
+        config = WatchdogConfig(goes_on=self.navigator.keep_alive.handed_on)
+        return Watchdog(links, config, self.successor, self.navigator)
 
     def _camera(self, place: Place) -> LockstepCamera:
         renderer = draw(self.setup, place)

@@ -26,13 +26,19 @@ class DiskThread:
         name: of the thread.
         sync: makes what was done so far outlast a power cut; called at the start, too.
         failed: told what broke; nothing more is done then.
+        first: done before all else: a file that is opened here makes nobody wait for the disk.
     """
 
     def __init__(
-        self, name: str, sync: Callable[[], None], failed: Callable[[Exception], None]
+        self,
+        name: str,
+        sync: Callable[[], None],
+        failed: Callable[[Exception], None],
+        first: Callable[[], None] | None = None,
     ) -> None:
         self._sync = sync
         self._failed = failed
+        self._first = first
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._finish = sync
         self._next_sync_s = monotonic()
@@ -57,6 +63,8 @@ class DiskThread:
 
     def _work(self) -> None:
         try:
+            if self._first is not None:
+                self._first()
             self._sync_now()
             while self._do_next():
                 pass
