@@ -45,13 +45,12 @@ from vwnav.vision.candidates import (
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
 from vwnav.vision.lever_arm import LeverArm
-from vwnav.vision.query import Query, QueryMaker
+from vwnav.vision.query import Query, QueryMaker, implausible
 from vwnav.vision.registration import (
     MAX_RESCALE,
     Registration,
     ambiguous,
     fix_of,
-    implausible,
     may_be_chance,
     register,
 )
@@ -309,8 +308,8 @@ class Localizer:
         rescaled = abs(math.log(agl_m / (told_m or agl_m))) > math.log(MAX_RESCALE)
         if (rescaled or decades < SURE_DECADES) and self._contradicted(query, look, found):
             return may_be_chance(query, consensus, "on a place that the edges contradict")
-        with query.stage("verify_ms"):
-            refusal = ambiguous(self._pack, self._extractor, query, found)
+        again = partial(self._register, query)
+        refusal = ambiguous(self._pack, self._extractor, query, found, again)
         if not chance:
             return refusal or found
         if refusal is None:

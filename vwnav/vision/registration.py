@@ -1,10 +1,10 @@
 """Registering a query on a piece of map: match, find the consensus, and weigh it.
 
-Of a registration it is asked whether the map shows the like elsewhere, what fix it is, and whether
-that fix is plausible.
+Of a registration it is asked what fix it is, and whether the map shows the like elsewhere.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -49,13 +49,12 @@ REFINED = SimilarityBounds(1.12, math.radians(8.0))  # what is left open then
 MIN_SIGMA_PX = 0.5
 SYSTEMATIC_PX = 0.3  # errors that all matches share, map pixels
 SIGMA_LEVEL_RAD = 0.09  # of the tilt where none is known, as odometry has it
-MAX_PRIOR_SIGMAS = 4.0
-UNKNOWN_TILT = 0.3  # the image's centre may be so far off the nadir, in heights: 17 degrees
 SYSTEMATIC_YAW_RAD = math.radians(0.3)
 SYSTEMATIC_SCALE = 0.01
 SLOPE = 0.1  # one sigma of the ground's: what is seen aside lies higher or lower than the nadir
 QUARTERS = (1, 2, 3)  # turns of the map that are tried
 BESIDE = 2.0  # views around a registration in which its like is looked for
+Look = Callable[[Candidate], "Registration | Rejected"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,42 +280,27 @@ def fix_of(query: Query, found: Registration) -> MapFix:
     )
 
 
-def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | None:
-    """A refusal of a fix that is too uncertain, or too far from the prior."""
-    prior, sigma_m = query.prior, fix.sigma_m
-    matches, inliers = fix.stats.matches, fix.stats.inliers
-    if sigma_m > max_sigma_m:
-        detail = f"the matches fix the position to {sigma_m:.0f} m only"
-        return query.rejected(RejectReason.GEOMETRY, detail, matches=matches, inliers=inliers)
-    if prior.lat_deg is None or prior.lon_deg is None:
-        return None
-    off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
-    allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, sigma_m)
-    if fix.point == "center" and fix.agl_m is not None:
-        allowed_m += UNKNOWN_TILT * fix.agl_m
-    if off_m <= allowed_m:
-        return None
-    detail = f"{off_m:.0f} m from the prior of {prior.sigma_m:.0f} m sigma"
-    return query.rejected(RejectReason.PRIOR, detail, matches=matches, inliers=inliers)
-
-
 def ambiguous(
-    pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
+    pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration, look: Look
 ) -> Rejected | None:
     """A refusal where the map shows the like at other places, or turned, that are open too."""
     # A part of the image tells places less apart: twice as many must be unlike.
     cells, where = found.consensus.cells // (1 + found.candidate.thrifty), "beside it"
-    share = _share_beside(pack, extractor, query, found)
+    with query.stage("verify_ms"):
+        share = _share_beside(pack, extractor, query, found)
     mistakable = is_mistakable(share, cells)
     if not mistakable and query.heading_open:
         where = "turned by a quarter or a half"
-        share = _share_turned(pack, extractor, found)
+        share = _share_seen_turned(found, look)
+        mistakable = share >= MAX_RIVALRY
+    if not mistakable and query.heading_open:
+        with query.stage("verify_ms"):
+            share = _share_turned(pack, extractor, found)
         mistakable = is_mistakable(share, cells)
     if not mistakable:
         return None
-    matches, inliers = found.consensus.matches, len(found.consensus.uv_view)
-    detail = f"{share:.0%} of what was seen is {where} too"
-    return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
+    why = f"{min(share, 1.0):.0%} of what was seen is {where} too"
+    return replace(may_be_chance(query, found.consensus), reason=RejectReason.AMBIGUOUS, detail=why)
 
 
 def _share_beside(
@@ -334,14 +318,30 @@ def _share_beside(
     around = pack.features_in(found.candidate.level.zoom, *window, extractor)
     moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
     landmarks = replace(found.landmarks, uv=moved)
-    within_px = math.inf
-    if query.prior.lat_deg is not None:
-        within_px = 2.0 * reach_m / found.view.rectification.m_per_px
+    reach_px = 2.0 * reach_m / found.view.rectification.m_per_px
+    within_px = math.inf if query.prior.lat_deg is None else reach_px
     return share_alike(landmarks, found.likeness, around.features, within_px)
 
 
+def _share_seen_turned(found: Registration, look: Look) -> float:
+    """What the image shows where it is put on the map turned, of what it shows as it was found.
+
+    Of another day than the map's it may be as like both ends of a runway, and they less each other.
+    """
+    view, assumed, cells = found.view.rectification, found.hypothesis, [0]
+    lat_deg, lon_deg = found.lat_lon_of_view(view.nadir_uv)
+    around_m = max(view.size_wh) * view.m_per_px
+    there = replace(found.candidate, lat_deg=lat_deg, lon_deg=lon_deg, radius_m=around_m)
+    for quarter in QUARTERS:
+        yaw_rad = wrap_pi(assumed.yaw_rad + quarter * math.pi / 2.0)
+        rival = look(replace(there, hypothesis=replace(assumed, yaw_rad=yaw_rad)))
+        if isinstance(rival, Registration):
+            cells.append(rival.consensus.cells)
+    return max(cells) / found.consensus.cells
+
+
 def _share_turned(pack: MapReader, extractor: FeatureExtractor, found: Registration) -> float:
-    """The same of the map under and around the view, turned by one, two and three quarters."""
+    """As `_share_beside`, of the map under and around the view turned by one to three quarters."""
     window, zoom = found.window.grown(max(found.window.shape)), found.candidate.level.zoom
     keypoints = len(pack.features_in(zoom, *window, extractor).features)
     gray, _ = pack.image(zoom, *window)
