@@ -14,7 +14,7 @@ from vwnav.bench.estimator.world import FilterWorld, fly
 from vwnav.estimation.beginning.starts import Start, begun_anew
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.events import NedFix
+from vwnav.estimation.events import Exposed, NedFix
 from vwnav.estimation.inertial.attitudes import yaw_of
 from vwnav.estimation.states import States, Verdict
 from vwnav.estimation.timeline import Timeline, outside
@@ -47,6 +47,25 @@ def test_the_first_fix_of_an_unknown_place_counts_as_a_reset():
     assert ekf.estimate(2.0).reset_counter == 0
     assert ekf.handle(fix(2.0, 500.0)).verdict is Verdict.RELOCATED
     assert ekf.estimate(2.0).reset_counter == 1
+
+
+def test_fixes_that_move_the_aircraft_onto_a_hill_bring_the_height_of_their_image_along():
+    """A picture older than the history was as high over the ground there as it says."""
+    ekf = Ekf(EkfConfig(history_s=0.1), lambda north_m, east_m: 30.0 if north_m > 250.0 else 0.0)
+    ekf.initialise(
+        Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), sigma_m=2.0, agl_m=50.0)
+    )
+    for i in range(20):
+        go_on(ekf, 0.5 * i, 0.3, 50.0)
+        taken_s = 0.5 * i + 0.3
+        ekf.handle(Exposed(taken_s))
+        go_on(ekf, taken_s, 0.2, 50.0)
+        told = ekf.handle(replace(fix(taken_s, 500.0), agl_m=20.0, sigma_agl_m=0.5))
+        if told.verdict is Verdict.RELOCATED:
+            break
+    assert told.verdict is Verdict.RELOCATED
+    assert ekf.state.x[States.EXPOSED_AGL] == pytest.approx(20.0, abs=1.0)
+    assert ekf.estimate(taken_s + 0.2).agl_m == pytest.approx(20.0, abs=1.0)
 
 
 def test_a_correction_by_metres_counts_as_a_reset_and_a_small_one_does_not():

@@ -11,6 +11,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler, wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.types import Features, Frame, MapFix, Prior, Rejected, RejectReason
+from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.features.opencv import no_features
 from vwnav.vision.localizer import Localizer
 
@@ -304,6 +305,24 @@ def test_a_view_without_keypoints_is_placed_by_correlation_which_tells_a_positio
     assert (fix.placed_by, fix.point) == ("correlation", "nadir")
     assert np.linalg.norm(error_ne_m(fix, 20.0, -15.0)) < 0.4
     assert fix.yaw_rad is fix.sigma_yaw_rad is fix.agl_m is fix.sigma_agl_m is None
+
+
+def test_a_leaning_view_placed_by_correlation_is_as_unsure_as_height_and_heading(pack, ground, orb):
+    """It shows ground aside: how far aside they tell, and no match corrects them."""
+    rng, squared = np.random.default_rng(1), []
+    localizer = Localizer(pack, Blind(orb), CAMERA, LocalizerConfig(sigma_tilt_rad=0.0))
+    for north_m, east_m in rng.uniform(-30, 30, (25, 2)):
+        yaw_deg, agl_m = rng.uniform(-180, 180), 36.0 * math.exp(rng.normal(0, 0.06))
+        frame = frame_at(ground, north_m, east_m, 36.0, rpy_deg=(18, -20, yaw_deg), rng=rng)
+        told_deg = yaw_deg + math.degrees(rng.normal(0, 0.05))
+        lean = {"roll_rad": math.radians(18), "pitch_rad": math.radians(-20)}
+        known = {"agl_m": agl_m, "sigma_agl_ratio": 0.06, "sigma_m": 3.0, **lean}
+        fix = localizer.localize(frame, prior_at(north_m, east_m, yaw_deg=told_deg, **known), 0)
+        if isinstance(fix, MapFix):
+            error = error_ne_m(fix, north_m, east_m)
+            squared.append(error @ np.linalg.solve(fix.covariance_ne_m2, error))
+    assert len(squared) > 12
+    assert np.mean(squared) < 3.0  # two degrees of freedom; 4.5 without height and heading
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from vision_scenes import CAMERA, M_PER_PX, frame_at, texture
 
 from vwnav.errors import CalibrationError
+from vwnav.geometry.camera import cut_to_image
 from vwnav.geometry.homography import transform_points
 from vwnav.types import Frame, Prior
 from vwnav.vision.query import Query, Taken
@@ -112,3 +113,52 @@ def test_colour_and_gray_images_give_the_same_view(orb):
     gray = frame_at(GROUND, 0.0, 0.0, 60.0).image
     from_colour = query_of(orb, cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)).image.at_scale(1.0)[0]
     assert np.array_equal(from_colour, gray)
+
+
+class Counted:
+    """Features that count how often they were looked for."""
+
+    def __init__(self, extractor) -> None:
+        self.name, self._extractor, self.times = extractor.name, extractor, 0
+
+    def extract(self, gray, max_keypoints):
+        self.times += 1
+        return self._extractor.extract(gray, max_keypoints)
+
+
+def moved(made, by_px: float):
+    """A view of the same size that begins elsewhere, as a cut one does."""
+    shift = np.eye(3)
+    shift[0, 2] = by_px
+    nadir_uv = made.nadir_uv + np.array([by_px, 0.0])
+    return replace(made, H_rect_frame=shift @ made.H_rect_frame, nadir_uv=nadir_uv)
+
+
+def test_a_view_is_made_once_and_levels_of_twice_the_size_share_it(orb):
+    counted = Counted(orb)
+    query = query_of(counted, frame_at(GROUND, 0.0, 0.0, 60.0).image)
+    for agl_m, m_per_px in [(60.0, M_PER_PX), (60.0, M_PER_PX), (120.0, 2 * M_PER_PX)]:
+        made = query.rectify(0.5, agl_m, m_per_px)
+        view = query.view(0.5, made, 500)
+        assert (view.rectification.agl_m, view.rectification.m_per_px) == (agl_m, m_per_px)
+    assert counted.times == 1
+
+
+@pytest.mark.parametrize("other", ["yaw", "height", "cut", "moved"])
+def test_another_view_is_not_taken_for_one_that_was_made(orb, other):
+    counted = Counted(orb)
+    query = query_of(counted, frame_at(GROUND, 0.0, 0.0, 60.0).image)
+    made = query.rectify(0.5, 60.0, M_PER_PX)
+    query.view(0.5, made, 500)
+    yaw_rad, changed = 0.5, made
+    if other == "yaw":
+        yaw_rad, changed = 0.5 + math.pi, query.rectify(0.5 + math.pi, 60.0, M_PER_PX)
+    elif other == "height":
+        changed = replace(query.rectify(0.5, 61.0, M_PER_PX), size_wh=made.size_wh)
+    elif other == "cut":
+        changed = cut_to_image(made, query.image.size_wh, 32)
+    else:
+        changed = moved(made, 5.0)
+    view = query.view(yaw_rad, changed, 500)
+    assert counted.times == 2
+    assert view.gray.shape == changed.size_wh[::-1]

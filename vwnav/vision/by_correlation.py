@@ -17,9 +17,10 @@ from vwnav.geometry.geodesy import (
     lat_lon_from_mercator_px,
     mercator_px,
 )
+from vwnav.geometry.homography import transform_points
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.maps.image import MapReader
-from vwnav.types import MapFix
+from vwnav.types import Array, MapFix
 from vwnav.vision.candidates import MAX_RIVALRY, Acceptance, Candidate, Hypothesis
 from vwnav.vision.correlation import RING_PX, Peak, best_shift, decades_of_shift
 from vwnav.vision.query import Query
@@ -28,7 +29,7 @@ YAW_STEP_RAD = math.radians(2.0)  # a view of 140 px turned by half of it is 1 p
 MAX_YAW_STEPS = 3  # to either side
 YAW_SIGMAS = 2.0
 MAX_REACH_PX = 64  # a place that is known worse is not looked for by correlation alone
-SIGMA_PX = 1.5  # of a place, per axis
+SIGMA_PX = 1.5  # of the middle of what is seen, per axis
 CONTRADICTS_DECADES = 1.0  # that a look must have to speak against matches
 
 
@@ -159,13 +160,14 @@ def _correlate(pack: MapReader, query: Query, candidate: Candidate) -> Correlate
 
 
 def _fix(query: Query, best: Correlated, accept: Acceptance) -> MapFix:
-    tilt_m = best.view.agl_m * accept.sigma_tilt_rad
-    sigma_m = math.hypot(SIGMA_PX * best.view.m_per_px, tilt_m, accept.sigma_georeference_m)
+    view = best.view
+    tilt_m = view.agl_m * accept.sigma_tilt_rad
+    sigma_m = math.hypot(SIGMA_PX * view.m_per_px, tilt_m, accept.sigma_georeference_m)
     return MapFix(
         t_s=query.t_s,
         lat_deg=best.nadir_lat_lon[0],
         lon_deg=best.nadir_lat_lon[1],
-        covariance_ne_m2=sigma_m**2 * np.eye(2),
+        covariance_ne_m2=sigma_m**2 * np.eye(2) + _aside_covariance(query, view),
         yaw_rad=None,
         sigma_yaw_rad=None,
         agl_m=None,
@@ -174,3 +176,19 @@ def _fix(query: Query, best: Correlated, accept: Acceptance) -> MapFix:
         features=query.features,
         placed_by="correlation",
     )
+
+
+def _aside_covariance(query: Query, view: Rectification) -> Array:
+    """Covariance (2, 2) in m^2 of north and east by the heading and the height that were told.
+
+    A shift places the middle of what is seen. From there to the nadir it is as far as the view was
+    made to be: of a wrong height by as much of it less, of a wrong heading to one side.
+    """
+    w, h = query.image.size_wh
+    middle_uv = transform_points(view.H_rect_frame, np.array([w - 1.0, h - 1.0]) / 2.0)[0]
+    east_m, south_m = view.m_per_px * (view.nadir_uv - middle_uv)
+    along_m = query.prior.sigma_agl_ratio * np.array([-south_m, east_m])
+    # The best of the headings that were tried is good to a step.
+    sigma_yaw_rad = min(query.prior.sigma_yaw_rad, YAW_STEP_RAD)
+    across_m = sigma_yaw_rad * np.array([-east_m, -south_m])
+    return np.outer(along_m, along_m) + np.outer(across_m, across_m)

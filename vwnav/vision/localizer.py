@@ -44,13 +44,13 @@ from vwnav.vision.candidates import (
 from vwnav.vision.config import LocalizerConfig
 from vwnav.vision.correlation import decades_of_correlation
 from vwnav.vision.lever_arm import LeverArm
-from vwnav.vision.query import Query
+from vwnav.vision.query import Query, implausible
 from vwnav.vision.registration import (
     MAX_RESCALE,
     Registration,
     ambiguous,
+    fits_turned,
     fix_of,
-    implausible,
     may_be_chance,
     register,
 )
@@ -299,6 +299,8 @@ class Localizer:
         # A dozen landmarks hardly alike, as of another season, have their like beside by chance.
         if refusal is not None and not query.heading_open and self._singled_out(edges, found):
             refusal = None
+        if refusal is None and query.heading_open:
+            refusal = fits_turned(query, found, partial(self._register, query))
         if not chance:
             return refusal or found
         if refusal is None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification, to_gray
-from vwnav.geometry.geodesy import Window
+from vwnav.geometry.geodesy import Window, horizontal_distance_m
 from vwnav.geometry.homography import jacobian_at, transform_points
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.image import MapFeatures
@@ -20,6 +20,7 @@ from vwnav.types import (
     Features,
     Frame,
     Gray,
+    MapFix,
     MatchStats,
     Prior,
     Rejected,
@@ -33,6 +34,8 @@ EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the ima
 MIN_SHRINK = 0.6  # below this the image is halved first: a warp alone would alias
 GRID_PX = 8  # of a view, within which the image bends by some hundredths of a pixel
 MAX_OVERSAMPLING = 2.5
+MAX_PRIOR_SIGMAS = 4.0
+UNKNOWN_TILT = 0.3  # the image's centre may be so far off the nadir, in heights: 17 degrees
 MAX_YAW_SIGMA_RAD = 0.5  # beyond this a view may be turned by a quarter
 
 
@@ -259,6 +262,25 @@ class Query:
         inside = _inside(found.uv.astype(np.float64), made.H_rect_frame, size, center_uv)
         features = found.take(np.flatnonzero(inside)[:max_keypoints])
         return View(made, center_uv, gray, features)
+
+
+def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | None:
+    """A refusal of a fix that is too uncertain, or too far from the prior."""
+    prior, sigma_m = query.prior, fix.sigma_m
+    matches, inliers = fix.stats.matches, fix.stats.inliers
+    if sigma_m > max_sigma_m:
+        detail = f"the matches fix the position to {sigma_m:.0f} m only"
+        return query.rejected(RejectReason.GEOMETRY, detail, matches=matches, inliers=inliers)
+    if prior.lat_deg is None or prior.lon_deg is None:
+        return None
+    off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
+    allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, sigma_m)
+    if fix.point == "center" and fix.agl_m is not None:
+        allowed_m += UNKNOWN_TILT * fix.agl_m
+    if off_m <= allowed_m:
+        return None
+    detail = f"{off_m:.0f} m from the prior of {prior.sigma_m:.0f} m sigma"
+    return query.rejected(RejectReason.PRIOR, detail, matches=matches, inliers=inliers)
 
 
 def _inside(uv: Array, H_rect_frame: Array, size_wh: Array, center_uv: Array) -> NDArray[np.bool_]:

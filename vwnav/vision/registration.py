@@ -1,10 +1,10 @@
 """Registering a query on a piece of map: match, find the consensus, and weigh it.
 
-Of a registration it is asked whether the map shows the like elsewhere, what fix it is, and whether
-that fix is plausible.
+Of a registration it is asked what fix it is, and whether the map shows the like elsewhere.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -50,8 +50,6 @@ REFINED = SimilarityBounds(1.12, math.radians(8.0))  # what is left open then
 MIN_SIGMA_PX = 0.5
 SYSTEMATIC_PX = 0.3  # errors that all matches share, map pixels
 SIGMA_LEVEL_RAD = 0.09  # of the tilt where none is known, as odometry has it
-MAX_PRIOR_SIGMAS = 4.0
-UNKNOWN_TILT = 0.3  # the image's centre may be so far off the nadir, in heights: 17 degrees
 SYSTEMATIC_YAW_RAD = math.radians(0.3)
 SYSTEMATIC_SCALE = 0.01
 SLOPE = 0.1  # one sigma of the ground's: what is seen aside lies higher or lower than the nadir
@@ -59,6 +57,7 @@ QUARTERS = (1, 2, 3)  # turns of the map that are tried
 MAX_ALIKE = 0.6  # of the landmarks' cells may have their like at one place, or ...
 MIN_UNLIKE_CELLS = 6.0  # ... so many must have none there
 BESIDE = 2.0  # views around a registration in which its like is looked for
+Look = Callable[[Candidate], "Registration | Rejected"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,25 +277,6 @@ def fix_of(query: Query, found: Registration) -> MapFix:
     )
 
 
-def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | None:
-    """A refusal of a fix that is too uncertain, or too far from the prior."""
-    prior, sigma_m = query.prior, fix.sigma_m
-    matches, inliers = fix.stats.matches, fix.stats.inliers
-    if sigma_m > max_sigma_m:
-        detail = f"the matches fix the position to {sigma_m:.0f} m only"
-        return query.rejected(RejectReason.GEOMETRY, detail, matches=matches, inliers=inliers)
-    if prior.lat_deg is None or prior.lon_deg is None:
-        return None
-    off_m = horizontal_distance_m(prior.lat_deg, prior.lon_deg, fix.lat_deg, fix.lon_deg)
-    allowed_m = MAX_PRIOR_SIGMAS * math.hypot(prior.sigma_m, sigma_m)
-    if fix.point == "center" and fix.agl_m is not None:
-        allowed_m += UNKNOWN_TILT * fix.agl_m
-    if off_m <= allowed_m:
-        return None
-    detail = f"{off_m:.0f} m from the prior of {prior.sigma_m:.0f} m sigma"
-    return query.rejected(RejectReason.PRIOR, detail, matches=matches, inliers=inliers)
-
-
 def ambiguous(
     pack: MapReader, extractor: FeatureExtractor, query: Query, found: Registration
 ) -> Rejected | None:
@@ -313,6 +293,28 @@ def ambiguous(
             detail = f"{share:.0%} of what was seen is {where} too"
             return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
     return None
+
+
+def fits_turned(query: Query, found: Registration, look: Look) -> Rejected | None:
+    """A refusal where the image shows nearly as much put on the map turned as it was found.
+
+    Of another day than the map's it may be as like both ends of a runway, and they less each other.
+    """
+    view, assumed, cells = found.view.rectification, found.hypothesis, [0]
+    lat_deg, lon_deg = found.lat_lon_of_view(view.nadir_uv)
+    around_m = max(view.size_wh) * view.m_per_px
+    there = replace(found.candidate, lat_deg=lat_deg, lon_deg=lon_deg, radius_m=around_m)
+    for quarter in QUARTERS:
+        yaw_rad = wrap_pi(assumed.yaw_rad + quarter * math.pi / 2.0)
+        rival = look(replace(there, hypothesis=replace(assumed, yaw_rad=yaw_rad)))
+        if isinstance(rival, Registration):
+            cells.append(rival.consensus.cells)
+    share = max(cells) / found.consensus.cells
+    if share < MAX_RIVALRY:
+        return None
+    detail = f"{min(share, 1.0):.0%} of what was seen is turned by a quarter or a half too"
+    matches, inliers = found.consensus.matches, len(found.consensus.uv_view)
+    return query.rejected(RejectReason.AMBIGUOUS, detail, matches=matches, inliers=inliers)
 
 
 def _share_beside(
@@ -336,7 +338,7 @@ def _share_beside(
 
 
 def _share_turned(pack: MapReader, extractor: FeatureExtractor, found: Registration) -> float:
-    """The same of the map under and around the view, turned by one, two and three quarters."""
+    """As `_share_beside`, of the map under and around the view turned by one to three quarters."""
     window, zoom = found.window.grown(max(found.window.shape)), found.candidate.level.zoom
     keypoints = len(pack.features_in(zoom, *window, extractor).features)
     gray, _ = pack.image(zoom, *window)
