@@ -138,9 +138,10 @@ class Flight:
             self._safety.obey(order)
 
     def _say(self, text: str) -> None:
-        """To whoever is at the keyboard, and to the ground stations."""
-        self._crew.say(text)
-        self._autopilot.send_text(text)
+        """To whoever is at the keyboard, and to the ground stations; "" is not said."""
+        if text:
+            self._crew.say(text)
+            self._autopilot.send_text(text)
 
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
@@ -182,8 +183,7 @@ class Flight:
     def _rejoin_on_ground(self, t_s: float) -> None:
         """A watchdog that took over a loop that stalled lets no disarming pass, and sends none."""
         report = self._keep_alive.report
-        acts = report is not None and report.state is not GuardState.RELAY
-        if acts and self.engaged:
+        if self.engaged and report is not None and report.state is not GuardState.RELAY:
             self._rejoin(t_s)
 
     def _rejoin(self, t_s: float) -> bool:
@@ -207,17 +207,14 @@ class Flight:
             if self._rejoin(t_s):
                 self._say("the control loop had stalled: taking over from the watchdog again")
             return False
-        self._release(
-            t_s, "the watchdog has the aircraft: the control loop was silent for too long"
-        )
+        self._release(t_s, "the watchdog has the aircraft: the control loop was silent too long")
         return True
 
     def _overruled(self, t_s: float, navigation: Navigation, vehicle: VehicleState) -> bool:
         """True when safety, not the mission, decided this tick."""
         self._failsafe.note(navigation, t_s)
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
-        if words := self._announcer.words(decision):
-            self._say(words)
+        self._say(self._announcer.words(decision))
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
             case Action.NAVIGATE | Action.SLOW:
@@ -316,8 +313,7 @@ class Flight:
     def _begin_landing(self, t_s: float, vehicle: VehicleState, trouble: str | None) -> None:
         """Hand over to the autopilot's own landing; `trouble` is why, None after a whole route."""
         self._trouble = self._trouble or trouble
-        if trouble:
-            self._say(trouble)
+        self._say(trouble or "")
         self._steering.stop()
         self._landing = Landing(self._autopilot, vehicle, t_s, self._say)
         self._enter(Phase.LAND, t_s)
@@ -332,8 +328,7 @@ class Flight:
             self._finish(f"{trouble}the autopilot was not heard any more")
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
-            if words := self._announcer.of_failsafe(decision):
-                self._say(words)
+            self._say(self._announcer.of_failsafe(decision))
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._takeover.given_back:
