@@ -24,6 +24,7 @@ from vwnav.bench.flights.table import (
     row_of,
     rows_named,
 )
+from vwnav.bench.flights.table.manners import in_manners
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.cli.flighttest import fly_row
 from vwnav.rules import flight_log
@@ -217,3 +218,11 @@ def test_a_flight_that_breaks_off_has_failed(monkeypatch, tmp_path):
     result = fly_row("battery low", tmp_path, "px4")
     assert not result.passed
     assert "no such thing" in result.wrong[0]
+
+
+@pytest.mark.parametrize("asked", ["px4", "px4-1.16", "copter"])
+def test_a_row_that_names_its_autopilot_is_flown_with_that_one(asked):
+    own = [row for rows in FAMILIES.values() for row in rows if row.setup.parameters]
+    assert {row.setup.manners for row in own} == {"px4", "px4-1.16"}
+    assert [in_manners(row, asked) for row in own] == own
+    assert in_manners(row_of("battery low"), asked).setup.manners == asked

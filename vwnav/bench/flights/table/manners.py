@@ -30,7 +30,12 @@ FLOWN_IN_COPTER_MANNERS = {
 
 
 def in_manners(row: Scenario, manners: Manners) -> Scenario:
-    """The row as this autopilot flies it, with the bounds that are its own."""
+    """The row as this autopilot flies it, with the bounds that are its own.
+
+    One that names its autopilot (its manners, a parameter) is flown with that one always.
+    """
+    if row.setup.manners != "px4" or row.setup.parameters:
+        return row
     setup = replace(row.setup, manners=manners)
     if manners != "copter" or row.lands_within_m is None:
         return replace(row, setup=setup)
