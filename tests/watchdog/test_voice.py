@@ -89,6 +89,25 @@ def test_px4_tells_of_a_failsafe_that_stays_up_but_sticks_that_are_heard_are_som
     assert not ear.vehicle(10.4).fell_back
 
 
+def test_after_a_cut_it_is_told_anew_who_chose_the_mode():
+    ear = ear_of()
+    ear.listen(mode_told(PX4_OFFBOARD, PX4_OFFBOARD) + status(False), 10.1)
+    ear.listen(packed(beat(mode=POSITION)), 14.0)
+    assert ear.vehicle(14.0) == VehicleView(
+        FlightMode.MANUAL, True, mode_is_of_now=False, is_choice_untold=True
+    )
+    ear.listen(mode_told(POSITION, PX4_OFFBOARD), 14.1)
+    assert ear.vehicle(14.6) == VehicleView(FlightMode.MANUAL, True, fell_back=True)
+
+
+def test_flown_and_intended_mode_are_those_of_one_moment():
+    ear = ear_of()
+    ear.listen(mode_told(POSITION, PX4_OFFBOARD) + status(False), 10.1)
+    assert ear.vehicle(10.1).fell_back
+    ear.listen(mode_told(HOLD, HOLD), 10.2)  # which was asked for, before a heartbeat tells it
+    assert ear.vehicle(10.2).mode is FlightMode.HOLD
+
+
 def test_a_damaged_word_of_who_chose_the_mode_is_none():
     ear = ear_of()
     damaged = bytearray(mode_told(HOLD, PX4_OFFBOARD))

@@ -82,9 +82,10 @@ class AutopilotEar:
         """What is known of the autopilot."""
         if t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
             self._vehicle = replace(self._vehicle, landed=None)
+        seen = self._with_choice(t_s)
         if self.kind is not None and not self._knows_mode(t_s):
-            return replace(self._vehicle, mode_is_of_now=False)
-        return self._with_choice(t_s)
+            return replace(seen, mode_is_of_now=False)
+        return seen
 
     def _with_choice(self, t_s: float) -> VehicleView:
         """Whether somebody chose the mode; sticks that are heard may be a person's at any time."""
@@ -168,6 +169,8 @@ class AutopilotEar:
         fields = _current_mode(packet)
         if fields is not None and self.kind is not None:
             self._modes.handle_current_mode(self.kind, fields, t_s)
+            if not self._mode_awaited:  # a heartbeat's word from before would be another choice
+                self._vehicle = replace(self._vehicle, mode=self._modes.mode(t_s))
 
     def _handle_status(self, message: Any) -> None:
         heard = message.onboard_control_sensors_present & message.onboard_control_sensors_health
