@@ -204,6 +204,19 @@ def test_blind_the_intended_mode_stays_offboard_as_recorded() -> None:
     assert pairs == intended_from("px4-1.18_vpe_gps_lost", 56.0, 72.0)
 
 
+def test_sticks_are_told_of_as_recorded() -> None:
+    def told(status) -> tuple[bool, bool]:
+        fields = status.onboard_control_sensors_present, status.onboard_control_sensors_health
+        return tuple(bool(field & 0x10000) for field in fields)
+
+    bench = Bench().hover()
+    assert told(messages.sys_status(bench.vehicle)) == told(recorded("px4-1.18_nominal", 1)[-1][1])
+    bench.sticks = (0, 0, 500, 0)
+    bench.run(0.5)
+    theirs = [told(m) for t_s, m in recorded("px4-1.18_pilot_sticks", 1) if 20.0 < t_s < 32.0]
+    assert {told(messages.sys_status(bench.vehicle))} == set(theirs)
+
+
 def test_a_stick_changes_the_intended_mode_as_recorded() -> None:
     bench = Bench().hover().offboard()
     ours = [messages.current_mode(bench.vehicle)]
