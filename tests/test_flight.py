@@ -20,6 +20,7 @@ ROUTE = np.array([[60.0, 0.0, -50.0], [60.0, 60.0, -50.0]])
 DT_S = 0.1
 READY = replace(
     FLYING,
+    rc_available=False,
     armed=False,
     in_air=False,
     mode=FlightMode.HOLD,
@@ -679,6 +680,23 @@ def test_a_pilot_who_takes_over_a_landing_has_it():
     scene.go_on(20.0)
     assert scene.flight.phase is Phase.RELEASED
     assert scene.vehicle.asked == asked
+
+
+@pytest.mark.parametrize("lands", [True, False])
+def test_in_a_fallback_to_sticks_that_are_heard_nothing_is_asked_for(lands):
+    """PX4 flies as they tell it, and tells that Offboard is intended, whoever moves them."""
+    scene = on_route()
+    if lands:
+        scene.vehicle.refuse = {"land": ["no answer"]}
+        scene.flight.abort("interrupted")
+        scene.go_on(0.5)
+    else:
+        gap(scene, 4.0)
+    asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
+    scene.vehicle.be(rc_available=True)
+    failsafe(scene, FlightMode.MANUAL).go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert (scene.vehicle.asked, scene.vehicle.setpoints) == (asked, setpoints)
 
 
 def test_a_pilot_who_takes_over_where_the_autopilot_had_fallen_back_to_sticks_has_it():

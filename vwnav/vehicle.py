@@ -91,9 +91,18 @@ class VehicleState:
     def is_fallback(self) -> bool:
         """It is told that another mode than the flown one was asked for: nobody chose this one.
 
-        PX4 alone tells it. In its 1.16 era that may be a mode of the sticks, with nobody at them.
+        PX4 alone tells it. That may be a mode of the sticks, with nobody at them (`has_sticks`).
         """
-        return self.intended_mode not in (self.mode, FlightMode.UNKNOWN)
+        told_another = self.intended_mode not in (self.mode, FlightMode.UNKNOWN)
+        return told_another and not self.has_sticks
+
+    @property
+    def has_sticks(self) -> bool:
+        """It flies as somebody's sticks tell it, and hears them, whoever chose the mode.
+
+        Who moves them in a mode to which PX4 fell back changes nothing that it tells.
+        """
+        return self.mode is FlightMode.MANUAL and self.rc_available
 
     @property
     def may_be_pilots(self) -> bool:

@@ -127,7 +127,7 @@ class Scripted:
         self.origin: tuple[int, int, int] | None = None
         self.keeps_origin = False
         self.heard: list[tuple[float, Any]] = []
-        self.speaks, self.chatters = True, False
+        self.speaks, self.chatters, self.radio = True, False, True
         self.heartbeat_hz = 5.0
         self.mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
         self.mav.robust_parsing = True
@@ -208,7 +208,7 @@ class Scripted:
             self.send(mavlink.MAVLink_raw_imu_message(us, *milli_g, 0, 0, 100, 0, 0, 0))
 
     def _speak_slowly(self) -> None:
-        health = 0x10000 | (0x10000000 if self.prearm else 0)
+        health = (0x10000 if self.radio else 0) | (0x10000000 if self.prearm else 0)
         self.send(
             mavlink.MAVLink_sys_status_message(health, health, health, *[0] * 3, 87, *[0] * 6)
         )

@@ -360,6 +360,23 @@ def test_offboard_is_not_asked_for_again_once_somebody_chose_another_mode(bench)
     assert len(bench.peer.commands(SET_MODE)) == 1
 
 
+@pytest.mark.parametrize("by", ["switch", "sticks"])
+def test_land_is_not_asked_for_again_once_somebody_took_what_it_had_fallen_back_to(bench, by):
+    """The flown mode stays the same: PX4 tells alone that it is intended now, or hears a radio."""
+    bench.peer.custom_mode, bench.peer.intended_mode = PX4_POSITION, PX4_OFFBOARD
+    bench.peer.radio = False
+    bench.wait(lambda: bench.autopilot.state().is_fallback)
+    bench.peer.deaf, bench.peer.refuse = {SET_MODE}, {SET_MODE: DENIED}
+    request = bench.autopilot.land()
+    bench.wait(lambda: bench.peer.commands(SET_MODE))
+    if by == "switch":
+        bench.peer.intended_mode = PX4_POSITION
+    else:
+        bench.peer.radio = True
+    assert "somebody else chose the mode manual" in bench.finish(request)
+    assert len(bench.peer.commands(SET_MODE)) == 1
+
+
 def test_offboard_is_not_asked_for_at_all_when_the_pilot_comes_first(bench):
     request = bench.autopilot.start_offboard()
     bench.peer.custom_mode = PX4_POSITION

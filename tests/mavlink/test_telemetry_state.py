@@ -276,6 +276,42 @@ def test_no_recorded_fallback_to_sticks_looks_like_a_pilot(data_folder, name, si
     assert failsafes == {None, FlightMode.MANUAL}
 
 
+HOLD, OFFBOARD = (4 << 16) | (3 << 24), 6 << 16
+
+
+def in_failsafe_hold(until_s: float) -> TelemetryState:
+    """Told ten times a second, by both."""
+    telemetry = TelemetryState()
+    for i in range(round(10 * until_s)):
+        beat = {"autopilot": 12, "base_mode": 128, "custom_mode": HOLD, "system_status": 4}
+        telemetry.handle("HEARTBEAT", beat, 0.1 * i)
+        asked = {"custom_mode": HOLD, "intended_custom_mode": OFFBOARD}
+        telemetry.handle("CURRENT_MODE", asked, 0.1 * i)
+    return telemetry
+
+
+def test_whose_mode_it_is_holds_for_no_longer_than_it_is_told():
+    """A person may choose the mode to which it had fallen back: CURRENT_MODE alone changes."""
+    telemetry, told = in_failsafe_hold(5.0), []
+    for i in range(50, 100):
+        beat = {"autopilot": 12, "base_mode": 128, "custom_mode": HOLD, "system_status": 4}
+        telemetry.handle("HEARTBEAT", beat, 0.1 * i)
+        told.append(telemetry.state(0.1 * i).is_fallback)
+    assert told[:40] == [True] * 40  # unasked it comes every two seconds
+    assert not any(told[46:])
+
+
+def test_after_a_cut_it_is_not_known_whose_mode_it_is_until_it_is_told():
+    telemetry = in_failsafe_hold(5.0)
+    assert telemetry.state(12.0).is_fallback
+    beat = {"autopilot": 12, "base_mode": 128, "custom_mode": HOLD, "system_status": 4}
+    telemetry.handle("HEARTBEAT", beat, 12.0)
+    assert telemetry.state(12.0).intended_mode is FlightMode.UNKNOWN
+    asked = {"custom_mode": HOLD, "intended_custom_mode": OFFBOARD}
+    telemetry.handle("CURRENT_MODE", asked, 12.1)
+    assert telemetry.state(12.1).is_fallback
+
+
 def test_another_component_with_the_autopilots_id_changes_nothing():
     telemetry = TelemetryState()
     beat = {"autopilot": 12, "base_mode": 128, "custom_mode": 6 << 16, "system_status": 4}

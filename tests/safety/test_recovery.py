@@ -95,7 +95,7 @@ def test_a_failsafe_that_no_gap_of_ours_explains_is_not_ours_to_end():
 
 STICKS = replace(
     LANDS, mode=FlightMode.MANUAL, intended_mode=FlightMode.OFFBOARD, failsafe=True,
-    own_position_ned_m=None,
+    own_position_ned_m=None, rc_available=False,
 )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from vwnav.sim.mavlink.command import Result
 from vwnav.sim.px4 import estimate_messages, messages
 from vwnav.sim.px4.modes import NavState
 from vwnav.sim.px4.streams import COMPANION_RATES
+from vwnav.vehicle import FlightMode
 
 NOMINAL, VISION = "px4-1.18_nominal", "px4-1.18_vpe_nogps_from_boot"
 pytestmark = needs(NOMINAL)
@@ -203,6 +204,19 @@ def test_blind_the_intended_mode_stays_offboard_as_recorded() -> None:
     assert pairs == intended_from("px4-1.18_vpe_gps_lost", 56.0, 72.0)
 
 
+def test_sticks_are_told_of_as_recorded() -> None:
+    def told(status) -> tuple[bool, bool]:
+        fields = status.onboard_control_sensors_present, status.onboard_control_sensors_health
+        return tuple(bool(field & 0x10000) for field in fields)
+
+    bench = Bench().hover()
+    assert told(messages.sys_status(bench.vehicle)) == told(recorded("px4-1.18_nominal", 1)[-1][1])
+    bench.sticks = (0, 0, 500, 0)
+    bench.run(0.5)
+    theirs = [told(m) for t_s, m in recorded("px4-1.18_pilot_sticks", 1) if 20.0 < t_s < 32.0]
+    assert {told(messages.sys_status(bench.vehicle))} == set(theirs)
+
+
 def test_a_stick_changes_the_intended_mode_as_recorded() -> None:
     bench = Bench().hover().offboard()
     ours = [messages.current_mode(bench.vehicle)]
@@ -273,6 +287,20 @@ def test_a_stick_step_takes_the_old_one_over_as_recorded() -> None:
     later.sticks = (900, 0, 500, 0)
     later.run(0.2)
     assert mode_pair(later) == ours[0]
+
+
+def test_sticks_in_a_mode_that_it_fell_back_to_are_flown_and_told_of_by_nothing() -> None:
+    """As PX4's Commander: it looks for sticks that take over in modes that are not theirs."""
+    bench = Bench(manners="px4-1.16", parameters=(("COM_RC_OVERRIDE", 3),))
+    bench.sticks = (0, 0, 500, 0)
+    bench.hover().offboard()
+    bench.velocity = None
+    bench.run(3.0)
+    assert (bench.state, bench.vehicle.commander.intended) == (NavState.POSITION, NavState.OFFBOARD)
+    assert bench.vehicle.flight_mode is FlightMode.MANUAL
+    bench.sticks = (900, 0, 500, 0)
+    bench.run(1.0)
+    assert (bench.state, bench.vehicle.commander.intended) == (NavState.POSITION, NavState.OFFBOARD)
 
 
 def test_by_default_no_stick_ends_the_old_ones_offboard() -> None:

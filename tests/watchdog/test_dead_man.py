@@ -1,5 +1,7 @@
 """The sequence of the dead-man, without processes: silence, zero velocity, Hold, Land."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -255,6 +257,66 @@ def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
     assert DeadManAction.LAND in [action for _, action in run(guard, 0.0, 10.0)]
 
 
+FELL_BACK = VehicleView(FlightMode.HOLD, True, True, fell_back=True)
+ALTITUDE = VehicleView(FlightMode.MANUAL, True, False, fell_back=True)
+
+
+def settled(view: VehicleView, beats: int = 10) -> DeadMan:
+    """Its navigator steered, and waits now for the failsafe to end."""
+    guard = beating()
+    for i in range(beats):
+        guard.handle_vehicle(
+            replace(view, fell_back=False, is_choice_untold=True) if i < 2 else view
+        )
+        guard.handle_beat(Beat(i < 1, 1, 100), 0.1 * i)
+        assert guard.step(0.1 * i) is None
+    return guard
+
+
+@pytest.mark.parametrize("view", [FELL_BACK, ALTITUDE])
+@pytest.mark.parametrize("beats", [1, 2, 10])
+def test_a_failsafe_that_stays_up_is_landed_out_of_when_the_navigator_dies_in_it(view, beats):
+    guard = settled(view, beats)
+    guard.handle_end()
+    done = run(guard, 0.1 * beats, 0.1 * beats + 0.5)
+    assert done == []  # who chose the mode is told in this moment
+    guard.handle_vehicle(view)
+    assert DeadManAction.LAND in [action for _, action in run(guard, 0.1 * beats + 0.5, 10.0)]
+
+
+def test_a_hold_that_a_person_chose_out_of_a_failsafe_is_his():
+    guard = settled(FELL_BACK)
+    guard.handle_end()
+    run(guard, 1.0, 1.5)
+    assert guard.state is GuardState.BRAKING
+    guard.handle_vehicle(replace(FELL_BACK, fell_back=False))
+    assert run(guard, 1.5, 10.0) == []
+    assert guard.state is GuardState.STOOD_DOWN
+
+
+def test_a_failsafe_while_it_acts_does_not_end_its_landing():
+    guard = beating()
+    guard.handle_end()
+    run(guard, 0.0, 0.3)
+    guard.handle_vehicle(replace(FELL_BACK, fell_back=False, is_choice_untold=True))
+    assert run(guard, 0.3, 0.5) == []
+    guard.handle_vehicle(FELL_BACK)
+    assert [action for _, action in run(guard, 0.5, 8.0)] == [DeadManAction.LAND]
+
+
+def test_nothing_is_commanded_until_it_is_told_who_chose_the_mode_that_came_while_it_lands():
+    guard = beating()
+    guard.handle_vehicle(VehicleView(FlightMode.OFFBOARD, True, False))
+    guard.handle_end()
+    for t_s in (0.0, 1.1, 1.12):
+        guard.step(t_s)
+    assert guard.state is GuardState.LANDING
+    guard.handle_vehicle(replace(ALTITUDE, fell_back=False, is_choice_untold=True))
+    assert run(guard, 1.2, 3.0) == []
+    guard.handle_vehicle(ALTITUDE)
+    assert guard.step(3.0) is DeadManAction.LAND
+
+
 PERSONS = {FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION, FlightMode.UNKNOWN}
 EVENT = st.tuples(
     st.sampled_from(FlightMode),
@@ -262,14 +324,19 @@ EVENT = st.tuples(
     st.sampled_from([False, False, False, True]),  # landed
     st.sampled_from(["engaged", "idle", "silent", "silent", "claims", "ends"]),
     st.sampled_from([0.02, 0.3, 0.6, 2.0]),  # for how long
+    st.sampled_from(["", "", "fell_back", "is_choice_untold"]),
 )
 
 
 @given(st.lists(EVENT, max_size=25))
 def test_whatever_happens_nobody_is_commanded_against_and_nobody_is_left_alone(events):
     guard, t_s, epoch = DeadMan(), 0.0, 100
-    for mode, armed, landed, navigator, seconds in events:
+    for mode, armed, landed, navigator, seconds, choice in events:
         in_mode(guard, mode, armed, landed)
+        stays_up = mode in (FlightMode.HOLD, FlightMode.MANUAL)
+        if choice and stays_up:
+            guard.handle_vehicle(replace(guard.vehicle, **{choice: True}))
+        persons = PERSONS - {FlightMode.MANUAL} if choice == "fell_back" else PERSONS
         epoch += navigator == "claims"
         for _ in range(round(seconds / 0.02)):
             t_s += 0.02
@@ -278,7 +345,7 @@ def test_whatever_happens_nobody_is_commanded_against_and_nobody_is_left_alone(e
             elif navigator == "ends":
                 guard.handle_end()
             action = guard.step(t_s)
-            assert action is None or (armed and not landed and mode not in PERSONS)
+            assert action is None or (armed and not landed and mode not in persons)
     if guard.navigator_ended or guard.state is not GuardState.RELAY:
         return
     in_mode(guard, FlightMode.OFFBOARD)

@@ -5,6 +5,7 @@ import math
 import pytest
 from link_peer import COPTER_BRAKE, COPTER_LAND, PX4_LAND, PX4_OFFBOARD
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
 from vwnav.mavlink.framing import packet_at
 from vwnav.mavlink.modes import AutopilotKind
@@ -54,6 +55,66 @@ def test_a_heartbeat_tells_mode_arming_and_who_it_is():
     ear.listen(packed(beat(armed=False, mode=PX4_LAND), mavlink1=True), 11.0)
     assert ear.vehicle(11.0) == VehicleView(FlightMode.LAND, False)
     assert ear.mavlink1
+
+
+HOLD, POSITION, RADIO = (4 << 16) | (3 << 24), 3 << 16, mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+
+
+def mode_told(flown: int, asked: int) -> bytes:
+    return packed(development.MAVLink_current_mode_message(0, flown, asked))
+
+
+def status(radio: bool) -> bytes:
+    bits = RADIO if radio else 0
+    return packed(mavlink.MAVLink_sys_status_message(bits, bits, bits, *[0] * 10))
+
+
+@pytest.mark.parametrize(
+    ("flown", "radio", "fell_back"),
+    [(HOLD, True, True), (POSITION, False, True), (POSITION, True, False)],
+)
+def test_px4_tells_of_a_failsafe_that_stays_up_but_sticks_that_are_heard_are_somebodys(
+    flown, radio, fell_back
+):
+    ear = ear_of()
+    assert not ear.vehicle(10.0).fell_back
+    ear.listen(mode_told(PX4_OFFBOARD, PX4_OFFBOARD) + status(radio), 10.1)
+    ear.listen(packed(beat(mode=flown)), 10.2)
+    seen = ear.vehicle(10.2)
+    assert (seen.fell_back, seen.is_choice_untold) == (False, fell_back)
+    ear.listen(mode_told(flown, PX4_OFFBOARD), 10.3)
+    seen = ear.vehicle(10.3)
+    assert (seen.fell_back, seen.is_choice_untold) == (fell_back, False)
+    ear.listen(mode_told(flown, flown), 10.4)  # a person chose it
+    assert not ear.vehicle(10.4).fell_back
+
+
+def test_after_a_cut_it_is_told_anew_who_chose_the_mode():
+    ear = ear_of()
+    ear.listen(mode_told(PX4_OFFBOARD, PX4_OFFBOARD) + status(False), 10.1)
+    ear.listen(packed(beat(mode=POSITION)), 14.0)
+    assert ear.vehicle(14.0) == VehicleView(
+        FlightMode.MANUAL, True, mode_is_of_now=False, is_choice_untold=True
+    )
+    ear.listen(mode_told(POSITION, PX4_OFFBOARD), 14.1)
+    assert ear.vehicle(14.6) == VehicleView(FlightMode.MANUAL, True, fell_back=True)
+
+
+def test_flown_and_intended_mode_are_those_of_one_moment():
+    ear = ear_of()
+    ear.listen(mode_told(POSITION, PX4_OFFBOARD) + status(False), 10.1)
+    assert ear.vehicle(10.1).fell_back
+    ear.listen(mode_told(HOLD, HOLD), 10.2)  # which was asked for, before a heartbeat tells it
+    assert ear.vehicle(10.2).mode is FlightMode.HOLD
+
+
+def test_a_damaged_word_of_who_chose_the_mode_is_none():
+    ear = ear_of()
+    damaged = bytearray(mode_told(HOLD, PX4_OFFBOARD))
+    damaged[14] ^= 1
+    ear.listen(packed(beat(mode=HOLD)) + bytes(damaged), 10.1)
+    seen = ear.vehicle(10.1)
+    assert (seen.fell_back, seen.is_choice_untold) == (False, False)
 
 
 def test_one_that_is_to_be_followed_is_not_the_first_that_is_heard():

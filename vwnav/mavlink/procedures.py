@@ -106,7 +106,7 @@ class Procedures:
 
     def start_offboard(self) -> Procedure:
         """PX4 enters Offboard only on a stream that already runs, whose age it counts slowly."""
-        before, refused = self._state().mode, None
+        before, refused = self._state(), None
         for _ in range(2):
             yield from self._streaming(self._until(lambda: False, _STREAM_START_S))
             refused = self._chosen_by_another(before, FlightMode.OFFBOARD)
@@ -119,10 +119,10 @@ class Procedures:
 
     def set_mode(self, mode: FlightMode) -> Procedure:
         """Ask for a mode."""
-        before = self._state().mode
+        before = self._state()
         refused = yield from self._command(
             mode_command(self._kind, mode),
-            lambda: self._state().mode is mode is not before,
+            lambda: self._state().mode is mode is not before.mode,
             lambda: self._chosen_by_another(before, mode),
         )
         if refused is None:
@@ -159,13 +159,19 @@ class Procedures:
         yield from self._until(lambda: False, _TEXT_WAIT_S)
         return self._in_words(refused)
 
-    def _chosen_by_another(self, before: FlightMode, wanted: FlightMode) -> str | None:
+    def _chosen_by_another(self, before: VehicleState, wanted: FlightMode) -> str | None:
         state = self._state()
-        came_by_itself = state.mode is FlightMode.HOLD and before in _END_BY_THEMSELVES
-        fell_back = state.is_fallback and state.intended_mode in (before, wanted)
-        if state.mode in (before, wanted, FlightMode.UNKNOWN) or fell_back or came_by_itself:
-            return None
-        return f"somebody else chose the mode {state.mode.value}"
+        came_by_itself = state.mode is FlightMode.HOLD and before.mode in _END_BY_THEMSELVES
+        asked = (before.mode, before.intended_mode, wanted)
+        fell_back = state.is_fallback and state.intended_mode in asked
+        # To which it had fallen back, and which a person has chosen since.
+        chosen = before.is_fallback and state.mode is before.mode is state.intended_mode
+        chosen = chosen or (state.has_sticks and not before.has_sticks)
+        if chosen or not (
+            state.mode in (before.mode, wanted, FlightMode.UNKNOWN) or fell_back or came_by_itself
+        ):
+            return f"somebody else chose the mode {state.mode.value}"
+        return None
 
     def _until(self, condition: Callable[[], bool], wait_s: float) -> Procedure:
         since_s = self._clock()

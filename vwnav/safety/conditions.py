@@ -18,6 +18,7 @@ _HELD_UP = (FlightMode.HOLD, FlightMode.TAKEOFF)
 _LANDING = frozenset(
     {FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND, FlightMode.DESCEND, FlightMode.UNKNOWN}
 )
+_FELL_TO_STICKS = "the autopilot fell back to the sticks, which are heard: they have the aircraft"
 _LONGEST_STEP_S = 0.2  # of waking time: a longer one was our own sleep, not the other's silence
 
 
@@ -27,7 +28,7 @@ class PilotWatch:
     Any mode that we did not ask for counts, whoever chose it: it is not to be fought. Only where
     the autopilot itself says that our mode is still the intended one (PX4's CURRENT_MODE) it is a
     failsafe, which may end by itself; one of the sticks too, to which PX4 of the 1.16 era falls
-    back.
+    back, but where sticks are heard: who moves them then changes nothing that PX4 tells.
 
     Attributes:
         released: why the aircraft is not ours any more.
@@ -50,7 +51,12 @@ class PilotWatch:
         self._unknown_since_s = None
 
     def step(
-        self, mode: FlightMode, landing: bool, t_s: float, intended: FlightMode | None = None
+        self,
+        mode: FlightMode,
+        landing: bool,
+        t_s: float,
+        intended: FlightMode | None = None,
+        has_sticks: bool = False,
     ) -> None:
         """One look at the mode.
 
@@ -59,6 +65,7 @@ class PilotWatch:
             landing: we have asked for a landing.
             t_s: now.
             intended: the mode that somebody asked for; UNKNOWN until the autopilot has told.
+            has_sticks: it is flown by sticks that are heard.
         """
         if mode is FlightMode.OFFBOARD:
             self._own_modes = _STEERING
@@ -70,6 +77,8 @@ class PilotWatch:
         self.failsafe, self.is_told = None, False
         if mode in own_modes or self.released is not None:
             self._unknown_since_s = None
+        elif has_sticks:
+            self.released = _FELL_TO_STICKS if intended in self._own_modes else _not_ours(mode)
         elif mode is not FlightMode.UNKNOWN and intended in self._own_modes:
             self.failsafe, self.is_told = mode, True
         elif FlightMode.UNKNOWN in (mode, intended):

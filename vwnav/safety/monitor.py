@@ -76,7 +76,8 @@ class SafetyMonitor:
 
     def step(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Decision:
         """The decision for this moment; to be called at every tick, in order of time."""
-        self._pilot.step(vehicle.mode, self._lands, t_s, vehicle.intended_mode)
+        has_sticks, intended = vehicle.has_sticks, vehicle.intended_mode
+        self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks)
         self._battery.step(vehicle.battery_ratio, t_s)
         self._link.step(vehicle, t_s)
         self._radio.step(vehicle.rc_available, t_s)

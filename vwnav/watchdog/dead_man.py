@@ -43,6 +43,9 @@ class VehicleView:
             say.
         mode_is_of_now: it was told since it was last silent. During a cut a person may have taken
             the aircraft, so nobody steers by an older one.
+        fell_back: it says that nobody chose what it flies, a Hold or a mode of sticks that are not
+            heard, and that one of ours is still the intended one. It would stay up in it.
+        is_choice_untold: of such a mode it has not said yet who chose it.
     """
 
     mode: FlightMode = FlightMode.UNKNOWN
@@ -50,6 +53,8 @@ class VehicleView:
     position_ok: bool | None = None
     landed: bool | None = None
     mode_is_of_now: bool = True
+    fell_back: bool = False
+    is_choice_untold: bool = False
 
 
 class DeadManAction(Enum):
@@ -116,6 +121,7 @@ class DeadMan:
     _land_seen: bool = False
     _flown: bool = False
     _down: bool = False
+    _waits: bool = False
     _takeover_t_s: float = 0.0
     _setpoint_t_s: float = -math.inf
     _command_t_s: float = 0.0
@@ -165,7 +171,7 @@ class DeadMan:
         self.state, self._land_seen = GuardState.RELAY, False
         self._flown = self._down = False
         self._beat, self._beat_t_s, self._mode_at_beat = beat, t_s, self.vehicle.mode
-        still_listens = self.vehicle.armed and self.vehicle.mode in _STEERED | _COMES_DOWN
+        still_listens = self.vehicle.armed and self._may_listen
         self._claimed = beat.engaged or (self._claimed and still_listens)
 
     def handle_end(self) -> None:
@@ -199,7 +205,7 @@ class DeadMan:
             acting_s >= self.config.land_after_s or self.vehicle.position_ok is False
         ):
             self._enter(GuardState.LANDING, t_s)
-        wants_nothing = self._down or self.vehicle.landed or not self.vehicle.armed
+        wants_nothing = self._waits or self._down or self.vehicle.landed or not self.vehicle.armed
         if wants_nothing or not self.vehicle.mode_is_of_now:
             return None
         return self._action(t_s)
@@ -209,8 +215,10 @@ class DeadMan:
         is_alive = not self._ended and self.silence_s(t_s) <= self.config.silence_s
         if is_alive or not self._claimed or not self.vehicle.armed:
             return
+        if self.vehicle.is_choice_untold and not self._left_alone_in_hold():
+            return
         self._takeover_t_s = t_s
-        if self.vehicle.mode is FlightMode.OFFBOARD:
+        if self.vehicle.mode is FlightMode.OFFBOARD or self.vehicle.fell_back:
             self._enter(GuardState.BRAKING, t_s)
         elif self.vehicle.mode in _COMES_DOWN:
             self._enter(GuardState.LANDING, t_s)
@@ -220,14 +228,19 @@ class DeadMan:
             self._enter(GuardState.STOOD_DOWN, t_s)
 
     def _follow_mode(self, t_s: float) -> None:
-        """Stand down for whoever changed the mode; notice when it comes down, and is down."""
+        """Stand down for whoever changed the mode; notice when it comes down, and is down.
+
+        Commands wait for the word on who did; what it fell back to is still ours to end.
+        """
+        self._waits = False
         if self.state not in _STILL_OURS:
             return
         if self.state is not GuardState.LANDING and self.vehicle.mode in _COMES_DOWN:
             self._enter(GuardState.LANDING, t_s)  # a failsafe may still end and leave it to us
         ours = _STILL_LANDING if self._land_seen else _STILL_OURS[self.state]
-        if self.vehicle.mode not in ours:
-            self.state = GuardState.STOOD_DOWN
+        if self.vehicle.mode not in ours and not self.vehicle.fell_back:
+            self._waits = self.vehicle.is_choice_untold
+            self.state = self.state if self._waits else GuardState.STOOD_DOWN
         elif self.state is GuardState.LANDING:
             self._land_seen = self._land_seen or self.vehicle.mode is FlightMode.LAND
             self._down = self._down or self._has_come_down()
@@ -238,8 +251,13 @@ class DeadMan:
         return self.vehicle.landed is True and not may_lift_off
 
     def _is_someone_elses(self) -> bool:
-        claimed = self.vehicle.mode in _STEERED | _COMES_DOWN
-        return not claimed and not self._left_alone_in_hold()
+        return not self._may_listen and not self._left_alone_in_hold()
+
+    @property
+    def _may_listen(self) -> bool:
+        """It does what it was asked for last, or would but for a failsafe that stays up."""
+        told = self.vehicle.fell_back or self.vehicle.is_choice_untold
+        return told or self.vehicle.mode in _STEERED | _COMES_DOWN
 
     def _left_alone_in_hold(self) -> bool:
         """A take-off, or a Hold that the navigator knew of: nobody would ever end it."""

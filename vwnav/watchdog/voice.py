@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,13 +11,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet, packet_at
 from vwnav.mavlink.modes import AutopilotKind, flight_mode, mode_command
+from vwnav.mavlink.telemetry.mode_track import ModeTrack
 from vwnav.vehicle import FlightMode
 from vwnav.watchdog.dead_man import DeadManAction, VehicleView
 
 _AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2
+_CURRENT_MODE, _CURRENT_MODE_CRC_EXTRA = 436, 193  # which this dialect does not hold
 _HEARD = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
     mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
@@ -29,6 +33,8 @@ _LANDED = {
     mavlink.MAV_LANDED_STATE_TAKEOFF: False,
     mavlink.MAV_LANDED_STATE_LANDING: False,
 }
+_STAYS_UP = frozenset({FlightMode.HOLD, FlightMode.MANUAL})
+_ASKED_BY_US = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF, FlightMode.LAND})
 _LANDED_MAX_AGE_S = 3.0  # of the last word of standing on the ground or not
 _POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 # Ignore position, acceleration, yaw and yaw rate: velocity alone.
@@ -65,6 +71,8 @@ class AutopilotEar:
         self.heartbeat_t_s = -math.inf
         self.origin: Origin | None = None
         self._vehicle = VehicleView()
+        self._modes = ModeTrack()
+        self._has_radio = True  # until it is told that it has none
         self._landed_t_s = -math.inf
         self._mode_awaited, self._mode_since_s = False, -math.inf
         self._framer = Framer()
@@ -74,9 +82,20 @@ class AutopilotEar:
         """What is known of the autopilot."""
         if t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
             self._vehicle = replace(self._vehicle, landed=None)
+        seen = self._with_choice(t_s)
         if self.kind is not None and not self._knows_mode(t_s):
-            return replace(self._vehicle, mode_is_of_now=False)
-        return self._vehicle
+            return replace(seen, mode_is_of_now=False)
+        return seen
+
+    def _with_choice(self, t_s: float) -> VehicleView:
+        """Whether somebody chose the mode; sticks that are heard may be a person's at any time."""
+        mode = self._vehicle.mode
+        has_sticks = mode is FlightMode.MANUAL and self._has_radio
+        if mode not in _STAYS_UP or has_sticks or self._modes.mode(t_s) is not mode:
+            return self._vehicle
+        intended = self._modes.intended(t_s)
+        fell_back, untold = intended in _ASKED_BY_US, intended is FlightMode.UNKNOWN
+        return replace(self._vehicle, fell_back=fell_back, is_choice_untold=untold)
 
     def _knows_mode(self, t_s: float) -> bool:
         is_silent = t_s - self.heard_t_s > CUT_S
@@ -95,12 +114,16 @@ class AutopilotEar:
             was_cut = CUT_S < t_s - self.heard_t_s < math.inf
             self._mode_awaited = self._mode_awaited or was_cut
             self.heard_t_s = t_s
+            if packet.message_id == _CURRENT_MODE:
+                self._handle_current_mode(packet, t_s)
             message = self._decode(packet)
             if message is None:
                 continue
             match packet.message_id:
                 case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                     self._handle_heartbeat(message, packet, t_s)
+                case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
+                    self._handle_status(message)
                 case mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
                     answers += self._own_answer(message)
                 case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
@@ -136,10 +159,22 @@ class AutopilotEar:
         self.heartbeat_t_s = t_s
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         mode = flight_mode(self.kind, message.custom_mode)
+        self._modes.handle_heartbeat(self.kind, message.to_dict(), t_s)
         if self._mode_awaited:
             self._mode_awaited = False
             self._mode_since_s = t_s + (_SINKS_IN_S if mode is not self._vehicle.mode else 0.0)
         self._vehicle = replace(self._vehicle, mode=mode, armed=armed)
+
+    def _handle_current_mode(self, packet: Packet, t_s: float) -> None:
+        fields = _current_mode(packet)
+        if fields is not None and self.kind is not None:
+            self._modes.handle_current_mode(self.kind, fields, t_s)
+            if not self._mode_awaited:  # a heartbeat's word from before would be another choice
+                self._vehicle = replace(self._vehicle, mode=self._modes.mode(t_s))
+
+    def _handle_status(self, message: Any) -> None:
+        heard = message.onboard_control_sensors_present & message.onboard_control_sensors_health
+        self._has_radio = bool(heard & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
 
     def _handle_estimator(self, message: Any) -> None:
         # ESTIMATOR_STATUS (PX4) and EKF_STATUS_REPORT (ArduPilot) share these bits.
@@ -168,6 +203,17 @@ class AutopilotEar:
             return
         if getattr(message, "target_component", _OWN_COMPONENT) in (0, _OWN_COMPONENT):
             yield message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+def _current_mode(packet: Packet) -> dict[str, int] | None:
+    """CURRENT_MODE's fields, by their layout; None where they were damaged on the way."""
+    end = 10 + packet.data[1]
+    crc = mavlink.x25crc(packet.data[1:end])
+    crc.accumulate(bytes([_CURRENT_MODE_CRC_EXTRA]))
+    if crc.crc != int.from_bytes(packet.data[end : end + 2], "little"):
+        return None
+    mode, intended = struct.unpack_from("<II", packet.data[10:end].ljust(8, b"\0"))
+    return {"custom_mode": mode, "intended_custom_mode": intended}
 
 
 class Voice:

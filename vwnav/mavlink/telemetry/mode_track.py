@@ -8,6 +8,8 @@ from vwnav.mavlink.ports.port import Fields
 from vwnav.vehicle import FlightMode
 
 _CRITICAL = 5  # MAV_STATE: ArduPilot flies a failsafe
+_CUT_S = 1.5  # silence after which a mode that is told anew may have been chosen anew
+_STALE_S = 4.5  # while modes are told without it: PX4 says it every 2 s at least
 _UNDECIDED_S = 2.5  # so long PX4 may take to say who asked for a new mode: it does every 2 s
 _SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
 _EXPECTED_S = 3.0  # that the mode just commanded shows
@@ -75,12 +77,14 @@ class ModeTrack:
     def intended(self, t_s: float) -> FlightMode:
         """Which was asked for; PX4 says it a moment after the mode itself has changed.
 
-        UNKNOWN in that moment, and the flown mode where nothing is told of it.
+        UNKNOWN in that moment, and the flown mode where nothing is told of it, or no more: a person
+        who chooses the mode that is flown anyhow changes nothing else.
         """
         mode, intent = self.mode(t_s), self._intent
         if intent is None or mode is not self._told:
             return mode
-        if intent.flown is mode and intent.t_s >= self._changed_s:
+        is_stale = self._told_s - intent.t_s > _STALE_S
+        if intent.flown is mode and intent.t_s >= self._changed_s and not is_stale:
             return intent.asked
         return FlightMode.UNKNOWN if t_s - self._changed_s < _UNDECIDED_S else mode
 
@@ -89,6 +93,6 @@ class ModeTrack:
         return self._critical or self.intended(t_s) not in (self.mode(t_s), FlightMode.UNKNOWN)
 
     def _tell(self, mode: FlightMode, received_s: float) -> None:
-        if mode is not self._told:
+        if mode is not self._told or received_s - self._told_s > _CUT_S:
             self._changed_s = received_s
         self._told, self._told_s = mode, received_s

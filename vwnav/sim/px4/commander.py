@@ -123,8 +123,11 @@ class Px4Commander:
         return wanted not in POSITION_STATES or health.local_position_ok
 
     def take_over(self, health: Px4Health) -> None:
-        """The pilot moved the sticks: Position, or Altitude without a position."""
-        if not self.armed or self.intended in STICK_STATES or health.landed:
+        """The pilot moved the sticks: Position, or Altitude without a position.
+
+        In a mode of the sticks they fly, one that it fell back to as well: nothing changes.
+        """
+        if not self.armed or {self.intended, self.state} & STICK_STATES or health.landed:
             return
         bit = 2 if self.intended is NavState.OFFBOARD else 1
         if self._old and not int(self._parameters["COM_RC_OVERRIDE"]) & bit:

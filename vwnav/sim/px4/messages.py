@@ -60,12 +60,13 @@ def sys_status(v: SimulatedPx4) -> Any:
     enabled = _ENABLED | (0 if armed or no_gps else _GPS)
     health = _HEALTHY | (_GPS if armed or no_gps else 0)
     health |= _XY_CONTROL if v.health.local_position_ok else 0
-    health |= _RC if v.health.manual_ok else 0
+    radio = _RC if v.health.manual_ok else 0
+    health |= radio
     health |= 0 if not armed and v.commander.problems(v.health) else _PREARM
     millivolts = round(1000.0 * v.battery.voltage_v)
     percent = int(100.0 * v.battery.remaining)
     return mavlink.MAVLink_sys_status_message(
-        _PRESENT, enabled, health, 120, millivolts, -1, percent, 0, 0, 0, 0, 0, 0, 0, 0, 1
+        _PRESENT | radio, enabled, health, 120, millivolts, -1, percent, 0, 0, 0, 0, 0, 0, 0, 0, 1
     )
 
 

@@ -63,9 +63,12 @@ class SimulatedPx4(SimulatedMultirotor):
 
     @property
     def flight_mode(self) -> FlightMode:
-        """The state as a navigator calls it; one of the sticks that nobody chose is no pilot's."""
-        state = self.commander.state
-        if state in STICK_STATES and self.commander.intended not in STICK_STATES:
+        """The state as a navigator calls it; one of the sticks that nobody chose is no pilot's.
+
+        Unless there are sticks.
+        """
+        state, has_sticks = self.commander.state, self.manual.available(self.t_s)
+        if state in STICK_STATES and not ({self.commander.intended} & STICK_STATES or has_sticks):
             return FlightMode.OTHER
         return next((each for each, same in STATE_OF.items() if same is state), FlightMode.MANUAL)
 
