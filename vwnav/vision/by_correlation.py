@@ -28,7 +28,8 @@ from vwnav.vision.query import Query
 YAW_STEP_RAD = math.radians(2.0)  # a view of 140 px turned by half of it is 1 px off at its ends
 MAX_YAW_STEPS = 3  # to either side
 YAW_SIGMAS = 2.0
-MAX_REACH_PX = 64  # a place that is known worse is not looked for by correlation alone
+MAX_REACH_PX = 64  # a place that is known worse is not looked for by correlation alone ...
+MAX_WIDE_REACH_PX = 256  # ... nor held against all that is open
 SIGMA_PX = 1.5  # of the middle of what is seen, per axis
 CONTRADICTS_DECADES = 1.0  # that a look must have to speak against matches
 
@@ -94,7 +95,8 @@ class Edges:
         steps = min(math.floor(open_steps + 0.5), MAX_YAW_STEPS)
         assumed = self.candidate.hypothesis
         yaws_rad = [wrap_pi(assumed.yaw_rad + i * YAW_STEP_RAD) for i in range(-steps, steps + 1)]
-        looks = [self._look(replace(assumed, yaw_rad=each)) for each in yaws_rad]
+        turned = [replace(assumed, yaw_rad=each) for each in yaws_rad]
+        looks = [self._look(each, MAX_REACH_PX) for each in turned]
         found = [look for look in looks if look is not None]
         if not found:
             return None
@@ -105,13 +107,14 @@ class Edges:
         self, hypothesis: Hypothesis, lat_lon: tuple[float, float], min_decades: float
     ) -> bool:
         """Whether they tell a place (degrees) apart, the view turned and scaled as was found."""
-        seen = self._look(hypothesis)
+        seen = self._look(hypothesis, MAX_WIDE_REACH_PX)
         return seen is not None and seen.stands_out(min_decades) and seen.is_at(lat_lon)
 
-    def _look(self, hypothesis: Hypothesis) -> Correlated | None:
+    def _look(self, hypothesis: Hypothesis, most_px: int) -> Correlated | None:
         if self.candidate.coarse or not self.query.attitude_known:
             return None
-        return _correlate(self.pack, self.query, replace(self.candidate, hypothesis=hypothesis))
+        candidate = replace(self.candidate, hypothesis=hypothesis)
+        return _correlate(self.pack, self.query, candidate, most_px)
 
 
 def fix_by_correlation(
@@ -132,7 +135,9 @@ def fix_by_correlation(
     return _fix(query, look, accept)
 
 
-def _correlate(pack: MapReader, query: Query, candidate: Candidate) -> Correlated | None:
+def _correlate(
+    pack: MapReader, query: Query, candidate: Candidate, most_px: int
+) -> Correlated | None:
     """The best shift within a candidate's radius; None where there is too little to compare."""
     lat_deg, lon_deg, zoom = candidate.lat_deg, candidate.lon_deg, candidate.level.zoom
     hypothesis = candidate.hypothesis
@@ -140,7 +145,7 @@ def _correlate(pack: MapReader, query: Query, candidate: Candidate) -> Correlate
     if view is None:
         return None
     reach_px = math.ceil(candidate.radius_m / view.m_per_px)
-    if not RING_PX[0] < reach_px <= MAX_REACH_PX:
+    if not RING_PX[0] < reach_px <= most_px:
         return None
     nadir_px = np.array(mercator_px(lat_deg, lon_deg, zoom))
     corner_px = nadir_px - view.nadir_uv - 0.5
