@@ -3,6 +3,7 @@
 import os
 import socket
 import termios
+import threading
 import time
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from link_peer import free_port, wait_for
 
 from vwnav.errors import LinkError
+from vwnav.mavlink import links
 from vwnav.mavlink.links import LinkAddress, open_link, parse_link
 
 
@@ -214,3 +216,39 @@ def test_a_tcp_link_whose_far_end_takes_nothing_any_more_is_opened_anew():
         assert again.recv(1 << 16).endswith(b"here")
         hangs.close()
         link.close()
+
+
+def test_a_link_is_opened_anew_though_there_was_no_thread_for_it_at_first(monkeypatch):
+    """As where memory is short, or so many processes are allowed and no more."""
+
+    def none_left(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = open_link(parse_link(f"tcpout://127.0.0.1:{server.getsockname()[1]}"))
+        with monkeypatch.context() as short:
+            short.setattr(threading.Thread, "start", none_left)
+            server.accept()[0].close()
+            wait_for(lambda: link.read() == b"" and link.fileno() < 0)
+        wait_for(lambda: link.read() == b"" and link.fileno() >= 0)
+        link.close()
+
+
+def test_a_link_that_is_closed_while_it_is_opened_anew_leaves_nothing_open(monkeypatch):
+    opens, may_open, open_stream = threading.Event(), threading.Event(), links._open_stream
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = open_link(parse_link(f"tcpout://127.0.0.1:{server.getsockname()[1]}"))
+
+        def open_late(*arguments):
+            opens.set()
+            may_open.wait(20.0)
+            return open_stream(*arguments)
+
+        monkeypatch.setattr(links, "_open_stream", open_late)
+        server.accept()[0].close()
+        wait_for(lambda: link.read() == b"" and opens.is_set())
+        link.close()
+        may_open.set()
+        again, _ = server.accept()
+        again.settimeout(5.0)
+        assert again.recv(1) == b""

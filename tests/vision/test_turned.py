@@ -46,7 +46,13 @@ def searched(plan, sigma, place, folder, extractor):
 
 @pytest.mark.parametrize(
     ("sigma", "place"),
-    [(8.0, (35.0, 30.0, -100.0)), (16.0, (-30.0, 15.0, -60.0)), (16.0, (-20.0, -25.0, -30.0))],
+    [
+        (8.0, (35.0, 30.0, -100.0)),
+        (16.0, (-30.0, 15.0, -60.0)),
+        (16.0, (-20.0, -25.0, -30.0)),
+        (8.0, (75.0, 60.0, -100.0)),  # its like is 190 m away, more than two views
+        (16.0, (-70.0, 75.0, -100.0)),
+    ],
 )
 def test_what_fits_as_well_turned_is_no_fix_although_the_map_is_less_like_itself(
     sigma, place, tmp_path, orb

@@ -222,6 +222,25 @@ def test_a_process_of_which_a_thread_is_left_that_waits_for_a_disk_has_ended():
         other.kill()
 
 
+NAMED = """
+import ctypes, time
+ctypes.CDLL(None).prctl(15, "weinberg-flüge-2026".encode()[:12], 0, 0, 0)
+print(flush=True)
+time.sleep(60.0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of Linux")
+def test_a_process_whose_name_the_system_has_cut_within_a_letter_lives():
+    with subprocess.Popen([sys.executable, "-c", NAMED], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        watch = watchdog_process.ParentWatch(other.pid)
+        assert not watch.has_ended(1.0)
+        watch.close()
+        other.kill()
+
+
 HELD = """
 import sys, time
 if sys.stdin.readline():

@@ -31,7 +31,7 @@ BEATS = st.builds(
     st.none() | st.builds(Learned, st.floats(0.0, 1e9), FINITE, FINITE),
     st.integers(0, 255),
 )
-NUMBERS = st.floats(allow_nan=False)
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 PLACES = st.builds(
     HandedOn,
     NUMBERS,
@@ -92,6 +92,14 @@ def test_what_was_learned_costs_no_beat_where_it_is_no_number(number):
     assert Beat.unpack(whole[:-1]) is None
     assert Beat.unpack(whole + b"\0") is None
     assert Beat.unpack(whole[:-8] + struct.pack("<d", number)) == replace(beat, learned=None)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_what_was_handed_on_costs_no_report_where_it_is_no_number(number):
+    """A guard that goes on from a time that is none hands nothing on any more, and says nothing."""
+    told = HandedOn(number, (0.0, 0.0, -50.0), 0.5, (8.0, 0.0), 0)
+    report = WatchdogReport(GuardState.RELAY, 1, 0.5, handed_on=told)
+    assert WatchdogReport.unpack(report.pack()) == replace(report, handed_on=None)
 
 
 def test_what_does_not_fit_into_a_beat_is_cut():

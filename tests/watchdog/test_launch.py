@@ -1,6 +1,7 @@
 """The watchdog as a process: real UDP on both sides, a peer that answers like an autopilot."""
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -25,6 +26,7 @@ from link_peer import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from vwnav.clock import WallClock
 from vwnav.errors import LinkError
 from vwnav.watchdog.keepalive import GuardState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
@@ -316,6 +318,24 @@ def test_a_spare_one_that_was_ended_while_it_waited_is_followed_by_another(flown
     flown.fly(2.0)
     assert flown.state() is GuardState.RELAY
     assert len(flown.setpoints(killed_s + 1.0)) > 10
+
+
+def test_spare_ones_that_die_again_and_again_are_no_longer_waited_for_and_it_is_said():
+    """Whoever flies knows then that the present one has nobody behind it."""
+    names = "navigator_port", "observer_port", "keepalive_port"
+    ready = json.dumps({"ready": dict.fromkeys(names, free_port())})
+    script = f"""import sys, time
+if "--spare" in sys.argv: sys.exit(1)
+print({ready!r}, flush=True)
+time.sleep(60.0)
+"""
+    said = []
+    watchdog = WatchdogProcess([sys.executable, "-c", script], None, WallClock(), said.append)
+    wait_for(lambda: "none waits any more" in said[-1] if said else False, 20.0)
+    time.sleep(1.0)
+    assert len(said) == 5
+    watchdog.process.kill()
+    watchdog.close()
 
 
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):

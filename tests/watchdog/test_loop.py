@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from link_peer import COPTER_GUIDED, COPTER_LAND, IN_AIR, PX4_LAND, PX4_OFFBOARD, PX4_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from vwnav.watchdog.keepalive import GuardState, KeepAlive
+from vwnav.watchdog.keepalive import GuardState, HandedOn, KeepAlive
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.watchdog.successor import Resume
 
@@ -48,7 +48,7 @@ class Memory:
 class Stand:
     """A watchdog, an autopilot that says what it is told to say, and a navigator."""
 
-    def __init__(self, kind: int = PX4, successor=None) -> None:
+    def __init__(self, kind: int = PX4, successor=None, config=None) -> None:
         self.t_s, self.kind = 100.0, kind
         self.autopilot, self.navigator, self.observer = Memory(), Memory(), Memory()
         self.beats, self.loop = Memory(), Memory()
@@ -56,7 +56,7 @@ class Stand:
         self.beats.written = self.loop.arriving = deque()
         self.keepalive = KeepAlive(self.loop, lambda: self.t_s)
         links = WatchdogLinks(self.autopilot, self.navigator, self.observer, self.beats)
-        self.watchdog = Watchdog(links, WatchdogConfig(), successor)
+        self.watchdog = Watchdog(links, config or WatchdogConfig(), successor)
         self.mode = PX4_OFFBOARD if kind == PX4 else COPTER_GUIDED
         self.armed, self.landed, self.beating, self.engaged = True, False, True, True
         self._heard = 0
@@ -130,6 +130,19 @@ def engaged(kind: int = PX4, successor=None) -> Stand:
     stand = Stand(kind, successor)
     stand.run(1.0, lambda s: s.send(estimate(s.t_s, 8.0 * s.t_s)))
     return stand
+
+
+def spare() -> Stand:
+    """In the place of one that died in flight; the autopilot is not heard yet."""
+    last = HandedOn(100.0, (800.0, 0.0, -50.0), 0.5, (8.0, 0.0), 0)
+    stand = Stand(config=WatchdogConfig(took_over_t_s=100.0, goes_on=last))
+    stand.speaks, stand.keepalive.system_id = False, 7
+    return stand
+
+
+def fly(stand: Stand) -> None:
+    stand.send(estimate(stand.t_s, 8.0 * stand.t_s))
+    stand.send(setpoint(3.0))
 
 
 def test_it_hands_on_both_ways():
@@ -449,3 +462,44 @@ def test_an_autopilot_that_was_switched_off_is_not_waited_for():
     stand.t_s += 2.0
     stand.watchdog.step(stand.t_s)
     assert stand.watchdog.finished
+
+
+def test_a_spare_one_stays_when_the_navigator_ends_before_the_autopilot_is_heard():
+    """As where memory is short: both are ended within a second, and the aircraft flies."""
+    stand = spare()
+    stand.run(0.3)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(10.0)
+    assert not stand.watchdog.finished
+    stand.speaks = True
+    stand.run(2.0)
+    assert stand.watchdog.state is GuardState.HOLDING
+
+
+def test_a_spare_one_that_never_hears_an_autopilot_leaves_after_a_minute():
+    stand = spare()
+    stand.run(0.3)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand.run(61.0)
+    assert stand.watchdog.finished
+
+
+@pytest.mark.parametrize(("silent_s", "passes"), [(1.0, True), (8.0, False)])
+def test_a_spare_one_that_comes_up_without_the_link_takes_that_for_a_cut(silent_s, passes):
+    """What was made while the autopilot heard nothing is not to be the first that it hears."""
+    stand = spare()
+    stand.autopilot.room = False
+    stand.run(silent_s, fly)
+    stand.autopilot.room = stand.speaks = True
+    heard = names(stand.run(0.4, fly))
+    assert ("VISION_POSITION_ESTIMATE" in heard) is passes
+    assert ("SET_POSITION_TARGET_LOCAL_NED" in heard) is passes
+
+
+def test_a_spare_one_knows_no_cut_while_the_autopilot_says_anything():
+    """Of two heartbeats one may be lost."""
+    stand = spare()
+    stand.run(3.0, lambda s: [s.say(mavlink.MAVLink_attitude_message(0, *[0.0] * 6)), fly(s)])
+    assert len(names(stand.run(0.4, fly))) == 40

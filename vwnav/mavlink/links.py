@@ -9,6 +9,7 @@ import os
 import socket
 import termios
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 from urllib.parse import urlsplit
@@ -188,6 +189,8 @@ class UdpLink:
 
     def close(self) -> None:
         """Give the port back."""
+        if self._looked_up is not None:
+            self._looked_up.give_up()
         self._socket.close()
 
     def _remember(self, peer: tuple[str, int], t_s: float) -> None:
@@ -210,7 +213,7 @@ class StreamLink:
         self._unsent = b""
         self._queue_limit_bytes = _queue_limit_bytes(address)
         self._port: _StreamHandle | None = self._open() if at_once else None
-        self._opener = None if at_once else Opener(self._open)
+        self._opener = None if at_once else self._begin_to_open()
 
     def fileno(self) -> int:
         """Its descriptor, -1 while it is down."""
@@ -267,7 +270,12 @@ class StreamLink:
     def _lose(self) -> None:
         assert self._port is not None
         lost, self._port, self._unsent = self._port, None, b""
-        self._opener = Opener(self._open, lost.close)
+        self._opener = self._begin_to_open(lost.close)
+
+    def _begin_to_open(
+        self, close_lost: Callable[[], None] | None = None
+    ) -> "Opener[_StreamHandle]":
+        return Opener(self._open, close_lost, lambda port: port.close())
 
     def _open(self) -> "_StreamHandle":
         return _open_stream(self._address, _CONNECT_TIMEOUT_S)

@@ -54,7 +54,7 @@ from vwnav.vision.registration import (
     may_be_chance,
     register,
 )
-from vwnav.vision.rivals import best_of
+from vwnav.vision.rivals import best_of, elsewhere_turned
 
 CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
@@ -151,6 +151,9 @@ class Localizer:
                     continue
             if isinstance(found, Registration):
                 outcome = self._weighed(query, self._verified(query, edges, found))
+                if isinstance(outcome, MapFix) and candidate.coarse and query.heading_open:
+                    look = partial(self._register, query)
+                    outcome = elsewhere_turned(query, found, candidates, look) or outcome
                 if isinstance(outcome, MapFix):
                     return outcome
                 if outcome.reason in SETTLED and not candidate.thrifty:

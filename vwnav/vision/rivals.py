@@ -1,10 +1,12 @@
 """Which of the places that a search has found an image is at: the best, where none rivals it."""
 
+import math
 from collections.abc import Callable
 from typing import Protocol, Self, TypeVar
 
+from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Rejected, RejectReason
-from vwnav.vision.candidates import MAX_RIVALRY
+from vwnav.vision.candidates import MAX_RIVALRY, YAW_STEPS, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus
 from vwnav.vision.query import Query
 
@@ -15,7 +17,13 @@ class _Found(Protocol):
     """What is asked of a `Registration` to hold it against others."""
 
     @property
+    def candidate(self) -> Candidate: ...
+
+    @property
     def consensus(self) -> Consensus: ...
+
+    @property
+    def hypothesis(self) -> Hypothesis: ...
 
     def is_place_of(self, other: Self) -> bool: ...
 
@@ -62,3 +70,34 @@ def best_of(
             detail = "two places on the map fit as well"
             return query.rejected(RejectReason.AMBIGUOUS, detail)
     return best
+
+
+def elsewhere_turned(
+    query: Query,
+    hit: Found,
+    candidates: list[Candidate],
+    look: Callable[[Candidate], Found | Rejected],
+) -> Rejected | None:
+    """A refusal where another part of the map shows nearly as much of the image, turned.
+
+    The first place that is sure ends a search: which end of a runway that is, is chance.
+
+    Args:
+        query: what was searched for.
+        hit: the place that ends it, as the search saw it.
+        candidates: all that it would look at.
+        look: registers one of them.
+    """
+    yaw_rad, agl_m = hit.hypothesis.yaw_rad, hit.candidate.hypothesis.agl_m
+    for each in (each for each in candidates if each.hypothesis.agl_m == agl_m):
+        turn_rad = wrap_pi(each.hypothesis.yaw_rad - yaw_rad)
+        off_rad = abs(wrap_pi(4.0 * turn_rad)) / 4.0  # the nearest quarter
+        if abs(turn_rad) < math.pi / 4.0 or off_rad > math.pi / YAW_STEPS:
+            continue
+        rival = look(each)
+        if isinstance(rival, Rejected):
+            continue
+        if rival.consensus.cells >= MAX_RIVALRY * hit.consensus.cells:
+            detail = "another place on the map fits as well, turned by a quarter or a half"
+            return query.rejected(RejectReason.AMBIGUOUS, detail)
+    return None

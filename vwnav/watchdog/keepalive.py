@@ -23,9 +23,8 @@ from vwnav.vehicle import Learned
 _BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
 _BEAT_MAGIC = b"VWB4"
 _LEARNED_HEAD = struct.Struct("<dHH")  # when, how many of means and of covariances
-_REPORT = struct.Struct(
-    "<4sBBIf"
-)  # magic, state, flags, of the beat, heartbeat age; then handed on
+# Magic, state, flags, sequence of the beat, heartbeat age; then what was handed on.
+_REPORT = struct.Struct("<4sBBIf")
 _REPORT_MAGIC = b"VWR3"
 _HANDED_ON = struct.Struct("<7dB")
 _ENGAGED, _ENDED = 0x01, 0x02
@@ -134,13 +133,14 @@ class HandedOn:
 
     @staticmethod
     def unpack(data: bytes) -> "HandedOn | None":
-        """Of bytes, None of what is none."""
+        """Of bytes, None of what is none: of no number nothing would ever go on."""
         if len(data) != _HANDED_ON.size:
             return None
-        t_s, north_m, east_m, down_m, sigma_m, *velocity, counter = _HANDED_ON.unpack(data)
-        return HandedOn(
-            t_s, (north_m, east_m, down_m), sigma_m, (velocity[0], velocity[1]), counter
-        )
+        *numbers, counter = _HANDED_ON.unpack(data)
+        if not all(map(math.isfinite, numbers)):
+            return None
+        t_s, north_m, east_m, down_m, sigma_m, vn_m_s, ve_m_s = numbers
+        return HandedOn(t_s, (north_m, east_m, down_m), sigma_m, (vn_m_s, ve_m_s), counter)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,10 +177,9 @@ class WatchdogReport:
             return None
         _, state, flags, sequence, age_s = _REPORT.unpack_from(data)
         rest = data[_REPORT.size :]
-        handed_on = HandedOn.unpack(rest)
-        if state not in _STATES or (rest and handed_on is None):
+        if state not in _STATES or len(rest) not in (0, _HANDED_ON.size):
             return None
-        relays = bool(flags & _RELAYS_ESTIMATES)
+        relays, handed_on = bool(flags & _RELAYS_ESTIMATES), HandedOn.unpack(rest)
         return WatchdogReport(GuardState(state), sequence, age_s, relays, handed_on)
 
 

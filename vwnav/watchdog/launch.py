@@ -135,6 +135,9 @@ class WatchdogProcess:
         if self._spare.poll() is None or self._closing or not self._spares_left:
             return
         self._spares_left -= 1
+        if not self._spares_left:
+            self._say("spare watchdogs die again and again: none waits any more")
+            return
         self._say("the spare watchdog has died: another one is started")
         if not self._start_spare():
             self._spares_left = 0

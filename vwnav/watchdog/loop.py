@@ -39,13 +39,15 @@ class WatchdogConfig:
         calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
         useless: when the navigator is ended.
-        goes_on: what the autopilot was told by the one that this one takes the place of.
+        took_over_t_s: in flight, the place of one that has died; -inf: it is the first one.
+        goes_on: what the autopilot was told by that one.
     """
 
     calls_first: bool = False
     limit_s: float = 900.0
     useless: UselessConfig = field(default_factory=UselessConfig)
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
+    took_over_t_s: float = -math.inf
     goes_on: HandedOn | None = None
 
 
@@ -89,7 +91,8 @@ class Watchdog:
         self._navigator = navigator
         self._useless = UselessNavigator(config.useless)
         self._from_navigator, self._from_observer = Framer(), Framer()
-        self._ear, self._voice, self._outbox = AutopilotEar(), Voice(), Outbox()
+        self._ear = AutopilotEar(heard_t_s=config.took_over_t_s)
+        self._voice, self._outbox = Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
         self._estimates = RelayGuard(goes_on=config.goes_on)
         self._call_t_s = self._origin_t_s = self._ended_t_s = -math.inf
@@ -214,8 +217,7 @@ class Watchdog:
         return good
 
     def _admits(self, message: Any, t_s: float) -> bool:
-        # One that has not been heard may fly: a spare watchdog comes up in between two heartbeats.
-        armed = self._ear.kind is None or self._ear.vehicle(t_s).armed
+        armed = self._may_be_armed(t_s)
         match told_by(message):
             case RelayedPosition() as position, None:
                 return self._estimates.admit_position(position, t_s, armed)
@@ -225,10 +227,14 @@ class Watchdog:
                 return self._estimates.admit_both(position, velocity, t_s, armed)
         return False
 
+    def _may_be_armed(self, t_s: float) -> bool:
+        """One not heard yet may fly: a spare watchdog comes up in between two heartbeats."""
+        return self._ear.kind is None or self._ear.vehicle(t_s).armed
+
     def _notice_cut(self, t_s: float) -> None:
         """Before news are read: what was made while nothing came is not to be the first word."""
-        silent_s = t_s - self._ear.heard_t_s
-        if not self._ear.vehicle(t_s).armed or silent_s <= CUT_S:
+        is_cut = CUT_S < t_s - self._ear.heard_t_s < math.inf
+        if not is_cut or not self._may_be_armed(t_s):
             return
         if self._estimates.lost_since_s is None:
             _log.warning("estimates are held back: the autopilot is not heard")
@@ -256,7 +262,7 @@ class Watchdog:
     def _follow_autopilot(self, system_id: int) -> None:
         """The navigator's, where another one was heard first: by one that takes over in flight."""
         if system_id not in (0, self._ear.system_id):
-            self._ear = AutopilotEar(system_id)
+            self._ear = AutopilotEar(system_id, self._config.took_over_t_s)
 
     def _call(self, t_s: float) -> None:
         """Show ourselves to an autopilot that waits to be spoken to."""
@@ -310,7 +316,8 @@ class Watchdog:
         if was_heard and not heard_since and alone_s < _LAST_WORD_S:
             return False  # it may have been armed since it was last heard
         if not vehicle.armed:
-            return True
+            is_first = self._config.took_over_t_s == -math.inf
+            return is_first or not self._may_be_armed(t_s)
         return self._successor is None and self._guard.is_handed_over
 
     def _resume(self) -> Resume:

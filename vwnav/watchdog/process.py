@@ -125,7 +125,8 @@ class ParentWatch:
 def _is_left_over(pid: int) -> bool:
     """Its first thread has ended: another one that waits for a disk keeps it from being gone."""
     with contextlib.suppress(OSError):  # gone, or not Linux
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+        # A name is cut within a letter: it is no text.
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] == b"Z"
     return False
 
 
@@ -148,6 +149,7 @@ class WatchdogPorts:
         config = WatchdogConfig(
             calls_first=address.kind != "udpin",
             limit_s=options.limit_s,
+            took_over_t_s=self._clock() if options.takes_over else -math.inf,
             goes_on=HandedOn.unpack(bytes.fromhex(options.goes_on)),
         )
         successor = None

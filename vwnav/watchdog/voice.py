@@ -61,13 +61,14 @@ class AutopilotEar:
 
     Args:
         system_id: of the one that is followed; 0 for the first that is heard.
+        heard_t_s: when it was last heard by another one, in whose place this one is.
     """
 
-    def __init__(self, system_id: int = 0) -> None:
+    def __init__(self, system_id: int = 0, heard_t_s: float = -math.inf) -> None:
         self.kind: AutopilotKind | None = None
         self.system_id = system_id
         self.mavlink1 = False
-        self.heard_t_s = -math.inf
+        self.heard_t_s = heard_t_s
         self.heartbeat_t_s = -math.inf
         self.origin: Origin | None = None
         self._vehicle = VehicleView()
@@ -83,7 +84,7 @@ class AutopilotEar:
         if t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
             self._vehicle = replace(self._vehicle, landed=None)
         seen = self._with_choice(t_s)
-        if self.kind is not None and not self._knows_mode(t_s):
+        if self.heard_t_s > -math.inf and not self._knows_mode(t_s):
             return replace(seen, mode_is_of_now=False)
         return seen
 
@@ -137,7 +138,7 @@ class AutopilotEar:
     def _is_the_autopilots(self, packet: Packet) -> bool:
         if packet.component_id != _AUTOPILOT_COMPONENT or packet.message_id is None:
             return False
-        if self.kind is None and packet.message_id != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+        if self.system_id == 0 and packet.message_id != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return False
         return self.system_id in (0, packet.system_id)
 
