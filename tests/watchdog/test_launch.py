@@ -263,14 +263,18 @@ def test_a_watchdog_that_died_is_replaced_within_a_second_and_it_flies_on(flown)
     assert len(flown.setpoints(replaced_s)) > 10
 
 
-def test_a_spare_one_hands_on_estimates_that_are_unsure_but_go_on(flown):
-    """The autopilot was given them all the time; they would not do as new ones."""
+def killed_while_estimates_go(flown):
     wait_for(loaded_spares, 20.0)
     flown.estimates = True
     flown.fly(0.5)
     flown.engage()
     flown.fly(1.0)
     flown.watchdog.process.kill()
+
+
+def test_a_spare_one_hands_on_estimates_that_are_unsure_but_go_on(flown):
+    """The autopilot was given them all the time; they would not do as new ones."""
+    killed_while_estimates_go(flown)
     flown.fly(1.0)
     again_s = time.monotonic()
     flown.fly(1.0)
@@ -278,12 +282,7 @@ def test_a_spare_one_hands_on_estimates_that_are_unsure_but_go_on(flown):
 
 
 def test_a_spare_one_hands_no_estimate_on_that_has_jumped_meanwhile(flown):
-    wait_for(loaded_spares, 20.0)
-    flown.estimates = True
-    flown.fly(0.5)
-    flown.engage()
-    flown.fly(1.0)
-    flown.watchdog.process.kill()
+    killed_while_estimates_go(flown)
     flown.jump_m = 30.0
     again_s = time.monotonic() + 0.1
     flown.fly(2.0)

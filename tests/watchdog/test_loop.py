@@ -464,12 +464,17 @@ def test_an_autopilot_that_was_switched_off_is_not_waited_for():
     assert stand.watchdog.finished
 
 
-def test_a_spare_one_stays_when_the_navigator_ends_before_the_autopilot_is_heard():
-    """As where memory is short: both are ended within a second, and the aircraft flies."""
+def spare_without_navigator():
     stand = spare()
     stand.run(0.3)
     stand.beating = False
     stand.watchdog.handle_navigator_end(stand.t_s)
+    return stand
+
+
+def test_a_spare_one_stays_when_the_navigator_ends_before_the_autopilot_is_heard():
+    """As where memory is short: both are ended within a second, and the aircraft flies."""
+    stand = spare_without_navigator()
     stand.run(10.0)
     assert not stand.watchdog.finished
     stand.speaks = True
@@ -478,10 +483,7 @@ def test_a_spare_one_stays_when_the_navigator_ends_before_the_autopilot_is_heard
 
 
 def test_a_spare_one_that_never_hears_an_autopilot_leaves_after_a_minute():
-    stand = spare()
-    stand.run(0.3)
-    stand.beating = False
-    stand.watchdog.handle_navigator_end(stand.t_s)
+    stand = spare_without_navigator()
     stand.run(61.0)
     assert stand.watchdog.finished
 

@@ -1,4 +1,4 @@
-"""Registering a view by correlation alone, where its keypoints do not.
+"""Correlating a view with the map: alone, where keypoints do not place it, and against them.
 
 From 25 m a map of 0.3 m/px shows a view of 140 x 107 pixels. A season later some four of its fifty
 matches are right, which may be chance; its edges together still lie as they do on the map. Of slabs

@@ -17,7 +17,7 @@ from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.pace import clock_of
 from vwnav.watchdog.keepalive import HandedOn, UdpChannel
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
-from vwnav.watchdog.successor import SuccessorProcess
+from vwnav.watchdog.successor import UNWINDS_S, SuccessorProcess
 from vwnav.watchdog.visitors import Reception
 
 _log = logging.getLogger(__name__)
@@ -25,7 +25,6 @@ _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _PARENT_CHECK_S = 0.1
 _LATE_S = 0.01  # of its tick: simulated time waits for it then
-_UNWINDS_S = 1.0  # of a killed process; it runs no more, whatever the system still holds of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +99,7 @@ class ParentWatch:
                 os.kill(self._pid, signal.SIGKILL)
             else:
                 return
-            self._given_up_t_s = self._check_t_s + _UNWINDS_S
+            self._given_up_t_s = self._check_t_s + UNWINDS_S
 
     def close(self) -> None:
         """Give the descriptor back."""

@@ -26,7 +26,7 @@ _MOST_STARTS = 5
 _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
-_UNWINDS_S = 1.0  # of a killed one; it runs no more, whatever the system still holds of it
+UNWINDS_S = 1.0  # of a killed one; it runs no more, whatever the system still holds of it
 _SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
 _NICER = 5  # one that loads goes behind one that serves
 
@@ -167,7 +167,7 @@ class SuccessorProcess:
             self._silence.end()
             _log.warning("the successor has been silent for %.0f s: it is ended", limit_s)
             process.kill()
-            self._given_up_t_s = t_s + _UNWINDS_S
+            self._given_up_t_s = t_s + UNWINDS_S
 
     def _wake(self, process: subprocess.Popen[bytes], resume: Resume) -> None:
         self._serving, self._ready = process, None
