@@ -63,15 +63,22 @@ CUTS = [
     *(link_cut("while landing", DESCEND, seconds, Phase.LAND) for seconds in CUTS_S),
 ]
 # One that only holds, as is recommended too, and what the 1.16 era does by itself: Position.
-_STAY_UP: tuple[tuple[Manners, int], ...] = (("px4", 5), ("px4-1.16", 0))
-NOT_DOWN = [
-    replace(
+STAY_UP: tuple[tuple[Manners, int], ...] = (("px4", 5), ("px4-1.16", 0))
+
+
+def with_action(row: Scenario, ways: Manners, action: int) -> Scenario:
+    """The same row with PX4 of one era, which does this where Offboard is lost."""
+    return replace(
         row,
         name=f"{row.name}, {ways} with COM_OBL_RC_ACT {action}",
         setup=replace(row.setup, manners=ways, parameters=(("COM_OBL_RC_ACT", action),)),
     )
+
+
+NOT_DOWN = [
+    with_action(row, *stays_up)
     for row in (link_cut("on the route", ROUTE, 3.0), link_cut("on the route", ROUTE, 5.0))
-    for ways, action in _STAY_UP
+    for stays_up in STAY_UP
 ]
 SLOW = [
     Scenario(

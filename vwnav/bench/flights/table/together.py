@@ -14,6 +14,7 @@ from vwnav.bench.flights.scenario import (
     setup,
 )
 from vwnav.bench.flights.stage import Fault
+from vwnav.bench.flights.table.link import STAY_UP, with_action
 from vwnav.mission.mission import Phase
 
 _STORM_M_S, _GUSTS_M_S = 12.0, 3.0
@@ -128,4 +129,38 @@ BLIND = [
         lands_within_m=50.0,
     ),
 ]
-TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND]
+_CUT = Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0)
+# PX4 has fallen back to a mode that stays up by the time that the link is there again.
+FALLEN_BACK = [
+    *(
+        with_action(
+            Scenario(
+                name="link cut for 3 s, and the navigator killed before it has asked to land",
+                setup=setup(),
+                breaks=(
+                    _CUT,
+                    Break(fault=computer.NavigatorKilled(), at_s=BREAKS_AT_S + 3.3),
+                ),
+                limit_s=110.0,
+                follows=(down(90.0),),
+                lands_within_m=70.0,
+            ),
+            *stays_up,
+        )
+        for stays_up in STAY_UP
+    ),
+    # To the sticks, which are heard: whoever moves them, PX4 tells that Offboard is intended.
+    with_action(
+        Scenario(
+            name="link cut for 3 s beside a pilot whose radio is on",
+            setup=setup(rc_on=True),
+            breaks=(_CUT,),
+            limit_s=30.0,
+            ending=Ending.PILOT,
+            follows=(phase(6.0, "pilot flies"),),
+        ),
+        "px4-1.16",
+        0,
+    ),
+]
+TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *FALLEN_BACK]
