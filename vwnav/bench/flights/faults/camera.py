@@ -27,6 +27,9 @@ _GEAR = ((0.08, 0.0, 0.09, 1.0), (0.84, 0.0, 0.09, 1.0), (0.0, 0.9, 1.0, 0.1))  
 _DROPS, _DROP_PX, _DROP_BLUR_PX, _DROP_GREY = 25, (0.02, 0.06), 15.0, 110.0
 _DUSK, _DUSK_GREY, _DUSK_NOISE = 0.1, 4.0, 2.5  # of the light, and what the sensor adds
 _HUNTS = (0.4, 1.7)  # exposures by turns
+_TORN, _SMEARED = 0.5, 0.4  # share of the images that a bad cable does it to
+_FOG, _FOG_GREY = 0.15, 150.0  # of the contrast, and what the fog adds
+_CLOUD_PX, _CLOUD_PX_S, _IN_SHADE = 260.0, 110.0, 0.45  # length, speed over the image, light left
 _FALSE_TIMES_S = (math.nan, 3600.0, -3600.0, math.inf)  # off by
 
 
@@ -248,6 +251,59 @@ def exposure_hunting() -> Trouble:
     """Too dark and too bright by turns."""
     gains = cycle(_HUNTS)
     return _each(lambda image: np.clip(next(gains) * image, 0, 255).astype(np.uint8))
+
+
+def torn() -> Trouble:
+    """A cable that loses packets: below a row that changes it is still the image before."""
+    rng, before = np.random.default_rng(6), list[Image]()
+
+    def tear(image: Image) -> Image:
+        made = image.copy()
+        if before and rng.random() < _TORN:
+            row = int(rng.integers(1, image.shape[0]))
+            made[row:] = before[0][row:]
+        before[:] = [image]
+        return made
+
+    return _each(tear)
+
+
+def smeared() -> Trouble:
+    """A cut-off JPEG as decoders fill it: from a row that changes on, that row alone."""
+    rng = np.random.default_rng(6)
+
+    def smear(image: Image) -> Image:
+        made = image.copy()
+        if rng.random() < _SMEARED:
+            row = int(rng.integers(1, image.shape[0]))
+            made[row:] = image[row - 1]
+        return made
+
+    return _each(smear)
+
+
+def fog() -> Trouble:
+    """A seventh of the contrast is left, and the sensor's noise."""
+    rng = np.random.default_rng(6)
+
+    def veil(image: Image) -> Image:
+        seen = _FOG * image + rng.normal(_FOG_GREY, _DARK_NOISE, image.shape)
+        return np.clip(np.round(seen), 0, 255).astype(np.uint8)
+
+    return _each(veil)
+
+
+def cloud_shadows() -> Trouble:
+    """Shadows of clouds pass from the left to the right, whatever the ground does below them."""
+
+    def shade(frame: Frame) -> Frame | None:
+        h, w = frame.image.shape[:2]
+        along = (np.arange(w) + 0.3 * np.arange(h)[:, None] - _CLOUD_PX_S * frame.t_s) / _CLOUD_PX
+        edge = np.clip(3.0 * np.sin(math.tau * along), -1.0, 1.0)
+        light = _IN_SHADE + (1.0 - _IN_SHADE) * (0.5 + 0.5 * edge)
+        return replace(frame, image=np.asarray(light * frame.image, np.uint8))
+
+    return shade
 
 
 def each_twice() -> Trouble:

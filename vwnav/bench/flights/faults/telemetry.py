@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from vwnav.bench.flights.stage import LINK_LATENCY_S, FlightStage
@@ -143,6 +144,19 @@ def accelerometer_off(forward_m_s2: float, right_m_s2: float, down_m_s2: float) 
         message.zacc += down_m_s2
 
     return Altered("accelerometer off", (HIGHRES_IMU,), change)
+
+
+def imu_shaken(accelerometer_m_s2: float, gyro_rad_s: float) -> Altered:
+    """A propeller out of balance: one sigma of what each reading is off by, on each axis."""
+    rng = np.random.default_rng(6)
+
+    def change(message: Any) -> None:
+        for axis in "xyz":
+            for name, sigma in (("acc", accelerometer_m_s2), ("gyro", gyro_rad_s)):
+                shaken = getattr(message, axis + name) + rng.normal(0.0, sigma)
+                setattr(message, axis + name, shaken)
+
+    return Altered("IMU shaken", (HIGHRES_IMU,), change)
 
 
 def battery_unknown() -> Altered:

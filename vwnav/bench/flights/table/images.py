@@ -52,6 +52,10 @@ POOR = [
         ("whose exposure hunts", broken.exposure_hunting),
         ("of which each comes twice", broken.each_twice),
         ("with times that cannot be", broken.false_times),
+        ("torn by a bad cable", broken.torn),
+        ("cut off by a bad cable", broken.smeared),
+        ("in fog", broken.fog),
+        ("under shadows of clouds", broken.cloud_shadows),
     )
 ]
 LATE = [

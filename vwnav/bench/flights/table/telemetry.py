@@ -7,6 +7,7 @@ from vwnav.bench.flights.scenario import (
     Break,
     Ending,
     Scenario,
+    again_and_again,
     flies_on,
     flies_route,
     phase,
@@ -65,6 +66,13 @@ WRONG = [
         for degrees in (60, 180)
     ),
     flies_on("heading reset by 90 degrees", aircraft.HeadingReset(math.pi / 2), after_s=15.0),
+    Scenario(
+        name="heading drifts by 40 degrees within 20 s",
+        setup=setup(),
+        breaks=again_and_again(aircraft.HeadingReset(math.radians(0.4)), 0.2, None, 100),
+        limit_s=50.0,
+        ending=Ending.FLIES_ON,
+    ),
 ]
 INERTIAL = [
     flies_on("IMU missing for 10 s", telemetry.Missing(IMU), 10.0),
@@ -80,6 +88,7 @@ INERTIAL = [
         telemetry.accelerometer_off(0.0, 0.0, 5.0),
         after_s=15.0,
     ),
+    flies_on("IMU shaken by a propeller out of balance", telemetry.imu_shaken(5.0, 0.2), 20.0),
     Scenario(
         name="IMU mounted on its side",
         setup=setup(None),
