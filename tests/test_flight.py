@@ -1042,3 +1042,41 @@ def test_what_is_asked_for_on_the_ground_is_said_and_does_not_wait_for_the_air(o
     scene.flight.obey(order)
     assert "not heeded" in scene.said[-1]
     assert scene.run().flight.end.reason is None
+
+
+def test_a_pause_stops_the_descent_that_other_holds_do_not_and_what_is_done_is_told():
+    scene = on_route().run(in_phase(Phase.DESCEND)).go_on(2.0)
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(1.0)
+    assert scene.said[-1] == "the ground station asks for a pause: holding"
+    height_m = -scene.vehicle.position[2]
+    scene.go_on(5.0)
+    assert -scene.vehicle.position[2] == pytest.approx(height_m)
+    scene.flight.obey(Order.GO_ON)
+    scene.sees = False
+    scene.go_on(3.0)
+    assert -scene.vehicle.position[2] < height_m - 4.0
+    assert scene.said[-1] == "the camera shows nothing that can be followed: going on down"
+
+
+def test_a_pause_in_the_take_off_is_told_as_what_it_does():
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.answers_after = 10
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(0.3)
+    assert scene.said[-1] == "the ground station asks for a pause: after the take-off"
+    scene.run(in_phase(Phase.CLIMB)).go_on(3.0)
+    assert scene.said[-1] == "the ground station asks for a pause: holding"
+
+
+@pytest.mark.parametrize("order", [Order.PAUSE, Order.RETURN])
+def test_what_a_ground_station_asks_for_is_done_where_the_position_is_poor_too(order):
+    scene = on_route()
+    scene.variance = 5.0**2
+    scene.go_on(2.0)
+    scene.flight.obey(order)
+    scene.go_on(1.0)
+    if order is Order.RETURN:
+        assert scene.flight.phase is Phase.RETURN
+    else:
+        assert np.hypot(*scene.vehicle.velocity[:2]) < 0.1

@@ -214,7 +214,7 @@ class Flight:
         """True when safety, not the mission, decided this tick."""
         self._failsafe.note(navigation, t_s)
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
-        self._say(self._announcer.words(decision))
+        self._say(self._announcer.words(decision, self.phase))
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
             case Action.NAVIGATE | Action.SLOW:
@@ -230,7 +230,7 @@ class Flight:
                 self._begin_landing(t_s, vehicle, decision.reason)
             case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
                 return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
-            case _ if self.phase is Phase.DESCEND:
+            case _ if self.phase is Phase.DESCEND and not decision.is_pause:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False
@@ -272,8 +272,7 @@ class Flight:
     def _yield(self, t_s: float, reason: str) -> None:
         """The autopilot flies a failsafe that may be ours to end, later."""
         self._autopilot.withdraw()
-        safety = self._safety
-        self._failsafe.begin(self.phase, safety.gap_s, safety.battery_is_enough, t_s)
+        self._failsafe.begin(self.phase, self._safety.gap_s, self._safety.battery_is_enough, t_s)
         self._steering.stop()
         self._say(reason)
         self._enter(Phase.FAILSAFE, t_s)

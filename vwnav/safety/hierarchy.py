@@ -49,6 +49,11 @@ class Decision:
     reason: str
     rank: Rank = Rank.NAVIGATION
 
+    @property
+    def is_pause(self) -> bool:
+        """A person wants it to stand still."""
+        return self.action is Action.HOLD and self.rank is Rank.OPERATOR
+
 
 Reason = Callable[[Situation, SafetyConfig], str | None]
 
@@ -240,19 +245,20 @@ TABLE = (
         "out of bounds: uncertain by {hold_sigma_m:g} m, or no map fix for {hold_fix_age_s:g} s",
         Action.HOLD, _bad,
     ),
-    SafetyRule(
-        Rank.POSITION, "uncertain by {slow_sigma_m:g} m, or no map fix for {slow_fix_age_s:g} s",
-        Action.SLOW, _poor,
-    ),
     SafetyRule(Rank.OPERATOR, "it asks to land", Action.LAND, _ordered(Order.LAND), stays=True),
     SafetyRule(
         Rank.OPERATOR, "it asks to return before the first fix", Action.LAND, _return_to_below,
         stays=True,
     ),
-    SafetyRule(Rank.OPERATOR, "it asks to return", Action.RETURN,
-         _ordered(Order.RETURN), stays=True),
     SafetyRule(Rank.OPERATOR, "it asks to pause, until it asks to go on", Action.HOLD,
          _ordered(Order.PAUSE)),
+    SafetyRule(Rank.OPERATOR, "it asks to return", Action.RETURN,
+         _ordered(Order.RETURN), stays=True),
+    # Last: who only flies slower would hide whatever stands below it.
+    SafetyRule(
+        Rank.POSITION, "uncertain by {slow_sigma_m:g} m, or no map fix for {slow_fix_age_s:g} s",
+        Action.SLOW, _poor,
+    ),
 )  # fmt: skip
 
 _DOES = {
