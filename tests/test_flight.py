@@ -1069,6 +1069,34 @@ def test_a_pause_in_the_take_off_is_told_as_what_it_does():
     assert scene.said[-1] == "the ground station asks for a pause: holding"
 
 
+def test_an_aircraft_that_would_only_be_landed_is_not_taken_back():
+    scene = taken()
+    scene.sees = False
+    scene.go_on(10.0)
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(3.0)
+    assert scene.vehicle.asked == asked
+    assert scene.said[-1] == (
+        "the camera shows nothing that can be followed: the aircraft stays the pilot's"
+    )
+    scene.sees = True
+    scene.go_on(1.0).flight.obey(Order.GO_ON)
+    assert scene.run().flight.end.reason is None
+
+
+def test_an_offboard_that_a_failsafe_of_the_take_off_took_back_is_asked_for_again():
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.answers_after = 30
+    scene.run(lambda scene: scene.vehicle.asked[-1] == "offboard")
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.TAKEOFF, failsafe=True)
+    scene.go_on(1.0)
+    assert scene.flight.phase is Phase.FAILSAFE
+    scene.vehicle.answers_after = 1
+    scene.vehicle.be(mode=FlightMode.TAKEOFF, failsafe=False)
+    assert scene.run(in_phase(Phase.ROUTE)).flight.phase is Phase.ROUTE
+
+
 @pytest.mark.parametrize("order", [Order.PAUSE, Order.RETURN])
 def test_what_a_ground_station_asks_for_is_done_where_the_position_is_poor_too(order):
     scene = on_route()

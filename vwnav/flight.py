@@ -145,6 +145,7 @@ class Flight:
 
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
+        self._route.begin_phase()
         self._say(phase.value)
 
     def _in_phase_s(self, t_s: float) -> float:
@@ -279,7 +280,8 @@ class Flight:
 
     def _resume(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
         """The pilot's side gives the aircraft back, in so many words: on where it was left."""
-        if self._takeover.ask_back(vehicle, navigation):
+        lands_for = self._safety.lands_for(navigation, vehicle, t_s)
+        if self._takeover.ask_back(vehicle, navigation, lands_for):
             self._safety.resume()
             self._trouble = self._takeover.trouble
             self._keep_alive.rejoin()

@@ -299,6 +299,12 @@ class Hierarchy:
         rule, reason = next((each for each in found if self._lands(each[0], found)), found[0])
         return Decision(rule.action, reason, rule.rank)
 
+    def lands_for(self, now: Situation) -> str | None:
+        """Why it would be landed, whoever has it now; None where it would not."""
+        rules = (rule for rule in TABLE if rule.action is Action.LAND)
+        reasons = (self._standing.get(rule) or rule.reason(now, self._config) for rule in rules)
+        return next((reason for reason in reasons if reason is not None), None)
+
     def _lands(self, rule: SafetyRule, found: list[tuple[SafetyRule, str]]) -> bool:
         """A landing goes before all but the pilot."""
         return rule.action is Action.LAND and found[0][0].rank is not Rank.PILOT

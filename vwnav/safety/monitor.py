@@ -60,6 +60,10 @@ class SafetyMonitor:
         self._pilot.resume()
         self._begin_watching()
 
+    def lands_for(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> str | None:
+        """Why an aircraft that is given back now would only be landed; None where it is not."""
+        return self._hierarchy.lands_for(self._situation(navigation, vehicle, t_s))
+
     def fly_within(
         self, route_ned_m: Array, home_ne_m: Array, way_home_ned_m: Callable[[Estimate], Array]
     ) -> None:
