@@ -1108,3 +1108,29 @@ def test_what_a_ground_station_asks_for_is_done_where_the_position_is_poor_too(o
         assert scene.flight.phase is Phase.RETURN
     else:
         assert np.hypot(*scene.vehicle.velocity[:2]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("mode", "intended", "phase"),
+    [
+        (FlightMode.HOLD, FlightMode.HOLD, Phase.RELEASED),
+        (FlightMode.HOLD, FlightMode.OFFBOARD, Phase.FAILSAFE),
+    ],
+)
+def test_a_mode_that_comes_between_the_answer_and_our_own_mode_is_not_taken_for_ours(
+    mode, intended, phase
+):
+    """Every mode was ours until Offboard was seen: a pilot's own was not noticed any more."""
+    scene = taken()
+    scene.flight.obey(Order.GO_ON)
+    scene.run(in_phase(Phase.RESUME))
+    assert scene.vehicle.vehicle.mode is FlightMode.OFFBOARD  # told to nobody yet
+    scene.vehicle.be(mode=mode, intended_mode=intended)
+    scene.go_on(1.0)
+    assert scene.flight.phase is phase
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(0.2)
+    setpoints = scene.vehicle.setpoints
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.setpoints == setpoints

@@ -71,7 +71,7 @@ class Flight:
         if self.phase is Phase.GET_READY:
             return self._departure.motors_may_run
         landing_is_flown = self._autopilot.state().mode in COMING_DOWN
-        return self.phase in _STEERING or (self.phase is Phase.LAND and not landing_is_flown)
+        return self.phase.is_ours or (self.phase is Phase.LAND and not landing_is_flown)
 
     @property
     def home_ne_m(self) -> Array | None:
@@ -94,7 +94,7 @@ class Flight:
         self._route.note(navigation.estimate, on_ground=self.phase is Phase.GET_READY)
         if self.phase is Phase.GET_READY:
             self._get_ready(t_s, vehicle, navigation)
-        elif self.phase in _OURS_NO_MORE:
+        elif self.phase.is_ours_no_more:
             self._wait_for_ground(t_s, vehicle, navigation)
         elif self._is_disarmed(t_s, vehicle):
             self._autopilot.withdraw()
@@ -214,7 +214,8 @@ class Flight:
     def _overruled(self, t_s: float, navigation: Navigation, vehicle: VehicleState) -> bool:
         """True when safety, not the mission, decided this tick."""
         self._failsafe.note(navigation, t_s)
-        decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
+        steers = self.phase.is_steered
+        decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s, steers)
         self._say(self._announcer.words(decision, self.phase))
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
@@ -340,11 +341,3 @@ class Flight:
             self._trouble = self._trouble or self._landing.refused
             if state is LandingState.TAKEN:
                 self._release(t_s, "the pilot took over while landing")
-
-
-# In the autopilot's own take-off too: if we die in it, nobody else would bring the aircraft down.
-_STEERING = frozenset(
-    {Phase.TAKEOFF, Phase.RESUME, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN}
-    | {Phase.DESCEND}
-)
-_OURS_NO_MORE = frozenset({Phase.LAND, Phase.FAILSAFE, Phase.RELEASED})

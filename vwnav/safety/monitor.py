@@ -78,10 +78,15 @@ class SafetyMonitor:
         """What a ground station asks for; it has its place in the hierarchy."""
         self._order = order
 
-    def step(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Decision:
-        """The decision for this moment; to be called at every tick, in order of time."""
+    def step(
+        self, navigation: Navigation, vehicle: VehicleState, t_s: float, steers: bool = False
+    ) -> Decision:
+        """The decision for this moment; to be called at every tick, in order of time.
+
+        `steers`: the autopilot has accepted Offboard, or GUIDED, whatever it has told since.
+        """
         has_sticks, intended = vehicle.has_sticks, vehicle.intended_mode
-        self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks)
+        self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks, steers)
         self._battery.step(vehicle.battery_ratio, t_s)
         self._link.step(vehicle, t_s)
         self._radio.step(vehicle.rc_available, t_s)
