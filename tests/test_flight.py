@@ -1134,3 +1134,16 @@ def test_a_mode_that_comes_between_the_answer_and_our_own_mode_is_not_taken_for_
     scene.go_on(5.0)
     assert scene.flight.phase is Phase.RELEASED
     assert scene.vehicle.setpoints == setpoints
+
+
+def test_a_return_that_was_held_is_said_to_go_on():
+    scene = on_route().go_on(5.0)
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(Phase.RETURN)).go_on(1.0)
+    scene.sees = False
+    scene.go_on(2.0)
+    assert scene.said[-1] == "the camera shows nothing that can be followed: holding"
+    scene.sees = True
+    scene.go_on(1.0)
+    assert scene.said[-1] == "all well again: going on"
+    assert np.hypot(*scene.vehicle.velocity[:2]) > 1.0

@@ -17,8 +17,7 @@ _DOING = {
 }
 # But in these phases, which go on all the same; a pause ends the descent.
 _DOING_ALL_THE_SAME = {Phase.TAKEOFF: "after the take-off", Phase.DESCEND: "going on down"}
-# Phases of their own, which say it.
-_TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RELEASE})
+_ON_THE_WAY_HOME = (Phase.RETURN, Phase.DESCEND)  # the phase itself has been said
 
 
 class FailsafeRecovery:
@@ -105,11 +104,13 @@ class Announcer:
         before, self._decided = self._decided, (decision.action, decision.rank, doing)
         if decision.action is not Action.YIELD:
             self._yields_to = ""
-        if self._decided == before or decision.action in _TOLD_ELSEWHERE:
+        if self._decided == before:
             return ""
-        if decision.action is not Action.NAVIGATE:
+        if decision.action in _DOING:
             return f"{decision.reason}: {doing}"
-        return "" if before[0] in _TOLD_ELSEWHERE else "all well again: going on"
+        goes_home = decision.action is Action.RETURN and phase in _ON_THE_WAY_HOME
+        goes_on = decision.action is Action.NAVIGATE or goes_home
+        return "all well again: going on" if goes_on and before[0] in _DOING else ""
 
 
 def _doing(decision: Decision, phase: Phase) -> str:
