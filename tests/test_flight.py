@@ -1147,3 +1147,16 @@ def test_a_return_that_was_held_is_said_to_go_on():
     scene.go_on(1.0)
     assert scene.said[-1] == "all well again: going on"
     assert np.hypot(*scene.vehicle.velocity[:2]) > 1.0
+
+
+def test_what_a_ground_station_asks_for_in_vain_is_told_once_with_what_stands_against_it():
+    scene = on_route().go_on(5.0)
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(Phase.RETURN)).go_on(1.0)
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(3.0)
+    told = "the ground station asks for a pause: not now, battery low"
+    assert scene.said.count(told) == scene.vehicle.texts.count(told) == 1
+    scene.flight.obey(Order.RETURN)
+    scene.go_on(1.0)
+    assert scene.said[-1] == told  # that is done

@@ -217,6 +217,7 @@ class Flight:
         steers = self.phase.is_steered
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s, steers)
         self._say(self._announcer.words(decision, self.phase))
+        self._say(self._safety.unheeded)
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
             case Action.NAVIGATE | Action.SLOW:
@@ -331,6 +332,7 @@ class Flight:
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
             self._say(self._announcer.of_failsafe(decision))
+            self._say(self._safety.unheeded)
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._takeover.given_back:
