@@ -1042,3 +1042,121 @@ def test_what_is_asked_for_on_the_ground_is_said_and_does_not_wait_for_the_air(o
     scene.flight.obey(order)
     assert "not heeded" in scene.said[-1]
     assert scene.run().flight.end.reason is None
+
+
+def test_a_pause_stops_the_descent_that_other_holds_do_not_and_what_is_done_is_told():
+    scene = on_route().run(in_phase(Phase.DESCEND)).go_on(2.0)
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(1.0)
+    assert scene.said[-1] == "the ground station asks for a pause: holding"
+    height_m = -scene.vehicle.position[2]
+    scene.go_on(5.0)
+    assert -scene.vehicle.position[2] == pytest.approx(height_m)
+    scene.flight.obey(Order.GO_ON)
+    scene.sees = False
+    scene.go_on(3.0)
+    assert -scene.vehicle.position[2] < height_m - 4.0
+    assert scene.said[-1] == "the camera shows nothing that can be followed: going on down"
+
+
+def test_a_pause_in_the_take_off_is_told_as_what_it_does():
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.answers_after = 10
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(0.3)
+    assert scene.said[-1] == "the ground station asks for a pause: after the take-off"
+    scene.run(in_phase(Phase.CLIMB)).go_on(3.0)
+    assert scene.said[-1] == "the ground station asks for a pause: holding"
+
+
+def test_an_aircraft_that_would_only_be_landed_is_not_taken_back():
+    scene = taken()
+    scene.sees = False
+    scene.go_on(10.0)
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(3.0)
+    assert scene.vehicle.asked == asked
+    assert scene.said[-1] == (
+        "the camera shows nothing that can be followed: the aircraft stays the pilot's"
+    )
+    scene.sees = True
+    scene.go_on(1.0).flight.obey(Order.GO_ON)
+    assert scene.run().flight.end.reason is None
+
+
+def test_an_offboard_that_a_failsafe_of_the_take_off_took_back_is_asked_for_again():
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.answers_after = 30
+    scene.run(lambda scene: scene.vehicle.asked[-1] == "offboard")
+    scene.vehicle.be(mode=FlightMode.HOLD, intended_mode=FlightMode.TAKEOFF, failsafe=True)
+    scene.go_on(1.0)
+    assert scene.flight.phase is Phase.FAILSAFE
+    scene.vehicle.answers_after = 1
+    scene.vehicle.be(mode=FlightMode.TAKEOFF, failsafe=False)
+    assert scene.run(in_phase(Phase.ROUTE)).flight.phase is Phase.ROUTE
+
+
+@pytest.mark.parametrize("order", [Order.PAUSE, Order.RETURN])
+def test_what_a_ground_station_asks_for_is_done_where_the_position_is_poor_too(order):
+    scene = on_route()
+    scene.variance = 5.0**2
+    scene.go_on(2.0)
+    scene.flight.obey(order)
+    scene.go_on(1.0)
+    if order is Order.RETURN:
+        assert scene.flight.phase is Phase.RETURN
+    else:
+        assert np.hypot(*scene.vehicle.velocity[:2]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("mode", "intended", "phase"),
+    [
+        (FlightMode.HOLD, FlightMode.HOLD, Phase.RELEASED),
+        (FlightMode.HOLD, FlightMode.OFFBOARD, Phase.FAILSAFE),
+    ],
+)
+def test_a_mode_that_comes_between_the_answer_and_our_own_mode_is_not_taken_for_ours(
+    mode, intended, phase
+):
+    """Every mode was ours until Offboard was seen: a pilot's own was not noticed any more."""
+    scene = taken()
+    scene.flight.obey(Order.GO_ON)
+    scene.run(in_phase(Phase.RESUME))
+    assert scene.vehicle.vehicle.mode is FlightMode.OFFBOARD  # told to nobody yet
+    scene.vehicle.be(mode=mode, intended_mode=intended)
+    scene.go_on(1.0)
+    assert scene.flight.phase is phase
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(0.2)
+    setpoints = scene.vehicle.setpoints
+    scene.go_on(5.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.setpoints == setpoints
+
+
+def test_a_return_that_was_held_is_said_to_go_on():
+    scene = on_route().go_on(5.0)
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(Phase.RETURN)).go_on(1.0)
+    scene.sees = False
+    scene.go_on(2.0)
+    assert scene.said[-1] == "the camera shows nothing that can be followed: holding"
+    scene.sees = True
+    scene.go_on(1.0)
+    assert scene.said[-1] == "all well again: going on"
+    assert np.hypot(*scene.vehicle.velocity[:2]) > 1.0
+
+
+def test_what_a_ground_station_asks_for_in_vain_is_told_once_with_what_stands_against_it():
+    scene = on_route().go_on(5.0)
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(Phase.RETURN)).go_on(1.0)
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(3.0)
+    told = "the ground station asks for a pause: not now, battery low"
+    assert scene.said.count(told) == scene.vehicle.texts.count(told) == 1
+    scene.flight.obey(Order.RETURN)
+    scene.go_on(1.0)
+    assert scene.said[-1] == told  # that is done

@@ -71,7 +71,7 @@ class Flight:
         if self.phase is Phase.GET_READY:
             return self._departure.motors_may_run
         landing_is_flown = self._autopilot.state().mode in COMING_DOWN
-        return self.phase in _STEERING or (self.phase is Phase.LAND and not landing_is_flown)
+        return self.phase.is_ours or (self.phase is Phase.LAND and not landing_is_flown)
 
     @property
     def home_ne_m(self) -> Array | None:
@@ -94,7 +94,7 @@ class Flight:
         self._route.note(navigation.estimate, on_ground=self.phase is Phase.GET_READY)
         if self.phase is Phase.GET_READY:
             self._get_ready(t_s, vehicle, navigation)
-        elif self.phase in _OURS_NO_MORE:
+        elif self.phase.is_ours_no_more:
             self._wait_for_ground(t_s, vehicle, navigation)
         elif self._is_disarmed(t_s, vehicle):
             self._autopilot.withdraw()
@@ -145,6 +145,7 @@ class Flight:
 
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
+        self._route.begin_phase()
         self._say(phase.value)
 
     def _in_phase_s(self, t_s: float) -> float:
@@ -213,8 +214,10 @@ class Flight:
     def _overruled(self, t_s: float, navigation: Navigation, vehicle: VehicleState) -> bool:
         """True when safety, not the mission, decided this tick."""
         self._failsafe.note(navigation, t_s)
-        decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s)
-        self._say(self._announcer.words(decision))
+        steers = self.phase.is_steered
+        decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s, steers)
+        self._say(self._announcer.words(decision, self.phase))
+        self._say(self._safety.unheeded)
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
             case Action.NAVIGATE | Action.SLOW:
@@ -230,7 +233,7 @@ class Flight:
                 self._begin_landing(t_s, vehicle, decision.reason)
             case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
                 return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
-            case _ if self.phase is Phase.DESCEND:
+            case _ if self.phase is Phase.DESCEND and not decision.is_pause:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False
@@ -272,15 +275,15 @@ class Flight:
     def _yield(self, t_s: float, reason: str) -> None:
         """The autopilot flies a failsafe that may be ours to end, later."""
         self._autopilot.withdraw()
-        safety = self._safety
-        self._failsafe.begin(self.phase, safety.gap_s, safety.battery_is_enough, t_s)
+        self._failsafe.begin(self.phase, self._safety.gap_s, self._safety.battery_is_enough, t_s)
         self._steering.stop()
         self._say(reason)
         self._enter(Phase.FAILSAFE, t_s)
 
     def _resume(self, t_s: float, vehicle: VehicleState, navigation: Navigation) -> None:
         """The pilot's side gives the aircraft back, in so many words: on where it was left."""
-        if self._takeover.ask_back(vehicle, navigation):
+        lands_for = self._safety.lands_for(navigation, vehicle, t_s)
+        if self._takeover.ask_back(vehicle, navigation, lands_for):
             self._safety.resume()
             self._trouble = self._takeover.trouble
             self._keep_alive.rejoin()
@@ -329,6 +332,7 @@ class Flight:
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
             self._say(self._announcer.of_failsafe(decision))
+            self._say(self._safety.unheeded)
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
         elif self.phase is Phase.RELEASED and self._takeover.given_back:
@@ -339,11 +343,3 @@ class Flight:
             self._trouble = self._trouble or self._landing.refused
             if state is LandingState.TAKEN:
                 self._release(t_s, "the pilot took over while landing")
-
-
-# In the autopilot's own take-off too: if we die in it, nobody else would bring the aircraft down.
-_STEERING = frozenset(
-    {Phase.TAKEOFF, Phase.RESUME, Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN}
-    | {Phase.DESCEND}
-)
-_OURS_NO_MORE = frozenset({Phase.LAND, Phase.FAILSAFE, Phase.RELEASED})

@@ -168,3 +168,18 @@ def tell(ekf: Ekf, first_s: float, last_s: float) -> None:
     for t_s in np.arange(first_s, last_s + 1e-9, step_s).tolist():
         ekf.handle(Attitude(t_s, LEVEL))
         ekf.handle(Height(t_s, TRUE_AGL_M))
+
+
+def test_who_begins_again_elsewhere_says_so_by_a_reset_counter_that_was_not_told_yet():
+    """From 0 again, a place 400 m off could come with the counter that was sent last."""
+    ekf = Ekf(EkfConfig())
+    ekf.initialise(Start(t_s=0.0, position_ned_m=None, agl_m=TRUE_AGL_M, sigma_velocity_m_s=15.0))
+    aircraft = Aircraft(ekf, TRUE_AGL_M, TRUE_AGL_M, ranges=False)
+    for _ in range(3):
+        aircraft.fly(0.5)
+        ekf.handle(fix_at(aircraft.t_s, [40.0, 30.0]))
+    before = ekf.estimate(aircraft.t_s)
+    assert before.reset_counter > 0
+    again = np.array([-300.0, 80.0, -TRUE_AGL_M])
+    ekf.initialise(Start(t_s=aircraft.t_s, position_ned_m=again, sigma_m=1.0, agl_m=TRUE_AGL_M))
+    assert ekf.estimate(aircraft.t_s).reset_counter > before.reset_counter

@@ -86,3 +86,18 @@ def test_an_aircraft_that_is_given_back_low_climbs_to_its_leg_before_it_goes_on(
     scene.run(in_phase(Phase.ROUTE))
     assert lowest_on_the_way_m(scene, Phase.ROUTE, 2.0) > 45.0
     assert scene.flight.end.reason is None
+
+
+def test_a_climb_to_its_leg_that_a_pilot_ends_is_not_gone_on_with_where_it_began():
+    route = np.array([[60.0, 0.0, -50.0], [400.0, 0.0, -50.0]])
+    scene = Scene(mission=Mission(route, home_ne_m=np.zeros(2)))
+    scene.run(lambda s: s.vehicle.position[0] > 120.0)
+    for north_m in (150.0, 190.0):  # given back low, taken again while it climbs, carried on
+        scene.vehicle.be(mode=FlightMode.MANUAL)
+        scene.go_on(1.0)
+        scene.vehicle.position[:] = [north_m, 0.0, -6.0]
+        scene.vehicle.velocity *= 0.0
+        scene.flight.obey(Order.GO_ON)
+        scene.run(in_phase(Phase.ROUTE)).go_on(1.0)
+    scene.run(lambda s: s.vehicle.position[2] < -45.0)
+    assert np.hypot(*(scene.vehicle.position[:2] - [190.0, 0.0])) < 1.0

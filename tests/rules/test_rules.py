@@ -196,6 +196,18 @@ def test_a_pilot_who_hands_it_back_is_obeyed() -> None:
     assert verdict_of(RULES[0], log) == "held"
 
 
+def test_a_landing_that_a_pilot_took_over_may_be_handed_back_and_flown_on() -> None:
+    """The watchdog's landing, say."""
+    rule = next(rule for rule in RULES if rule.name == "Offboard after Land")
+    asked = with_command(with_command(good_flight(), 8.0, LAND), 15.0, SET_MODE, 1.0, 6.0, 0.0)
+    back = replace(asked, events=[Said(14.0, "a ground station asks for going on")])
+    assert verdict_of(rule, asked) == "broken"
+    assert verdict_of(rule, back) == "held"
+    assert verdict_of(rule, with_command(back, 17.0, SET_MODE, 1.0, 6.0, 0.0)) == "held"
+    again = with_command(with_command(back, 20.0, LAND), 25.0, SET_MODE, 1.0, 6.0, 0.0)
+    assert verdict_of(rule, again) == "broken"
+
+
 def test_an_estimate_of_the_good_flight_is_a_fraction_of_a_metre_wrong() -> None:
     assert sent_at(12.0).sigma_m == pytest.approx(0.5)
 

@@ -7,6 +7,7 @@ says), `timeline.py` (which of them it is, and late ones).
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -137,7 +138,10 @@ class Ekf:
         Raises:
             ValueError: the start is not finite or a sigma is not positive.
         """
-        self._timeline = Timeline(first_state(start, self._config), self._context)
+        first = first_state(start, self._config)
+        if self._timeline is not None:  # others have seen its counter
+            first = replace(first, reset_counter=self._timeline.newest.reset_counter + 1)
+        self._timeline = Timeline(first, self._context)
         self._input_log(start)
         # A start may be long ago: a first search took its time.
         self._asked_s = max(start.t_s, self._asked_s)

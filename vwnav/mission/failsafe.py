@@ -15,8 +15,9 @@ _DOING = {
     Action.HOLD: "holding",
     Action.CLIMB: "climbing to where the map shows more",
 }
-# Phases of their own, which say it.
-_TOLD_ELSEWHERE = frozenset({Action.RETURN, Action.LAND, Action.YIELD, Action.RELEASE})
+# But in these phases, which go on all the same; a pause ends the descent.
+_DOING_ALL_THE_SAME = {Phase.TAKEOFF: "after the take-off", Phase.DESCEND: "going on down"}
+_ON_THE_WAY_HOME = (Phase.RETURN, Phase.DESCEND)  # the phase itself has been said
 
 
 class FailsafeRecovery:
@@ -84,7 +85,7 @@ class Announcer:
     """Remembers what was decided last."""
 
     def __init__(self) -> None:
-        self._decided = (Action.NAVIGATE, Rank.NAVIGATION)
+        self._decided = (Action.NAVIGATE, Rank.NAVIGATION, "")
         self._yields_to = ""
 
     def of_failsafe(self, decision: Decision) -> str:
@@ -94,13 +95,27 @@ class Announcer:
         self._yields_to = decision.reason
         return decision.reason
 
-    def words(self, decision: Decision) -> str:
-        """Of a decision that is another than the last one; "" where nothing is to be said."""
-        before, self._decided = self._decided, (decision.action, decision.rank)
+    def words(self, decision: Decision, phase: Phase) -> str:
+        """Of a decision that is another than the last one, or means another thing in this phase.
+
+        "" where nothing is to be said.
+        """
+        doing = _doing(decision, phase)
+        before, self._decided = self._decided, (decision.action, decision.rank, doing)
         if decision.action is not Action.YIELD:
             self._yields_to = ""
-        if self._decided == before or decision.action in _TOLD_ELSEWHERE:
+        if self._decided == before:
             return ""
-        if decision.action is not Action.NAVIGATE:
-            return f"{decision.reason}: {_DOING[decision.action]}"
-        return "" if before[0] in _TOLD_ELSEWHERE else "all well again: going on"
+        if decision.action in _DOING:
+            return f"{decision.reason}: {doing}"
+        goes_home = decision.action is Action.RETURN and phase in _ON_THE_WAY_HOME
+        goes_on = decision.action is Action.NAVIGATE or goes_home
+        return "all well again: going on" if goes_on and before[0] in _DOING else ""
+
+
+def _doing(decision: Decision, phase: Phase) -> str:
+    """What is done by a decision; "" of one that has no words of its own."""
+    doing = _DOING.get(decision.action, "")
+    if not doing or (phase is Phase.DESCEND and decision.is_pause):
+        return doing
+    return _DOING_ALL_THE_SAME.get(phase, doing)

@@ -31,6 +31,24 @@ class Phase(Enum):
     RESUME = "taking over again"
     DONE = "done"
 
+    @property
+    def is_steered(self) -> bool:
+        """By us: the autopilot has accepted Offboard."""
+        return self in _STEERED
+
+    @property
+    def is_ours(self) -> bool:
+        """So, or in the autopilot's own take-off: nobody else would bring it down if we died."""
+        return self in _STEERED or self in (Phase.TAKEOFF, Phase.RESUME)
+
+    @property
+    def is_ours_no_more(self) -> bool:
+        """It comes down, or somebody else has it."""
+        return self in (Phase.LAND, Phase.FAILSAFE, Phase.RELEASED)
+
+
+_STEERED = frozenset({Phase.CLIMB, Phase.FIRST_FIX, Phase.ROUTE, Phase.RETURN, Phase.DESCEND})
+
 
 class Next(NamedTuple):
     """The phase that follows, and why; on to LAND without a reason: the whole route was flown."""

@@ -52,6 +52,13 @@ class RoutePhases:
         self._way = FlownWay()
         self._fixes = 0
         self._before: Estimate | None = None
+        self.begin_phase()
+
+    def begin_phase(self) -> None:
+        """What belongs to a phase begins with it, also where it is gone on with.
+
+        Somebody else may have flown the aircraft meanwhile, and to another place.
+        """
         self._offboard: Request | None = None
         self._rises = False  # to its leg, before it travels on
         self._rose_to_m = 0.0

@@ -41,13 +41,20 @@ class Takeover:
             return  # whose Offboard was refused: what was interrupted is as it was
         self._interrupted = _Interrupted(phase, trouble) if phase in _TRAVELS else None
 
-    def ask_back(self, vehicle: VehicleState, navigation: Navigation) -> bool:
-        """Ask for Offboard, where there is something to go on with, and to fly it on."""
+    def ask_back(
+        self, vehicle: VehicleState, navigation: Navigation, lands_for: str | None
+    ) -> bool:
+        """Ask for Offboard, where there is something to go on with, and to fly it on.
+
+        A pilot is left with what we would only land, for the reason `lands_for`.
+        """
         self.given_back = False
         if self._interrupted is None or not vehicle.in_air:
             self._say("there is no route to go on with: the aircraft stays the pilot's")
         elif navigation.estimate is None:
             self._say("there is no estimate to fly on: the aircraft stays the pilot's")
+        elif lands_for is not None:
+            self._say(f"{lands_for}: the aircraft stays the pilot's")
         else:
             self._offboard = self._autopilot.start_offboard()
             return True

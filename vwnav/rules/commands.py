@@ -105,8 +105,11 @@ def _offboard_from_elsewhere(log: FlightLog) -> Breach | None:
 
 def _offboard_after_land(log: FlightLog) -> Breach | None:
     modes = [each for each in _numbered(log, SET_MODE) if _mode_of(each) in _LANDINGS]
-    landings = sorted(each.t_s for each in (*_numbered(log, LAND), *modes))
-    spans = [(landings[0], math.inf)] if landings else []
+    words = handed_back(log)
+    spans = [
+        (each.t_s, next((word_s for word_s in words if word_s > each.t_s), math.inf))
+        for each in (*_numbered(log, LAND), *modes)
+    ]
     return never_while(spans, _offboard_asked(log), _asked)
 
 
@@ -205,7 +208,7 @@ COMMANDS = (
     ),
     Rule(
         "Offboard after Land",
-        "Once Land has been asked for Offboard never is.",
+        "Once Land has been asked for Offboard never is, unless a pilot hands it back since.",
         ("commands",),
         _offboard_after_land,
     ),

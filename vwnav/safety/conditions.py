@@ -45,7 +45,7 @@ class PilotWatch:
         self.is_told = False
 
     def resume(self) -> None:
-        """Forget the takeover; the next OFFBOARD is the start of our control again."""
+        """Forget the takeover; our control begins again with the autopilot's answer."""
         self.released = self.failsafe = None
         self._own_modes = frozenset(FlightMode)
         self._unknown_since_s = None
@@ -57,6 +57,7 @@ class PilotWatch:
         t_s: float,
         intended: FlightMode | None = None,
         has_sticks: bool = False,
+        steers: bool = False,
     ) -> None:
         """One look at the mode.
 
@@ -66,8 +67,10 @@ class PilotWatch:
             t_s: now.
             intended: the mode that somebody asked for; UNKNOWN until the autopilot has told.
             has_sticks: it is flown by sticks that are heard.
+            steers: our mode was accepted: one that is told since is ours no more, also where it
+                came before ours was told.
         """
-        if mode is FlightMode.OFFBOARD:
+        if steers or mode is FlightMode.OFFBOARD:
             self._own_modes = _STEERING
         elif mode is FlightMode.TAKEOFF and self._own_modes != _STEERING:
             self._own_modes = _TAKING_OFF

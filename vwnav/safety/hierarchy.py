@@ -49,6 +49,11 @@ class Decision:
     reason: str
     rank: Rank = Rank.NAVIGATION
 
+    @property
+    def is_pause(self) -> bool:
+        """A person wants it to stand still."""
+        return self.action is Action.HOLD and self.rank is Rank.OPERATOR
+
 
 Reason = Callable[[Situation, SafetyConfig], str | None]
 
@@ -240,19 +245,20 @@ TABLE = (
         "out of bounds: uncertain by {hold_sigma_m:g} m, or no map fix for {hold_fix_age_s:g} s",
         Action.HOLD, _bad,
     ),
-    SafetyRule(
-        Rank.POSITION, "uncertain by {slow_sigma_m:g} m, or no map fix for {slow_fix_age_s:g} s",
-        Action.SLOW, _poor,
-    ),
     SafetyRule(Rank.OPERATOR, "it asks to land", Action.LAND, _ordered(Order.LAND), stays=True),
     SafetyRule(
         Rank.OPERATOR, "it asks to return before the first fix", Action.LAND, _return_to_below,
         stays=True,
     ),
-    SafetyRule(Rank.OPERATOR, "it asks to return", Action.RETURN,
-         _ordered(Order.RETURN), stays=True),
     SafetyRule(Rank.OPERATOR, "it asks to pause, until it asks to go on", Action.HOLD,
          _ordered(Order.PAUSE)),
+    SafetyRule(Rank.OPERATOR, "it asks to return", Action.RETURN,
+         _ordered(Order.RETURN), stays=True),
+    # Last: who only flies slower would hide whatever stands below it.
+    SafetyRule(
+        Rank.POSITION, "uncertain by {slow_sigma_m:g} m, or no map fix for {slow_fix_age_s:g} s",
+        Action.SLOW, _poor,
+    ),
 )  # fmt: skip
 
 _DOES = {
@@ -292,6 +298,12 @@ class Hierarchy:
             return Decision(Action.NAVIGATE, "")
         rule, reason = next((each for each in found if self._lands(each[0], found)), found[0])
         return Decision(rule.action, reason, rule.rank)
+
+    def lands_for(self, now: Situation) -> str | None:
+        """Why it would be landed, whoever has it now; None where it would not."""
+        rules = (rule for rule in TABLE if rule.action is Action.LAND)
+        reasons = (self._standing.get(rule) or rule.reason(now, self._config) for rule in rules)
+        return next((reason for reason in reasons if reason is not None), None)
 
     def _lands(self, rule: SafetyRule, found: list[tuple[SafetyRule, str]]) -> bool:
         """A landing goes before all but the pilot."""

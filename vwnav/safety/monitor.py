@@ -9,11 +9,13 @@ from collections.abc import Callable
 from vwnav.safety.bounds import RouteBounds
 from vwnav.safety.conditions import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
 from vwnav.safety.energy import EnergyWatch
-from vwnav.safety.hierarchy import Action, Decision, Hierarchy
+from vwnav.safety.hierarchy import Action, Decision, Hierarchy, Rank
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Navigation, Order, VehicleState
+
+_DONE_BY = {Order.PAUSE: Action.HOLD, Order.RETURN: Action.RETURN, Order.LAND: Action.LAND}
 
 
 class SafetyMonitor:
@@ -21,6 +23,10 @@ class SafetyMonitor:
 
     Args:
         cruise_m_s: how fast the way home is flown.
+
+    Attributes:
+        unheeded: what a ground station has asked for since the step before, and why it is not done;
+            "" where it is.
     """
 
     def __init__(self, config: SafetyConfig, cruise_m_s: float) -> None:
@@ -32,6 +38,8 @@ class SafetyMonitor:
         self._begin_watching()
         self._bounds: RouteBounds | None = None
         self._order: Order | None = None
+        self._is_new_order = False
+        self.unheeded = ""
         self._lands = False
 
     def _begin_watching(self) -> None:
@@ -60,6 +68,10 @@ class SafetyMonitor:
         self._pilot.resume()
         self._begin_watching()
 
+    def lands_for(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> str | None:
+        """Why an aircraft that is given back now would only be landed; None where it is not."""
+        return self._hierarchy.lands_for(self._situation(navigation, vehicle, t_s))
+
     def fly_within(
         self, route_ned_m: Array, home_ne_m: Array, way_home_ned_m: Callable[[Estimate], Array]
     ) -> None:
@@ -72,19 +84,26 @@ class SafetyMonitor:
 
     def obey(self, order: Order) -> None:
         """What a ground station asks for; it has its place in the hierarchy."""
-        self._order = order
+        self._order, self._is_new_order = order, True
 
-    def step(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Decision:
-        """The decision for this moment; to be called at every tick, in order of time."""
+    def step(
+        self, navigation: Navigation, vehicle: VehicleState, t_s: float, steers: bool = False
+    ) -> Decision:
+        """The decision for this moment; to be called at every tick, in order of time.
+
+        `steers`: the autopilot has accepted Offboard, or GUIDED, whatever it has told since.
+        """
         has_sticks, intended = vehicle.has_sticks, vehicle.intended_mode
-        self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks)
+        self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks, steers)
         self._battery.step(vehicle.battery_ratio, t_s)
         self._link.step(vehicle, t_s)
         self._radio.step(vehicle.rc_available, t_s)
         self._ground.step(vehicle.ground_station, t_s)
         self._position.step(navigation.estimate, t_s)
+        is_new, self._is_new_order = self._is_new_order, False
         decision = self._hierarchy.step(self._situation(navigation, vehicle, t_s))
         self._lands = self._lands or decision.action is Action.LAND
+        self.unheeded = _unheeded(self._order, decision) if is_new else ""
         return decision
 
     def _situation(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Situation:
@@ -130,3 +149,12 @@ def _blind_for_s(navigation: Navigation, t_s: float) -> float:
     if navigation.estimate is None:
         return 0.0
     return math.inf if navigation.seen_s is None else t_s - navigation.seen_s
+
+
+def _unheeded(order: Order | None, decision: Decision) -> str:
+    """What stands against an order; "" where it is done."""
+    done_by = None if order is None else _DONE_BY.get(order)
+    if done_by in (None, decision.action) or decision.rank is Rank.OPERATOR:
+        return ""
+    assert order is not None
+    return f"the ground station asks for {order.value}: not now, {decision.reason}"
