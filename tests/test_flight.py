@@ -417,6 +417,26 @@ def test_a_pilot_who_arms_as_he_was_told_beside_an_arming_without_an_answer_is_t
     assert ("takeoff" in scene.vehicle.asked) is ready  # not after it was told to stand
 
 
+def test_an_arming_without_an_answer_is_not_asked_for_again_by_itself():
+    """The motors had run, and stood: they started again beside whoever looked why."""
+    scene = Scene(vehicle=PointVehicle(refuse={"arm": ["no answer to 3 tries"]}))
+    reason = scene.run().flight.end.reason
+    assert scene.vehicle.asked.count("arm") == 1
+    assert "not armed again" in reason
+
+
+def test_a_person_may_ask_again_where_an_arming_had_no_answer():
+    scene = Scene(arms=False, vehicle=PointVehicle(refuse={"arm": ["no answer to 3 tries"]}))
+    scene.vehicle.be(mode=FlightMode.HOLD)
+    scene.run(lambda s: any("press Enter" in line for line in s.said))
+    scene.flight.go()
+    scene.run(lambda s: any("refused to arm" in line for line in s.said))
+    scene.run(lambda s: "press Enter" in s.said[-1]).go_on(5.0)
+    assert scene.vehicle.asked.count("arm") == 1
+    scene.flight.go()
+    assert scene.run().flight.end.reason is None
+
+
 def test_who_waits_for_the_motors_of_an_autopilot_that_is_gone_does_not_wait_for_ever():
     scene = Scene(vehicle=PointVehicle(refuse={"takeoff": ["failed"]}, stays_armed=True))
     scene.run(lambda s: "takeoff" in s.vehicle.asked)

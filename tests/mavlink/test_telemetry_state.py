@@ -344,6 +344,21 @@ def test_an_accepted_mode_is_believed_until_another_one_is_told_anew():
     assert telemetry.state(13.2).mode is FlightMode.OFFBOARD
 
 
+def test_an_accepted_mode_is_believed_through_a_cut_of_the_link():
+    """The mode of before, which nobody had told again, was a pilot's choice after 3 s."""
+    manual, offboard = 3 << 16, 6 << 16
+    telemetry = TelemetryState()
+    beat(telemetry, manual, 10.0)
+    telemetry.modes.expect(FlightMode.OFFBOARD, 10.5)
+    assert telemetry.state(20.0).mode is FlightMode.OFFBOARD
+    beat(telemetry, manual, 20.1)
+    assert telemetry.state(20.1).mode is FlightMode.MANUAL
+    telemetry.modes.expect(FlightMode.OFFBOARD, 20.5)
+    beat(telemetry, offboard, 20.6)
+    beat(telemetry, manual, 20.7)
+    assert telemetry.state(20.7).mode is FlightMode.MANUAL
+
+
 def test_a_range_is_dated_by_its_own_stamp_however_late_it_comes():
     telemetry = TelemetryState()
     beat(telemetry, 0, 100.0)

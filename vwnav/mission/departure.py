@@ -22,6 +22,11 @@ _PILOT_HAS_IT = Check(
 _PILOTS = frozenset({FlightMode.MANUAL, FlightMode.MISSION, FlightMode.OTHER})
 _LETS_US = frozenset({FlightMode.HOLD, FlightMode.OFFBOARD})  # who arms in them
 _ASK_AGAIN_S = 1.0
+# They would start, stop and start again beside whoever looks why.
+_NOT_AGAIN = (
+    "the autopilot did not say whether it armed, so the motors were told to stand: nothing was "
+    "flown, and it is not armed again"
+)
 
 
 class Stage(Enum):
@@ -257,12 +262,20 @@ class Departure:
         if t_s - self._runs_s <= self._config.arming_shows_s:
             return None
         self.stage, self._ready_since_s = Stage.READINESS, None
-        return DepartureOutcome(reason=self._ends) if self._ends else None
+        if self._ends is None and self._invited and not self._has_stopped_motors:
+            self._arms = False  # a person's word counts once
+            return None
+        return DepartureOutcome(reason=self._ends or _NOT_AGAIN)
+
+    @property
+    def _has_stopped_motors(self) -> bool:
+        """They were seen to run, and told to stand."""
+        return self._asked_s >= self._stops_s
 
     def _is_armed_as_told(self, vehicle: VehicleState, checks: tuple[Check, ...]) -> bool:
         """Beside an arming of ours without an answer: whoever did it, a person wants to fly."""
         may = self._invited and self._ends is None and not missing(checks)
-        may = may and self._asked_s < self._stops_s  # the motors have not been told to stand
+        may = may and not self._has_stopped_motors
         return may and vehicle.armed and not vehicle.in_air and vehicle.mode in _LETS_US
 
     def _disarmed(self) -> DepartureOutcome:

@@ -92,7 +92,7 @@ class AutopilotEar:
         """Whether somebody chose the mode; sticks that are heard may be a person's at any time."""
         mode = self._vehicle.mode
         has_sticks = mode is FlightMode.MANUAL and self._has_radio
-        if mode not in _STAYS_UP or has_sticks or self._modes.mode(t_s) is not mode:
+        if mode not in _STAYS_UP or has_sticks or self._modes.mode is not mode:
             return self._vehicle
         intended = self._modes.intended(t_s)
         fell_back, untold = intended in _ASKED_BY_US, intended is FlightMode.UNKNOWN
@@ -171,7 +171,7 @@ class AutopilotEar:
         if fields is not None and self.kind is not None:
             self._modes.handle_current_mode(self.kind, fields, t_s)
             if not self._mode_awaited:  # a heartbeat's word from before would be another choice
-                self._vehicle = replace(self._vehicle, mode=self._modes.mode(t_s))
+                self._vehicle = replace(self._vehicle, mode=self._modes.mode)
 
     def _handle_status(self, message: Any) -> None:
         heard = message.onboard_control_sensors_present & message.onboard_control_sensors_health

@@ -12,7 +12,6 @@ _CUT_S = 1.5  # silence after which a mode that is told anew may have been chose
 _STALE_S = 4.5  # while modes are told without it: PX4 says it every 2 s at least
 _UNDECIDED_S = 2.5  # so long PX4 may take to say who asked for a new mode: it does every 2 s
 _SETTLES_S = 0.3  # after a command was accepted, older modes may still be on their way
-_EXPECTED_S = 3.0  # that the mode just commanded shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,20 +58,14 @@ class ModeTrack:
         """The autopilot has accepted `mode`, though heartbeats may show the old one once more."""
         self._commanded = _Commanded(t_s, mode, self._told)
 
-    def mode(self, t_s: float) -> FlightMode:
+    @property
+    def mode(self) -> FlightMode:
         """The one told last, but for one that was sent before the command just accepted.
 
-        Heartbeats come once a second, later from a busy machine: the old mode is believed again
-        only when it was told anew.
+        Heartbeats come once a second, later from a busy machine or after a cut: the old mode is
+        believed again only when it was told anew.
         """
-        if self._commanded is None:
-            return self._told
-        commanded = self._commanded
-        told_again = self._told_s > commanded.t_s + _SETTLES_S
-        if self._told is not commanded.before or told_again or t_s - commanded.t_s > _EXPECTED_S:
-            self._commanded = None
-            return self._told
-        return commanded.mode
+        return self._told if self._commanded is None else self._commanded.mode
 
     def intended(self, t_s: float) -> FlightMode:
         """Which was asked for; PX4 says it a moment after the mode itself has changed.
@@ -80,7 +73,7 @@ class ModeTrack:
         UNKNOWN in that moment, and the flown mode where nothing is told of it, or no more: a person
         who chooses the mode that is flown anyhow changes nothing else.
         """
-        mode, intent = self.mode(t_s), self._intent
+        mode, intent = self.mode, self._intent
         if intent is None or mode is not self._told:
             return mode
         is_stale = self._told_s - intent.t_s > _STALE_S
@@ -90,9 +83,14 @@ class ModeTrack:
 
     def is_failsafe(self, t_s: float) -> bool:
         """Whether the autopilot itself has chosen what it flies."""
-        return self._critical or self.intended(t_s) not in (self.mode(t_s), FlightMode.UNKNOWN)
+        return self._critical or self.intended(t_s) not in (self.mode, FlightMode.UNKNOWN)
 
     def _tell(self, mode: FlightMode, received_s: float) -> None:
         if mode is not self._told or received_s - self._told_s > _CUT_S:
             self._changed_s = received_s
         self._told, self._told_s = mode, received_s
+        commanded = self._commanded
+        if commanded is not None and (
+            mode is not commanded.before or received_s > commanded.t_s + _SETTLES_S
+        ):
+            self._commanded = None

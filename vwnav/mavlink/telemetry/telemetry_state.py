@@ -158,7 +158,7 @@ class TelemetryState:
             connected=t_s - self._heartbeat_t_s < _LINK_LOST_S,
             armed=self._armed,
             in_air=self._landed_state in _IN_AIR or (self._landed_state == 0 and self._armed),
-            mode=self.modes.mode(t_s),
+            mode=self.modes.mode,
             attitude=self._attitude,
             height_m=None if height is None else height.value,
             height_t_s=None if height is None else height.t_s,

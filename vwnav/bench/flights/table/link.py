@@ -7,6 +7,7 @@ from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     CLIMB,
     DESCEND,
+    HOME,
     RETURN,
     ROUTE,
     Break,
@@ -62,6 +63,30 @@ CUTS = [
     *(link_cut("while descending", DESCEND, seconds) for seconds in CUTS_S),
     *(link_cut("while landing", DESCEND, seconds, Phase.LAND) for seconds in CUTS_S),
 ]
+AT_THE_START = [
+    *(
+        Scenario(
+            name=f"link cut for {seconds:g} s while arming",
+            setup=setup(None),
+            breaks=(Break(fault=link.LinkCut(), at_s=0.0, armed=True, for_s=seconds),),
+            limit_s=45.0,
+            ending=Ending.STAYED,
+        )
+        for seconds in (1.0, 3.0, 10.0)
+    ),
+    *(
+        Scenario(
+            name=f"link cut for {seconds:g} s while taking off",
+            setup=setup(None),
+            breaks=(Break(fault=link.LinkCut(), at_s=1.5, phase=Phase.TAKEOFF, for_s=seconds),),
+            limit_s=70.0,
+            ending=Ending.FLIES_ON if seconds <= 1.0 else Ending.LANDED,
+            lands_within_m=None if seconds <= 1.0 else 10.0,
+            lands_at_ne_m=HOME,
+        )
+        for seconds in (1.0, 3.0, 10.0)
+    ),
+]
 # One that only holds, as is recommended too, and what the 1.16 era does by itself: Position.
 STAY_UP: tuple[tuple[Manners, int], ...] = (("px4", 5), ("px4-1.16", 0))
 
@@ -114,4 +139,4 @@ OTHERS = [
     )
     for mode in (FlightMode.HOLD, FlightMode.RETURN)
 ]
-LINK = [*CUTS, *NOT_DOWN, *SLOW, *DIRTY, *OTHERS]
+LINK = [*CUTS, *AT_THE_START, *NOT_DOWN, *SLOW, *DIRTY, *OTHERS]
