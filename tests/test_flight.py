@@ -1072,7 +1072,12 @@ def test_a_pause_stops_the_descent_that_other_holds_do_not_and_what_is_done_is_t
     height_m = -scene.vehicle.position[2]
     scene.go_on(5.0)
     assert -scene.vehicle.position[2] == pytest.approx(height_m)
-    scene.flight.obey(Order.GO_ON)
+    scene.variance = 9.0**2  # holds for itself, which in the descent is no reason to stay
+    scene.go_on(4.0)
+    assert "holding" in scene.said[-1]
+    assert -scene.vehicle.position[2] == pytest.approx(height_m)
+    scene.variance = 0.1
+    scene.go_on(1.0).flight.obey(Order.GO_ON)
     scene.sees = False
     scene.go_on(3.0)
     assert -scene.vehicle.position[2] < height_m - 4.0

@@ -216,7 +216,8 @@ class Flight:
         self._failsafe.note(navigation, t_s)
         steers = self.phase.is_steered
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s, steers)
-        self._say(self._announcer.words(decision, self.phase))
+        is_paused = self._safety.is_paused
+        self._say(self._announcer.words(decision, self.phase, is_paused))
         self._say(self._safety.unheeded)
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
@@ -233,7 +234,7 @@ class Flight:
                 self._begin_landing(t_s, vehicle, decision.reason)
             case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
                 return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
-            case _ if self.phase is Phase.DESCEND and not decision.is_pause:
+            case _ if self.phase is Phase.DESCEND and not is_paused:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
                     return False

@@ -95,12 +95,12 @@ class Announcer:
         self._yields_to = decision.reason
         return decision.reason
 
-    def words(self, decision: Decision, phase: Phase) -> str:
+    def words(self, decision: Decision, phase: Phase, is_paused: bool) -> str:
         """Of a decision that is another than the last one, or means another thing in this phase.
 
         "" where nothing is to be said.
         """
-        doing = _doing(decision, phase)
+        doing = _doing(decision, phase, is_paused)
         before, self._decided = self._decided, (decision.action, decision.rank, doing)
         if decision.action is not Action.YIELD:
             self._yields_to = ""
@@ -113,9 +113,9 @@ class Announcer:
         return "all well again: going on" if goes_on and before[0] in _DOING else ""
 
 
-def _doing(decision: Decision, phase: Phase) -> str:
+def _doing(decision: Decision, phase: Phase, is_paused: bool) -> str:
     """What is done by a decision; "" of one that has no words of its own."""
     doing = _DOING.get(decision.action, "")
-    if not doing or (phase is Phase.DESCEND and decision.is_pause):
+    if not doing or (phase is Phase.DESCEND and is_paused):
         return doing
     return _DOING_ALL_THE_SAME.get(phase, doing)

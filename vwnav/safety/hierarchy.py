@@ -49,11 +49,6 @@ class Decision:
     reason: str
     rank: Rank = Rank.NAVIGATION
 
-    @property
-    def is_pause(self) -> bool:
-        """A person wants it to stand still."""
-        return self.action is Action.HOLD and self.rank is Rank.OPERATOR
-
 
 Reason = Callable[[Situation, SafetyConfig], str | None]
 

@@ -86,6 +86,11 @@ class SafetyMonitor:
         """What a ground station asks for; it has its place in the hierarchy."""
         self._order, self._is_new_order = order, True
 
+    @property
+    def is_paused(self) -> bool:
+        """A person wants it to stand still, whatever else there is to hold for."""
+        return self._order is Order.PAUSE
+
     def step(
         self, navigation: Navigation, vehicle: VehicleState, t_s: float, steers: bool = False
     ) -> Decision:
