@@ -114,6 +114,24 @@ def test_another_rate_is_told_and_flown(camera, caplog):
     assert "gives 640x480@25:GREY, not 60 pictures a second" in caplog.text
 
 
+def test_a_picture_that_is_cut_off_is_passed_over(camera):
+    kind, opened = camera
+    broken = itertools.chain([False, True, True, False], itertools.repeat(True))
+    whole = kind.retrieve
+    kind.retrieve = lambda self: whole(self) if next(broken) else (False, None)
+    source = open_source("/dev/null")
+    images = [source.next_frame().image.shape for _ in range(5)]
+    source.close()
+    assert images == [(480, 640, 3)] * 5
+    assert len(opened) == 1
+
+
+def test_a_camera_whose_pictures_are_all_cut_off_has_failed(camera):
+    kind, _ = camera
+    kind.retrieve = lambda self: (False, None)
+    assert V4l2Grabber("/dev/null", AskedImages()).grab() is None
+
+
 def test_names_with_colons_are_names(camera, tmp_path):
     with pytest.raises(SourceError, match="no pictures at"):
         open_source("/dev/v4l/by-path/pci-0000:01:00.0-usb-0:1.3:1.0-video-index0:640x480")

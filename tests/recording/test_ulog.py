@@ -92,3 +92,11 @@ def test_a_damaged_part_is_said(tmp_path, caplog):
     (tmp_path / "a.ulg").write_bytes(damaged)
     load_telemetry(tmp_path / "a.ulg")
     assert "a part of it is damaged" in caplog.text
+
+
+def test_a_head_that_tells_of_more_than_there_is_ends(tmp_path):
+    """Flash that was erased and not written yet reads 0xFF: pyulog went round in it without end."""
+    path = tmp_path / "log.ulg"
+    path.write_bytes(ulog([ATTITUDE] * 1500, [], []) + b"\xff" * 4096)
+    with pytest.raises(SourceError, match=r"log\.ulg is not a ULog, or it is damaged: a message"):
+        load_telemetry(path)

@@ -10,6 +10,7 @@ import numpy as np
 
 from vwnav.errors import SourceError
 from vwnav.files.folder import PICTURES, files_in
+from vwnav.files.pictures import read_picture
 from vwnav.types import Frame
 
 _EXIF_BYTES = 1 << 16
@@ -59,16 +60,8 @@ def read_image(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     Raises:
         SourceError: it cannot be read or decoded.
     """
-    try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror}") from error
-    image = None
-    if len(data):
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise SourceError(f"{path} is not a picture that can be read, or it is damaged")
-    return np.asarray(image, dtype=np.uint8)
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    return np.asarray(read_picture(path, flags, SourceError), dtype=np.uint8)
 
 
 def _natural_key(name: str) -> list[tuple[int, str]]:

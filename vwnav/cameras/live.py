@@ -26,6 +26,7 @@ _OPEN_TIMEOUT_MS = 5000
 _DRIVER_STAMP_LIMIT_S = 1.0
 # Of a row, by sensor: 3448 pixel clocks at 182.4 MHz in every mode; a global shutter.
 _LINE_S = {"imx219": 3448 / 182.4e6, "imx296": 0.0}
+_BAD_IN_A_ROW = 30  # pictures that no decoder takes: a second of them is a camera that has failed
 _EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us
 
 
@@ -184,17 +185,25 @@ class V4l2Grabber:
         self._compare(device, asked)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next image."""
-        if not self._video.grab():
-            return None
-        arrival_s = time.monotonic()
-        stamp_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-        good, image = self._video.retrieve()
-        if not good:
-            return None
+        """The next image; one cut off on its way, as a bad cable does, is passed over.
+
+        To open the camera again for it would cost a second and more without images.
+        """
+        for _ in range(_BAD_IN_A_ROW):
+            if not self._video.grab():
+                return None
+            arrival_s = time.monotonic()
+            stamp_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            good, image = self._video.retrieve()
+            if good:
+                return self._exposure_time(stamp_s, arrival_s), self._luminance(image)
+        return None
+
+    def _luminance(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+        """Of YUYV; any other image as it is."""
         if self._raw and image.ndim == 3:  # YUYV: luminance first, then a colour by turns
             image = np.ascontiguousarray(image[..., 0])
-        return self._exposure_time(stamp_s, arrival_s), np.asarray(image, dtype=np.uint8)
+        return np.asarray(image, dtype=np.uint8)
 
     def _compare(self, device: str, asked: AskedImages) -> None:
         """Refuse another size or format than what was asked; of another rate only tell."""

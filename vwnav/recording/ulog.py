@@ -16,6 +16,7 @@ from vwnav.types import Height, ImuSample, Range
 _log = logging.getLogger(__name__)
 _DOWNWARD = 25  # MAV_SENSOR_ROTATION_PITCH_270, PX4's ROTATION_DOWNWARD_FACING
 _ARMED = 2  # vehicle_status.arming_state
+_MOST_ENDS = 100  # the last message, and each search for a place to go on from, meet one
 _TOPICS = [
     "vehicle_attitude",
     "vehicle_air_data",
@@ -23,6 +24,29 @@ _TOPICS = [
     "vehicle_status",
     "sensor_combined",
 ]
+
+
+class _LogFile(io.BufferedReader):
+    """A log that is not read beyond its end again and again.
+
+    Where a damaged head tells of a message that is longer than what is left, pyulog goes back by
+    that length: to before the message, and comes there again, without end.
+    """
+
+    _ends = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As any file's.
+
+        Raises:
+            EOFError: its end was met more often than reading it once takes.
+        """
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            self._ends += 1
+            if self._ends > _MOST_ENDS:
+                raise EOFError("a message is longer than the file")
+        return data
 
 
 def read_ulog(path: Path) -> TelemetryLog:
@@ -38,8 +62,11 @@ def read_ulog(path: Path) -> TelemetryLog:
             "reading ULog needs pyulog: pip install 'vwnav[eval]', or give the telemetry as CSV"
         ) from error
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
-            found = ULog(str(path), _TOPICS)
+        with (
+            contextlib.redirect_stdout(io.StringIO()),  # pyulog prints what it stumbles over
+            _LogFile(io.FileIO(path)) as file,
+        ):
+            found = ULog(file, _TOPICS)
     except Exception as error:  # pyulog raises whatever a damaged file leads it to
         raise SourceError(f"{path} is not a ULog, or it is damaged: {error}") from error
     if found.file_corruption:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from vwnav.errors import MapError
+from vwnav.files.pictures import read_picture
 from vwnav.files.tables import numbered_rows
 from vwnav.maps.build.raster import Bounds, DrawnSource, corner_georeference
 from vwnav.maps.image import MapImage
@@ -152,13 +153,9 @@ def _corner_row(where: str, row: Sequence[str], columns: dict[str, int]) -> Corn
 
 
 def _decoded(path: Path) -> MapImage:
-    try:
-        data = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None or image.dtype != np.uint8:
-        raise MapError(f"{path}: not a picture of 8 bits that can be read")
+    image = read_picture(path, cv2.IMREAD_UNCHANGED, MapError)
+    if image.dtype != np.uint8:
+        raise MapError(f"{path}: not a picture of 8 bits; make it one, or a GeoTIFF")
     if image.ndim == 2:
         image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     if image.shape[2] == 4:
