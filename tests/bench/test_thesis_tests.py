@@ -1,16 +1,21 @@
 """The verdicts of the thesis' tests, from made-up samples."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
+from vwnav.bench.flights.live.session import Simulator
+from vwnav.bench.flights.thesis import live
 from vwnav.bench.flights.thesis.plots import save_plots
 from vwnav.bench.flights.thesis.report import report_on, statistics, steps
 from vwnav.bench.flights.thesis.samples import Sample, write_csv
 from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, in_manners
+from vwnav.vehicle import FlightMode
 
 ON_THE_GROUND = Sample(
     t_s=0.0, mode="HOLD", phase="getting ready", true_north_m=0.0, true_east_m=0.0, true_up_m=0.0,
@@ -77,3 +82,59 @@ def test_files_are_a_table_and_three_images(tmp_path):
     assert lines[1].count(",,") > 0
     assert len(lines) == 1 + len(hover())
     assert np.isfinite(float(lines[1].split(",")[0]))
+
+
+@dataclass
+class Written:
+    """A simulator's link, of which only what the program is told is kept."""
+
+    packets: list[bytes] = field(default_factory=list)
+    asked: list[FlightMode] = field(default_factory=list)
+    radio_on: bool = True
+
+    def write(self, data: bytes) -> None:
+        self.packets.append(data)
+
+    def take_over(self) -> None:
+        pass
+
+    def ask(self, mode: FlightMode) -> None:
+        self.asked.append(mode)
+
+
+class ToldFlight:
+    """A live flight of which whatever is waited for happens at once."""
+
+    def __init__(self, pilot: Written | None) -> None:
+        estimate = mavlink.MAVLink_vision_position_estimate_message(0, 0, 0, 0, 0, 0, 0)
+        estimate._header.srcSystem, estimate._header.srcComponent = 1, 197
+        self.written = Written()
+        self.simulator = object.__new__(Simulator)
+        self.simulator.heard = {"VISION_POSITION_ESTIMATE": estimate}
+        self.simulator.pilot = pilot  # type: ignore[assignment]
+        self.simulator.relay = SimpleNamespace(  # type: ignore[assignment]
+            autopilot_link=SimpleNamespace(a=self.written)
+        )
+
+    def watch(self, done: object, timeout_s: float) -> bool:
+        return True
+
+
+def test_a_live_pilot_hands_back_by_a_ground_stations_command_to_the_navigator():
+    pilot = Written()
+    flight = ToldFlight(pilot)
+    live._play_the_pilot(flight, pytest.fail)  # type: ignore[arg-type]
+    assert pilot.asked == []  # no mode: PX4 takes Offboard from nobody who sends no setpoints
+    (packet,) = flight.written.packets
+    (told,) = mavlink.MAVLink(None).parse_buffer(bytearray(packet))
+    assert (told.target_system, told.target_component, told.param1) == (1, 197, 1.0)
+    assert told.command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+    assert told.get_srcSystem() == 255
+
+
+def test_a_person_is_told_how_the_aircraft_is_handed_back():
+    said: list[str] = []
+    live._play_the_pilot(ToldFlight(None), said.append)  # type: ignore[arg-type]
+    assert "DO_PAUSE_CONTINUE" in said[1]
+    assert "system 1, component 197" in said[1]
+    assert "switch to Offboard" not in said[1]

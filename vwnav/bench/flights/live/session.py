@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from vwnav.bench.flights.faults.aircraft import asks_to_go_on
 from vwnav.bench.flights.live.inside import patch_folder
 from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
@@ -111,6 +112,17 @@ class Simulator:
     def frame_here(self) -> LocalFrame:
         """With its origin on the ground below it."""
         return LocalFrame(*self.here(), self._ground_m)
+
+    @property
+    def navigators_id(self) -> tuple[int, int] | None:
+        """System and component of the program, None before it has sent an estimate."""
+        sent = self.heard.get("VISION_POSITION_ESTIMATE")
+        return None if sent is None else (sent.get_srcSystem(), sent.get_srcComponent())
+
+    def hand_back(self) -> None:
+        """The pilot's ground station gives the aircraft back to the program, on the link to it."""
+        if self.navigators_id is not None:
+            self.relay.autopilot_link.a.write(asks_to_go_on(*self.navigators_id))
 
     def bring_down(self, timeout_s: float) -> None:
         """Wait until it is disarmed; a pilot lands it.

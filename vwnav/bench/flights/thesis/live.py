@@ -64,14 +64,23 @@ def _play_the_pilot(flight: LiveFlight, say: Say) -> None:
     _wait(flight, TAKES_S)
     if pilot is None:
         _ask(flight, say, "take over by the sticks, or by the mode switch", FlightMode.MANUAL)
-        _ask(flight, say, "hand back: switch to Offboard (GUIDED)", FlightMode.OFFBOARD)
+        _ask(flight, say, f"hand back: {_how_to_hand_back(flight)}", FlightMode.OFFBOARD)
         _ask(flight, say, "switch the radio off, where the site is safe for it", FlightMode.HOLD)
         return
     pilot.take_over()
     _wait(flight, GIVES_BACK_S - TAKES_S)
-    pilot.ask(FlightMode.OFFBOARD)
+    flight.simulator.hand_back()
     _wait(flight, RADIO_OFF_S - GIVES_BACK_S)
     pilot.radio_on = False
+
+
+def _how_to_hand_back(flight: LiveFlight) -> str:
+    system, component = flight.simulator.navigators_id or ("its own", "its own")
+    return (
+        "have a ground station send DO_PAUSE_CONTINUE (1: go on) to vwnav itself (system "
+        f"{system}, component {component}); vwnav then asks for Offboard. The mode switch hands "
+        "nothing back: PX4 takes Offboard from nobody who sends no setpoints"
+    )
 
 
 def _ask(flight: LiveFlight, say: Say, what: str, until: FlightMode) -> None:
