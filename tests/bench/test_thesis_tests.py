@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,13 +11,16 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
 from vwnav.bench.flights.live.session import Simulator
+from vwnav.bench.flights.live.whereabouts import ByItself, Eyes
 from vwnav.bench.flights.thesis import live
 from vwnav.bench.flights.thesis.plots import save_plots
 from vwnav.bench.flights.thesis.report import report_on, statistics, steps
 from vwnav.bench.flights.thesis.samples import Sample, write_csv
-from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, in_manners
+from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, WAYPOINTS, in_manners
+from vwnav.geometry.geodesy import LocalFrame
 from vwnav.vehicle import FlightMode
 
+PLACE = ("north_m", "east_m", "up_m", "yaw_deg")
 ON_THE_GROUND = Sample(
     t_s=0.0, mode="HOLD", phase="getting ready", true_north_m=0.0, true_east_m=0.0, true_up_m=0.0,
     true_yaw_deg=179.0, estimated_north_m=math.nan, estimated_east_m=math.nan,
@@ -138,3 +142,60 @@ def test_a_person_is_told_how_the_aircraft_is_handed_back():
     assert "DO_PAUSE_CONTINUE" in said[1]
     assert "system 1, component 197" in said[1]
     assert "switch to Offboard" not in said[1]
+
+
+def without_truth(samples: list[Sample]) -> list[Sample]:
+    """The same as a link without truth tells it: the autopilot's own position, 0.3 m beside."""
+    nothing = dict.fromkeys((f"true_{each}" for each in PLACE), math.nan)
+    return [
+        replace(
+            each, **nothing, fused_north_m=each.true_north_m + 0.3, fused_east_m=each.true_east_m,
+            fused_up_m=each.true_up_m + 0.7, fused_yaw_deg=each.true_yaw_deg,
+        )
+        for each in samples
+    ]  # fmt: skip
+
+
+def test_without_truth_a_flight_is_scored_by_the_autopilot_and_says_so(tmp_path):
+    pytest.importorskip("matplotlib")
+    report = report_on(HOVER, without_truth(hover()), [], tmp_path, "fused")
+    assert report.passed, report.steps
+    assert "made of vwnav's estimates: this is consistency, not truth" in report.scored_against
+    found = {each.name: each for each in report.statistics}
+    own = found["estimate off the autopilot's own position"]
+    assert own.rms == pytest.approx(0.2)
+    assert all(each.thesis is None for each in report.statistics)  # the thesis' are of GPS
+    assert not any("truth" in each.name for each in (*report.steps, *report.statistics))
+    assert "landed within 3 m of the start, as the autopilot believes" in [
+        step.name for step in report.steps
+    ]
+    assert report_on(HOVER, hover(), [], tmp_path).scored_against == "the simulator's truth"
+
+
+def test_an_autopilot_that_never_had_a_position_has_passed_nothing(tmp_path):
+    pytest.importorskip("matplotlib")
+    nothing = dict.fromkeys((f"fused_{each}" for each in PLACE), math.nan)
+    samples = [replace(each, **nothing) for each in without_truth(hover())]
+    assert not steps(HOVER, samples, "fused")[1].passed
+    assert not steps(WAYPOINTS, samples, "fused")[2].passed
+    report_on(HOVER, samples, [], tmp_path, "fused")
+
+
+def test_where_nobody_tells_the_truth_the_autopilots_word_is_taken_about_home():
+    home = LocalFrame(60.4, 22.5, 0.0)
+    north = LocalFrame(
+        *(float(each) for each in home.to_geodetic(np.array([10.0, 0.0, 0.0]))[:2]), 0.0
+    )
+    heard: dict[str, object] = {}
+    where = ByItself(Eyes("a.mbtiles", Path("cam.toml"), "rtsp://camera", "60.4,22.5"), heard)
+    assert where.reference == "fused"
+    assert np.all(np.isnan(where.look(where.frame_here())[0]))
+    heard["LOCAL_POSITION_NED"] = SimpleNamespace(x=1.0, y=2.0, z=-30.0, vx=0.1, vy=0.2, vz=0.3)
+    assert where.look(home)[0] == pytest.approx([1.0, 2.0, -30.0])
+    heard["GPS_GLOBAL_ORIGIN"] = SimpleNamespace(
+        latitude=round(north.lat_deg * 1e7), longitude=round(north.lon_deg * 1e7)
+    )
+    assert where.look(home)[0] == pytest.approx([11.0, 2.0, -30.0], abs=0.05)
+    words = where.fly_words()
+    assert words[words.index("--video") + 1] == "rtsp://camera"
+    assert "--truth" not in words  # nothing is drawn, and it does not arm by itself
