@@ -1,17 +1,26 @@
 """The verdicts of the thesis' tests, from made-up samples."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
+from vwnav.bench.flights.live.session import Simulator
+from vwnav.bench.flights.live.whereabouts import ByItself, Eyes
+from vwnav.bench.flights.thesis import live
 from vwnav.bench.flights.thesis.plots import save_plots
 from vwnav.bench.flights.thesis.report import report_on, statistics, steps
 from vwnav.bench.flights.thesis.samples import Sample, write_csv
-from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, in_manners
+from vwnav.bench.flights.thesis.tests import FAILSAFE, HEIGHT_M, HOVER, WAYPOINTS, in_manners
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.vehicle import FlightMode
 
+PLACE = ("north_m", "east_m", "up_m", "yaw_deg")
 ON_THE_GROUND = Sample(
     t_s=0.0, mode="HOLD", phase="getting ready", true_north_m=0.0, true_east_m=0.0, true_up_m=0.0,
     true_yaw_deg=179.0, estimated_north_m=math.nan, estimated_east_m=math.nan,
@@ -77,3 +86,116 @@ def test_files_are_a_table_and_three_images(tmp_path):
     assert lines[1].count(",,") > 0
     assert len(lines) == 1 + len(hover())
     assert np.isfinite(float(lines[1].split(",")[0]))
+
+
+@dataclass
+class Written:
+    """A simulator's link, of which only what the program is told is kept."""
+
+    packets: list[bytes] = field(default_factory=list)
+    asked: list[FlightMode] = field(default_factory=list)
+    radio_on: bool = True
+
+    def write(self, data: bytes) -> None:
+        self.packets.append(data)
+
+    def take_over(self) -> None:
+        pass
+
+    def ask(self, mode: FlightMode) -> None:
+        self.asked.append(mode)
+
+
+class ToldFlight:
+    """A live flight of which whatever is waited for happens at once."""
+
+    def __init__(self, pilot: Written | None) -> None:
+        estimate = mavlink.MAVLink_vision_position_estimate_message(0, 0, 0, 0, 0, 0, 0)
+        estimate._header.srcSystem, estimate._header.srcComponent = 1, 197
+        self.written = Written()
+        self.simulator = object.__new__(Simulator)
+        self.simulator.heard = {"VISION_POSITION_ESTIMATE": estimate}
+        self.simulator.pilot = pilot  # type: ignore[assignment]
+        self.simulator.relay = SimpleNamespace(  # type: ignore[assignment]
+            autopilot_link=SimpleNamespace(a=self.written)
+        )
+
+    def watch(self, done: object, timeout_s: float) -> bool:
+        return True
+
+
+def test_a_live_pilot_hands_back_by_a_ground_stations_command_to_the_navigator():
+    pilot = Written()
+    flight = ToldFlight(pilot)
+    live._play_the_pilot(flight, pytest.fail)  # type: ignore[arg-type]
+    assert pilot.asked == []  # no mode: PX4 takes Offboard from nobody who sends no setpoints
+    (packet,) = flight.written.packets
+    (told,) = mavlink.MAVLink(None).parse_buffer(bytearray(packet))
+    assert (told.target_system, told.target_component, told.param1) == (1, 197, 1.0)
+    assert told.command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+    assert told.get_srcSystem() == 255
+
+
+def test_a_person_is_told_how_the_aircraft_is_handed_back():
+    said: list[str] = []
+    live._play_the_pilot(ToldFlight(None), said.append)  # type: ignore[arg-type]
+    assert "DO_PAUSE_CONTINUE" in said[1]
+    assert "system 1, component 197" in said[1]
+    assert "switch to Offboard" not in said[1]
+
+
+def without_truth(samples: list[Sample]) -> list[Sample]:
+    """The same as a link without truth tells it: the autopilot's own position, 0.3 m beside."""
+    nothing = dict.fromkeys((f"true_{each}" for each in PLACE), math.nan)
+    return [
+        replace(
+            each, **nothing, fused_north_m=each.true_north_m + 0.3, fused_east_m=each.true_east_m,
+            fused_up_m=each.true_up_m + 0.7, fused_yaw_deg=each.true_yaw_deg,
+        )
+        for each in samples
+    ]  # fmt: skip
+
+
+def test_without_truth_a_flight_is_scored_by_the_autopilot_and_says_so(tmp_path):
+    pytest.importorskip("matplotlib")
+    report = report_on(HOVER, without_truth(hover()), [], tmp_path, "fused")
+    assert report.passed, report.steps
+    assert "made of vwnav's estimates: this is consistency, not truth" in report.scored_against
+    found = {each.name: each for each in report.statistics}
+    own = found["estimate off the autopilot's own position"]
+    assert own.rms == pytest.approx(0.2)
+    assert all(each.thesis is None for each in report.statistics)  # the thesis' are of GPS
+    assert not any("truth" in each.name for each in (*report.steps, *report.statistics))
+    assert "landed within 3 m of the start, as the autopilot believes" in [
+        step.name for step in report.steps
+    ]
+    assert report_on(HOVER, hover(), [], tmp_path).scored_against == "the simulator's truth"
+
+
+def test_an_autopilot_that_never_had_a_position_has_passed_nothing(tmp_path):
+    pytest.importorskip("matplotlib")
+    nothing = dict.fromkeys((f"fused_{each}" for each in PLACE), math.nan)
+    samples = [replace(each, **nothing) for each in without_truth(hover())]
+    assert not steps(HOVER, samples, "fused")[1].passed
+    assert not steps(WAYPOINTS, samples, "fused")[2].passed
+    report_on(HOVER, samples, [], tmp_path, "fused")
+
+
+def test_where_nobody_tells_the_truth_the_autopilots_word_is_taken_about_home():
+    home = LocalFrame(60.4, 22.5, 0.0)
+    north = LocalFrame(
+        *(float(each) for each in home.to_geodetic(np.array([10.0, 0.0, 0.0]))[:2]), 0.0
+    )
+    heard: dict[str, object] = {}
+    where = ByItself(Eyes("a.mbtiles", Path("cam.toml"), "rtsp://camera", "60.4,22.5"), heard)
+    assert where.reference == "fused"
+    assert np.all(np.isnan(where.look(where.frame_here())[0]))
+    heard["LOCAL_POSITION_NED"] = SimpleNamespace(x=1.0, y=2.0, z=-30.0, vx=0.1, vy=0.2, vz=0.3)
+    assert where.look(home)[0] == pytest.approx([1.0, 2.0, -30.0])
+    heard["GPS_GLOBAL_ORIGIN"] = SimpleNamespace(
+        latitude=round(north.lat_deg * 1e7), longitude=round(north.lon_deg * 1e7)
+    )
+    assert where.look(home)[0] == pytest.approx([11.0, 2.0, -30.0], abs=0.05)
+    words = where.fly_words()
+    assert words[words.index("--video") + 1] == "rtsp://camera"
+    assert "--truth" not in words  # nothing is drawn, and it does not arm by itself

@@ -60,8 +60,10 @@ def test_what_cannot_be_flown_is_said(words, says, tmp_path):
     [
         (["--manners", "rover"], "--manners is px4 or px4-1.16 or copter, not 'rover'"),
         (["--connection", "udpin://0.0.0.0:24000"], "--truth"),
+        (["--connection", "udpin://0.0.0.0:24000", "--map", "a", "--home", "1,2"],
+         "without --truth a test needs --camera, --video, too"),
     ],
-)
+)  # fmt: skip
 def test_a_test_that_cannot_be_flown_leaves_nothing(test, words, says, tmp_path):
     result = RUN.invoke(app, ["flighttest", test, "-o", str(tmp_path / "out"), *words])
     assert isinstance(result.exception, ConfigError)

@@ -81,3 +81,29 @@ def test_times_must_rise(again_s):
     watch.look(at(10.0, seen(1)), 10.0)
     assert "do not rise" in watch.look(at(again_s, seen(2)), 10.1)
     assert watch.look(at(10.01, seen(3)), 10.2) == ""
+
+
+@pytest.mark.parametrize(
+    ("level", "spoilt", "shade"),
+    [(0, 0, "black"), (5, 0, "black"), (6, 0, ""), (249, 0, ""), (250, 0, "white"),
+     (0, 1, ""), (255, 1, "")],
+)  # fmt: skip
+def test_an_image_of_nothing_but_black_or_white_is_told(level, spoilt, shade):
+    image = np.full((48, 64), level, np.uint8)
+    image[: 16 * spoilt, :] = 128
+    watch = CameraWatch(64, 48)
+    assert watch.look(Frame(index=0, t_s=0.0, image=image), 0.0) == ""
+    assert watch.sight.shade == shade
+
+
+def test_the_rate_is_that_of_the_newest_exposures():
+    watch = CameraWatch(64, 48)
+    for number in range(7):
+        watch.look(at(0.2 * number, seen(number)), 0.2 * number)
+    assert watch.sight.rate_hz is None
+    watch.look(at(1.4, seen(7)), 1.4)
+    assert watch.sight.rate_hz == pytest.approx(5.0)
+    for number in range(1, 17):
+        watch.look(at(1.4 + 0.05 * number, seen(7 + number)), 1.4 + 0.05 * number)
+    assert watch.sight.rate_hz == pytest.approx(20.0)
+    assert (watch.sight.image_s, watch.sight.trouble) == (watch.image_s, "")

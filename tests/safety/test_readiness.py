@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from vehicles import FLYING
 
+from vwnav.safety.camera_watch import CameraSight
 from vwnav.safety.readiness import Equipment, check_flight, missing
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.types import Attitude, Estimate
 from vwnav.vehicle import Finding, FlightMode, Navigation
 
 STANDING = replace(FLYING, armed=False, in_air=False, mode=FlightMode.HOLD)
-READY = Equipment(findings=(), link_refusal=None, image_s=9.9, image_trouble="")
+READY = Equipment(findings=(), link_refusal=None, sight=CameraSight(9.9))
 ESTIMATE = Estimate(
     t_s=10.0, position_ned_m=np.zeros(3), velocity_ned_m_s=np.zeros(3), covariance=np.eye(6),
     quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]), sigma_yaw_rad=0.1, agl_m=0.1, sigma_agl_m=0.1,
@@ -59,9 +60,9 @@ def test_what_the_vehicle_lacks_is_said(changes, word):
         ({"findings": None}, "not read yet"),
         ({"findings": (NO_VISION,)}, "EKF2_EV_CTRL: is 0, should be 1"),
         ({"link_refusal": "57600 baud is too little"}, "57600 baud"),
-        ({"image_s": None}, "no picture has come"),
-        ({"image_s": 7.0}, "no picture for 3.0 s"),
-        ({"image_trouble": "the camera repeats its pictures"}, "repeats"),
+        ({"sight": CameraSight(None)}, "no picture has come"),
+        ({"sight": CameraSight(7.0)}, "no picture for 3.0 s"),
+        ({"sight": CameraSight(9.9, "the camera repeats its pictures")}, "repeats"),
     ],
 )
 def test_what_the_equipment_lacks_is_said(changes, word):
@@ -95,7 +96,7 @@ def test_what_is_well_is_shown_too_in_its_order():
 def test_all_that_is_wrong_is_shown_at_once():
     vehicle = replace(STANDING, connected=False, battery_ratio=0.2, armable=False)
     warns = replace(NO_VISION, parameter="NAV_DLL_ACT", present=None, severity="warn")
-    equipment = replace(READY, findings=(NO_VISION, warns), image_s=8.9)
+    equipment = replace(READY, findings=(NO_VISION, warns), sight=CameraSight(8.9))
     assert shown(vehicle, Navigation(None), equipment) == [
         ("link", "FAIL", "the autopilot is not heard"),
         ("EKF2_EV_CTRL", "FAIL", "is 0, should be 1: vision is not fused"),
@@ -119,7 +120,7 @@ def test_what_the_vehicle_lacks_has_its_name(changes, name):
 @pytest.mark.parametrize(
     ("changes", "name"),
     [({"findings": None}, "parameters"), ({"link_refusal": "57600 baud"}, "link"),
-     ({"image_s": None}, "camera"), ({"image_trouble": "repeats"}, "camera")],
+     ({"sight": CameraSight(None)}, "camera"), ({"sight": CameraSight(9.9, "repeats")}, "camera")],
 )  # fmt: skip
 def test_what_the_equipment_lacks_has_its_name(changes, name):
     assert trouble(equipment=replace(READY, **changes)).startswith(f"{name}: ")
@@ -127,6 +128,28 @@ def test_what_the_equipment_lacks_has_its_name(changes, name):
 
 def test_exactly_enough_is_enough():
     assert trouble(vehicle=replace(STANDING, battery_ratio=0.35)) == ""
-    assert trouble(equipment=replace(READY, image_s=9.0)) == ""
+    assert trouble(equipment=replace(READY, sight=CameraSight(9.0))) == ""
     assert trouble(vehicle=replace(STANDING, attitude=Attitude(9.7, ESTIMATE.quat_wxyz))) == ""
     assert trouble(vehicle=replace(STANDING, armable=False, connected=False)).count("; ") == 1
+
+
+@pytest.mark.parametrize(
+    ("sight", "words"),
+    [
+        (CameraSight(9.9, shade="black"), "black all over: is the lens covered"),
+        (CameraSight(9.9, shade="white"), "white all over"),
+        (CameraSight(9.9, rate_hz=5.04), "come 5.0 times a second, 10 a second are wanted"),
+    ],
+)
+def test_an_odd_picture_warns_and_keeps_nobody_on_the_ground(sight, words):
+    name, verdict, detail = shown(equipment=replace(READY, sight=sight))[3]
+    assert (name, verdict) == ("camera", "WARN")
+    assert words in detail
+    assert trouble(equipment=replace(READY, sight=sight)) == ""
+
+
+def test_a_rate_that_is_enough_or_not_known_yet_is_no_matter():
+    for rate_hz in (8.0, 30.0, None):
+        assert (
+            shown(equipment=replace(READY, sight=CameraSight(9.9, rate_hz=rate_hz)))[3][1] == "PASS"
+        )

@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +14,16 @@ from vwnav.errors import PreflightError, VwnavError
 from vwnav.safety.check import Check, CheckVerdict
 
 if TYPE_CHECKING:
+    from vwnav.geometry.camera import Camera
     from vwnav.guidance.plan_files import Route
+    from vwnav.safety.camera_watch import CameraSight
+    from vwnav.seams import FrameSource
 
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
-CAMERA_FPS = 8.0
+_WATCHED, _WATCHED_S = 30, 5.0  # images, and for how long at most
+_STEADY = 8  # images in a row without trouble; the first ones of a camera may be old
+_FIT_UNTOLD = "whether they fit a calibration is not known: --camera FILE tells"
+_KEPT = "kept pictures, no camera's: their rate and times are not looked at, and fly refuses them"
 _HOME_UNTOLD = (
     "whether it covers the route is not known, which counts in metres from home: "
     "`vwnav map check PACK --route FILE --home LAT,LON` tells"
@@ -46,7 +52,7 @@ def doctor(
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
     if video:
-        checks.append(_guarded("camera", lambda: _camera(video)))
+        checks.append(_guarded("camera", lambda: _camera(video, camera)))
     if connection:
         checks += _autopilot(connection)
     _print(checks, as_json)
@@ -158,21 +164,58 @@ def _calibration(path: Path) -> Check:
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 
-def _camera(video: str) -> Check:
+def _camera(video: str, calibration: Path | None) -> Check:
+    """By what `fly` asks of it before it arms."""
+    from vwnav.cameras.live import RealTimeSource
+    from vwnav.cameras.retimed import RetimedSource
     from vwnav.cameras.sources import open_source
+    from vwnav.geometry.calibration import load_camera
+    from vwnav.safety.readiness import check_camera
 
+    camera = load_camera(calibration) if calibration else None
+    offset_s = camera.time_offset_s if camera else 0.0
     source = open_source(video)
+    live = isinstance(source, RealTimeSource)
     try:
-        start_s, frames = time.monotonic(), 0
-        while frames < 30 and time.monotonic() - start_s < 5.0:
-            if source.next_frame() is None:
-                break
-            frames += 1
-        spent_s = max(time.monotonic() - start_s, 1e-3)
+        sight, size = _watch(RetimedSource(source, offset_s), camera, live)
     finally:
         source.close()
-    verdict: CheckVerdict = "PASS" if frames / spent_s >= CAMERA_FPS else "WARN"
-    return Check("camera", verdict if frames else "FAIL", f"{frames / spent_s:.1f} frames/s")
+    if not live:
+        sight = replace(sight, rate_hz=None)
+    found = check_camera(sight, sight.image_s or 0.0)
+    if found.verdict == "FAIL":
+        return found
+    rate = "" if sight.rate_hz is None else f"{sight.rate_hz:.1f} a second"
+    untold = ("" if live else _KEPT, "" if camera else _FIT_UNTOLD)
+    told = "; ".join(filter(None, (found.detail, size, rate, *untold)))
+    return Check("camera", "WARN" if any(untold) else found.verdict, told)
+
+
+def _watch(source: "FrameSource", camera: "Camera | None", live: bool) -> "tuple[CameraSight, str]":
+    """What its images are like after some seconds, and their size in words.
+
+    Args:
+        source: of the images.
+        camera: that they should fit; without one the first of them is what the others should fit.
+        live: their times are of now.
+    """
+    from vwnav.safety.camera_watch import CameraSight, CameraWatch
+
+    watch = CameraWatch(camera.width_px, camera.height_px) if camera else None
+    trouble, good, size = "", 0, ""
+    until_s = time.monotonic() + _WATCHED_S
+    for _ in range(_WATCHED):
+        frame = source.next_frame() if time.monotonic() < until_s else None
+        if frame is None:
+            break
+        height_px, width_px = frame.image.shape[:2]
+        size = f"{width_px} x {height_px} px"
+        watch = watch or CameraWatch(width_px, height_px)
+        told = watch.look(frame, time.monotonic() if live else frame.t_s)
+        trouble, good = (told, 0) if told else (trouble, good + 1)
+    if watch is None:
+        return CameraSight(None), size
+    return replace(watch.sight, trouble=trouble if good < _STEADY else ""), size
 
 
 def _autopilot(url: str) -> list[Check]:

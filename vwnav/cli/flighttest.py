@@ -19,6 +19,7 @@ from vwnav.screen import print_rows, say, verdict_cell
 
 if TYPE_CHECKING:
     from vwnav.bench.flights.live.session import Links
+    from vwnav.bench.flights.live.whereabouts import Eyes
     from vwnav.bench.flights.rows import RowResult
     from vwnav.bench.flights.scenario import Scenario
     from vwnav.bench.flights.thesis.report import TestReport
@@ -30,6 +31,7 @@ _NAMES_SHOWN = 3
 _CONNECTION = "An autopilot in simulation, flown in real time; else all in simulated time."
 _PILOT = "With --connection: a second link, on which this command plays the pilot."
 _TRUTH = "With --connection: where the simulator tells its ground truth."
+_UNTRUE = "With --connection and no --truth, as `vwnav fly` has it:"
 _ONE_OBJECT = "One JSON object on stdout."
 _FOLDER = "Folder of the result: three plots and a table (CSV)."
 _DRAWN = "Not the table: so many flights with the faults of two or three of its rows."
@@ -104,10 +106,16 @@ def _thesis_test(name: str, what: str, example: str) -> None:
         connection: str | None = typer.Option(None, help=_CONNECTION),
         pilot: str | None = typer.Option(None, help=_PILOT),
         truth: str | None = typer.Option(None, help=_TRUTH),
+        map_source: str | None = typer.Option(None, "--map", help=f"{_UNTRUE} the map pack."),
+        camera: Path | None = typer.Option(None, help=f"{_UNTRUE} the camera's calibration."),
+        video: str | None = typer.Option(None, help=f"{_UNTRUE} the simulator's own camera."),
+        home: str | None = typer.Option(None, help=f"{_UNTRUE} LAT,LON of the take-off."),
         as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
         output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
     ) -> None:
-        _run_test(name, manners_of(manners), _links(connection, truth, pilot), as_json, output)
+        eyes = None if truth is not None else _eyes(map_source, camera, video, home)
+        links = _links(connection, truth, pilot, eyes)
+        _run_test(name, manners_of(manners), links, as_json, output)
 
     app.command(name, help=f"{what}\n\nExample: vwnav flighttest {name} {example}")(test)
 
@@ -129,19 +137,46 @@ _thesis_test(
 )
 
 
-def _links(connection: str | None, truth: str | None, pilot: str | None) -> "Links | None":
+def _eyes(
+    map_source: str | None, camera: Path | None, video: str | None, home: str | None
+) -> "Eyes | None":
+    """None where nothing is given.
+
+    Raises:
+        ConfigError: something is missing.
+    """
+    from vwnav.bench.flights.live.whereabouts import Eyes
+    from vwnav.geometry.geodesy import parse_lat_lon
+
+    given = {"--map": map_source, "--camera": camera, "--video": video, "--home": home}
+    missing = [name for name, value in given.items() if value is None]
+    if len(missing) == len(given):
+        return None
+    if map_source is None or camera is None or video is None or home is None:
+        raise ConfigError(f"without --truth a test needs {', '.join(missing)}, too")
+    parse_lat_lon(home)
+    return Eyes(map_source, camera, video, home)
+
+
+def _links(
+    connection: str | None, truth: str | None, pilot: str | None, eyes: "Eyes | None" = None
+) -> "Links | None":
     """None without a connection.
 
     Raises:
-        ConfigError: there is one, and nothing that a camera can be drawn from.
+        ConfigError: there is one, and neither a truth that a camera can be drawn from nor `eyes`.
     """
     from vwnav.bench.flights.live.session import Links
 
     if connection is None:
         return None
-    if truth is None:
-        raise ConfigError("--connection needs --truth: the camera is drawn from it")
-    return Links(connection, truth, pilot)
+    if truth is None and eyes is None:
+        raise ConfigError(
+            "--connection needs --truth: the camera is drawn from it (hover, waypoints and "
+            "failsafe also take --map, --camera, --video and --home, and score against the "
+            "autopilot's own position)"
+        )
+    return Links(connection, truth, pilot, eyes)
 
 
 def _run_test(
@@ -161,7 +196,8 @@ def _run_test(
         with simulator_at(links) as simulator:
             folder = make_run_folder(output, name)
             samples, said = fly_live_test(TESTS[name], simulator, folder, say)
-            report = report_on(in_manners(TESTS[name], simulator.manners), samples, said, folder)
+            flown = in_manners(TESTS[name], simulator.manners)
+            report = report_on(flown, samples, said, folder, simulator.where.reference)
     if as_json:
         print(json.dumps(asdict(report)))
     else:
@@ -170,6 +206,7 @@ def _run_test(
     failed = [step.name for step in report.steps if not step.passed]
     if failed:
         raise VwnavError(f"the {name} test failed: {'; '.join(failed)}")
+    say(f"the {name} test passed, scored against {report.scored_against}")
 
 
 def _fly_test(test: "FlightTest", folder: Path) -> "TestReport":
@@ -189,7 +226,8 @@ def _fly_test(test: "FlightTest", folder: Path) -> "TestReport":
 
 def _show_test(report: "TestReport") -> None:
     steps = [(verdict_cell(step.passed), step.name, step.detail) for step in report.steps]
-    print_rows(report.name, ("", "step", "seen"), steps)
+    title = f"{report.name}, scored against {report.scored_against}"
+    print_rows(title, ("", "step", "seen"), steps)
     sizes = []
     for each in report.statistics:
         values = [f"{value:.2f} {each.unit}" for value in (each.rms, each.p95, each.largest)]
@@ -253,7 +291,7 @@ def _live(rows: "list[Scenario]", links: "Links", folder: Path) -> "Iterator[Row
 
     with simulator_at(links) as simulator:
         # Here, not in the first flight, which would spend its time to reach the route on it.
-        map_pack_of(simulator.site, [load_features("learned"), load_features("sift")])
+        map_pack_of(simulator.where.site, [load_features("learned"), load_features("sift")])
         for number, row in enumerate(rows, 1):
             yield fly_live_row(row, family_of(row), simulator, folder / f"{number:02d}")
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.errors import CalibrationError
+from vwnav.errors import OtherSizeError
 from vwnav.types import Array, Gray
 
 CameraModel = Literal["pinhole", "fisheye"]
@@ -190,10 +190,7 @@ def check_fits(camera: Camera, width_px: int, height_px: int) -> None:
         CalibrationError: it is not.
     """
     if (camera.width_px, camera.height_px) != (width_px, height_px):
-        raise CalibrationError(
-            f"the calibration is for pictures of {camera.width_px} x {camera.height_px} px but "
-            f"they are {width_px} x {height_px} px; calibrate at that size"
-        )
+        raise OtherSizeError((camera.width_px, camera.height_px), (width_px, height_px))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

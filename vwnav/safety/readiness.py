@@ -3,11 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from vwnav.safety.camera_watch import CameraSight
 from vwnav.safety.check import Check
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vehicle import Finding, Navigation, VehicleState
 
 _IMAGE_AGE_S = 1.0
+_IMAGES_HZ, _ENOUGH_HZ = 10.0, 8.0  # what is wanted, and what may pass for it
 _ATTITUDE_AGE_S = 0.4  # flown: 0.3 s late for 10 s; at 0.5 odometry is lost again and again
 
 
@@ -18,14 +20,12 @@ class Equipment:
     Attributes:
         findings: parameters that are not as vision wants them; None while they are being read.
         link_refusal: why the link cannot carry a flight; None when it can.
-        image_s: exposure of the newest image, None before the first.
-        image_trouble: why images cannot be used; empty when they can.
+        sight: what the camera's images are like.
     """
 
     findings: tuple[Finding, ...] | None
     link_refusal: str | None
-    image_s: float | None
-    image_trouble: str
+    sight: CameraSight
 
 
 def check_flight(
@@ -40,7 +40,7 @@ def check_flight(
         _link(vehicle, equipment, t_s),
         *check_parameters(equipment.findings),
         check_battery(vehicle, config),
-        _camera(equipment, t_s),
+        check_camera(equipment.sight, t_s),
         _estimate(navigation),
         _autopilot(vehicle),
     )
@@ -60,6 +60,32 @@ def check_battery(vehicle: VehicleState, config: SafetyConfig) -> Check:
     enough = ratio >= config.battery_takeoff_ratio
     needed = "" if enough else f", {100 * config.battery_takeoff_ratio:.0f} % is wanted: charge it"
     return Check("battery", "PASS" if enough else "FAIL", f"{100 * ratio:.0f} %{needed}")
+
+
+def check_camera(sight: CameraSight, t_s: float) -> Check:
+    """Images come and fit; odd ones keep nobody on the ground: below one that stands it is dark."""
+    if sight.trouble:
+        return Check("camera", "FAIL", sight.trouble)
+    if sight.image_s is None:
+        return Check("camera", "FAIL", "no picture has come: check its cable")
+    age_s = t_s - sight.image_s
+    if age_s > _IMAGE_AGE_S:
+        return Check("camera", "FAIL", f"no picture for {age_s:.1f} s: check its cable")
+    odd = "; ".join(filter(None, (_shade(sight), _rate(sight))))
+    return Check("camera", "WARN" if odd else "PASS", odd or "pictures come")
+
+
+def _shade(sight: CameraSight) -> str:
+    if not sight.shade:
+        return ""
+    return f"pictures are {sight.shade} all over: is the lens covered, or its exposure fixed?"
+
+
+def _rate(sight: CameraSight) -> str:
+    if sight.rate_hz is None or sight.rate_hz >= _ENOUGH_HZ:
+        return ""
+    wanted = f"{_IMAGES_HZ:g} a second are wanted"
+    return f"pictures come {sight.rate_hz:.1f} times a second, {wanted}: odometry needs overlap"
 
 
 def check_parameters(findings: tuple[Finding, ...] | None) -> tuple[Check, ...]:
@@ -93,17 +119,6 @@ def _link(vehicle: VehicleState, equipment: Equipment, t_s: float) -> Check:
         late = f"the autopilot's attitude comes {age_s:.1f} s late, {_ATTITUDE_AGE_S:g} at most"
         return Check("link", "FAIL", f"{late}: is the link or this computer overloaded?")
     return Check("link", "PASS", "heard")
-
-
-def _camera(equipment: Equipment, t_s: float) -> Check:
-    if equipment.image_trouble:
-        return Check("camera", "FAIL", equipment.image_trouble)
-    if equipment.image_s is None:
-        return Check("camera", "FAIL", "no picture has come: check its cable")
-    age_s = t_s - equipment.image_s
-    if age_s > _IMAGE_AGE_S:
-        return Check("camera", "FAIL", f"no picture for {age_s:.1f} s: check its cable")
-    return Check("camera", "PASS", "pictures come")
 
 
 def _estimate(navigation: Navigation) -> Check:

@@ -274,9 +274,8 @@ class Navigator:
         self, vehicle: VehicleState, navigation: Navigation, t_s: float
     ) -> tuple[Check, ...]:
         equipment = Equipment(
-            self.autopilot.findings, self.autopilot.budget_refusal, self._watch.image_s,
-            self._watch.trouble,
-        )  # fmt: skip
+            self.autopilot.findings, self.autopilot.budget_refusal, self._watch.sight
+        )
         return check_flight(vehicle, navigation, equipment, self._config.safety, t_s)
 
 

@@ -213,13 +213,17 @@ class PilotHandsBack(Lasting):
         """One command, to the navigator itself."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=None)
-        station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-        system, component = world.navigator.port.own_id
-        command = mavlink.MAVLink_command_long_message(
-            system, component, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0, 1.0, 0, 0, 0, 0, 0, 0
-        )
-        world.autopilot_link.a.write(bytes(command.pack(station)))
+        world.autopilot_link.a.write(asks_to_go_on(*world.navigator.port.own_id))
         world.note("pilot hands back")
+
+
+def asks_to_go_on(system: int, component: int) -> bytes:
+    """A packet of a ground station to the navigator that has these ids."""
+    station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    command = mavlink.MAVLink_command_long_message(
+        system, component, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0, 1.0, 0, 0, 0, 0, 0, 0
+    )
+    return bytes(command.pack(station))
 
 
 @dataclass(frozen=True)

@@ -101,12 +101,15 @@ class MavlinkPilot:
 
     Args:
         url: of a link of the autopilot's that nobody else uses.
+        hand_on: takes the station's heartbeats to the program, as an autopilot that routes would:
+            a station that was never heard commands nothing.
 
     Raises:
         LinkError: it cannot be opened.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, hand_on: Callable[[bytes], None]) -> None:
+        self._hand_on = hand_on
         self._link = open_link(parse_link(url))
         self._packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
         self._parser = mavlink.MAVLink(None)
@@ -146,7 +149,9 @@ class MavlinkPilot:
             if now_s - beat_s >= _HEARTBEAT_S:
                 beat_s = now_s
                 gcs, none = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID
-                self._send(mavlink.MAVLink_heartbeat_message(gcs, none, 0, 0, 4, 3))
+                beat = mavlink.MAVLink_heartbeat_message(gcs, none, 0, 0, 4, 3)
+                self._send(beat)
+                self._hand_on(bytes(beat.get_msgbuf()))
             if self.radio_on:
                 self._move_sticks()
 

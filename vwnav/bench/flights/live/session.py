@@ -12,27 +12,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from vwnav.bench.flights.faults.aircraft import asks_to_go_on
 from vwnav.bench.flights.live.inside import patch_folder
 from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
+from vwnav.bench.flights.live.whereabouts import ByItself, ByTruth, Eyes, Whereabouts
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.errors import VwnavError
-from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
+from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
-from vwnav.sim.named_sites import DEFAULT_SEED
-from vwnav.sim.site import Site
-from vwnav.sim.truth import TruthReader
 from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
 _LOOK_S = 0.05
-_TRUTH_S = 30.0
 _MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
 _GROUND_M = 0.7
-_AT_HOME_M = 200.0  # of the default site: that one is used
 _LINE = re.compile(r"^\s*[\d.]+ s  (?P<text>\S.*)$")
 _PHASES = {phase.value for phase in Phase}
 _ARMED = 128
@@ -48,15 +43,22 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """URLs of the autopilot's link, of its truth, and of its pilot's link, None without one."""
+    """How a simulated autopilot is reached.
+
+    Attributes:
+        connection: URL of its link.
+        truth: of its ground truth; None where it is flown with `eyes`.
+        pilot: of its pilot's link, None without one.
+    """
 
     connection: str
-    truth: str
+    truth: str | None
     pilot: str | None
+    eyes: Eyes | None = None
 
 
 class Simulator:
-    """An autopilot in simulation: its link through a relay of ours, its truth, its pilot.
+    """An autopilot in simulation: its link through a relay of ours, where it is, its pilot.
 
     Attributes:
         mode, armed, manners: as its heartbeat says.
@@ -73,44 +75,40 @@ class Simulator:
         with contextlib.ExitStack() as stack:
             self.relay = Relay(links.connection, self._hear)
             stack.callback(self.relay.close)
-            self.truth_relay = Relay(links.truth)
-            stack.callback(self.truth_relay.close)
-            self.truth = TruthReader(self.truth_relay.url)
-            stack.callback(self.truth.close)
             self.pilot = None
             if links.pilot is not None:
-                self.pilot = MavlinkPilot(links.pilot)
+                self.pilot = MavlinkPilot(links.pilot, self.relay.autopilot_link.a.write)
                 stack.callback(self.pilot.close)
-            first = self.truth.wait(_TRUTH_S)
-            if first is None:
-                raise VwnavError(f"no truth from {links.truth} within {_TRUTH_S:.0f} s")
-            self._ground_m = first.alt_amsl_m
-            self.site = _site_near(first.lat_deg, first.lon_deg)
+            self.where: Whereabouts
+            if links.truth is not None:
+                self.where = ByTruth(links.truth, stack)
+            else:
+                assert links.eyes is not None
+                self.where = ByItself(links.eyes, self.heard)
             self._stack = stack.pop_all()
 
     def close(self) -> None:
         """Give everything back."""
         self._stack.close()
 
-    def here(self) -> tuple[float, float]:
-        """Latitude and longitude, in degrees."""
-        state = self.truth.latest()
-        assert state is not None
-        return state.lat_deg, state.lon_deg
-
     def look(self, home: LocalFrame) -> Truth:
-        """What it does now, NED about a place on the ground."""
-        state = self.truth.latest()
-        assert state is not None
-        place = home.to_ned(state.lat_deg, state.lon_deg, state.alt_amsl_m)
+        """What it does now, NED about a place on the ground, as far as it is told."""
+        place_ned_m, velocity_ned_m_s = self.where.look(home)
         return Truth(
-            time.monotonic(), place, np.array(state.velocity_ned_m_s), self.mode, self.armed,
-            -float(place[2]) < _GROUND_M,
+            time.monotonic(), place_ned_m, velocity_ned_m_s, self.mode, self.armed,
+            -float(place_ned_m[2]) < _GROUND_M,
         )  # fmt: skip
 
-    def frame_here(self) -> LocalFrame:
-        """With its origin on the ground below it."""
-        return LocalFrame(*self.here(), self._ground_m)
+    @property
+    def navigators_id(self) -> tuple[int, int] | None:
+        """System and component of the program, None before it has sent an estimate."""
+        sent = self.heard.get("VISION_POSITION_ESTIMATE")
+        return None if sent is None else (sent.get_srcSystem(), sent.get_srcComponent())
+
+    def hand_back(self) -> None:
+        """The pilot's ground station gives the aircraft back to the program, on the link to it."""
+        if self.navigators_id is not None:
+            self.relay.autopilot_link.a.write(asks_to_go_on(*self.navigators_id))
 
     def bring_down(self, timeout_s: float) -> None:
         """Wait until it is disarmed; a pilot lands it.
@@ -164,14 +162,19 @@ class LiveFlight:
     """
 
     def __init__(
-        self, simulator: Simulator, process: "subprocess.Popen[bytes]", folder: Path
+        self,
+        simulator: Simulator,
+        process: "subprocess.Popen[bytes]",
+        folder: Path,
+        tell: Callable[[str], None],
     ) -> None:
+        self._tell = tell
         self.simulator = simulator
         self.process = process
         self.folder = folder
         self.track = FlightTrace()
         self.begun_s = time.monotonic()
-        self.home = simulator.frame_here()
+        self.home = simulator.where.frame_here()
         self.see: Callable[[], None] = lambda: None
         self._log = (folder / "log").open(errors="replace")
         self._rest = ""
@@ -226,6 +229,7 @@ class LiveFlight:
             if found is None:
                 continue
             text = found["text"].strip()
+            self._tell(text)
             if text in _PHASES:
                 self.track.phases.append(LogLine(self.t_s, text))
             self.track.events.append(LogLine(self.t_s, text))
@@ -233,7 +237,12 @@ class LiveFlight:
 
 @contextlib.contextmanager
 def live_flight(
-    simulator: Simulator, folder: Path, route: str, breaks: str = "", settings: str = ""
+    simulator: Simulator,
+    folder: Path,
+    route: str,
+    breaks: str = "",
+    settings: str = "",
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[LiveFlight]:
     """Start `vwnav fly` where the aircraft stands, until it gets ready; at the end it is gone.
 
@@ -243,35 +252,30 @@ def live_flight(
         route: ID,X,Y,Z lines about home.
         breaks: what breaks inside of it once the flight's `trigger` is there, see `inside`.
         settings: TOML.
+        tell: receives what the program says, a line each: who arms it has to know.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "route.txt").write_text(route)
     (folder / "settings.toml").write_text(settings)
-    lat_deg, lon_deg = simulator.here()
+    run = ["--config", str(folder / "settings.toml"), "-o", str(folder / "run")]
     command = [
-        sys.executable, "-m", "vwnav", "fly", "--video", simulator.site, "--map", simulator.site,
-        "--route", str(folder / "route.txt"), "--home", f"{lat_deg},{lon_deg}",
-        "--connection", simulator.relay.url, "--truth", simulator.truth_relay.url,
-        "--config", str(folder / "settings.toml"), "-o", str(folder / "run"),
+        sys.executable, "-m", "vwnav", "fly", *simulator.where.fly_words(),
+        "--route", str(folder / "route.txt"), "--connection", simulator.relay.url, *run,
     ]  # fmt: skip
     paths = [str(patch_folder(folder / "patch", breaks, folder / "break")), *sys.path]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(each for each in paths if each)}
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env=env)
-    flight = LiveFlight(simulator, process, folder)
+    flight = LiveFlight(simulator, process, folder, tell)
     try:
         flight.watch(lambda: bool(flight.track.phases) or flight.has_ended(), _MAP_S)
         yield flight
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGCONT)
-            process.kill()
+            if simulator.armed and simulator.where.reference == "fused":
+                process.terminate()  # it lands first: whose camera is none of ours may be real
+            else:
+                process.kill()
         process.wait()
         flight.close()
-
-
-def _site_near(lat_deg: float, lon_deg: float) -> str:
-    """The generated site that has its home there."""
-    default = Site(DEFAULT_SEED)
-    away_m = horizontal_distance_m(lat_deg, lon_deg, default.home_lat_deg, default.home_lon_deg)
-    return "sim:default" if away_m < _AT_HOME_M else f"sim:default@{lat_deg:.5f},{lon_deg:.5f}"

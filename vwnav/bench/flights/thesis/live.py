@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
+from vwnav.bench.flights.live.whereabouts import place_ned_m
 from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample
 from vwnav.bench.flights.thesis.tests import GIVES_BACK_S, HOVER, RADIO_OFF_S, TAKES_S, FlightTest
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.mission.mission import Phase
-from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
 _ROUTE_S, _DOWN_S, _PERSON_S = 150.0, 240.0, 60.0
@@ -45,7 +43,8 @@ def fly_live_test(
             f"[flight]\nfixes_to_start = {flight_config.fixes_to_start}\n"
             f"first_fix_timeout_s = {flight_config.first_fix_timeout_s}\n"
         )
-    with live_flight(simulator, folder, route, settings=settings) as flight:
+    tell = say if simulator.where.reference == "fused" else _to_nobody
+    with live_flight(simulator, folder, route, settings=settings, tell=tell) as flight:
         sampler = LiveSampler(flight)
         sampler()  # one at least: what did not get ready has ended by now
         flight.see = sampler
@@ -56,6 +55,10 @@ def fly_live_test(
     return sampler.samples, [f"{each.t_s:.1f} s {each.text}" for each in flight.track.events]
 
 
+def _to_nobody(line: str) -> None:
+    """Where all is simulated, the program's own words are in its log."""
+
+
 def _play_the_pilot(flight: LiveFlight, say: Say) -> None:
     """Takes over on the route, hands back, and switches the radio off; or asks a person to."""
     pilot = flight.simulator.pilot
@@ -64,14 +67,23 @@ def _play_the_pilot(flight: LiveFlight, say: Say) -> None:
     _wait(flight, TAKES_S)
     if pilot is None:
         _ask(flight, say, "take over by the sticks, or by the mode switch", FlightMode.MANUAL)
-        _ask(flight, say, "hand back: switch to Offboard (GUIDED)", FlightMode.OFFBOARD)
+        _ask(flight, say, f"hand back: {_how_to_hand_back(flight)}", FlightMode.OFFBOARD)
         _ask(flight, say, "switch the radio off, where the site is safe for it", FlightMode.HOLD)
         return
     pilot.take_over()
     _wait(flight, GIVES_BACK_S - TAKES_S)
-    pilot.ask(FlightMode.OFFBOARD)
+    flight.simulator.hand_back()
     _wait(flight, RADIO_OFF_S - GIVES_BACK_S)
     pilot.radio_on = False
+
+
+def _how_to_hand_back(flight: LiveFlight) -> str:
+    system, component = flight.simulator.navigators_id or ("its own", "its own")
+    return (
+        "have a ground station send DO_PAUSE_CONTINUE (1: go on) to vwnav itself (system "
+        f"{system}, component {component}); vwnav then asks for Offboard. The mode switch hands "
+        "nothing back: PX4 takes Offboard from nobody who sends no setpoints"
+    )
 
 
 def _ask(flight: LiveFlight, say: Say, what: str, until: FlightMode) -> None:
@@ -87,7 +99,7 @@ def _wait(flight: LiveFlight, seconds: float) -> None:
 
 
 class LiveSampler:
-    """Notes a flight in real time, from its truth and from what passes over the link."""
+    """Notes a flight in real time: its truth, where that is told, and what passes the link."""
 
     def __init__(self, flight: LiveFlight) -> None:
         self.samples: list[Sample] = []
@@ -103,22 +115,25 @@ class LiveSampler:
 
     def _sample(self) -> Sample:
         flight, heard = self._flight, self._flight.simulator.heard
-        true, yaw_deg = flight.track.truth[-1], self._true_yaw_deg()
-        sent = self._place(heard.get("VISION_POSITION_ESTIMATE"))
-        fused = self._place(heard.get("LOCAL_POSITION_NED"))
+        where, told = flight.simulator.where, flight.track.truth[-1]
+        yaw_deg = where.yaw_deg()
+        true = told.position_ned_m if where.reference == "true" else np.full(3, math.nan)
+        sent = place_ned_m(heard.get("VISION_POSITION_ESTIMATE"), heard, flight.home)
+        fused = place_ned_m(heard.get("LOCAL_POSITION_NED"), heard, flight.home)
         attitude, order = heard.get("ATTITUDE"), heard.get("SET_POSITION_TARGET_LOCAL_NED")
         compass_deg = math.nan if attitude is None else math.degrees(attitude.yaw)
         commanded_deg = math.nan
-        if order is not None and true.mode is FlightMode.OFFBOARD:
+        if order is not None and told.mode is FlightMode.OFFBOARD:
             # Headings are commanded by the compass: what matters is how well it is followed.
-            commanded_deg = yaw_deg + math.degrees(order.yaw) - compass_deg
+            off_deg = yaw_deg - compass_deg if where.reference == "true" else 0.0
+            commanded_deg = math.degrees(order.yaw) + off_deg
         return Sample(
             t_s=flight.t_s,
-            mode=true.mode.name,
+            mode=told.mode.name,
             phase=flight.track.phases[-1].text if flight.track.phases else "",
-            true_north_m=float(true.position_ned_m[0]),
-            true_east_m=float(true.position_ned_m[1]),
-            true_up_m=-float(true.position_ned_m[2]),
+            true_north_m=float(true[0]),
+            true_east_m=float(true[1]),
+            true_up_m=-float(true[2]),
             true_yaw_deg=yaw_deg,
             estimated_north_m=float(sent[0]),
             estimated_east_m=float(sent[1]),
@@ -131,24 +146,6 @@ class LiveSampler:
             barometer_up_m=self._pressure_height_m(heard.get("SCALED_PRESSURE")),
             commanded_yaw_deg=commanded_deg,
         )
-
-    def _true_yaw_deg(self) -> float:
-        state = self._flight.simulator.truth.latest()
-        assert state is not None
-        rotation = rotation_from_quat(np.array(state.quat_wxyz))
-        return math.degrees(euler_from_rotation(rotation)[2])
-
-    def _place(self, message: Any) -> Array:
-        """(3,) NED about the start of a place that is told about the autopilot's origin."""
-        if message is None:
-            return np.full(3, math.nan)
-        place = np.array([message.x, message.y, message.z])
-        origin, home = self._flight.simulator.heard.get("GPS_GLOBAL_ORIGIN"), self._flight.home
-        if origin is None:
-            return place
-        frame = LocalFrame(origin.latitude * 1e-7, origin.longitude * 1e-7, home.alt_amsl_m)
-        lat_deg, lon_deg, alt_m = frame.to_geodetic(place)
-        return home.to_ned(float(lat_deg), float(lon_deg), float(alt_m))
 
     def _pressure_height_m(self, message: Any) -> float:
         if message is None:

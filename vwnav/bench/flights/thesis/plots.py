@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 
 from vwnav.bench.figures import pyplot
-from vwnav.bench.flights.thesis.samples import Sample, columns
+from vwnav.bench.flights.thesis.samples import Reference, Sample, columns
 from vwnav.bench.flights.thesis.tests import FlightTest
 from vwnav.bench.flights.track_plot import shade_modes
 
 _TRUE, _ESTIMATED, _FUSED = "k", "tab:blue", "tab:orange"
 
 
-def save_plots(test: FlightTest, samples: Sequence[Sample], folder: Path) -> list[str]:
-    """Draw three; their names in the folder.
+def save_plots(
+    test: FlightTest, samples: Sequence[Sample], folder: Path, by: Reference = "true"
+) -> list[str]:
+    """Draw three; their names in the folder. Where it landed is `by` whose word.
 
     Raises:
         VwnavError: matplotlib is missing.
@@ -25,7 +27,7 @@ def save_plots(test: FlightTest, samples: Sequence[Sample], folder: Path) -> lis
     plt = pyplot()
     for draw, name, figure_number in zip(draws, names, test.figures, strict=True):
         figure, axis = plt.subplots(figsize=(9, 5))
-        draw(axis, samples)
+        draw(axis, samples, by)
         manners = test.scenario.setup.manners
         axis.set_title(f"{test.name} ({manners}), as figure {figure_number} of the thesis, no GPS")
         axis.legend(fontsize=8)
@@ -36,7 +38,7 @@ def save_plots(test: FlightTest, samples: Sequence[Sample], folder: Path) -> lis
     return names
 
 
-def _altitude(axis: Any, samples: Sequence[Sample]) -> None:
+def _altitude(axis: Any, samples: Sequence[Sample], _: Reference) -> None:
     t_s, true, estimated, fused, pressure = columns(
         samples, "t_s", "true_up_m", "estimated_up_m", "fused_up_m", "barometer_up_m"
     ).T
@@ -48,22 +50,24 @@ def _altitude(axis: Any, samples: Sequence[Sample]) -> None:
     _shade(axis, samples)
 
 
-def _position(axis: Any, samples: Sequence[Sample]) -> None:
+def _position(axis: Any, samples: Sequence[Sample], by: Reference) -> None:
+    high_m = columns(samples, f"{by}_up_m")[:, 0]
+    flying = [each for each, up_m in zip(samples, high_m, strict=True) if up_m > 1.0]
     for kind, color, label in (
         ("fused", _FUSED, "autopilot's fusion"),
         ("estimated", _ESTIMATED, "vwnav's estimate"),
         ("true", _TRUE, "truth"),
     ):
-        flying = [each for each in samples if each.true_up_m > 1.0]
         north, east = columns(flying, f"{kind}_north_m", f"{kind}_east_m").T
         axis.plot(east, north, color=color, lw=1.0, label=label)
     axis.plot(0.0, 0.0, "s", color="tab:green", label="start")
-    axis.plot(samples[-1].true_east_m, samples[-1].true_north_m, "k^", label="landed")
+    landed = columns(samples[-1:], f"{by}_east_m", f"{by}_north_m")[0]
+    axis.plot(*landed, "k^", label="landed")
     axis.set(xlabel="east, m", ylabel="north, m")
     axis.set_aspect("equal", adjustable="datalim")
 
 
-def _heading(axis: Any, samples: Sequence[Sample]) -> None:
+def _heading(axis: Any, samples: Sequence[Sample], _: Reference) -> None:
     t_s = columns(samples, "t_s")[:, 0]
     for kind, style, label in (
         ("commanded", {"color": "tab:red", "ls": "--"}, "commanded"),

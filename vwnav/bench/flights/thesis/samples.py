@@ -5,12 +5,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from vwnav.types import Array
 
 SAMPLE_S = 0.1
+Reference = Literal["true", "fused"]  # the prefix of those places that a flight is scored against
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
