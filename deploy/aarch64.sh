@@ -50,7 +50,7 @@ import sys
 import tomllib
 
 with open(sys.argv[1], "rb") as file:
-    print(*tomllib.load(file)["project"]["dependencies"], "mcap", sep="\n")
+    print(*tomllib.load(file)["project"]["dependencies"], sep="\n")
 END
     "$host_python" -m pip download --quiet --dest "$folder/wheels" --only-binary=:all: \
         --python-version 3.11 --implementation cp \

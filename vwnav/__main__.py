@@ -25,10 +25,11 @@ from vwnav.cli.bench.significance import significance
 from vwnav.cli.bench.speed import speed
 from vwnav.cli.bench.waypoints import waypoints
 from vwnav.cli.camera import calibrate, look
-from vwnav.errors import PreflightError, VwnavError
+from vwnav.errors import FlightError, PreflightError, VwnavError
 
 EXIT_FAILED = 1
 EXIT_NOT_SAFE = 3
+EXIT_FLIGHT_ENDED = 4  # deploy/vwnav.service starts none of these anew
 EXIT_INTERRUPTED = 130
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
@@ -80,7 +81,7 @@ def _options(
 
 
 def main() -> None:
-    """Run the command; known errors become one line on stderr and exit code 1 (3: not safe).
+    """Run the command; known errors become one line on stderr and an exit code.
 
     Raises:
         OSError: it names no file, and is not that there is no room: nothing a person can mend.
@@ -89,13 +90,23 @@ def main() -> None:
         _run()
     except VwnavError as wrong:
         print(f"vwnav: {' '.join(str(wrong).split())}", file=sys.stderr)
-        sys.exit(EXIT_NOT_SAFE if isinstance(wrong, PreflightError) else EXIT_FAILED)
+        sys.exit(_exit_code(wrong))
     except KeyboardInterrupt:
         print("vwnav: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
     except OSError as error:
         _complain(error)
         sys.exit(EXIT_FAILED)
+
+
+def _exit_code(wrong: VwnavError) -> int:
+    match wrong:
+        case PreflightError():
+            return EXIT_NOT_SAFE
+        case FlightError():
+            return EXIT_FLIGHT_ENDED
+        case _:
+            return EXIT_FAILED
 
 
 def _run() -> None:

@@ -49,3 +49,7 @@ class LinkError(VwnavError):
 
 class PreflightError(VwnavError):
     """Not safe to fly: ends a command with exit code 3."""
+
+
+class FlightError(VwnavError):
+    """A flight ended otherwise than by its route: exit code 4, which no service starts anew."""

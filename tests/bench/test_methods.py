@@ -11,7 +11,7 @@ from vwnav.vision.matching import match
 @pytest.fixture
 def no_xfeat(monkeypatch):
     def absent():
-        raise ConfigError("xfeat is left out: pip install 'vwnav[bench]'")
+        raise ConfigError("xfeat is left out")
 
     monkeypatch.setattr(methods, "load_xfeat", absent)
 
@@ -21,7 +21,7 @@ def test_every_released_size_and_the_classics_are_there_and_what_is_not_is_said(
     sets, skipped = methods.feature_sets([])
     names = [each.name for each in sets]
     assert {"vwnav_default", "sift", "sift_turning", "orb"} <= set(names)
-    assert skipped == ["xfeat is left out: pip install 'vwnav[bench]'"]
+    assert skipped == ["xfeat is left out"]
     assert len({method.name for each in sets for method in each.methods}) >= 6
 
 

@@ -1,12 +1,16 @@
 """`vwnav doctor` on a board: its lines, from files that look like a Raspberry Pi's."""
 
 import os
+import subprocess
+import sys
 import time
 
 import pytest
 
 from vwnav.onboard import board
-from vwnav.onboard.board import NOT_MEASURED, check_board
+from vwnav.onboard.board import NOT_MEASURED, check_board, recordings_folder
+
+NOBODY = 65534
 
 FIRMWARE = {
     "Pi 4": "sys/devices/platform/soc/soc:firmware/get_throttled",
@@ -115,4 +119,43 @@ def test_a_disk_that_syncs_slowly_or_not_at_all_is_said(tmp_path, lines, monkeyp
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", refuse)
-    assert lines(tmp_path)["disk speed"].detail == "cannot write here: Input/output error"
+    said = lines(tmp_path)["disk speed"].detail
+    assert said == f"cannot write in {tmp_path}: Input/output error"
+
+
+def test_recordings_go_to_runs_where_it_is_there(tmp_path):
+    assert recordings_folder(tmp_path) == tmp_path
+    (tmp_path / "runs").mkdir()
+    assert recordings_folder(tmp_path) == tmp_path / "runs"
+
+
+LOOKS = """
+import sys
+from pathlib import Path
+from vwnav.onboard import board
+folder = board.recordings_folder(Path.cwd(), Path(sys.argv[1]))
+print(folder, *(f"{each.name}: {each.detail}" for each in board.check_board(folder)), sep="\\n")
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
+@pytest.mark.parametrize("is_services", [True, False])
+def test_in_a_folder_that_its_user_cannot_read_the_services_own_is_looked_at(tmp_path, is_services):
+    closed, state = tmp_path / "closed" / "inner", tmp_path / "state"
+    closed.parent.mkdir(mode=0o700)
+    closed.mkdir()
+    state.mkdir()
+    if is_services:
+        os.chown(state, NOBODY, NOBODY)
+    script = f"import os; os.setgid({NOBODY}); os.setuid({NOBODY})\n{LOOKS}"
+    script = f"import vwnav.onboard.board\n{script}"  # read as root: the code may be a user's own
+    for each in (tmp_path, *tmp_path.parents[:2]):  # pytest's own
+        each.chmod(0o755)
+    done = subprocess.run(
+        [sys.executable, "-c", script, state], cwd=closed, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    folder, *said = done.stdout.splitlines()
+    assert folder == str(state if is_services else closed)
+    disk = next(line for line in said if line.startswith("disk:"))
+    assert (f"GB free in {state}" if is_services else f"cannot look at {closed}") in disk

@@ -5,11 +5,19 @@ import os
 import shutil
 import socket
 import subprocess
+from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from vwnav.onboard import service
+import vwnav.__main__ as command
+from vwnav.errors import FlightError, LinkError, PreflightError
+from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.onboard import program, service
+from vwnav.onboard.aboard import Aboard
+from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.service import ServiceHandle, ServiceManager
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
@@ -29,6 +37,13 @@ class Handle:
 
     def rejoin(self) -> None:
         self.rejoins += 1
+
+
+def unit() -> configparser.ConfigParser:
+    read = configparser.ConfigParser(strict=False, interpolation=None)
+    read.optionxform = str
+    read.read(DEPLOY / "vwnav.service")
+    return read
 
 
 def listener(address: str) -> socket.socket:
@@ -86,13 +101,110 @@ def test_without_a_service_manager_nothing_is_told():
 
 
 def test_the_unit_never_ends_the_watchdog_and_leaves_time_to_land():
-    unit = configparser.ConfigParser(strict=False, interpolation=None)
-    unit.optionxform = str
-    unit.read(DEPLOY / "vwnav.service")
-    flying = unit["Service"]
+    flying = unit()["Service"]
     assert (flying["KillMode"], flying["Type"], flying["User"]) == ("process", "notify", "vwnav")
     assert int(flying["TimeoutStopSec"]) >= 180  # docs/flying.md, section 6
-    assert flying["Restart"] == "on-abnormal"  # what ended with a reason is not flown again
+
+
+@pytest.mark.parametrize(
+    ("ended", "restarts"),
+    [
+        (LinkError("no autopilot"), True),
+        (PreflightError("not ready to fly after 90 s"), True),
+        (FlightError("the aircraft was disarmed while on route"), False),
+        (KeyboardInterrupt(), False),
+        (SystemExit(2), False),  # a wrong command line
+        (None, False),
+    ],
+)
+def test_what_may_come_good_is_started_anew_and_no_flight_that_ended(monkeypatch, ended, restarts):
+    def run() -> None:
+        if ended is not None:
+            raise ended
+
+    monkeypatch.setattr(command, "_run", run)
+    code: int | str | None = 0
+    try:
+        command.main()
+    except SystemExit as end:
+        code = end.code
+    flying = unit()["Service"]
+    assert flying["Restart"] == "on-failure"  # or killed, or silent
+    refused = map(int, flying["RestartPreventExitStatus"].split())
+    assert (code != 0 and code not in refused) is restarts
+
+
+def test_it_is_started_anew_however_often_and_after_a_pause():
+    assert unit()["Unit"]["StartLimitIntervalSec"] == "0"
+    assert 1 <= int(unit()["Service"]["RestartSec"]) <= 10
+
+
+@pytest.mark.parametrize(
+    ("end", "error"),
+    [
+        (FlightEnd("not ready to fly after 90 s: no attitude", unsafe=True), PreflightError),
+        (FlightEnd("the aircraft was disarmed before it took off"), FlightError),
+        (FlightEnd("interrupted by the operator: landing"), FlightError),
+    ],
+)
+def test_only_what_never_began_is_an_end_that_may_come_good(end, error):
+    with pytest.raises(error, match=end.reason):
+        program._raise_reason(end, "")
+
+
+def test_a_service_never_arms_by_itself(monkeypatch):
+    heard = []
+    monkeypatch.setattr(program, "say", heard.append)
+    wanted = {each.name: None for each in fields(FlyOptions)} | {"sim": False, "rejoined": False}
+    options = FlyOptions(**{**wanted, "arm": True})
+    service = ServiceManager({"NOTIFY_SOCKET": "/run/notify"})
+    assert not program._left_to_a_person(options, service).arms
+    assert heard == ["--arm is not heeded: a service never arms by itself, a person does"]
+    assert program._left_to_a_person(options, ServiceManager({})).arms
+
+
+@pytest.mark.parametrize(
+    ("phase", "engaged", "ended"),
+    [
+        (Phase.GET_READY, False, False),
+        (Phase.GET_READY, True, True),  # motors were asked to start
+        (Phase.ROUTE, True, True),
+        (Phase.LAND, False, True),
+    ],
+)
+def test_what_breaks_once_motors_may_run_ends_the_flight(phase, engaged, ended):
+    def run(_source, _clock):
+        raise ZeroDivisionError
+
+    aboard = Aboard(SimpleNamespace(phase=phase, engaged=engaged), SimpleNamespace(run=run))
+    if ended:
+        assert program._end_of(aboard, None, None).reason == "ZeroDivisionError()"
+        return
+    with pytest.raises(ZeroDivisionError):
+        program._end_of(aboard, None, None)
+
+
+def raised_in_a_stack(error, callback):
+    with ExitStack() as stack:
+        stack.push(callback)
+        raise error
+
+
+def test_what_follows_a_flight_that_broke_off_ends_for_good():
+    with pytest.raises(FlightError, match="not heard"):
+        raised_in_a_stack(LinkError("not heard"), program._ends_for_good)
+
+
+@pytest.mark.parametrize(
+    ("error", "left"),
+    [(LinkError, False), (PreflightError, False), (FlightError, True), (MemoryError, True)],
+)
+def test_a_try_that_never_began_leaves_no_folder_behind(tmp_path, error, left):
+    folder = tmp_path / "fly-20261127-120000"
+    folder.mkdir()
+    with pytest.raises(error):
+        raised_in_a_stack(error("it ended"), program._leaving_no_try(folder))
+    assert folder.exists() is left
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")

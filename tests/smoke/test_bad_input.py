@@ -94,6 +94,20 @@ def test_no_autopilot_on_the_link(vwnav, place, tmp_path):
     assert not (tmp_path / "out" / "trajectory.csv").exists()
 
 
+def test_a_service_that_finds_no_autopilot_may_be_tried_again_and_leaves_nothing(
+    vwnav, place, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    done = vwnav(
+        "fly", "--map", place.pack, "--route", _route(tmp_path, "1,20,0,50\n"), "--home",
+        "60.4,22.5", "--camera", place.camera, "--video", place.video, "--connection", NO_LINK,
+        "--arm", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.code == 1
+    assert "never arms by itself" in done.err
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
 def test_a_route_with_a_nan(vwnav, tmp_path):
     done = vwnav(
         "fly", "--sim", "--route", _route(tmp_path, "1,nan,0,50\n"), "-o", tmp_path / "out"

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from vwnav.errors import VwnavError
+from vwnav.machine.extras import how_to_install
 
 
 def pyplot() -> Any:
@@ -15,7 +16,7 @@ def pyplot() -> Any:
     try:
         import matplotlib
     except ImportError as error:
-        raise VwnavError("plots need matplotlib: pip install 'vwnav[eval]'") from error
+        raise VwnavError(f"plots need matplotlib: {how_to_install('eval')}") from error
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 

@@ -73,7 +73,7 @@ def _machine() -> Iterator[Check]:
     import numpy as np
     import onnxruntime
 
-    from vwnav.onboard.board import check_board
+    from vwnav.onboard.board import check_board, recordings_folder
 
     yield Check(
         "libraries",
@@ -81,7 +81,7 @@ def _machine() -> Iterator[Check]:
         f"Python {sys.version.split()[0]}, numpy {np.__version__}, OpenCV {cv2.__version__}, "
         f"onnxruntime {onnxruntime.__version__}",
     )
-    yield from check_board(Path.cwd())
+    yield from check_board(recordings_folder(Path.cwd()))
 
 
 def _learned_model() -> Check:

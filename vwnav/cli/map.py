@@ -294,13 +294,14 @@ def _check_values(found: "RouteOnMap") -> dict[str, Any]:
 
 def _heights(path: Path, rasters: "list[RasterSource]") -> "HeightGrid":
     from vwnav.errors import MapError
+    from vwnav.machine.extras import how_to_install
     from vwnav.maps.build.builder import sources_bounds
 
     try:
         from vwnav.maps.build.geotiff import read_heights
     except ImportError as error:
         raise MapError(
-            f"{path}: reading it needs rasterio; install it: pip install 'vwnav[maps]' ({error})"
+            f"{path}: reading it needs rasterio; install it: {how_to_install('maps')} ({error})"
         ) from error
     return read_heights(path, sources_bounds(rasters))
 

@@ -24,8 +24,23 @@ CLOCK_NOT_SET_S = 1_700_000_000.0  # 2023: a board without a clock battery start
 _THROTTLED = "sys/devices/platform/soc*/soc*:firmware/get_throttled"
 _TIMESYNC = "run/systemd/timesync"
 _TRIAL_MB, _TRIAL_SYNCS = 16, 20
+_SERVICE = Path("/var/lib/vwnav")  # the working directory of deploy/vwnav.service
 # Bits of get_throttled; 16 higher stands what has been since the board started.
 _UNDER_VOLTAGE, _CAPPED, _THROTTLING, _SOFT_LIMIT = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+
+
+def recordings_folder(here: Path, service: Path = _SERVICE) -> Path:
+    """Where `fly` would put recordings: here, or where the service does whose user we are.
+
+    That one may have no right here (`sudo -u vwnav`), and never flies from here.
+    """
+    runs = here / "runs"
+    own = runs if os.path.isdir(runs) else here  # `Path.is_dir` raises where nothing may be read
+    return service if _takes_files(service) and not _takes_files(own) else own
+
+
+def _takes_files(folder: Path) -> bool:
+    return os.access(folder, os.W_OK | os.X_OK)
 
 
 def check_board(folder: Path, root: Path = Path("/")) -> Iterator[Check]:
@@ -116,11 +131,14 @@ def _clock(root: Path) -> Check:
 
 
 def _free_disk(folder: Path) -> Check:
-    free_gb = shutil.disk_usage(folder).free / 1e9
+    try:
+        free_gb = shutil.disk_usage(folder).free / 1e9
+    except OSError as error:
+        return Check("disk", "WARN", f"cannot look at {folder}: {error.strerror}")
     verdict: CheckVerdict = "PASS" if free_gb >= FREE_DISK_GB else "WARN"
     advice = "" if verdict == "PASS" else "; remove something, recording stops at 1 GB"
     return Check(
-        "disk", verdict, f"{free_gb:.1f} GB free here, a flight takes 1 GB an hour{advice}"
+        "disk", verdict, f"{free_gb:.1f} GB free in {folder}, a flight takes 1 GB an hour{advice}"
     )
 
 
@@ -132,7 +150,7 @@ def _disk_speed(folder: Path) -> Check:
             mb_s = _TRIAL_MB / (time.perf_counter() - start_s)
             longest_s = max(_write_and_sync(file.fileno(), 30_000) for _ in range(_TRIAL_SYNCS))
     except OSError as error:
-        return Check("disk speed", "WARN", f"cannot write here: {error.strerror}")
+        return Check("disk speed", "WARN", f"cannot write in {folder}: {error.strerror}")
     detail = f"{mb_s:.0f} MB/s, the longest of {_TRIAL_SYNCS} syncs {1e3 * longest_s:.0f} ms"
     if mb_s < WRITES_MB_S:
         return Check(

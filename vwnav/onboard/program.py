@@ -1,9 +1,11 @@
 """`vwnav fly` once its options are read: everything opened, flown, and closed again."""
 
+import shutil
 import socket
 import sys
 import threading
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -15,14 +17,15 @@ import numpy as np
 from vwnav.assemble import about_run, assemble, choose_features
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import save_config
-from vwnav.errors import ConfigError, PreflightError, VwnavError
+from vwnav.errors import ConfigError, FlightError, PreflightError, VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
-from vwnav.onboard.aboard import first_state, put_aboard
+from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.onboard.aboard import Aboard, first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
@@ -55,21 +58,26 @@ def fly_route(options: FlyOptions) -> None:
     """Fly, and write the run folder.
 
     Raises:
-        VwnavError: anything that kept the route from being flown to its end.
+        VwnavError: anything that kept it from beginning.
         PreflightError: not safe to fly: the map does not cover the route.
+        FlightError: the route was not flown to its end.
     """
     go_first()
     cv2.setNumThreads(1)
     keep_heap_small()
-    options = _with_simulated_defaults(options)
+    manager = ServiceManager()
+    options = _with_simulated_defaults(_left_to_a_person(options, manager))
     with ExitStack() as stack:
         stack.enter_context(stderr_that_never_waits())
         plan = plan_flight(options, stack)
         if plan.returns:
             say(plan.returns)
-        if not options.sim and wait_for_the_aircraft(str(options.connection), ServiceManager()):
+        if not options.sim and wait_for_the_aircraft(str(options.connection), manager):
             options = _of_a_flight_that_broke_off(options)
+            stack.push(_ends_for_good)
         folder = make_run_folder(options.output, "fly")
+        if _is_tried_again(options):
+            stack.push(_leaving_no_try(folder))
         save_config(plan.config, folder / "config.toml")
         sync_file(folder / "config.toml")
         budget = DiskBudget(folder, plan.config.recording, removes=options.output is None)
@@ -147,6 +155,35 @@ def _with_simulated_defaults(options: FlyOptions) -> FlyOptions:
     return options
 
 
+def _left_to_a_person(options: FlyOptions, manager: ServiceManager) -> FlyOptions:
+    """A service is started by the board, or anew: nobody has looked whether who stands near."""
+    if not (options.arm and manager.listens):
+        return options
+    say("--arm is not heeded: a service never arms by itself, a person does")
+    return replace(options, arm=False)
+
+
+def _ends_for_good(_kind: object, error: BaseException | None, _traceback: object) -> None:
+    """For a stack: started anew it would not know of the flight that broke off, nor the place."""
+    if isinstance(error, VwnavError):
+        raise FlightError(str(error)) from error
+
+
+def _is_tried_again(options: FlyOptions) -> bool:
+    """By the service manager, if it does not begin (`deploy/vwnav.service`)."""
+    return ServiceManager().listens and options.output is None and not options.rejoined
+
+
+def _leaving_no_try(folder: Path) -> Callable[..., None]:
+    """For a stack: tries that never began would push flights out of the disk's budget."""
+
+    def leave(_kind: object, error: BaseException | None, _traceback: object) -> None:
+        if isinstance(error, VwnavError) and not isinstance(error, FlightError):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    return leave
+
+
 def _of_a_flight_that_broke_off(options: FlyOptions) -> FlyOptions:
     """The same command again: its folder holds that flight."""
     output = None if options.output is None else unused(options.output)
@@ -188,13 +225,28 @@ def _fly(
         try:
             if not options.arms:
                 _listen_for_enter(aboard.flight)
-            end = aboard.runtime.run(source, clock)
+            end = _end_of(aboard, source, clock)
         finally:
             handle.end()
             record.close(options, assembled.pipeline, plan.pack.name)
+    _raise_reason(end, "" if end.unsafe and _is_tried_again(options) else f" (record in {folder})")
+
+
+def _end_of(aboard: Aboard, source: FrameSource, clock: Clock) -> FlightEnd:
+    """What broke it in flight ended it, and is in the log; on the ground it is an error."""
+    try:
+        return aboard.runtime.run(source, clock)
+    except Exception as error:
+        if aboard.flight.phase is Phase.GET_READY and not aboard.flight.engaged:
+            raise
+        return FlightEnd(str(error) if isinstance(error, VwnavError) else repr(error))
+
+
+def _raise_reason(end: FlightEnd, where: str) -> None:
+    """One that never began may come good; one that ended is for a person to look at."""
     if end.reason is not None:
-        error = PreflightError if end.unsafe else VwnavError
-        raise error(f"{end.reason} (record in {folder})")
+        error = PreflightError if end.unsafe else FlightError
+        raise error(end.reason + where)
 
 
 def _start(options: FlyOptions, plan: FlightPlan, vehicle: VehicleState) -> Start:

@@ -29,6 +29,11 @@ class ServiceManager:
         self._next_s = -1.0
         self._phase = ""
 
+    @property
+    def listens(self) -> bool:
+        """Whether we are a service."""
+        return bool(self._address)
+
     def live(self, phase: str) -> None:
         """Ready, alive, and doing this; said once a second and when it changes."""
         now_s = monotonic()

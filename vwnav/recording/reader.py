@@ -52,7 +52,7 @@ def read_recording(path: Path, topics: frozenset[str] | None = None) -> Generato
         topics: only these; None is all.
 
     Raises:
-        SourceError: it is missing, damaged or no MCAP file, or the mcap package is not installed.
+        SourceError: it is missing, damaged or no MCAP file.
     """
     names: dict[int, str] = {}
     with _whatever_it_holds(path):
@@ -71,7 +71,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
     """What `Recorder` keeps of a whole recording as JSON, by name.
 
     Raises:
-        SourceError: it is missing, damaged or no MCAP file, or the mcap package is not installed.
+        SourceError: it is missing, damaged or no MCAP file.
     """
     found: dict[str, Any] = {}
     with _whatever_it_holds(path):
@@ -144,8 +144,6 @@ def _whatever_it_holds(path: Path) -> Iterator[None]:
     """One clear error for whatever goes wrong: the bytes of a file may be anything."""
     try:
         yield
-    except ImportError as error:
-        raise SourceError("reading MCAP needs mcap: pip install 'vwnav[eval]'") from error
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror}") from error
     except _DAMAGE as error:

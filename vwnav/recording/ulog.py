@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from vwnav.errors import SourceError
+from vwnav.machine.extras import how_to_install
 from vwnav.recording.telemetry_log import TelemetryLog
 from vwnav.types import Height, ImuSample, Range
 
@@ -59,7 +60,7 @@ def read_ulog(path: Path) -> TelemetryLog:
         from pyulog import ULog
     except ImportError as error:
         raise SourceError(
-            "reading ULog needs pyulog: pip install 'vwnav[eval]', or give the telemetry as CSV"
+            f"reading ULog needs pyulog: {how_to_install('eval')}, or give the telemetry as CSV"
         ) from error
     try:
         with (

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vwnav.errors import ConfigError
+from vwnav.machine.extras import how_to_install
 
 if TYPE_CHECKING:
     import onnx
@@ -35,7 +36,7 @@ def graph_cost(graph: bytes, size_wh: tuple[int, int] = SIZE_WH) -> GraphCost:
         import onnx
     except ImportError as error:
         raise ConfigError(
-            "parameters and MACs are not counted: pip install 'vwnav[bench]'"
+            f"parameters and MACs are not counted: {how_to_install('bench')}"
         ) from error
     model = onnx.load_from_string(graph)
     nodes = [node for node in model.graph.node if node.op_type in _COUNTED]

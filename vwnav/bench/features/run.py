@@ -31,6 +31,7 @@ from vwnav.bench.features.thesis import ThesisRow, thesis_rows
 from vwnav.bench.features.timing import SIZES_WH, Times, measure
 from vwnav.cameras.image_folder import read_image
 from vwnav.errors import ConfigError, SourceError
+from vwnav.machine.extras import how_to_install
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site
 from vwnav.types import Gray
 
@@ -149,7 +150,7 @@ def _flights(folder: Path, views: int, skipped: list[str]) -> Iterator[tuple[str
     try:
         from vwnav.maps.build.geotiff import RasterFile
     except ImportError:
-        skipped.append("flights need rasterio: pip install 'vwnav[maps]'")
+        skipped.append(f"flights need rasterio: {how_to_install('maps')}")
         return
 
     if (folder / "islamabad").is_dir():

