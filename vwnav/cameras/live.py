@@ -1,13 +1,12 @@
 """Live cameras and streams: a thread takes every image, the newest one is handed out."""
 
-import importlib
 import logging
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
@@ -24,8 +23,6 @@ _AGAIN_S = 1.0  # between attempts to open a camera that has failed
 _STOP_TIMEOUT_S = 2.0
 _OPEN_TIMEOUT_MS = 5000
 _DRIVER_STAMP_LIMIT_S = 1.0
-# Of a row, by sensor: 3448 pixel clocks at 182.4 MHz in every mode; a global shutter.
-_LINE_S = {"imx219": 3448 / 182.4e6, "imx296": 0.0}
 _EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us
 
 
@@ -276,64 +273,3 @@ class StreamGrabber:
     def close(self) -> None:
         """Hang up."""
         self._video.release()
-
-
-class PicameraGrabber:
-    """A Raspberry Pi camera by picamera2, which comes with the Pi's own operating system.
-
-    Raises:
-        SourceError: picamera2 is not there, or no camera is.
-    """
-
-    def __init__(self, width_px: int, height_px: int, fps: float) -> None:
-        self._camera = _open_picamera(width_px, height_px, fps)
-        self._to_centre_s = 0.5 * _readout_s(self._camera)
-
-    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next image."""
-        request = self._camera.capture_request(wait=_NO_IMAGE_TIMEOUT_S)
-        try:
-            image = request.make_array("main")
-            metadata = request.get_metadata()
-        finally:
-            request.release()
-        # SensorTimestamp: start of the read-out, ns since boot, when the first row's exposure ends.
-        to_centre_s = self._to_centre_s - 0.5 * metadata["ExposureTime"] / 1e6
-        return metadata["SensorTimestamp"] / 1e9 + to_centre_s, np.asarray(image, np.uint8)
-
-    def close(self) -> None:
-        """Give the camera back, also one whose cable is off: what waits for images is cancelled."""
-        with suppress(AttributeError):  # older versions cannot
-            self._camera.cancel_all_and_flush()
-        self._camera.close()
-
-
-def _readout_s(camera: Any) -> float:
-    """From the first row to the last; 0 for a sensor that is not known: calibrate its offset."""
-    line_s = _LINE_S.get(str(camera.camera_properties.get("Model", "")), 0.0)
-    sensor = camera.camera_configuration().get("sensor") or {}
-    rows = (sensor.get("output_size") or (0, 0))[1]
-    return float(line_s * rows)
-
-
-def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
-    try:
-        # Comes with the Pi's system, not from the package index: unknown to type checkers.
-        picamera2 = importlib.import_module("picamera2")
-    except ImportError as error:
-        raise SourceError(
-            "picamera2 is not installed: `sudo apt install python3-picamera2`, and make the "
-            "virtual environment with --system-site-packages"
-        ) from error
-    camera = None
-    try:
-        camera = picamera2.Picamera2()
-        # picamera2 names formats back to front: "RGB888" is BGR in memory, as OpenCV has it.
-        main = {"size": (width_px, height_px), "format": "RGB888"}
-        camera.configure(camera.create_video_configuration(main, controls={"FrameRate": fps}))
-        camera.start()
-    except (RuntimeError, IndexError) as error:
-        if camera is not None:
-            camera.close()  # else the next one finds it taken
-        raise SourceError(f"no Raspberry Pi camera: {error}; `rpicam-hello` shows why") from error
-    return camera
