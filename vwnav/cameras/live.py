@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras.light.keeper import LightKeeper
+from vwnav.cameras.light.v4l2 import EXPOSURE_UNIT_S, V4l2LightControls
 from vwnav.cameras.stream_times import StreamTimes
 from vwnav.cameras.video_file import quieten_decoder
 from vwnav.errors import SourceError
@@ -23,7 +25,6 @@ _AGAIN_S = 1.0  # between attempts to open a camera that has failed
 _STOP_TIMEOUT_S = 2.0
 _OPEN_TIMEOUT_MS = 5000
 _DRIVER_STAMP_LIMIT_S = 1.0
-_EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us
 
 
 class Grabber(Protocol):
@@ -64,6 +65,7 @@ class RealTimeSource:
         self._failed = False
         self._arrived = threading.Condition()
         self.dropped = 0
+        self._keeper: LightKeeper | None = None
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
@@ -85,8 +87,15 @@ class RealTimeSource:
                 )
             return frame
 
+    def hold_exposure(self, most_s: Callable[[], float], say: Callable[[str], None]) -> LightKeeper:
+        """From now on, and after each time it is opened anew, see `LightKeeper`."""
+        self._keeper = LightKeeper(most_s, say)
+        return self._keeper
+
     def close(self) -> None:
         """Stop grabbing and give the camera back."""
+        if self._keeper is not None:
+            self._keeper.close()
         with self._arrived:
             self._closed = True
             self._arrived.notify_all()
@@ -108,6 +117,8 @@ class RealTimeSource:
                 if grabbed is None:
                     return
                 self._hand_over(*grabbed)
+                if self._keeper is not None:
+                    self._keeper.saw(grabber, grabbed[1])
         except Exception:  # whatever a driver raises when its camera is pulled out
             _log.exception("the camera failed")
         finally:
@@ -162,6 +173,8 @@ class V4l2Grabber:
 
     def __init__(self, device: str, asked: AskedImages) -> None:
         quieten_decoder()
+        self._device = device
+        self._light: V4l2LightControls | None = None
         self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._video.isOpened():
             raise SourceError(
@@ -192,6 +205,15 @@ class V4l2Grabber:
         if self._raw and image.ndim == 3:  # YUYV: luminance first, then a colour by turns
             image = np.ascontiguousarray(image[..., 0])
         return self._exposure_time(stamp_s, arrival_s), np.asarray(image, dtype=np.uint8)
+
+    def light_controls(self) -> V4l2LightControls:
+        """Its exposure and gain.
+
+        Raises:
+            SourceError: it has no exposure that can be set.
+        """
+        self._light = V4l2LightControls(self._device, self._period_s)
+        return self._light
 
     def _compare(self, device: str, asked: AskedImages) -> None:
         """Refuse another size or format than what was asked; of another rate only tell."""
@@ -225,9 +247,14 @@ class V4l2Grabber:
         of the exposure; without such a stamp an image is one period old when it arrives.
         """
         if 0.0 <= arrival_s - stamp_s < _DRIVER_STAMP_LIMIT_S:
-            exposure_s = self._video.get(cv2.CAP_PROP_EXPOSURE) * _EXPOSURE_UNIT_S
-            return stamp_s - 0.5 * min(max(exposure_s, 0.0), self._period_s)
+            return stamp_s - 0.5 * min(max(self._exposure_s(), 0.0), self._period_s)
         return arrival_s - self._period_s
+
+    def _exposure_s(self) -> float:
+        """Of the newest image. Where it is held it is known: a camera that is asked may hang."""
+        if self._light is not None and self._light.exposure_s is not None:
+            return self._light.exposure_s
+        return float(self._video.get(cv2.CAP_PROP_EXPOSURE)) * EXPOSURE_UNIT_S
 
 
 class StreamGrabber:

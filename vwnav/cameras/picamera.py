@@ -6,12 +6,14 @@ drivers/media/i2c/imx219.c, imx477.c and imx708.c of https://github.com/raspberr
 """
 
 import importlib
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras.light.control import Light, LightRange
 from vwnav.errors import SourceError
 
 _IMAGE_TIMEOUT_S = 5.0
@@ -38,6 +40,7 @@ class PicameraGrabber:
     def __init__(self, width_px: int, height_px: int, fps: float) -> None:
         self._camera = _open_picamera(width_px, height_px, fps)
         self._to_centre_s = 0.5 * _readout_s(self._camera)
+        self._period_s, self._metadata = 1.0 / fps, dict[str, Any]()
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
@@ -47,15 +50,65 @@ class PicameraGrabber:
             metadata = request.get_metadata()
         finally:
             request.release()
+        self._metadata = metadata
         # SensorTimestamp: start of the read-out, ns since boot, when the first row's exposure ends.
         to_centre_s = self._to_centre_s - 0.5 * metadata["ExposureTime"] / 1e6
         return metadata["SensorTimestamp"] / 1e9 + to_centre_s, np.asarray(image, np.uint8)
+
+    def light_controls(self) -> "PicameraLightControls":
+        """Its exposure and gain.
+
+        Raises:
+            SourceError: libcamera knows of none for this camera.
+        """
+        return PicameraLightControls(self._camera, self._period_s, lambda: self._metadata)
 
     def close(self) -> None:
         """Give the camera back, also one whose cable is off: what waits for images is cancelled."""
         with suppress(AttributeError):  # older versions cannot
             self._camera.cancel_all_and_flush()
         self._camera.close()
+
+
+class PicameraLightControls:
+    """Exposure and gain by libcamera; each image's metadata tell what it was exposed with.
+
+    Raises:
+        SourceError: libcamera knows of none for this camera.
+    """
+
+    def __init__(
+        self, camera: Any, period_s: float, metadata: Callable[[], dict[str, Any]]
+    ) -> None:
+        self._camera, self._metadata = camera, metadata
+        known = camera.camera_controls  # name: (least, most, default)
+        if not {"AeEnable", "ExposureTime", "AnalogueGain"} <= known.keys():
+            raise SourceError("it has no control for that")
+        shortest_us, longest_us, _ = known["ExposureTime"]
+        least_gain, most_gain, _ = known["AnalogueGain"]
+        self.span = LightRange(
+            shortest_s=max(shortest_us, 1) * 1e-6,
+            longest_s=min(longest_us * 1e-6 or period_s, period_s),
+            step_s=1e-6,
+            least_gain=max(float(least_gain), 1.0),
+            most_gain=max(float(most_gain), 1.0),
+        )
+
+    def now(self) -> Light:
+        """Of the newest image."""
+        metadata = self._metadata()
+        return Light(metadata["ExposureTime"] * 1e-6, float(metadata["AnalogueGain"]))
+
+    def set(self, light: Light) -> None:
+        """From one of the next images on; it does not wait for it."""
+        exposure_us = round(light.exposure_s * 1e6)
+        self._camera.set_controls(
+            {"AeEnable": False, "ExposureTime": exposure_us, "AnalogueGain": light.gain}
+        )
+
+    def release(self) -> None:
+        """Its own automatic again."""
+        self._camera.set_controls({"AeEnable": True, "ExposureTime": 0, "AnalogueGain": 0.0})
 
 
 def _readout_s(camera: Any) -> float:

@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,7 +47,7 @@ def doctor(
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
     if video:
-        checks.append(_guarded("camera", lambda: _camera(video)))
+        checks.append(_guarded("camera", lambda: _camera(video, camera)))
     if connection:
         checks += _autopilot(connection)
     _print(checks, as_json)
@@ -158,21 +159,29 @@ def _calibration(path: Path) -> Check:
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 
-def _camera(video: str) -> Check:
+def _camera(video: str, calibration: Path | None) -> Check:
+    from vwnav.calibration.held_light import HeldLight
     from vwnav.cameras.sources import open_source
+    from vwnav.geometry.calibration import load_camera
 
+    lens = None
+    with suppress(VwnavError):  # which the line of the calibration tells
+        lens = load_camera(calibration) if calibration else None
     source = open_source(video)
     try:
+        light = HeldLight(source, lens)
         start_s, frames = time.monotonic(), 0
         while frames < 30 and time.monotonic() - start_s < 5.0:
             if source.next_frame() is None:
                 break
             frames += 1
         spent_s = max(time.monotonic() - start_s, 1e-3)
+        exposure = light.in_words()
     finally:
         source.close()
     verdict: CheckVerdict = "PASS" if frames / spent_s >= CAMERA_FPS else "WARN"
-    return Check("camera", verdict if frames else "FAIL", f"{frames / spent_s:.1f} frames/s")
+    told = "; ".join(filter(None, (f"{frames / spent_s:.1f} frames/s", exposure)))
+    return Check("camera", verdict if frames else "FAIL", told)
 
 
 def _autopilot(url: str) -> list[Check]:
