@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from vwnav.cameras.image_folder import ImageFolder
-from vwnav.cameras.live import PicameraGrabber, RealTimeSource
+from vwnav.cameras.live import RealTimeSource
+from vwnav.cameras.picamera import PicameraGrabber
 from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
 from vwnav.cameras.video_file import VideoFile
@@ -298,7 +299,7 @@ def test_without_picamera2_it_says_how_to_get_it():
 class FakePicamera:
     """A Raspberry Pi camera as picamera2 has it, whose every image ends its first row at 5 s."""
 
-    model = "imx219"
+    model, mode_wh = "imx219", (1640, 1232)
 
     def __init__(self) -> None:
         self.camera_properties = {"Model": self.model}
@@ -311,7 +312,7 @@ class FakePicamera:
     def close(self) -> None: ...
 
     def camera_configuration(self):
-        return {"sensor": {"output_size": (1640, 1232)}}
+        return {"sensor": {"output_size": self.mode_wh}}
 
     def capture_request(self, wait: float):
         assert wait > 0.0, "a cable that is off would be waited for without end"
@@ -323,11 +324,25 @@ class FakePicamera:
 
 
 @pytest.mark.parametrize(
-    ("model", "readout_s"), [("imx219", 0.02329), ("imx296", 0.0), ("unheard of", 0.0)]
+    ("model", "mode_wh", "readout_s"),
+    [
+        ("imx219", (1640, 1232), 0.02329),
+        ("imx296", (1456, 1088), 0.0),
+        ("imx477", (4056, 3040), 0.08686),
+        ("imx477", (2028, 1520), 0.02305),
+        ("imx477", (2028, 1080), 0.01638),
+        ("imx477", (1332, 990), 0.00785),
+        ("imx708", (4608, 2592), 0.06815),
+        ("imx708_wide", (2304, 1296), 0.01732),
+        ("imx708_wide_noir", (1536, 864), 0.00796),
+        ("unheard of", (1640, 1232), 0.0),
+        ("imx708", (640, 480), 0.0),
+    ],
 )
-def test_a_pi_cameras_image_is_stamped_at_its_centre_row(monkeypatch, model, readout_s):
-    """1232 rows of 18.9 us, as the sensor's driver has them; its stamp is the first row's end."""
+def test_a_pi_cameras_image_is_stamped_at_its_centre_row(monkeypatch, model, mode_wh, readout_s):
+    """Rows of the time that the sensor's driver has; its stamp is the first row's end."""
     monkeypatch.setattr(FakePicamera, "model", model)
+    monkeypatch.setattr(FakePicamera, "mode_wh", mode_wh)
     module = SimpleNamespace(Picamera2=FakePicamera)
     monkeypatch.setitem(sys.modules, "picamera2", module)
     grabbed = PicameraGrabber(1640, 1232, 30.0).grab()

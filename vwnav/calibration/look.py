@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.calibration.held_light import HeldLight
 from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
@@ -46,12 +47,14 @@ class Footage:
         stamps_s: (n,) of the images.
         latencies_s: (n,) from exposure to here; empty of what is not live.
         dropped: images that came while the one before was worked on.
+        exposure: of the newest one, in words; empty of what is not live.
     """
 
     newest: Frame
     stamps_s: Array
     latencies_s: Array
     dropped: int
+    exposure: str
 
 
 def look(options: LookOptions) -> None:
@@ -67,11 +70,13 @@ def look(options: LookOptions) -> None:
     extractor = load_features(options.features)
     source = open_source(options.source)
     try:
-        seen = _watch(source, options.seconds)
+        seen = _watch(source, options.seconds, HeldLight(source, calibration, options.height_m))
     finally:
         source.close()
     gray = to_gray(seen.newest.image)
     rows = [("size", f"{gray.shape[1]} x {gray.shape[0]} px"), *_times(seen), *_light(gray)]
+    if seen.exposure:
+        rows.append(("exposure", seen.exposure))
     found = extractor.extract(gray, KEYPOINTS)
     rows.append((f"keypoints, {options.features}", f"{len(found)} of at most {KEYPOINTS}"))
     if calibration is not None:
@@ -95,7 +100,7 @@ def _check_drawable(path: Path) -> None:
         raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")
 
 
-def _watch(source: FrameSource, seconds: float) -> Footage:
+def _watch(source: FrameSource, seconds: float, light: HeldLight) -> Footage:
     """Images for so long, or until a file ends."""
     live = isinstance(source, RealTimeSource)
     newest: Frame | None = None
@@ -112,7 +117,7 @@ def _watch(source: FrameSource, seconds: float) -> Footage:
     if newest is None:
         raise SourceError("no picture came")
     dropped = source.dropped if isinstance(source, RealTimeSource) else 0
-    return Footage(newest, np.array(stamps), np.array(latencies), dropped)
+    return Footage(newest, np.array(stamps), np.array(latencies), dropped, light.in_words())
 
 
 def _times(seen: Footage) -> list[tuple[str, str]]:

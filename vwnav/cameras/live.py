@@ -1,6 +1,5 @@
 """Live cameras and streams: a thread takes every image, the newest one is handed out."""
 
-import importlib
 import logging
 import threading
 import time
@@ -13,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras.light.keeper import LightKeeper
+from vwnav.cameras.light.v4l2 import EXPOSURE_UNIT_S, V4l2LightControls
 from vwnav.cameras.stream_times import StreamTimes
 from vwnav.cameras.video_file import quieten_decoder
 from vwnav.errors import SourceError
@@ -24,10 +25,7 @@ _AGAIN_S = 1.0  # between attempts to open a camera that has failed
 _STOP_TIMEOUT_S = 2.0
 _OPEN_TIMEOUT_MS = 5000
 _DRIVER_STAMP_LIMIT_S = 1.0
-# Of a row, by sensor: 3448 pixel clocks at 182.4 MHz in every mode; a global shutter.
-_LINE_S = {"imx219": 3448 / 182.4e6, "imx296": 0.0}
 _BAD_IN_A_ROW = 30  # pictures that no decoder takes: a second of them is a camera that has failed
-_EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us
 
 
 class Grabber(Protocol):
@@ -68,6 +66,7 @@ class RealTimeSource:
         self._failed = False
         self._arrived = threading.Condition()
         self.dropped = 0
+        self._keeper: LightKeeper | None = None
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
@@ -89,8 +88,15 @@ class RealTimeSource:
                 )
             return frame
 
+    def hold_exposure(self, most_s: Callable[[], float], say: Callable[[str], None]) -> LightKeeper:
+        """From now on, and after each time it is opened anew, see `LightKeeper`."""
+        self._keeper = LightKeeper(most_s, say)
+        return self._keeper
+
     def close(self) -> None:
         """Stop grabbing and give the camera back."""
+        if self._keeper is not None:
+            self._keeper.close()
         with self._arrived:
             self._closed = True
             self._arrived.notify_all()
@@ -112,6 +118,8 @@ class RealTimeSource:
                 if grabbed is None:
                     return
                 self._hand_over(*grabbed)
+                if self._keeper is not None:
+                    self._keeper.saw(grabber, grabbed[1])
         except Exception:  # whatever a driver raises when its camera is pulled out
             _log.exception("the camera failed")
         finally:
@@ -166,6 +174,8 @@ class V4l2Grabber:
 
     def __init__(self, device: str, asked: AskedImages) -> None:
         quieten_decoder()
+        self._device = device
+        self._light: V4l2LightControls | None = None
         self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._video.isOpened():
             raise SourceError(
@@ -205,6 +215,15 @@ class V4l2Grabber:
             image = np.ascontiguousarray(image[..., 0])
         return np.asarray(image, dtype=np.uint8)
 
+    def light_controls(self) -> V4l2LightControls:
+        """Its exposure and gain.
+
+        Raises:
+            SourceError: it has no exposure that can be set.
+        """
+        self._light = V4l2LightControls(self._device, self._period_s)
+        return self._light
+
     def _compare(self, device: str, asked: AskedImages) -> None:
         """Refuse another size or format than what was asked; of another rate only tell."""
         number = int(self._video.get(cv2.CAP_PROP_FOURCC))
@@ -237,9 +256,14 @@ class V4l2Grabber:
         of the exposure; without such a stamp an image is one period old when it arrives.
         """
         if 0.0 <= arrival_s - stamp_s < _DRIVER_STAMP_LIMIT_S:
-            exposure_s = self._video.get(cv2.CAP_PROP_EXPOSURE) * _EXPOSURE_UNIT_S
-            return stamp_s - 0.5 * min(max(exposure_s, 0.0), self._period_s)
+            return stamp_s - 0.5 * min(max(self._exposure_s(), 0.0), self._period_s)
         return arrival_s - self._period_s
+
+    def _exposure_s(self) -> float:
+        """Of the newest image. Where it is held it is known: a camera that is asked may hang."""
+        if self._light is not None and self._light.exposure_s is not None:
+            return self._light.exposure_s
+        return float(self._video.get(cv2.CAP_PROP_EXPOSURE)) * EXPOSURE_UNIT_S
 
 
 class StreamGrabber:
@@ -285,64 +309,3 @@ class StreamGrabber:
     def close(self) -> None:
         """Hang up."""
         self._video.release()
-
-
-class PicameraGrabber:
-    """A Raspberry Pi camera by picamera2, which comes with the Pi's own operating system.
-
-    Raises:
-        SourceError: picamera2 is not there, or no camera is.
-    """
-
-    def __init__(self, width_px: int, height_px: int, fps: float) -> None:
-        self._camera = _open_picamera(width_px, height_px, fps)
-        self._to_centre_s = 0.5 * _readout_s(self._camera)
-
-    def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next image."""
-        request = self._camera.capture_request(wait=_NO_IMAGE_TIMEOUT_S)
-        try:
-            image = request.make_array("main")
-            metadata = request.get_metadata()
-        finally:
-            request.release()
-        # SensorTimestamp: start of the read-out, ns since boot, when the first row's exposure ends.
-        to_centre_s = self._to_centre_s - 0.5 * metadata["ExposureTime"] / 1e6
-        return metadata["SensorTimestamp"] / 1e9 + to_centre_s, np.asarray(image, np.uint8)
-
-    def close(self) -> None:
-        """Give the camera back, also one whose cable is off: what waits for images is cancelled."""
-        with suppress(AttributeError):  # older versions cannot
-            self._camera.cancel_all_and_flush()
-        self._camera.close()
-
-
-def _readout_s(camera: Any) -> float:
-    """From the first row to the last; 0 for a sensor that is not known: calibrate its offset."""
-    line_s = _LINE_S.get(str(camera.camera_properties.get("Model", "")), 0.0)
-    sensor = camera.camera_configuration().get("sensor") or {}
-    rows = (sensor.get("output_size") or (0, 0))[1]
-    return float(line_s * rows)
-
-
-def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
-    try:
-        # Comes with the Pi's system, not from the package index: unknown to type checkers.
-        picamera2 = importlib.import_module("picamera2")
-    except ImportError as error:
-        raise SourceError(
-            "picamera2 is not installed: `sudo apt install python3-picamera2`, and make the "
-            "virtual environment with --system-site-packages"
-        ) from error
-    camera = None
-    try:
-        camera = picamera2.Picamera2()
-        # picamera2 names formats back to front: "RGB888" is BGR in memory, as OpenCV has it.
-        main = {"size": (width_px, height_px), "format": "RGB888"}
-        camera.configure(camera.create_video_configuration(main, controls={"FrameRate": fps}))
-        camera.start()
-    except (RuntimeError, IndexError) as error:
-        if camera is not None:
-            camera.close()  # else the next one finds it taken
-        raise SourceError(f"no Raspberry Pi camera: {error}; `rpicam-hello` shows why") from error
-    return camera

@@ -1,7 +1,9 @@
 """Images with the calibrated time offset: the centre row's time, on the autopilot's clock."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
+from vwnav.cameras.light.keeper import HoldsExposure, LightKeeper
 from vwnav.seams import FrameSource
 from vwnav.types import Frame
 
@@ -16,6 +18,13 @@ class RetimedSource:
         """The next image; None at the end."""
         frame = self._source.next_frame()
         return None if frame is None else replace(frame, t_s=frame.t_s + self._offset_s)
+
+    def hold_exposure(
+        self, most_s: Callable[[], float], say: Callable[[str], None]
+    ) -> LightKeeper | None:
+        """Of the source, where it is a live one."""
+        source = self._source
+        return source.hold_exposure(most_s, say) if isinstance(source, HoldsExposure) else None
 
     def close(self) -> None:
         """Close the source."""

@@ -7,12 +7,12 @@ from vwnav.cameras.gstreamer import GstreamerGrabber
 from vwnav.cameras.image_folder import ImageFolder
 from vwnav.cameras.live import (
     AskedImages,
-    PicameraGrabber,
     PixelFormat,
     RealTimeSource,
     StreamGrabber,
     V4l2Grabber,
 )
+from vwnav.cameras.picamera import PicameraGrabber
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 from vwnav.recording.reader import RecordedFrames

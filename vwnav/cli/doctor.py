@@ -166,6 +166,7 @@ def _calibration(path: Path) -> Check:
 
 def _camera(video: str, calibration: Path | None) -> Check:
     """By what `fly` asks of it before it arms."""
+    from vwnav.calibration.held_light import HeldLight
     from vwnav.cameras.live import RealTimeSource
     from vwnav.cameras.retimed import RetimedSource
     from vwnav.cameras.sources import open_source
@@ -177,7 +178,9 @@ def _camera(video: str, calibration: Path | None) -> Check:
     source = open_source(video)
     live = isinstance(source, RealTimeSource)
     try:
+        light = HeldLight(source, camera)
         sight, size = _watch(RetimedSource(source, offset_s), camera, live)
+        exposure = light.in_words()
     finally:
         source.close()
     if not live:
@@ -187,7 +190,7 @@ def _camera(video: str, calibration: Path | None) -> Check:
         return found
     rate = "" if sight.rate_hz is None else f"{sight.rate_hz:.1f} a second"
     untold = ("" if live else _KEPT, "" if camera else _FIT_UNTOLD)
-    told = "; ".join(filter(None, (found.detail, size, rate, *untold)))
+    told = "; ".join(filter(None, (found.detail, size, rate, exposure, *untold)))
     return Check("camera", "WARN" if any(untold) else found.verdict, told)
 
 

@@ -1,11 +1,14 @@
 """Camera and truth of a flight, as the options name them."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 
+from vwnav.cameras.light.keeper import HoldsExposure
 from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
 from vwnav.clock import Clock
 from vwnav.errors import LinkError
+from vwnav.geometry.exposure import BlurLimit
 from vwnav.mavlink.links import parse_link
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
@@ -15,6 +18,7 @@ from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.named_sites import is_site, parse_site
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.truth import TruthReader
+from vwnav.vehicle import Navigation
 
 
 def open_truth(
@@ -74,3 +78,16 @@ def open_camera(
         source = SimulatedCamera(renderer, truth, home, clock, flown_m)
     stack.callback(source.close)
     return source
+
+
+def hold_exposure(
+    source: FrameSource,
+    plan: FlightPlan,
+    navigation: Callable[[], Navigation],
+    say: Callable[[str], None],
+) -> None:
+    """Have a live camera expose no longer than what is flown allows."""
+    if isinstance(source, HoldsExposure):
+        lowest_m = -float(plan.route_ned_m[:, 2].max())
+        limit = BlurLimit(plan.camera.K[0, 0], plan.config.limits.cruise_m_s, lowest_m)
+        source.hold_exposure(lambda: limit.most_s(navigation().estimate), say)

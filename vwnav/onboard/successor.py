@@ -26,7 +26,7 @@ from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
-from vwnav.onboard.equipment import draw_camera, open_camera, open_truth
+from vwnav.onboard.equipment import draw_camera, hold_exposure, open_camera, open_truth
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
@@ -162,6 +162,7 @@ def _succeed(
         first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)
+    hold_exposure(source, plan, lambda: aboard.runtime.navigation, notices.append)
     try:
         with heeding_signals(aboard.runtime.interrupt):
             aboard.runtime.run(source, clock)
