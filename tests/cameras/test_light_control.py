@@ -73,15 +73,15 @@ def test_a_faster_flight_shortens_at_once_and_keeps_the_brightness():
 class Sensor:
     """A camera whose images show a command some looks later, and whose gain is its own affair."""
 
-    def __init__(self, gamma, gain_of, late) -> None:
-        self.gamma, self.gain_of = gamma, gain_of
+    def __init__(self, gamma, gain_of, late, exposure_of=lambda exposure_s: exposure_s) -> None:
+        self.gamma, self.gain_of, self.exposure_of = gamma, gain_of, exposure_of
         self.light = Light(0.02, 1.0)
         self.coming = deque([self.light] * (late + 1), late + 1)
 
     def level(self, scene):
         self.coming.append(self.light)
         seen = self.coming[0]
-        linear = scene * seen.exposure_s * self.gain_of(seen.gain)
+        linear = scene * self.exposure_of(seen.exposure_s) * self.gain_of(seen.gain)
         return 255.0 * min(linear, 1.0) ** (1.0 / self.gamma)
 
 
@@ -148,3 +148,27 @@ def test_who_may_expose_longer_does():
     assert sensor.light.gain > 1.5
     fly(sensor, [30.0] * 60, [0.02])
     assert sensor.light.gain < 1.1
+
+
+@pytest.mark.parametrize("scene", [11.0, 13.0, 15.0, 17.0, 19.0, 21.0, 35.0, 60.0])
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_a_camera_that_rounds_exposures_to_octaves_is_left_alone_in_the_end(scene, gamma):
+    """As a kind of USB camera does, without a word: no exposure of it may be the right one."""
+
+    def octave_s(exposure_s):
+        return 1e-4 * 2.0 ** round(math.log2(exposure_s / 1e-4))
+
+    sensor = Sensor(gamma, GAINS["as told"], 1, octave_s)
+    levels, told = fly(sensor, [scene] * 300, [0.03])
+    assert 0.45 < levels[-1] / TARGET_LEVEL < 2.1
+    assert told[150:] == [None] * 150
+    levels, _ = fly(sensor, [4.0 * scene] * 100, [0.03])
+    assert 0.45 < levels[-1] / TARGET_LEVEL < 2.1
+
+
+def test_a_light_that_comes_and_goes_all_day_is_followed_as_well_as_at_first():
+    """With a camera whose gain takes steps that go too far."""
+    day = ([30.0] * 60 + [50.0] * 60) * 20
+    levels, _ = fly(Sensor(1.0, GAINS["in stops"], 3), day, [0.002])
+    for end in range(60, len(day) + 1, 60):
+        assert 0.7 < levels[end - 1] / TARGET_LEVEL < 1.4

@@ -17,6 +17,7 @@ _SHARE, _MOST_SHARE, _MORE, _LESS = 0.6, 1.5, 1.6, 0.4
 _MOST_STEP = math.log(2.0)
 _BEGINS, _ENDS = math.log(1.3), math.log(1.1)  # off the target, to begin moving and to end it
 _LOOKS = 3
+_MOST_TURNS = 4  # from too dark to too bright and back: some round exposures to octaves
 _SETTLES_S = 0.4  # from a command until images show it
 _CHANGES = math.log(1.15)  # of the exposure alone, for less of which nothing is commanded
 _INSIDE = 0.9  # of the longest exposure that may be: the next one may be shorter
@@ -62,6 +63,7 @@ class LightControl:
         self._looks: list[float] = []
         self._settled_s = -math.inf  # never commanded yet
         self._share, self._off = _SHARE, 0.0  # what was lacking at the last step, 0 at rest
+        self._turns = 0  # of steps that went too far, since the last rest
 
     def next(self, t_s: float, level: float, now: Light, most_s: float) -> Light | None:
         """What to tell the camera; None to leave it as it is, but at first: its own automatic ends.
@@ -90,13 +92,22 @@ class LightControl:
         if len(self._looks) < _LOOKS:
             return None
         off, self._looks = statistics.median(self._looks), []
-        if abs(off) < (_ENDS if self._off else _BEGINS):
+        self._turns += self._off * off < 0.0
+        if abs(off) < self._tolerated():
             self._share, self._off = _SHARE, 0.0
+            self._turns = 0 if self._turns < _MOST_TURNS else self._turns
             return 0.0
+        self._turns = 0 if abs(off) > _MOST_STEP else self._turns
         if self._off:
             self._share *= _MORE if self._off * off > 0.0 else _LESS
         self._share, self._off = min(self._share, _MOST_SHARE), off
         return min(max(self._share * off, -_MOST_STEP), _MOST_STEP)
+
+    def _tolerated(self) -> float:
+        """How far off the target nothing is done: what no command mends is left as it is."""
+        if self._turns >= _MOST_TURNS:
+            return _MOST_STEP
+        return _ENDS if self._off else _BEGINS
 
     def _must_shorten(self, now: Light, most_s: float) -> bool:
         return now.exposure_s > max(most_s, self._span.shortest_s + self._span.step_s)
