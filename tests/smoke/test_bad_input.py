@@ -90,7 +90,8 @@ def test_no_autopilot_on_the_link(vwnav, place, tmp_path):
         "-o", tmp_path / "out",
     )  # fmt: skip
     assert done.code == 1
-    assert "autopilot" in done.complaint
+    assert f"waiting for the autopilot on {NO_LINK}" in done.err
+    assert f"no autopilot on {NO_LINK} within 20 s" in done.complaint
     assert not (tmp_path / "out" / "trajectory.csv").exists()
 
 

@@ -9,6 +9,7 @@ from vwnav.mavlink.link_budget import bytes_per_s
 from vwnav.mavlink.ports.mavsdk_port import MavlinkPort
 from vwnav.vehicle import Finding
 
+HEARD_WITHIN_S = 20.0
 _FIRST_HEARTBEAT_S = 5.0
 _STEP_S = 0.02
 _FINDINGS_STEPS = 250  # 5 s; longer where the machine is slow at steps, for each asks one question
@@ -36,7 +37,7 @@ class MavsdkAutopilot(LinkedAutopilot):
     def __init__(
         self,
         url: str,
-        timeout_s: float = 20.0,
+        timeout_s: float = HEARD_WITHIN_S,
         as_ground_station: bool = False,
         clock: Callable[[], float] = time.monotonic,
         link_url: str | None = None,
@@ -44,13 +45,13 @@ class MavsdkAutopilot(LinkedAutopilot):
         system_id: int = 0,
     ) -> None:
         capacity_bytes_s = bytes_per_s(link_url or url)
-        port = MavlinkPort(url, as_ground_station, timeout_s, clock, system_id)
+        port = MavlinkPort(url, as_ground_station, timeout_s, clock, system_id, link_url)
         super().__init__(port, clock, capacity_bytes_s, ground_station_ids)
         until_s = time.monotonic() + _FIRST_HEARTBEAT_S
         while self.kind is None:
             if time.monotonic() > until_s:
                 port.close()
-                raise LinkError(f"the autopilot on {url} is neither PX4 nor ArduPilot")
+                raise LinkError(f"the autopilot on {link_url or url} is neither PX4 nor ArduPilot")
             time.sleep(_STEP_S)
 
 

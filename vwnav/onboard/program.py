@@ -23,7 +23,7 @@ from vwnav.flight import Flight
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
 from vwnav.machine.signals import heeding_signals
-from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
+from vwnav.mavlink.mavsdk_autopilot import HEARD_WITHIN_S, MavsdkAutopilot
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.aboard import Aboard, first_state, put_aboard
 from vwnav.onboard.equipment import draw_camera, hold_exposure, open_camera, open_truth
@@ -100,6 +100,8 @@ def fly_route(options: FlyOptions) -> None:
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
         source = open_camera(options, plan, renderer, truth, clock, stack)
         stations = plan.config.flight.ground_station_ids
+        if not options.sim:
+            say(f"waiting for the autopilot on {link}, for {HEARD_WITHIN_S:.0f} s at most")
         autopilot = connect(watchdog, link, clock, stations)
         stack.callback(autopilot.close)
         _fly(options, plan, folder, budget, watchdog, autopilot, source, truth, clock, stack)

@@ -52,6 +52,7 @@ class MavlinkPort:
         timeout_s: how long an autopilot is waited for.
         clock: monotonic clock that stamps what is received.
         system_id: of the autopilot that is wanted; 0 for the first that is heard.
+        link_url: what the operator calls the link, when `url` is that of a relay in front of it.
 
     Raises:
         LinkError: the URL is wrong, or no autopilot is on the link.
@@ -64,8 +65,10 @@ class MavlinkPort:
         timeout_s: float,
         clock: Callable[[], float],
         system_id: int = 0,
+        link_url: str | None = None,
     ) -> None:
         self._clock = clock
+        self._link_url = link_url or url
         log_subscribe(_log_line)
         role = (
             ComponentType.GROUND_STATION if as_ground_station else ComponentType.COMPANION_COMPUTER
@@ -172,8 +175,8 @@ class MavlinkPort:
             if system is not None:
                 return system
         raise LinkError(
-            f"no autopilot on {url} within {timeout_s:.0f} s: check its power, the cable, the "
-            "baud rate, and that it sends MAVLink on that port"
+            f"no autopilot on {self._link_url} within {timeout_s:.0f} s: check its power, the "
+            "cable, the baud rate, and that it sends MAVLink on that port"
         )
 
     def _look(self, system_id: int) -> Any | None:
