@@ -47,6 +47,13 @@ def test_a_hover_passes_when_it_was_held_and_came_home():
     assert not all(step.passed for step in steps(HOVER, hover(hold_s=20.0)))
 
 
+def test_a_hold_lasts_by_its_times_not_by_how_many_samples_a_busy_machine_took():
+    late = [replace(sample, t_s=1.1 * sample.t_s) for sample in hover(hold_s=32.0)]
+    assert all(step.passed for step in steps(HOVER, late))
+    late = [replace(sample, t_s=1.1 * sample.t_s) for sample in hover(hold_s=29.0)]
+    assert not all(step.passed for step in steps(HOVER, late))
+
+
 def test_errors_are_of_the_hold_and_headings_pass_through_south():
     found = {each.name: each for each in statistics(HOVER, hover())}
     assert found["estimate off the truth"].rms == pytest.approx(0.1)
@@ -181,18 +188,36 @@ def test_an_autopilot_that_never_had_a_position_has_passed_nothing(tmp_path):
     report_on(HOVER, samples, [], tmp_path, "fused")
 
 
+def listening() -> Simulator:
+    """A simulator without its links."""
+    simulator = object.__new__(Simulator)
+    simulator.heard, simulator.armed, simulator._stood_z_m = {}, False, 0.0
+    return simulator
+
+
+def heartbeat(armed: bool) -> mavlink.MAVLink_heartbeat_message:
+    return mavlink.MAVLink_heartbeat_message(2, 12, 128 * armed, 0, 4, 3)
+
+
 def test_where_nobody_tells_the_truth_the_autopilots_word_is_taken_about_home():
     home = LocalFrame(60.4, 22.5, 0.0)
     north = LocalFrame(
         *(float(each) for each in home.to_geodetic(np.array([10.0, 0.0, 0.0]))[:2]), 0.0
     )
-    heard: dict[str, object] = {}
-    where = ByItself(Eyes("a.mbtiles", Path("cam.toml"), "rtsp://camera", "60.4,22.5"), heard)
+    simulator = listening()
+    eyes = Eyes("a.mbtiles", Path("cam.toml"), "rtsp://camera", "60.4,22.5")
+    where = ByItself(eyes, simulator.heard, simulator.own_place_ned_m)
     assert where.reference == "fused"
-    assert np.all(np.isnan(where.look(where.frame_here())[0]))
-    heard["LOCAL_POSITION_NED"] = SimpleNamespace(x=1.0, y=2.0, z=-30.0, vx=0.1, vy=0.2, vz=0.3)
-    assert where.look(home)[0] == pytest.approx([1.0, 2.0, -30.0])
-    heard["GPS_GLOBAL_ORIGIN"] = SimpleNamespace(
+    assert np.all(np.isnan(where.look(where.frame_here())))
+    simulator._hear(heartbeat(armed=False))
+    simulator._hear(mavlink.MAVLink_local_position_ned_message(0, 0, 0, -40.3, 0, 0, 0))
+    assert where.look(home)[0] == pytest.approx([0.0, 0.0, 0.0])  # PX4's z is of its own origin
+    simulator._hear(heartbeat(armed=True))
+    simulator._hear(mavlink.MAVLink_local_position_ned_message(0, 1, 2, -70.3, 0.1, 0.2, 0.3))
+    place_ned_m, velocity_ned_m_s = where.look(home)
+    assert place_ned_m == pytest.approx([1.0, 2.0, -30.0])
+    assert velocity_ned_m_s == pytest.approx([0.1, 0.2, 0.3])
+    simulator.heard["GPS_GLOBAL_ORIGIN"] = SimpleNamespace(
         latitude=round(north.lat_deg * 1e7), longitude=round(north.lon_deg * 1e7)
     )
     assert where.look(home)[0] == pytest.approx([11.0, 2.0, -30.0], abs=0.05)

@@ -15,7 +15,13 @@ from typing import Any
 from vwnav.bench.flights.faults.aircraft import asks_to_go_on
 from vwnav.bench.flights.live.inside import patch_folder
 from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
-from vwnav.bench.flights.live.whereabouts import ByItself, ByTruth, Eyes, Whereabouts
+from vwnav.bench.flights.live.whereabouts import (
+    ByItself,
+    ByTruth,
+    Eyes,
+    Whereabouts,
+    place_ned_m,
+)
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
@@ -71,6 +77,7 @@ class Simulator:
     def __init__(self, links: Links) -> None:
         self.mode, self.armed = FlightMode.HOLD, False
         self.manners: Manners = "px4"
+        self._stood_z_m = 0.0
         self.heard: dict[str, Any] = {}
         with contextlib.ExitStack() as stack:
             self.relay = Relay(links.connection, self._hear)
@@ -84,7 +91,7 @@ class Simulator:
                 self.where = ByTruth(links.truth, stack)
             else:
                 assert links.eyes is not None
-                self.where = ByItself(links.eyes, self.heard)
+                self.where = ByItself(links.eyes, self.heard, self.own_place_ned_m)
             self._stack = stack.pop_all()
 
     def close(self) -> None:
@@ -98,6 +105,14 @@ class Simulator:
             time.monotonic(), place_ned_m, velocity_ned_m_s, self.mode, self.armed,
             -float(place_ned_m[2]) < _GROUND_M,
         )  # fmt: skip
+
+    def own_place_ned_m(self, home: LocalFrame) -> Array:
+        """(3,) where the autopilot believes to be, its height from where it stood; NaN untold.
+
+        PX4 counts heights from an origin of its own, which may lie far below.
+        """
+        place = place_ned_m(self.heard.get("LOCAL_POSITION_NED"), self.heard, home)
+        return place - (0.0, 0.0, self._stood_z_m)
 
     @property
     def navigators_id(self) -> tuple[int, int] | None:
@@ -126,6 +141,8 @@ class Simulator:
 
     def _hear(self, message: Any) -> None:
         self.heard[message.get_type()] = message
+        if message.get_type() == "LOCAL_POSITION_NED" and not self.armed:
+            self._stood_z_m = float(message.z)
         if message.get_type() != "HEARTBEAT":
             return
         self.armed = bool(message.base_mode & _ARMED)

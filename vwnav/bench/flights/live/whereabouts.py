@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -116,8 +116,10 @@ class ByItself:
     reference: Reference = "fused"
     site = ""
 
-    def __init__(self, eyes: Eyes, heard: Mapping[str, Any]) -> None:
-        self._eyes, self._heard = eyes, heard
+    def __init__(
+        self, eyes: Eyes, heard: Mapping[str, Any], place_ned_m: Callable[[LocalFrame], Array]
+    ) -> None:
+        self._eyes, self._heard, self._place_ned_m = eyes, heard, place_ned_m
         self._home = LocalFrame(*parse_lat_lon(eyes.home), 0.0)
 
     def frame_here(self) -> LocalFrame:
@@ -127,9 +129,8 @@ class ByItself:
     def look(self, home: LocalFrame) -> tuple[Array, Array]:
         """As it tells."""
         told = self._heard.get("LOCAL_POSITION_NED")
-        if told is None:
-            return np.full(3, math.nan), np.full(3, math.nan)
-        return place_ned_m(told, self._heard, home), np.array([told.vx, told.vy, told.vz])
+        speed = (math.nan,) * 3 if told is None else (told.vx, told.vy, told.vz)
+        return self._place_ned_m(home), np.array(speed)
 
     def yaw_deg(self) -> float:
         """Its heading is a compass's."""

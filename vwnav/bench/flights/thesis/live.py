@@ -119,7 +119,7 @@ class LiveSampler:
         yaw_deg = where.yaw_deg()
         true = told.position_ned_m if where.reference == "true" else np.full(3, math.nan)
         sent = place_ned_m(heard.get("VISION_POSITION_ESTIMATE"), heard, flight.home)
-        fused = place_ned_m(heard.get("LOCAL_POSITION_NED"), heard, flight.home)
+        fused = flight.simulator.own_place_ned_m(flight.home)
         attitude, order = heard.get("ATTITUDE"), heard.get("SET_POSITION_TARGET_LOCAL_NED")
         compass_deg = math.nan if attitude is None else math.degrees(attitude.yaw)
         commanded_deg = math.nan
