@@ -29,7 +29,7 @@ from vwnav.errors import FlightError, PreflightError, VwnavError
 
 EXIT_FAILED = 1
 EXIT_NOT_SAFE = 3
-EXIT_FLIGHT_ENDED = 4  # deploy/vwnav.service starts none of these anew
+EXIT_FLIGHT_ENDED = 4  # of a service alone: deploy/vwnav.service starts none of these anew
 EXIT_INTERRUPTED = 130
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
@@ -104,7 +104,9 @@ def _exit_code(wrong: VwnavError) -> int:
         case PreflightError():
             return EXIT_NOT_SAFE
         case FlightError():
-            return EXIT_FLIGHT_ENDED
+            from vwnav.onboard.service import ServiceManager  # a flight has it already
+
+            return EXIT_FLIGHT_ENDED if ServiceManager().listens else EXIT_FAILED
         case _:
             return EXIT_FAILED
 

@@ -52,4 +52,4 @@ class PreflightError(VwnavError):
 
 
 class FlightError(VwnavError):
-    """A flight ended otherwise than by its route: exit code 4, which no service starts anew."""
+    """A flight ended otherwise than by its route: which no service starts anew."""

@@ -123,6 +123,7 @@ def test_what_may_come_good_is_started_anew_and_no_flight_that_ended(monkeypatch
             raise ended
 
     monkeypatch.setattr(command, "_run", run)
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
     code: int | str | None = 0
     try:
         command.main()
@@ -132,6 +133,17 @@ def test_what_may_come_good_is_started_anew_and_no_flight_that_ended(monkeypatch
     assert flying["Restart"] == "on-failure"  # or killed, or silent
     refused = map(int, flying["RestartPreventExitStatus"].split())
     assert (code != 0 and code not in refused) is restarts
+
+
+def test_without_a_service_a_flight_that_ended_is_a_failure_as_any_other(monkeypatch):
+    def run() -> None:
+        raise FlightError("the aircraft was disarmed while on route")
+
+    monkeypatch.setattr(command, "_run", run)
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    with pytest.raises(SystemExit) as end:
+        command.main()
+    assert end.value.code == 1
 
 
 def test_it_is_started_anew_however_often_and_after_a_pause():
