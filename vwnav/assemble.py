@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
 from vwnav.seams import FeatureChoice
 from vwnav.types import Array, FeatureExtractor, PointKind
-from vwnav.vision.config import FeaturesConfig
-from vwnav.vision.features.load import load_features
+from vwnav.vision.config import FeaturesConfig, LocalizerConfig
+from vwnav.vision.features.load import largest_view, load_chosen, load_features
 from vwnav.vision.localizer import Localizer
 from vwnav.vision.odometry.odometry import Odometry
 
@@ -59,13 +58,18 @@ def choose_features(
     Learned features that cannot be loaded are replaced by SIFT, and it is said.
     """
     if config.name != "learned":
-        return load_features(config.name), None
+        return load_chosen(config), None
     sift = load_features("sift")
     try:
-        return load_features("learned", Path(config.model), threads=config.threads), sift
+        return load_chosen(config), sift
     except ModelError as error:
         say(f"learned features are not available, flying on SIFT: {error}")
         return sift, None
+
+
+def warm(extractor: FeatureExtractor, config: LocalizerConfig) -> None:
+    """The first extraction of a size takes longer than the next: not in flight."""
+    extractor.extract(largest_view(config), config.max_keypoints)
 
 
 def assemble(

@@ -12,6 +12,7 @@ from vwnav.calibration.from_board import calibrate_camera
 from vwnav.calibration.from_flight import MountOptions, calibrate_mount
 from vwnav.calibration.look import LookOptions, look
 from vwnav.errors import CalibrationError, SourceError
+from vwnav.vision.config import FeaturesConfig
 
 
 def camera(output: Path) -> None:
@@ -20,7 +21,8 @@ def camera(output: Path) -> None:
 
 def mount(output: Path) -> None:
     nowhere = output.parent / "nowhere"
-    calibrate_mount(MountOptions("none.mcap", nowhere, nowhere, None, False, "sift", output))
+    sift = FeaturesConfig(name="sift")
+    calibrate_mount(MountOptions("none.mcap", nowhere, nowhere, None, False, sift, output))
 
 
 @pytest.mark.parametrize("calibrate", [camera, mount])

@@ -12,16 +12,21 @@ from typer.testing import CliRunner
 from vwnav.cli.doctor import _map
 from vwnav.cli.map import app
 from vwnav.errors import PreflightError, RouteError
+from vwnav.geometry.calibration import save_camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.plan_files import load_route
 from vwnav.maps.build.builder import BuildOptions, build_pack
 from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.heights import HeightGrid
+from vwnav.onboard import plan as planning
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
+from vwnav.sim.renderer import default_camera
+from vwnav.vision.features.load import load_features
 
 HOME = LocalFrame(47.0, 8.0, 500.0)
 FILES_HOME = [47.0, 8.0, 500.0]
+SIFT = load_features("sift")
 
 
 def place(north_m: float, east_m: float = 0.0) -> list[float]:
@@ -81,7 +86,7 @@ def test_a_route_over_a_ridge_is_refused_before_arming_and_by_each_command(packs
     assert values["lowest"] == pytest.approx(
         {"above_ground_m": -30.0, "to_waypoint": 2, "lat_deg": 47.00066, "lon_deg": 8.0}, abs=1e-4
     )
-    told = _map(packs[0], load_route(route))
+    told = _map(packs[0], load_route(route), SIFT)
     assert told.verdict == "FAIL"
     assert "35.0 m are missing" in told.detail
 
@@ -92,7 +97,7 @@ def test_one_that_clears_it_is_flown_and_how_low_it_comes_is_said(packs, tmp_pat
         [-70.0] * 2, abs=0.1
     )
     assert "10.0 m above the ground" in checked(packs[0], route).stdout
-    told = _map(packs[0], load_route(route))
+    told = _map(packs[0], load_route(route), SIFT)
     assert told.verdict == "PASS"
     assert "10.0 m above the ground" in told.detail
 
@@ -138,7 +143,29 @@ def test_altitudes_above_sea_level_are_flown_there_from_another_home(packs, tmp_
 def test_doctor_lets_a_route_pass_that_counts_from_a_home_it_cannot_be_told(packs, tmp_path):
     route = tmp_path / "r.txt"
     route.write_text("1,40,0,30\n2,60,0,30\n")
-    told = _map(packs[0], load_route(route))
+    told = _map(packs[0], load_route(route), SIFT)
     assert told.verdict == "WARN"
     assert "vwnav map check" in told.detail
     assert "--home LAT,LON" in told.detail
+
+
+def test_each_navigator_has_looked_once_at_a_view_as_large_as_in_flight(
+    packs, tmp_path, monkeypatch
+):
+    class Seen:
+        name, feature_set_id = "sift", "seen"
+
+        def __init__(self):
+            self.sizes = []
+
+        def extract(self, gray, max_keypoints):
+            self.sizes.append(gray.size)
+
+    seen = Seen()
+    monkeypatch.setattr(planning, "choose_features", lambda *_: (seen, None))
+    save_camera(default_camera().scaled(4000, 3000), tmp_path / "large.toml")
+    route = plan_file(tmp_path, (50.0, 70.0), (120.0, 70.0))
+    found = planned(packs[0], route, camera=tmp_path / "large.toml")
+    assert found.features == (seen, None)
+    # Not of the camera's size: of 12 megapixels it took 13 s and 0.7 GB.
+    assert seen.sizes == [pytest.approx(found.config.localizer.max_view_area_px, rel=0.01)]

@@ -21,6 +21,7 @@ from vwnav.mission.mission import Phase
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
+from vwnav.vision.features.load import load_features
 
 AROUND = [(0.0, 150.0), (150.0, 150.0), (150.0, 0.0), (150.0, -40.0), (150.0, 150.0), (0.0, 150.0)]
 FLOWN_M = 30.0
@@ -107,7 +108,7 @@ def test_what_returns_ask_for_is_said_before_anything_is_armed(plans, ridges, ar
     assert "above the ceiling of 120 m: a return from there goes back along the flown way" in high
     for ridge_m, words in ((60.0, low), (160.0, high.partition(" of the route")[2])):
         assert words in checked(ridges[ridge_m], around).stdout
-        assert words in _map(ridges[ridge_m], load_route(around)).detail
+        assert words in _map(ridges[ridge_m], load_route(around), load_features("sift")).detail
         assert words in json.loads(checked(ridges[ridge_m], around, "--json").stdout)["returns"]
 
 

@@ -61,11 +61,13 @@ def test_what_is_written_is_what_was_chosen(measured):
     assert list(settings.parent.iterdir()) == [settings]
 
 
-def test_a_flight_takes_them(measured, place, tmp_path):
+def test_a_flight_takes_them(vwnav, measured, place, tmp_path):
     (tmp_path / "route.txt").write_text("1,20,0,50\n")
+    bare = tmp_path / "bare.mbtiles"
+    assert vwnav("map", "build", place.pack, "-o", bare, "--features", "sift").code == 0
     names = FlyOptions.__dataclass_fields__
     asked = dict.fromkeys(names) | {
-        "sim": False, "map_source": str(place.pack), "route": tmp_path / "route.txt",
+        "sim": False, "map_source": str(bare), "route": tmp_path / "route.txt",
         "route_frame": "local", "config_path": measured[1], "home": "60.4,22.5",
     }  # fmt: skip
     with ExitStack() as stack:

@@ -21,7 +21,8 @@ from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.pack import MapPack
 from vwnav.screen import print_table, progress_bar, say
 from vwnav.types import FeatureExtractor, Frame
-from vwnav.vision.features.load import load_features
+from vwnav.vision.config import FeaturesConfig
+from vwnav.vision.features.load import load_chosen
 
 LEAST_IMAGES = 25  # that are found on the map
 MOST_IMAGES, FIRST_IMAGES, TURN_IMAGES = 150, 30, 6
@@ -37,7 +38,7 @@ class MountOptions:
     camera: Path
     telemetry: Path | None
     focal: bool
-    features: str
+    features: FeaturesConfig
     output: Path
 
 
@@ -51,7 +52,7 @@ def calibrate_mount(options: MountOptions) -> None:
     cv2.setNumThreads(1)
     flown = load_camera(options.camera)
     flight = read_flight(options.source, options.telemetry)
-    extractor = load_features(options.features)
+    extractor = load_chosen(options.features)
     with MapPack.open(options.map_path) as pack:
         pack.check_features(extractor)
         session = _MountSession(options, flight, pack, extractor)

@@ -10,16 +10,20 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from vwnav.cli.features import ConfigOption, FeaturesOption, ModelOption
 from vwnav.errors import PreflightError, VwnavError
 from vwnav.safety.check import Check, CheckVerdict
 
 if TYPE_CHECKING:
+    from vwnav.config import Config
     from vwnav.geometry.camera import Camera
     from vwnav.guidance.plan_files import Route
     from vwnav.safety.camera_watch import CameraSight
     from vwnav.seams import FrameSource
+    from vwnav.types import FeatureExtractor
 
 FRAME_BUDGET_MS = 100.0  # a fix is wanted several times a second beside odometry
+_BUDGET_SHARE = 0.5  # of the interval, where the settings want fixes more seldom
 _WATCHED, _WATCHED_S = 30, 5.0  # images, and for how long at most
 _STEADY = 8  # images in a row without trouble; the first ones of a camera may be old
 _FIT_UNTOLD = "whether they fit a calibration is not known: --camera FILE tells"
@@ -38,17 +42,27 @@ def doctor(
     camera: Path | None = typer.Option(None, help="Camera calibration to check."),
     video: str | None = typer.Option(None, help="Camera to open: /dev/video0, rtsp://, a file."),
     connection: str | None = typer.Option(None, help="Autopilot link, e.g. udpin://0.0.0.0:14540."),
+    features: FeaturesOption = None,
+    model: ModelOption = None,
+    config_path: ConfigOption = None,
     as_json: bool = typer.Option(False, "--json", help="One JSON object on stdout."),
 ) -> None:
-    """Check machine, model, and whatever is named: map, route, camera, autopilot."""
+    """Check machine, model, and whatever is named: map, route, camera, autopilot.
+
+    `--features`, `--model` and `--config` are those that `fly` will be given.
+    """
+    from vwnav.config import load_config, with_features
+
+    config = with_features(load_config(config_path), features, model)
     checks = list(_machine())
-    checks.append(_learned_model())
+    check, extractor = _features(config)
+    checks.append(check)
     flown: Route | None = None
     if route:
         check, flown = _route(route)
         checks.append(check)
     if map_path:
-        checks.append(_guarded("map", lambda: _map(map_path, flown)))
+        checks.append(_guarded("map", lambda: _map(map_path, flown, extractor)))
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
     if video:
@@ -84,35 +98,38 @@ def _machine() -> Iterator[Check]:
     yield from check_board(recordings_folder(Path.cwd()))
 
 
-def _learned_model() -> Check:
-    import numpy as np
+def _features(config: "Config") -> "tuple[Check, FeatureExtractor]":
+    """What `fly` would look with, and how long that takes; SIFT where it would fall back to it."""
+    import cv2
 
-    from vwnav.vision.features.load import load_features
+    from vwnav.assemble import choose_features
+    from vwnav.vision.features.load import largest_view
 
-    try:
-        extractor = load_features("learned")
-    except VwnavError as error:
-        return Check("learned features", "WARN", f"{error}; flights fall back to SIFT")
-    image = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+    cv2.setNumThreads(1)  # as in flight
+    said: list[str] = []
+    extractor, _ = choose_features(config.features, said.append)
+    view, keypoints = largest_view(config.localizer), config.localizer.max_keypoints
     times_ms = []
     for _ in range(6):
         start_s = time.perf_counter()
-        extractor.extract(image, 1000)
+        extractor.extract(view, keypoints)
         times_ms.append((time.perf_counter() - start_s) * 1e3)
     spent_ms = sorted(times_ms)[len(times_ms) // 2]
-    return Check(
-        "learned features",
-        "PASS" if spent_ms <= FRAME_BUDGET_MS else "WARN",
-        f"{extractor.feature_set_id}: {spent_ms:.0f} ms for 640x480 "
-        f"(budget {FRAME_BUDGET_MS:.0f} ms)",
+    budget_ms = max(FRAME_BUDGET_MS, _BUDGET_SHARE * 1e3 * config.pipeline.fix_interval_s)
+    told = (
+        f"{extractor.feature_set_id}: {spent_ms:.0f} ms for {view.shape[1]}x{view.shape[0]}, "
+        f"{keypoints} keypoints (budget {budget_ms:.0f} ms)"
     )
+    verdict: CheckVerdict = "WARN" if said or spent_ms > budget_ms else "PASS"
+    return Check(f"{config.features.name} features", verdict, "; ".join([*said, told])), extractor
 
 
-def _map(path: Path, route: "Route | None") -> Check:
+def _map(path: Path, route: "Route | None", extractor: "FeatureExtractor") -> Check:
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.flight_plan import route_on_map
 
     with MapPack.open(path) as pack:
+        pack.check_features(extractor)
         sets = ", ".join(each.name for each in pack.feature_sets) or "no features"
         finest = min(level.m_per_px for level in pack.levels)
         detail = f"{pack.name}: {len(pack.levels)} levels from {finest:.2f} m/px, {sets}"

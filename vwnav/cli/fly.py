@@ -5,6 +5,7 @@ from typing import get_args
 
 import typer
 
+from vwnav.cli.features import ConfigOption, FeaturesOption, ModelOption
 from vwnav.onboard.options import FlyOptions
 from vwnav.sim.config import Manners
 
@@ -18,9 +19,7 @@ def fly(
         False, "--arm", help="Arm by itself once ready; else a person arms a real aircraft."
     ),
     standby: bool = typer.Option(False, "--standby", hidden=True),
-    features: str | None = typer.Option(
-        None, help="learned, sift or orb; else as --config says, else learned."
-    ),
+    features: FeaturesOption = None,
     map_source: str | None = typer.Option(None, "--map", help="Map pack, or sim:SITE."),
     route: Path | None = typer.Option(
         None, help="QGroundControl .plan, Mission Planner .waypoints, GeoJSON or ID,X,Y,Z text."
@@ -45,10 +44,8 @@ def fly(
     manners: str = typer.Option("px4", help="With --sim: the vehicle's: px4, px4-1.16 or copter."),
     wind_m_s: float = typer.Option(5.0, min=0.0, max=15.0, help="With --sim: mean wind, gusty."),
     seed: int = typer.Option(1, help="With --sim: of wind and sensor noise."),
-    model: Path | None = typer.Option(
-        None, help="Learned features of another size (nano) or ONNX file."
-    ),
-    config_path: Path | None = typer.Option(None, "--config", help="Settings (TOML)."),
+    model: ModelOption = None,
+    config_path: ConfigOption = None,
     output: Path | None = typer.Option(None, "-o", "--output", help="Folder of the results."),
 ) -> None:
     """Fly a route without GPS and come home.

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import typer
 
+from vwnav.cli.features import ModelOption
 from vwnav.cli.numbers import finite
 
 
@@ -50,9 +51,7 @@ def localize(
         None, min=1.0, callback=finite, help="Height above the ground."
     ),
     features: str = typer.Option("learned", help="learned, sift or orb."),
-    model: Path | None = typer.Option(
-        None, help="Learned features of another size (nano) or ONNX file."
-    ),
+    model: ModelOption = None,
     json_lines: bool = typer.Option(False, "--json", help="One JSON object per picture."),
 ) -> None:
     """Find where pictures were taken on a map.

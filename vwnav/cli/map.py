@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vwnav.cli.features import ModelOption
 from vwnav.cli.numbers import finite
 
 if TYPE_CHECKING:
@@ -55,9 +56,7 @@ def build(
         str | None, typer.Option(help="Of rasters that name none, such as EPSG:32643.")
     ] = None,
     heights: Annotated[Path | None, typer.Option(help="Elevation raster, above sea level.")] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="Learned features of another size (nano) or ONNX file.")
-    ] = None,
+    model: ModelOption = None,
 ) -> None:
     """Make a map pack: tiles of several levels, and the features to find pictures in them.
 

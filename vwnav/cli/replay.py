@@ -4,6 +4,7 @@ from pathlib import Path
 
 import typer
 
+from vwnav.cli.features import ConfigOption, FeaturesOption, ModelOption
 from vwnav.cli.numbers import finite
 
 
@@ -19,13 +20,9 @@ def replay(
         help="Attitude and height: CSV, ULog or tlog. 0 of a CSV's t_s, or the first attitude of "
         "the others, is the first picture's time.",
     ),
-    features: str | None = typer.Option(
-        None, help="learned, sift or orb; else as --config says, else learned."
-    ),
-    model: Path | None = typer.Option(
-        None, help="Learned features of another size (nano) or ONNX file."
-    ),
-    config_path: Path | None = typer.Option(None, "--config", help="Settings (TOML)."),
+    features: FeaturesOption = None,
+    model: ModelOption = None,
+    config_path: ConfigOption = None,
     output: Path | None = typer.Option(None, "-o", "--output", help="Folder of the results."),
     check: bool = typer.Option(
         False, "--check", help="Hold a flight.mcap against the rules of every flight instead."

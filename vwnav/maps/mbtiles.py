@@ -1,6 +1,7 @@
 """The file of a pack: opening, checking, and reading single rows of it."""
 
 import json
+import re
 import sqlite3
 import zlib
 from dataclasses import dataclass
@@ -29,6 +30,12 @@ class FeatureSetInfo:
     feature_set_id: str
     descriptor_kind: DescriptorKind
     dimension: int
+
+
+def model_of(feature_set_id: str) -> str:
+    """Size of the network that made learned features; "" of others."""
+    size = re.match(r"vwnav-learned-(\w+)-", feature_set_id)
+    return "" if size is None else size[1]
 
 
 @dataclass(frozen=True, slots=True)

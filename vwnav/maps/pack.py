@@ -1,7 +1,6 @@
 """The map as it is read in flight: sqlite3, numpy and OpenCV, only the tiles that are asked for."""
 
 import logging
-import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from vwnav.maps.mbtiles import (
     DAMAGE,
     FeatureSetInfo,
     damaged,
+    model_of,
     open_database,
     read_description,
     read_features,
@@ -267,7 +267,8 @@ class MapPack:
         elif stored.feature_set_id != extractor.feature_set_id:
             raise ModelError(
                 f"{self.path}: its {extractor.name} features are of {stored.feature_set_id}, "
-                f"this program's are of {extractor.feature_set_id}; "
+                f"those asked for are of {extractor.feature_set_id}; "
+                f"{_naming_model(stored, extractor)}"
                 f"run `{self._repair_command(extractor)}`"
             )
         return stored
@@ -276,8 +277,8 @@ class MapPack:
         names = {info.name for info in self.feature_sets} | {extractor.name}
         ordered = ",".join(name for name in FEATURE_NAMES if name in names)
         command = f"vwnav map build {self.path} -o {self.path} --features {ordered}"
-        size = re.match(r"vwnav-learned-(\w+)-", extractor.feature_set_id)
-        return command if size is None or size[1] == "default" else f"{command} --model {size[1]}"
+        size = model_of(extractor.feature_set_id)
+        return command if size in ("", "default") else f"{command} --model {size}"
 
     def _tile_image(self, tile: Tile) -> MapImage | None:
         with self._lock:
@@ -325,6 +326,11 @@ class MapPack:
         if what not in self._warned:
             self._warned.add(what)
             _LOG.warning(message)
+
+
+def _naming_model(stored: FeatureSetInfo, extractor: FeatureExtractor) -> str:
+    size = model_of(stored.feature_set_id)
+    return "" if size in ("", model_of(extractor.feature_set_id)) else f"give --model {size}, or "
 
 
 def _strongest_in(joined: JoinedFeatures, window: Window, count: int) -> Features:

@@ -17,7 +17,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.mission.home import WayHome, from_home_ned_m
 from vwnav.mission.mission import Mission
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import Array
+from vwnav.types import Array, FeatureExtractor
 
 _RETURNS_EVERY_M = 20.0
 _MOST_RETURNS = 300
@@ -33,6 +33,7 @@ class FlightPlan:
         route_ned_m: (n, 3) waypoints.
         home_known: False when the take-off may be anywhere on the map.
         about_home: the waypoints are counted from home.
+        features: extractor, and what stands in for it; the pack fits the first.
     """
 
     config: Config
@@ -42,6 +43,7 @@ class FlightPlan:
     route_ned_m: Array
     home_known: bool
     about_home: bool
+    features: tuple[FeatureExtractor, FeatureExtractor | None]
 
     @property
     def mission(self) -> Mission:

@@ -3,8 +3,8 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from vwnav.assemble import choose_features
-from vwnav.config import Config, load_config, with_camera, with_features
+from vwnav.assemble import choose_features, warm
+from vwnav.config import load_config, with_camera, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
@@ -16,13 +16,14 @@ from vwnav.onboard.simulation import DEFAULT_SITE, map_pack_of
 from vwnav.screen import say
 from vwnav.sim.named_sites import is_site, parse_site
 from vwnav.sim.renderer import default_camera
+from vwnav.types import FeatureExtractor
 
 
 def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     """All that is known before the link is opened.
 
     Raises:
-        VwnavError: a file that cannot be used.
+        VwnavError: a file that cannot be used, or a pack of another model's features.
         PreflightError: the map does not cover the route, or has ground that is too high for it.
     """
     config = with_features(load_config(options.config_path), options.features, options.model)
@@ -30,7 +31,8 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
     camera = load_camera(options.camera) if options.camera else default_camera()
     config = with_camera(config, camera.sigma_mount_rad, camera.sigma_focal_ratio)
-    pack = stack.enter_context(MapPack.open(_map_path(options, config)))
+    features = choose_features(config.features, say)
+    pack = stack.enter_context(MapPack.open(_map_path(options, features)))
     home = parse_lat_lon(options.home) if options.home else route.home
     if home is None and options.sim:
         site = parse_site(options.video or DEFAULT_SITE)
@@ -41,17 +43,21 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     ground_m = route.ground_amsl_m(home, surveyed_m)
     route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M, ground_m)
     plan = FlightPlan(
-        config, pack, camera, local_frame, route_ned_m, home is not None, route.about_home
-    )
+        config, pack, camera, local_frame, route_ned_m, home is not None, route.about_home,
+        features,
+    )  # fmt: skip
     refused = plan.refuse_at_once()
     if refused:
         raise PreflightError(refused)
+    pack.check_features(features[0])
+    warm(features[0], config.localizer)
     return plan
 
 
-def _map_path(options: FlyOptions, config: Config) -> Path:
+def _map_path(
+    options: FlyOptions, features: tuple[FeatureExtractor, FeatureExtractor | None]
+) -> Path:
     text = str(options.map_source)
     if not is_site(text):
         return Path(text)
-    primary, fallback = choose_features(config.features, say)
-    return map_pack_of(text, [primary, *([fallback] if fallback else [])])
+    return map_pack_of(text, [each for each in features if each is not None])

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vwnav.assemble import about_run, assemble, choose_features
+from vwnav.assemble import about_run, assemble
 from vwnav.clock import AwaitedExecutor, Clock, WallClock
 from vwnav.config import save_config
 from vwnav.errors import ConfigError, FlightError, PreflightError, VwnavError
@@ -208,7 +208,7 @@ def _fly(
     executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
     notices = deque[str]()
     assembled = assemble(
-        *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
+        *plan.features, plan.pack, plan.camera, plan.local_frame,
         plan.config, executor, notices.append,
     )  # fmt: skip
     stack.callback(assembled.pipeline.give_up)

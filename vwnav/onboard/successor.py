@@ -16,11 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from vwnav.assemble import Assembled, about_run, assemble, choose_features
+from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
 from vwnav.estimation.beginning.starts import Start
-from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.signals import heeding_signals
@@ -34,7 +33,6 @@ from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
 from vwnav.onboard.succession import start_after
 from vwnav.recording.run_folder import unused
-from vwnav.screen import say
 from vwnav.sim.renderer import CameraRenderer
 from vwnav.types import Array
 from vwnav.vehicle import Learned
@@ -107,23 +105,15 @@ def stand_by(options: FlyOptions) -> None:
         executor = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
         notices = deque[str]()
         assembled = assemble(
-            *choose_features(plan.config.features, say), plan.pack, plan.camera, plan.local_frame,
+            *plan.features, plan.pack, plan.camera, plan.local_frame,
             plan.config, executor, notices.append,
         )  # fmt: skip
         stack.callback(assembled.pipeline.give_up)
-        _warm(assembled, plan.camera)
         renderer = draw_camera(options, plan, stack)
         line = sys.stdin.readline()
         if line:
             handover = Handover.read(line)
             _succeed(options, plan, assembled, notices, renderer, handover, stack)
-
-
-def _warm(assembled: Assembled, camera: Camera) -> None:
-    """The first extraction of a session takes several times as long as the next."""
-    shape = (camera.height_px, camera.width_px)
-    noise = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
-    assembled.primary.extract(noise, 100)
 
 
 def _succeed(

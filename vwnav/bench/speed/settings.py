@@ -11,7 +11,7 @@ from vwnav.errors import ConfigError
 from vwnav.types import FEATURE_NAMES, FeatureExtractor
 from vwnav.vision.config import FeaturesConfig, LocalizerConfig
 from vwnav.vision.features.learned import released_model
-from vwnav.vision.features.load import load_features
+from vwnav.vision.features.load import load_chosen, load_features
 
 # Of the ground that an image shows, on the map: `max_view_area_px` chooses the level.
 SIZES_WH = ((640, 480), (416, 320), (320, 240))
@@ -64,8 +64,7 @@ class Setting:
         Raises:
             ModelError: the model is missing or damaged.
         """
-        features = self.features
-        return load_features(features.name, Path(features.model), threads=features.threads)
+        return load_chosen(self.features)
 
     def as_config(self, target_hz: float) -> dict[str, dict[str, Any]]:
         """The tables of a settings file that flies so.

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from vwnav.cli.features import ConfigOption, FeaturesOption, ModelOption
+
 app = typer.Typer(no_args_is_help=True, help="Calibrate the camera: its lens, then its mount.")
 
 
@@ -81,7 +83,9 @@ def mount(
         ),
     ] = None,
     focal: Annotated[bool, typer.Option("--focal", help="Ask for the focal length too.")] = False,
-    features: Annotated[str, typer.Option(help="learned, sift or orb.")] = "learned",
+    features: FeaturesOption = None,
+    model: ModelOption = None,
+    config_path: ConfigOption = None,
 ) -> None:
     """Solve how the camera is mounted, how late and how slow it is, from one flight over the map.
 
@@ -91,5 +95,7 @@ def mount(
     Example: vwnav calibrate mount flight.mcap --map field.mbtiles --camera camera.toml -o new.toml
     """
     from vwnav.calibration.from_flight import MountOptions, calibrate_mount
+    from vwnav.config import load_config, with_features
 
-    calibrate_mount(MountOptions(source, map_path, camera, telemetry, focal, features, output))
+    chosen = with_features(load_config(config_path), features, model).features
+    calibrate_mount(MountOptions(source, map_path, camera, telemetry, focal, chosen, output))

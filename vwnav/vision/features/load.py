@@ -1,9 +1,13 @@
 """Choosing a feature extractor by its name."""
 
+import math
 from pathlib import Path
 
+import numpy as np
+
 from vwnav.errors import ConfigError
-from vwnav.types import FEATURE_NAMES, FeatureExtractor
+from vwnav.types import FEATURE_NAMES, FeatureExtractor, Gray
+from vwnav.vision.config import FeaturesConfig, LocalizerConfig
 from vwnav.vision.features.opencv import OrbFeatures, SiftFeatures
 
 
@@ -33,3 +37,19 @@ def load_features(
             return OrbFeatures()
         case _:
             raise ConfigError(f"no features {name!r}: choose one of {', '.join(FEATURE_NAMES)}")
+
+
+def load_chosen(config: FeaturesConfig) -> FeatureExtractor:
+    """The extractor that settings name.
+
+    Raises:
+        ModelError: the model is missing, damaged or foreign.
+    """
+    return load_features(config.name, Path(config.model), threads=config.threads)
+
+
+def largest_view(config: LocalizerConfig) -> Gray:
+    """(h, w) of nothing, of 4:3, as large as the views that are extracted, whatever the camera."""
+    width_px = math.sqrt(config.max_view_area_px * 4.0 / 3.0)
+    shape = round(0.75 * width_px), round(width_px)
+    return np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
