@@ -23,10 +23,6 @@ class SafetyMonitor:
 
     Args:
         cruise_m_s: how fast the way home is flown.
-
-    Attributes:
-        unheeded: what a ground station has asked for since the step before, and why it is not done;
-            "" where it is.
     """
 
     def __init__(self, config: SafetyConfig, cruise_m_s: float) -> None:
@@ -39,7 +35,6 @@ class SafetyMonitor:
         self._bounds: RouteBounds | None = None
         self._order: Order | None = None
         self._is_new_order = False
-        self.unheeded = ""
         self._lands = False
 
     def _begin_watching(self) -> None:
@@ -105,11 +100,17 @@ class SafetyMonitor:
         self._radio.step(vehicle.rc_available, t_s)
         self._ground.step(vehicle.ground_station, t_s)
         self._position.step(navigation.estimate, t_s)
-        is_new, self._is_new_order = self._is_new_order, False
         decision = self._hierarchy.step(self._situation(navigation, vehicle, t_s))
         self._lands = self._lands or decision.action is Action.LAND
-        self.unheeded = _unheeded(self._order, decision) if is_new else ""
         return decision
+
+    def unheeded(self, decision: Decision) -> str:
+        """What a ground station has asked for lately, and why it is not done; "" where it is.
+
+        `decision`: what is done.
+        """
+        is_new, self._is_new_order = self._is_new_order, False
+        return _unheeded(self._order, decision) if is_new else ""
 
     def _situation(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Situation:
         position = self._position
