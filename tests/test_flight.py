@@ -1228,3 +1228,15 @@ def test_a_position_that_stays_poor_in_a_return_is_not_called_well():
     scene.go_on(20.0)
     assert scene.said[-1] == "position uncertain by 9 m: returning"
     assert "all well again: going on" not in scene.said
+
+
+def test_an_aircraft_whose_battery_went_critical_in_the_pilots_hands_is_not_taken_back():
+    """Nobody looked: it was taken out of his hands and landed three seconds later."""
+    scene = taken()
+    scene.vehicle.be(battery_ratio=0.05)
+    scene.go_on(20.0)
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(10.0)
+    assert scene.vehicle.asked == asked
+    assert scene.said[-1] == "battery critical: the aircraft stays the pilot's"

@@ -338,8 +338,10 @@ class Flight:
             self._say(self._safety.unheeded(decision))
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
-        elif self.phase is Phase.RELEASED and self._takeover.given_back:
-            self._resume(t_s, vehicle, navigation)
+        elif self.phase is Phase.RELEASED:
+            self._safety.watch(navigation, vehicle, t_s)
+            if self._takeover.given_back:
+                self._resume(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:
             assert self._landing is not None
             state = self._landing.step(vehicle, t_s)
