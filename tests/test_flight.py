@@ -1185,3 +1185,58 @@ def test_what_a_ground_station_asks_for_in_vain_is_told_once_with_what_stands_ag
     scene.flight.obey(Order.RETURN)
     scene.go_on(1.0)
     assert scene.said[-1] == told  # that is done
+
+
+def test_a_pause_in_the_descent_after_a_return_does_not_begin_the_return_again():
+    """It flew up to the height of a return and down again, and said so at every tick."""
+    scene = on_route()
+    scene.vehicle.be(battery_ratio=0.2)
+    scene.run(in_phase(Phase.DESCEND)).go_on(2.0)
+    said, height_m = len(scene.said), -scene.vehicle.position[2]
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(3.0)
+    assert scene.flight.phase is Phase.DESCEND
+    assert scene.said[said:] == ["the ground station asks for a pause: not now, battery low"]
+    assert -scene.vehicle.position[2] < height_m - 4.0
+
+
+def test_a_position_that_stays_poor_while_a_pause_lasts_in_the_descent_ends_no_pause():
+    scene = on_route().run(in_phase(Phase.DESCEND)).go_on(2.0)
+    scene.flight.obey(Order.PAUSE)
+    scene.variance = 9.0**2
+    scene.go_on(14.0)
+    height_m = -scene.vehicle.position[2]
+    said = len(scene.said)
+    scene.go_on(15.0)
+    assert scene.flight.phase is Phase.DESCEND
+    assert scene.said[said:] == ["position uncertain by 9 m: holding"]
+    scene.flight.obey(Order.PAUSE)  # which is done
+    scene.go_on(2.0)
+    assert len(scene.said) == said + 1
+    assert -scene.vehicle.position[2] >= height_m
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(3.0)
+    assert scene.said[-1] == "position uncertain by 9 m: going on down"
+    assert -scene.vehicle.position[2] < height_m - 2.0
+
+
+def test_a_position_that_stays_poor_in_a_return_is_not_called_well():
+    scene = on_route()
+    scene.flight.obey(Order.RETURN)
+    scene.run(in_phase(Phase.RETURN)).go_on(1.0)
+    scene.variance = 9.0**2
+    scene.go_on(20.0)
+    assert scene.said[-1] == "position uncertain by 9 m: returning"
+    assert "all well again: going on" not in scene.said
+
+
+def test_an_aircraft_whose_battery_went_critical_in_the_pilots_hands_is_not_taken_back():
+    """Nobody looked: it was taken out of his hands and landed three seconds later."""
+    scene = taken()
+    scene.vehicle.be(battery_ratio=0.05)
+    scene.go_on(20.0)
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(10.0)
+    assert scene.vehicle.asked == asked
+    assert scene.said[-1] == "battery critical: the aircraft stays the pilot's"

@@ -10,7 +10,7 @@ from dataclasses import replace
 from vwnav.guidance.limits import LimitsConfig
 from vwnav.mission.config import FlightConfig
 from vwnav.mission.departure import Departure
-from vwnav.mission.failsafe import Announcer, FailsafeRecovery
+from vwnav.mission.failsafe import Announcer, FailsafeRecovery, paused_above_home
 from vwnav.mission.landing import COMING_DOWN, Landing, LandingState
 from vwnav.mission.mission import GONE_S, Crew, DeadMansHandle, FlightEnd, Mission, Next, Phase
 from vwnav.mission.route_phases import RoutePhases
@@ -217,8 +217,10 @@ class Flight:
         steers = self.phase.is_steered
         decision = self._safety.step(self._sighted(t_s, navigation), vehicle, t_s, steers)
         is_paused = self._safety.is_paused
+        if self.phase is Phase.DESCEND and is_paused:
+            decision = paused_above_home(decision)
         self._say(self._announcer.words(decision, self.phase, is_paused))
-        self._say(self._safety.unheeded)
+        self._say(self._safety.unheeded(decision))
         self._pace = _SLOW_PACE if decision.action is Action.SLOW else 1.0
         match decision.action:
             case Action.NAVIGATE | Action.SLOW:
@@ -234,6 +236,8 @@ class Flight:
                 self._begin_landing(t_s, vehicle, decision.reason)
             case _ if self.phase in (Phase.TAKEOFF, Phase.RESUME):
                 return navigation.estimate is None  # a setpoint would end ArduCopter's take-off
+            case Action.RETURN if self.phase in (Phase.RETURN, Phase.DESCEND):
+                return False
             case _ if self.phase is Phase.DESCEND and not is_paused:
                 # Near the ground the map shows nothing: down is the way out.
                 if navigation.estimate is not None:
@@ -245,8 +249,6 @@ class Flight:
                 assert navigation.estimate is not None
                 self._steering.search_upwards(navigation.estimate, self._highest_m)
             case Action.RETURN:
-                if self.phase is Phase.RETURN:
-                    return False
                 assert navigation.estimate is not None
                 self._trouble = decision.reason
                 self._say(decision.reason)
@@ -333,11 +335,13 @@ class Flight:
         elif self.phase is Phase.FAILSAFE:
             decision, gap_s = self._safety.step(navigation, vehicle, t_s), self._safety.gap_s
             self._say(self._announcer.of_failsafe(decision))
-            self._say(self._safety.unheeded)
+            self._say(self._safety.unheeded(decision))
             ended = self._failsafe.step(decision, gap_s, vehicle, navigation, t_s)
             self._go_on(ended, t_s, vehicle)
-        elif self.phase is Phase.RELEASED and self._takeover.given_back:
-            self._resume(t_s, vehicle, navigation)
+        elif self.phase is Phase.RELEASED:
+            self._safety.watch(navigation, vehicle, t_s)
+            if self._takeover.given_back:
+                self._resume(t_s, vehicle, navigation)
         elif self.phase is Phase.LAND:
             assert self._landing is not None
             state = self._landing.step(vehicle, t_s)

@@ -1,6 +1,7 @@
 """What safety decides, in words; and when the mission goes on after a failsafe of the autopilot."""
 
 import math
+from dataclasses import replace
 
 from vwnav.mission.mission import Next, Phase
 from vwnav.mission.steering import Steering
@@ -86,6 +87,7 @@ class Announcer:
 
     def __init__(self) -> None:
         self._decided = (Action.NAVIGATE, Rank.NAVIGATION, "")
+        self._returns_for = ""
         self._yields_to = ""
 
     def of_failsafe(self, decision: Decision) -> str:
@@ -104,13 +106,27 @@ class Announcer:
         before, self._decided = self._decided, (decision.action, decision.rank, doing)
         if decision.action is not Action.YIELD:
             self._yields_to = ""
+        returned_for = self._returns_for
+        if decision.action is Action.RETURN:
+            self._returns_for = decision.reason
         if self._decided == before:
             return ""
         if decision.action in _DOING:
             return f"{decision.reason}: {doing}"
         goes_home = decision.action is Action.RETURN and phase in _ON_THE_WAY_HOME
         goes_on = decision.action is Action.NAVIGATE or goes_home
-        return "all well again: going on" if goes_on and before[0] in _DOING else ""
+        if not goes_on or before[0] not in _DOING:
+            return ""
+        if goes_home and decision.reason != returned_for:
+            goes = _DOING_ALL_THE_SAME.get(phase, phase.value)
+            return "" if before[2] == goes else f"{decision.reason}: {goes}"
+        return "all well again: going on"
+
+
+def paused_above_home(decision: Decision) -> Decision:
+    """Who returns for the position is there: in the descent it stays, for who wants it to."""
+    returns = decision.action is Action.RETURN and decision.rank is Rank.POSITION
+    return replace(decision, action=Action.HOLD) if returns else decision
 
 
 def _doing(decision: Decision, phase: Phase, is_paused: bool) -> str:

@@ -23,10 +23,6 @@ class SafetyMonitor:
 
     Args:
         cruise_m_s: how fast the way home is flown.
-
-    Attributes:
-        unheeded: what a ground station has asked for since the step before, and why it is not done;
-            "" where it is.
     """
 
     def __init__(self, config: SafetyConfig, cruise_m_s: float) -> None:
@@ -39,7 +35,6 @@ class SafetyMonitor:
         self._bounds: RouteBounds | None = None
         self._order: Order | None = None
         self._is_new_order = False
-        self.unheeded = ""
         self._lands = False
 
     def _begin_watching(self) -> None:
@@ -63,7 +58,7 @@ class SafetyMonitor:
         """The pilot asked for us again: to be called on the pilot's own word only.
 
         The flight mode alone is not that word: PX4 goes back to Offboard by itself when setpoints
-        return. Nobody has watched meanwhile: what was silent then is not known.
+        return. What was silent or poor in the pilot's hands begins anew; a battery does not.
         """
         self._pilot.resume()
         self._begin_watching()
@@ -100,16 +95,26 @@ class SafetyMonitor:
         """
         has_sticks, intended = vehicle.has_sticks, vehicle.intended_mode
         self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks, steers)
+        self.watch(navigation, vehicle, t_s)
+        decision = self._hierarchy.step(self._situation(navigation, vehicle, t_s))
+        self._lands = self._lands or decision.action is Action.LAND
+        return decision
+
+    def watch(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> None:
+        """Look on, at every tick in which somebody else has the aircraft; `step` does it too."""
         self._battery.step(vehicle.battery_ratio, t_s)
         self._link.step(vehicle, t_s)
         self._radio.step(vehicle.rc_available, t_s)
         self._ground.step(vehicle.ground_station, t_s)
         self._position.step(navigation.estimate, t_s)
+
+    def unheeded(self, decision: Decision) -> str:
+        """What a ground station has asked for lately, and why it is not done; "" where it is.
+
+        `decision`: what is done.
+        """
         is_new, self._is_new_order = self._is_new_order, False
-        decision = self._hierarchy.step(self._situation(navigation, vehicle, t_s))
-        self._lands = self._lands or decision.action is Action.LAND
-        self.unheeded = _unheeded(self._order, decision) if is_new else ""
-        return decision
+        return _unheeded(self._order, decision) if is_new else ""
 
     def _situation(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Situation:
         position = self._position
