@@ -1,6 +1,9 @@
 """The verdicts of the thesis' tests, from made-up samples."""
 
 import math
+import subprocess
+import sys
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.bench.flights.faults.aircraft import PilotHandsBack, PilotSwitches, RadioOff
+from vwnav.bench.flights.live import session
 from vwnav.bench.flights.live.session import Simulator
 from vwnav.bench.flights.live.whereabouts import ByItself, Eyes
 from vwnav.bench.flights.thesis import live
@@ -224,3 +228,30 @@ def test_where_nobody_tells_the_truth_the_autopilots_word_is_taken_about_home():
     words = where.fly_words()
     assert words[words.index("--video") + 1] == "rtsp://camera"
     assert "--truth" not in words  # nothing is drawn, and it does not arm by itself
+
+
+def test_a_program_that_hangs_in_flight_is_not_waited_for_without_end(tmp_path, monkeypatch):
+    hangs = (
+        "import signal, time; signal.signal(15, signal.SIG_IGN); print(flush=True); time.sleep(40)"
+    )
+    where = SimpleNamespace(
+        reference="fused", fly_words=list, frame_here=lambda: LocalFrame(47.0, 8.0, 0.0)
+    )
+    simulator = SimpleNamespace(armed=True, where=where, relay=SimpleNamespace(url=""))
+    start = subprocess.Popen
+
+    def hanging(_, **more):
+        return start([sys.executable, "-c", hangs], **more)
+
+    def until_it_runs(flight, *_):
+        while not (flight.folder / "log").stat().st_size:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(session.subprocess, "Popen", hanging)
+    monkeypatch.setattr(session.LiveFlight, "watch", until_it_runs)
+    monkeypatch.setattr(session, "_LANDS_S", 0.1, raising=False)
+    began_s = time.monotonic()
+    with session.live_flight(simulator, tmp_path, "") as flight:
+        pass
+    assert time.monotonic() - began_s < 30.0
+    assert flight.process.returncode == -9

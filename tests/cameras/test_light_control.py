@@ -33,7 +33,7 @@ def test_the_exposure_comes_first_and_gain_after_it(total_s, most_s):
 
 @given(st.lists(st.tuples(levels, lights, limits_s), min_size=1, max_size=12))
 def test_whatever_is_seen_a_command_is_possible_and_does_not_blur(looks):
-    control = LightControl(SPAN)
+    control, told_s = LightControl(SPAN), math.inf
     for number, (level, now, most_s) in enumerate(looks):
         then = control.next(0.1 * number, level, now, most_s)
         if then is not None:
@@ -41,8 +41,10 @@ def test_whatever_is_seen_a_command_is_possible_and_does_not_blur(looks):
             assert SPAN.shortest_s <= then.exposure_s <= SPAN.longest_s + 1e-9
             assert 1.0 <= then.gain <= 16.0
             assert then.total_s <= max(2.0 * now.total_s, SPAN.shortest_s) + 1e-9
+            told_s = then.exposure_s
         elif number:
-            assert now.exposure_s <= max(most_s, SPAN.shortest_s + SPAN.step_s)
+            is_told = told_s <= max(most_s, SPAN.shortest_s + SPAN.step_s)
+            assert is_told or now.exposure_s <= max(most_s, SPAN.shortest_s + SPAN.step_s)
 
 
 @given(st.floats(0.85, 1.15))
@@ -164,6 +166,38 @@ def test_a_camera_that_rounds_exposures_to_octaves_is_left_alone_in_the_end(scen
     assert told[150:] == [None] * 150
     levels, _ = fly(sensor, [4.0 * scene] * 100, [0.03])
     assert 0.45 < levels[-1] / TARGET_LEVEL < 2.1
+
+
+ROUNDS_UP = {
+    "to octaves": lambda exposure_s: 1e-4 * 2.0 ** round(math.log2(exposure_s / 1e-4)),
+    "to its least": lambda exposure_s: max(exposure_s, 0.008),
+    "to the one it has": lambda _: 0.02,
+}
+
+
+@pytest.mark.parametrize("late", [0, 3])
+@pytest.mark.parametrize("rounded_s", ROUNDS_UP.values(), ids=ROUNDS_UP)
+@pytest.mark.parametrize("most_s", [0.0028, 0.0055, 0.006])
+def test_a_camera_that_tells_a_longer_exposure_than_may_be_is_not_amplified_to_white(
+    late, rounded_s, most_s
+):
+    """And its brightness is held by the gain alone."""
+    sensor, control, levels, told = Sensor(2.2, GAINS["as told"], late), LightControl(SPAN), [], []
+    for number in range(200):
+        scene = 4.0 if number < 100 else 2.0
+        levels.append(sensor.level(scene))
+        limit_s = most_s * (1.0 - 0.001 * (number % 7))
+        told.append(control.next(0.1 * number, levels[-1], sensor.light, limit_s))
+        if told[-1]:
+            sensor.light = Light(rounded_s(told[-1].exposure_s), told[-1].gain)
+    assert max(levels[30:]) < 1.4 * TARGET_LEVEL
+    for end in (100, 200):
+        assert 0.7 < levels[end - 1] / TARGET_LEVEL < 1.4
+        assert told[end - 30 : end] == [None] * 30
+
+
+def test_a_camera_that_tells_no_exposure_in_its_own_automatic_is_held_all_the_same():
+    assert LightControl(SPAN).next(0.0, TARGET_LEVEL, Light(0.0, 1.0), 0.004) is not None
 
 
 def test_a_light_that_comes_and_goes_all_day_is_followed_as_well_as_at_first():

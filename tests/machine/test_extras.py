@@ -1,5 +1,6 @@
 """What is not installed is installed from the checkout or the wheel: no index has vwnav."""
 
+import shlex
 import sys
 import tomllib
 from importlib import metadata
@@ -36,6 +37,11 @@ def test_from_a_wheel_the_wheel_is_named(monkeypatch, tmp_path, noted, wheel):
     installed_from(monkeypatch, noted)
     said = extras.how_to_install("eval", tmp_path)
     assert said == f"{sys.executable} -m pip install '{wheel}[eval]'"
+
+
+def test_a_python_in_a_folder_with_a_space_can_be_called(monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/home/pi/my own/bin/python")
+    assert shlex.split(extras.how_to_install("maps"))[0] == sys.executable
 
 
 def test_nobody_else_words_it_and_every_extra_is_there():

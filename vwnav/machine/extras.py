@@ -4,6 +4,7 @@ vwnav is on no package index: only its checkout or its wheel knows what an extra
 """
 
 import json
+import shlex
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -25,7 +26,7 @@ def how_to_install(extra: Extra, root: Path = _ROOT) -> str:
     """
     is_checkout = (root / "pyproject.toml").is_file()
     source = f"-e '{root}[{extra}]'" if is_checkout else f"'{_wheel()}[{extra}]'"
-    return f"{sys.executable} -m pip install {source}"
+    return f"{shlex.quote(sys.executable)} -m pip install {source}"
 
 
 def _wheel() -> str:

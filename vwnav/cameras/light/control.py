@@ -21,6 +21,7 @@ _MOST_TURNS = 4  # from too dark to too bright and back: some round exposures to
 _SETTLES_S = 0.4  # from a command until images show it
 _CHANGES = math.log(1.15)  # of the exposure alone, for less of which nothing is commanded
 _INSIDE = 0.9  # of the longest exposure that may be: the next one may be shorter
+_SHORTER = 0.95  # of what was told last: what is hardly shorter is not told for its own sake
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,7 @@ class LightControl:
         self._span = span
         self._looks: list[float] = []
         self._settled_s = -math.inf  # never commanded yet
+        self._told_s, self._rounds_up = math.inf, 1.0  # exposure; what comes of it, as a factor
         self._share, self._off = _SHARE, 0.0  # what was lacking at the last step, 0 at rest
         self._turns = 0  # of steps that went too far, since the last rest
 
@@ -74,14 +76,15 @@ class LightControl:
             now: what it was exposed with.
             most_s: longest exposure that does not blur.
         """
+        if t_s >= self._settled_s:
+            self._rounds_up = max(now.exposure_s / self._told_s, 1.0)
         step, is_first = self._step(t_s, level), self._settled_s == -math.inf
-        if step is None and not is_first and not self._must_shorten(now, most_s):
-            return None  # who may expose longer waits: brightness is never waited for in vain
-        total_s = now.total_s * math.exp(step or 0.0)
+        total_s = now.total_s * math.exp(step or 0.0) / self._rounds_up
         then = shared_out(total_s, self._span, _INSIDE * most_s)
-        if self._is_alike(now, then) and not is_first and not self._must_shorten(now, most_s):
-            return None
-        self._looks, self._settled_s = [], t_s + _SETTLES_S
+        must = is_first or self._must_shorten(now, then, most_s)
+        if not must and (step is None or self._is_alike(now, then)):
+            return None  # who may expose longer waits: brightness is never waited for in vain
+        self._told_s, self._looks, self._settled_s = then.exposure_s, [], t_s + _SETTLES_S
         return then
 
     def _step(self, t_s: float, level: float) -> float | None:
@@ -109,10 +112,13 @@ class LightControl:
             return _MOST_STEP
         return _ENDS if self._off else _BEGINS
 
-    def _must_shorten(self, now: Light, most_s: float) -> bool:
-        return now.exposure_s > max(most_s, self._span.shortest_s + self._span.step_s)
+    def _must_shorten(self, now: Light, then: Light, most_s: float) -> bool:
+        """Not again of a camera that rounds up what it was told, or does not heed it."""
+        is_long = now.exposure_s > max(most_s, self._span.shortest_s + self._span.step_s)
+        return is_long and then.exposure_s < _SHORTER * self._told_s
 
     def _is_alike(self, now: Light, then: Light) -> bool:
         """Whether a camera that is told so would change by next to nothing."""
-        moved = abs(math.log(then.total_s / now.total_s))
-        return moved < 0.02 and abs(math.log(then.exposure_s / now.exposure_s)) < _CHANGES
+        longer = math.log(self._rounds_up * then.exposure_s / now.exposure_s)
+        moved = math.log(then.gain / now.gain) + longer
+        return abs(moved) < 0.02 and abs(longer) < _CHANGES

@@ -119,6 +119,8 @@ class LightKeeper:
         except Exception as error:  # whatever a driver raises
             _log.debug("the camera's exposure could not be set: %s", error)
             self._failures += 1
+            if self._controls is not None:  # what was told may not have arrived: it is told anew
+                self._control = LightControl(self._controls.span)
             if self._failures >= _GIVES_UP_AFTER:
                 self._give_up(grabber, f"it refuses another ({error})")
 

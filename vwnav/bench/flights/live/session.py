@@ -34,6 +34,7 @@ from vwnav.vehicle import FlightMode
 _LOOK_S = 0.05
 _MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
 _GROUND_M = 0.7
+_LANDS_S = 240.0  # it is waited for at most
 _LINE = re.compile(r"^\s*[\d.]+ s  (?P<text>\S.*)$")
 _PHASES = {phase.value for phase in Phase}
 _ARMED = 128
@@ -292,7 +293,8 @@ def live_flight(
             process.send_signal(signal.SIGCONT)
             if simulator.armed and simulator.where.reference == "fused":
                 process.terminate()  # it lands first: whose camera is none of ours may be real
-            else:
-                process.kill()
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_LANDS_S)
+            process.kill()  # also one that hangs: its watchdog lands then
         process.wait()
         flight.close()
