@@ -24,8 +24,8 @@ _LETS_US = frozenset({FlightMode.HOLD, FlightMode.OFFBOARD})  # who arms in them
 _ASK_AGAIN_S = 1.0
 # They would start, stop and start again beside whoever looks why.
 _NOT_AGAIN = (
-    "the autopilot did not say whether it armed, so the motors were told to stand: nothing was "
-    "flown, and it is not armed again"
+    "it was not known whether the motors ran, and they stand: nothing was flown, and it is not "
+    "armed again by itself"
 )
 
 
