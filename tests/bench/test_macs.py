@@ -57,5 +57,5 @@ def test_without_the_onnx_package_one_line_says_what_to_install(monkeypatch):
     from vwnav.errors import ConfigError
 
     monkeypatch.setitem(__import__("sys").modules, "onnx", None)
-    with pytest.raises(ConfigError, match=r"pip install 'vwnav\[bench\]'"):
+    with pytest.raises(ConfigError, match=r"pip install .*\[bench\]'"):
         graph_cost(b"")

@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import pytest
 
@@ -138,10 +140,20 @@ print(folder, *(f"{each.name}: {each.detail}" for each in board.check_board(fold
 """
 
 
+@pytest.fixture
+def open_folder():
+    """One that every user may enter, which pytest's own are not."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
 @pytest.mark.parametrize("is_services", [True, False])
-def test_in_a_folder_that_its_user_cannot_read_the_services_own_is_looked_at(tmp_path, is_services):
-    closed, state = tmp_path / "closed" / "inner", tmp_path / "state"
+def test_in_a_folder_that_its_user_cannot_read_the_services_own_is_looked_at(
+    open_folder, is_services
+):
+    closed, state = open_folder / "closed" / "inner", open_folder / "state"
     closed.parent.mkdir(mode=0o700)
     closed.mkdir()
     state.mkdir()
@@ -149,8 +161,6 @@ def test_in_a_folder_that_its_user_cannot_read_the_services_own_is_looked_at(tmp
         os.chown(state, NOBODY, NOBODY)
     script = f"import os; os.setgid({NOBODY}); os.setuid({NOBODY})\n{LOOKS}"
     script = f"import vwnav.onboard.board\n{script}"  # read as root: the code may be a user's own
-    for each in (tmp_path, *tmp_path.parents[:2]):  # pytest's own
-        each.chmod(0o755)
     done = subprocess.run(
         [sys.executable, "-c", script, state], cwd=closed, capture_output=True, text=True
     )
