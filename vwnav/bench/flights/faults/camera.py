@@ -238,13 +238,7 @@ def drops() -> Trouble:
 
 def dusk() -> Trouble:
     """A tenth of the light is left, and the sensor's noise."""
-    rng = np.random.default_rng(6)
-
-    def darken(image: Image) -> Image:
-        dark = _DUSK * image + rng.normal(_DUSK_GREY, _DUSK_NOISE, image.shape)
-        return np.clip(np.round(dark), 0, 255).astype(np.uint8)
-
-    return _each(darken)
+    return _faded(_DUSK, _DUSK_GREY, _DUSK_NOISE)
 
 
 def exposure_hunting() -> Trouble:
@@ -284,13 +278,7 @@ def smeared() -> Trouble:
 
 def fog() -> Trouble:
     """A seventh of the contrast is left, and the sensor's noise."""
-    rng = np.random.default_rng(6)
-
-    def veil(image: Image) -> Image:
-        seen = _FOG * image + rng.normal(_FOG_GREY, _DARK_NOISE, image.shape)
-        return np.clip(np.round(seen), 0, 255).astype(np.uint8)
-
-    return _each(veil)
+    return _faded(_FOG, _FOG_GREY, _DARK_NOISE)
 
 
 def cloud_shadows() -> Trouble:
@@ -324,6 +312,17 @@ def false_times() -> Trouble:
     return lambda frame: (
         replace(frame, t_s=frame.t_s + next(off_s)) if frame.index % 3 == 0 else frame
     )
+
+
+def _faded(share: float, grey: float, noise: float) -> Trouble:
+    """So much of the contrast is left, about another grey level, with noise of one sigma."""
+    rng = np.random.default_rng(6)
+
+    def fade(image: Image) -> Image:
+        seen = share * image + rng.normal(grey, noise, image.shape)
+        return np.clip(np.round(seen), 0, 255).astype(np.uint8)
+
+    return _each(fade)
 
 
 def _each(change: Callable[[Image], Image]) -> Trouble:
