@@ -1240,3 +1240,12 @@ def test_an_aircraft_whose_battery_went_critical_in_the_pilots_hands_is_not_take
     scene.go_on(10.0)
     assert scene.vehicle.asked == asked
     assert scene.said[-1] == "battery critical: the aircraft stays the pilot's"
+
+
+def test_what_is_asked_for_while_the_autopilot_lands_is_said_not_to_be_done():
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(1.0)
+    assert scene.flight.phase is Phase.LAND
+    scene.flight.obey(Order.PAUSE)
+    assert "not heeded" in scene.said[-1]

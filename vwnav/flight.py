@@ -132,7 +132,7 @@ class Flight:
         elif order is Order.GO_ON and self.phase is Phase.RELEASED:
             self._takeover.given_back = True
             self._safety.obey(order)  # a pause of before is over, too
-        elif self.phase in (Phase.GET_READY, Phase.RELEASED, Phase.DONE):
+        elif not self.phase.is_ours and self.phase is not Phase.FAILSAFE:
             self._say(f"the aircraft is not ours to fly now: {order.value} is not heeded")
         else:
             self._safety.obey(order)
