@@ -26,7 +26,13 @@ from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import HEARD_WITHIN_S, MavsdkAutopilot
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.aboard import Aboard, first_state, put_aboard
-from vwnav.onboard.equipment import draw_camera, hold_exposure, open_camera, open_truth
+from vwnav.onboard.equipment import (
+    draw_camera,
+    hold_exposure,
+    open_camera,
+    open_truth,
+    watch_camera,
+)
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
@@ -222,7 +228,10 @@ def _fly(
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
-    aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, notices, options.arms)
+    watch = watch_camera(source, plan.camera)
+    aboard = put_aboard(
+        plan, assembled.pipeline, autopilot, handle, watch, record, notices, options.arms
+    )
     hold_exposure(source, plan, lambda: aboard.runtime.navigation, notices.append)
     with heeding_signals(aboard.runtime.interrupt):
         try:
