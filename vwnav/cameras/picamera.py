@@ -153,6 +153,11 @@ def _open_picamera(width_px: int, height_px: int, fps: float, mode: SensorMode |
             "picamera2 is not installed: `sudo apt install python3-picamera2`, and make the "
             "virtual environment with --system-site-packages"
         ) from error
+    except Exception as error:  # of what it is built on: numpy of another version, as a rule
+        raise SourceError(
+            f"picamera2 does not load ({error}): `pip install --upgrade simplejpeg` in the virtual "
+            "environment where it is numpy's version"
+        ) from error
     camera = None
     try:
         camera = picamera2.Picamera2()
@@ -163,8 +168,9 @@ def _open_picamera(width_px: int, height_px: int, fps: float, mode: SensorMode |
             asked["sensor"] = {"output_size": mode.read_px, "bit_depth": mode.bits}
         camera.configure(camera.create_video_configuration(main, **asked))
         camera.start()
-    except (RuntimeError, IndexError) as error:
+    except Exception as error:  # libcamera's have no common base
         if camera is not None:
-            camera.close()  # else the next one finds it taken
+            with suppress(Exception):
+                camera.close()  # else the next one finds it taken
         raise SourceError(f"no Raspberry Pi camera: {error}; `rpicam-hello` shows why") from error
     return camera
