@@ -172,6 +172,14 @@ def test_a_camera_whose_pictures_are_all_cut_off_has_failed(camera):
     assert V4l2Grabber("/dev/null", AskedImages()).grab() is None
 
 
+@pytest.mark.parametrize(
+    "name", ["gst:640x480@0:nix", "gst:0x480:nix", "picamera2:640x0", "/dev/null:640x480@0"]
+)
+def test_what_asks_for_nothing_is_one_clear_line(camera, name):
+    with pytest.raises(SourceError, match="asks for 0: width, height and rate"):
+        open_source(name)
+
+
 def test_names_with_colons_are_names(camera, tmp_path):
     with pytest.raises(SourceError, match="no pictures at"):
         open_source("/dev/v4l/by-path/pci-0000:01:00.0-usb-0:1.3:1.0-video-index0:640x480")

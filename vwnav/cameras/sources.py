@@ -43,8 +43,8 @@ def open_source(text: str, fps: float | None = None, mode: SensorMode | None = N
     """
     picamera = _PICAMERA.fullmatch(text)
     if picamera is not None:
-        width, height, rate = (int(part) if part else None for part in picamera.groups())
-        size, wanted_fps = (width or 1920, height or 1080), fps or rate or 30.0
+        size, rate = _asked(text, *picamera.groups())
+        size, wanted_fps = size or (1920, 1080), fps or rate or 30.0
         return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps, mode))
     if text.startswith(_STREAM_SCHEMES):
         return RealTimeSource(lambda: StreamGrabber(text))
@@ -67,12 +67,12 @@ def open_source(text: str, fps: float | None = None, mode: SensorMode | None = N
 
 
 def _video4linux(found: re.Match[str], fps: float | None, mode: SensorMode | None) -> FrameSource:
-    name, width, height, rate, pixels = found.groups()
+    name, *numbers, pixels = found.groups()
+    size_wh, rate = _asked(found.string, *numbers)
     if pixels is None and mode is not None:
         pixels = mode.pixels
-    size_wh = (int(width), int(height)) if width else None
     known: dict[str | None, PixelFormat] = {"MJPG": "MJPG", "YUYV": "YUYV", "GREY": "GREY"}
-    asked = AskedImages(size_wh, fps or (float(rate) if rate else None), known.get(pixels))
+    asked = AskedImages(size_wh, fps or rate, known.get(pixels))
     return RealTimeSource(lambda: V4l2Grabber(name, asked))
 
 
@@ -82,6 +82,22 @@ def _gstreamer(text: str, fps: float | None) -> FrameSource:
         raise SourceError(
             f"{text!r} does not say its size: gst:640x480@30:libcamerasrc, for example"
         )
-    width, height, rate, pipeline = found.groups()
-    wanted_fps = fps or float(rate or 30.0)
-    return RealTimeSource(lambda: GstreamerGrabber(pipeline, int(width), int(height), wanted_fps))
+    *numbers, pipeline = found.groups()
+    size_wh, rate = _asked(text, *numbers)
+    assert size_wh is not None
+    return RealTimeSource(lambda: GstreamerGrabber(pipeline, *size_wh, fps or rate or 30.0))
+
+
+def _asked(
+    text: str, width: str | None, height: str | None, rate: str | None
+) -> tuple[tuple[int, int] | None, float | None]:
+    """Size and rate by the digits of a camera's name.
+
+    Raises:
+        SourceError: one of them is 0.
+    """
+    size_wh = (int(width), int(height)) if width and height else None
+    fps = float(rate) if rate else None
+    if fps == 0.0 or (size_wh is not None and min(size_wh) == 0):
+        raise SourceError(f"{text!r} asks for 0: width, height and rate are 1 or more")
+    return size_wh, fps
