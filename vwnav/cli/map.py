@@ -130,11 +130,12 @@ def check(
     from vwnav.errors import PreflightError, RouteError
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.flight_plan import route_on_map
+    from vwnav.safety.safety_config import SafetyConfig
 
     loaded, start = route_and_home(route, route_frame, home)
     with MapPack.open(pack) as opened:
         try:
-            found = route_on_map(opened, loaded, start, margin_m)
+            found = route_on_map(opened, loaded, start, SafetyConfig(), margin_m)
         except RouteError as error:
             raise RouteError(f"{route}: {error}") from error
     coverage, clearance = found.coverage, found.clearance
