@@ -1276,3 +1276,21 @@ def test_going_on_says_what_holds_the_flight_besides():
     scene.go_on(0.5)
     blind = "the camera shows nothing that can be followed"
     assert scene.said[-1] == f"the ground station asks for going on: not now, {blind}"
+
+
+def test_an_aircraft_whose_camera_is_blind_stays_the_pilots():
+    """It was taken out of his hands, held, and landed half a second later."""
+    scene = taken()
+    scene.sees = False
+    scene.go_on(2.0)
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+    blind = "the camera shows nothing that can be followed"
+    assert scene.said[-1] == f"{blind}: the aircraft stays the pilot's"
+    scene.sees = True
+    scene.go_on(1.0)
+    scene.flight.obey(Order.GO_ON)
+    assert scene.run(in_phase(Phase.ROUTE)).flight.phase is Phase.ROUTE
