@@ -120,7 +120,7 @@ class World:
             pilot=PilotPlan(rc_on=setup.rc_on), battery_drain_s=setup.battery_drain_s,
         )  # fmt: skip
         link = NotedLink(
-            self.autopilot_link.a, self.clock, self.track, lambda: self.navigator.autopilot.north
+            self.autopilot_link.a, self.clock, self.track, lambda: self._tells.autopilot.north
         )
         peer = Peer(link, Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
@@ -158,6 +158,12 @@ class World:
 
     def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
         return self.costs.search if prior.lat_deg is None else self.costs.match
+
+    @property
+    def _tells(self) -> Navigator:
+        """Who gives the estimates: each of them in the north that it believes the autopilot has."""
+        second = self.successor.navigator
+        return second if self.navigator.ended and second is not None else self.navigator
 
     @property
     def site_seed(self) -> int:
