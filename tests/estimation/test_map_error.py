@@ -13,10 +13,11 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.map_error import LearnedMapError
 
 WAY_M, LOOKS = 10.0, 400  # 4 km
+SETTINGS = EkfConfig().map_sigma_m, EkfConfig().map_length_m
 WORLD = FilterWorld(seconds=240.0, imu_hz=50.0, hover_share=0.0)
 
 
@@ -31,7 +32,7 @@ def _looked(true_m: float, noise_m: float, seed: int) -> LearnedMapError:
         gain = learned.sigma_m**2 / (learned.sigma_m**2 + noise_m**2)
         m = gain * (error_m + noise_m * rng.normal(size=2))
         variance_m2 = np.full(2, (1.0 - gain) * learned.sigma_m**2)
-        learned = learned.seen(np.array([look * WAY_M, 0.0]), m, variance_m2, config)
+        learned = learned.seen(np.array([look * WAY_M, 0.0]), m, variance_m2, *SETTINGS)
     return learned
 
 
@@ -51,27 +52,25 @@ def test_of_a_map_as_good_as_the_settings_say_nothing_else_is_learned(
 
 
 def test_who_hovers_learns_nothing() -> None:
-    learned, config = LearnedMapError(), EkfConfig()
-    for _ in range(1000):
-        learned = learned.seen(np.zeros(2), np.full(2, 4.0), np.full(2, 0.01), config)
-    assert learned.sigma_m == config.map_sigma_m
+    run, _ = _flown(2.0, replace(WORLD, seconds=60.0, speed_m_s=0.0))
+    assert run.last.map_error.sigma_m == EkfConfig().map_sigma_m
 
 
 def test_the_operator_is_told_once_for_each_size() -> None:
-    learned, config, said = LearnedMapError(), EkfConfig(), []
+    learned, said = LearnedMapError(SETTINGS[0]), []
     rng = np.random.default_rng(3)
     for look in range(300):
         before = learned
         place_ne_m = np.array([20.0 * look, 0.0])
-        learned = learned.seen(place_ne_m, rng.normal(0.0, 2.5, 2), np.full(2, 0.01), config)
-        if (news := learned.news(before)) is not None:
-            said.append(news)
+        learned = learned.seen(place_ne_m, rng.normal(0.0, 2.5, 2), np.full(2, 0.01), *SETTINGS)
+        if learned.told_m > before.told_m:
+            said.append(learned.words)
     assert [line.split("(")[1] for line in said] == ["1 sigma) from place to place"] * 2
     assert learned.told_m == 2.0
 
 
-def _flown(map_error_m: float) -> tuple[Run, list[str]]:
-    world, said = replace(WORLD, map_error_m=map_error_m), list[str]()
+def _flown(map_error_m: float, world: FilterWorld = WORLD) -> tuple[Run, list[str]]:
+    world, said = replace(world, map_error_m=map_error_m), list[str]()
     rng = np.random.default_rng([4, 0])
     [truth] = fly(world, [rng])
     return play(sense(world, truth, rng), say=said.append), said

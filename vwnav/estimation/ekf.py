@@ -328,8 +328,8 @@ class Ekf:
         if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
             self._range_changed(doubted)
         newest = self._timeline.newest
-        if (news := newest.map_error.news(before.map_error)) is not None:
-            self._say(news)
+        if newest.map_error.told_m > before.map_error.told_m:
+            self._say(newest.map_error.words)
         if (why := self._timeline.outside) is not None:
             self._timeline = Timeline(begun_anew(newest, self._config), self._context)
             again, self._restarted_s = newest.t_s < self._restarted_s + _SAID_S, newest.t_s

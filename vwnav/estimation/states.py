@@ -6,8 +6,8 @@ from enum import Enum
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.inertial.integrals import Exposure, Measured
-from vwnav.estimation.map_error import LearnedMapError
 from vwnav.geometry.rotations import without_errors
 from vwnav.types import Array, Estimate
 

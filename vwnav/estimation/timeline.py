@@ -12,6 +12,7 @@ from itertools import compress
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LOOK_M
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD
 from vwnav.estimation.beginning.other_camera import (
     apply_lens_doubted,
@@ -20,7 +21,7 @@ from vwnav.estimation.beginning.other_camera import (
 )
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import range_doubted
+from vwnav.estimation.disputes import learned_of_map, range_doubted
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -211,8 +212,9 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
         state = predict(state, event.t_s, context)
     after, innovation = _corrected(state, event, context)
     one_fix = isinstance(event, NedFix | LateFix) and innovation.verdict is Verdict.FUSED
-    if one_fix and not after.rejected_fixes:
-        after = _learned_of_map(after, context.config)
+    way_m = math.dist(after.x[States.POSITION_NE], after.map_error.seen_ne_m) if one_fix else 0.0
+    if way_m > LOOK_M and not after.rejected_fixes:
+        after = learned_of_map(after, context.config)
     apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
     if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
         after = replace(after, reset_counter=state.reset_counter + 1)
@@ -256,21 +258,6 @@ def _corrected(
             return apply_drag(state, context)
         case Stationary():
             return apply_stationary(state, context)
-
-
-def _learned_of_map(state: FilterState, config: EkfConfig) -> FilterState:
-    """With what a fused fix shows of the map's size of error.
-
-    By as much more as that is than was believed, the place that fixes have told is open, too: the
-    other way, because together they were seen right.
-    """
-    known, place_ne_m = state.map_error, state.x[States.POSITION_NE]
-    found = known.seen(place_ne_m, state.x[States.MAP], np.diag(state.P)[States.MAP], config)
-    more_m2 = found.opened_m**2 - known.opened_m**2
-    G = np.zeros((States.SIZE, 2))
-    G[States.POSITION_NE] = G[States.ANCHOR_NE] = G[States.EXPOSED_POSITION] = np.eye(2)
-    G[States.MAP] = -np.eye(2)
-    return replace(state, P=state.P + more_m2 * G @ G.T, map_error=found)
 
 
 def sensible(event: Told | Attitude | ImuSample) -> bool:

@@ -159,8 +159,9 @@ def _is_one_picture(first: MapImage, second: MapImage, reach_px: int) -> bool:
     """Whether both show the very same picture in the same place."""
     inner = slice(reach_px, -reach_px)
     shared = first.mask & second.mask[inner, inner]
-    grays = (each[shared].astype(np.float64) for each in (first.gray, second.gray[inner, inner]))
-    return bool(np.corrcoef(*grays)[0, 1] > _SAME_PICTURE)
+    gray = first.gray[shared].astype(np.float64)
+    other = second.gray[inner, inner][shared].astype(np.float64)
+    return bool(np.corrcoef(gray, other)[0, 1] > _SAME_PICTURE)
 
 
 def _apart(
@@ -201,7 +202,7 @@ def _apart(
 def _inner(features: Features, size_wh: tuple[int, int]) -> Features:
     """Those inside of the margin."""
     low, high = _MARGIN_PX - 0.5, np.array(size_wh) - _MARGIN_PX - 0.5
-    return features.take(((features.uv >= low) & (features.uv < high)).all(axis=1))
+    return features.take(np.all((features.uv >= low) & (features.uv < high), axis=1))
 
 
 def _consensus(

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.map_error import LearnedMapError
 from vwnav.estimation.states import (
     KNOWN_SHARE,
     FilterState,

@@ -159,7 +159,7 @@ def pair_agreement(names: tuple[str, str], places: Sequence[Apart]) -> PairAgree
     apart_ne_m = np.array([place.apart_ne_m for place in places])
     away_m = np.linalg.norm(apart_ne_m - np.median(apart_ne_m, axis=0), axis=1)
     spread_m = max(float(np.median(away_m)) / _MEDIAN_SIGMAS, _LEAST_SPREAD_M)
-    kept = np.flatnonzero(away_m <= _CLIP_SIGMAS * spread_m)
+    kept = np.flatnonzero(away_m <= _CLIP_SIGMAS * spread_m).tolist()
     # Blocks level waves out: what one bends by within itself belongs to them.
     added2 = [places[i].within_m ** 2 - places[i].sigma_m ** 2 for i in kept]
     waves2 = float(np.var(apart_ne_m[kept], axis=0, ddof=1).mean() + np.mean(added2))
