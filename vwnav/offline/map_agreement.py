@@ -5,8 +5,9 @@ features, and believed where the agreement of its matches cannot be chance.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from vwnav.maps.build.agreement import (
     Agreement,
     Apart,
     Overlap,
-    PairAgreement,
     overlaps,
     pair_agreement,
 )
@@ -70,15 +70,19 @@ def agreement_of(
     if not found or not extractors:
         return None
     extractor = min(extractors, key=lambda each: FEATURE_NAMES.index(each.name))
+    report = progress or (lambda what, done, total: None)
     share = MOST_BLOCKS // len(found)
-    pairs: list[PairAgreement] = []
-    for done, overlap in enumerate(found):
-        places = _places(overlap, share, extractor)
+    total, pairs = share * len(found), []
+    for number, overlap in enumerate(found):
+        places: list[Apart] = []
+        for looked, images in enumerate(_drawn(overlap, share)):
+            place = _apart(overlap, *images, extractor)
+            places += [] if place is None else [place]
+            report("agreement", number * share + looked + 1, total)
+        report("agreement", (number + 1) * share, total)
         names = overlap.first.source.name, overlap.second.source.name
         pair = pair_agreement(names, places)
         pairs += [] if pair is None else [pair]
-        if progress is not None:
-            progress("agreement", done + 1, len(found))
     return Agreement(tuple(sorted(pairs, key=lambda pair: -pair.rms_m))) if pairs else None
 
 
@@ -125,19 +129,16 @@ def _summary(agreement: Agreement) -> str:
     )
 
 
-def _places(overlap: Overlap, count: int, extractor: FeatureExtractor) -> list[Apart]:
-    """What is measured on at most `count` blocks with data."""
-    places: list[Apart] = []
-    looked = 0
-    for tried, block in enumerate(overlap.blocks(_SEED)):
-        if looked == count or tried == _TRIES * count:
-            break
+def _drawn(overlap: Overlap, count: int) -> Iterator[tuple[Window, MapImage, MapImage]]:
+    """At most `count` blocks that have data, with their images."""
+    drawn = 0
+    for block in islice(overlap.blocks(_SEED), _TRIES * count):
         images = _images(overlap, block)
         if images is not None:
-            looked += 1
-            place = _apart(overlap, block, images, extractor)
-            places += [] if place is None else [place]
-    return places
+            yield block, *images
+            drawn += 1
+            if drawn == count:
+                return
 
 
 def _reach_px(overlap: Overlap) -> int:
@@ -159,23 +160,29 @@ def _is_one_picture(first: MapImage, second: MapImage, reach_px: int) -> bool:
     """Whether both show the very same picture in the same place."""
     inner = slice(reach_px, -reach_px)
     shared = first.mask & second.mask[inner, inner]
-    gray = first.gray[shared].astype(np.float64)
-    other = second.gray[inner, inner][shared].astype(np.float64)
-    return bool(np.corrcoef(gray, other)[0, 1] > _SAME_PICTURE)
+    here, there = first.gray[shared], second.gray[inner, inner][shared]
+    if here.std() == 0.0 or there.std() == 0.0:
+        return False
+    return bool(np.corrcoef(here.astype(np.float64), there)[0, 1] > _SAME_PICTURE)
 
 
 def _apart(
-    overlap: Overlap, block: Window, images: tuple[MapImage, MapImage], extractor: FeatureExtractor
+    overlap: Overlap,
+    block: Window,
+    first: MapImage,
+    second: MapImage,
+    extractor: FeatureExtractor,
 ) -> Apart | None:
+    """How far apart both show the block; None where that is not known."""
     reach_px = _reach_px(overlap)
-    if _is_one_picture(*images, reach_px):
+    if _is_one_picture(first, second, reach_px):
         return None
-    first, second = (
+    near, around = (
         usable_features(image, extractor, round(image.mask.size * _KEYPOINTS_PER_PX))
-        for image in images
+        for image in (first, second)
     )
-    h, w = images[0].mask.shape
-    consensus = _consensus(_inner(first, (w, h)), second, (w, h), extractor)
+    h, w = first.mask.shape
+    consensus = _consensus(_inner(near, (w, h)), around, (w, h), extractor)
     if consensus is None:
         return None
     uv = consensus.uv_view
@@ -202,7 +209,8 @@ def _apart(
 def _inner(features: Features, size_wh: tuple[int, int]) -> Features:
     """Those inside of the margin."""
     low, high = _MARGIN_PX - 0.5, np.array(size_wh) - _MARGIN_PX - 0.5
-    return features.take(np.all((features.uv >= low) & (features.uv < high), axis=1))
+    inside = ((features.uv >= low) & (features.uv < high)).all(axis=1)
+    return features.take(np.asarray(inside, np.bool_))
 
 
 def _consensus(

@@ -159,10 +159,10 @@ def pair_agreement(names: tuple[str, str], places: Sequence[Apart]) -> PairAgree
     apart_ne_m = np.array([place.apart_ne_m for place in places])
     away_m = np.linalg.norm(apart_ne_m - np.median(apart_ne_m, axis=0), axis=1)
     spread_m = max(float(np.median(away_m)) / _MEDIAN_SIGMAS, _LEAST_SPREAD_M)
-    kept = np.flatnonzero(away_m <= _CLIP_SIGMAS * spread_m).tolist()
+    kept = away_m <= _CLIP_SIGMAS * spread_m
     # Blocks level waves out: what one bends by within itself belongs to them.
-    added2 = [places[i].within_m ** 2 - places[i].sigma_m ** 2 for i in kept]
-    waves2 = float(np.var(apart_ne_m[kept], axis=0, ddof=1).mean() + np.mean(added2))
+    added2 = np.array([place.within_m**2 - place.sigma_m**2 for place in places])[kept]
+    waves2 = float(np.var(apart_ne_m[kept], axis=0, ddof=1).mean() + added2.mean())
     shift_ne_m = apart_ne_m[kept].mean(axis=0)
     return PairAgreement(names, shift_ne_m, math.sqrt(max(waves2, 0.0)), tuple(places))
 
