@@ -22,6 +22,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
+from vwnav.mavlink.outputs.autopilot_north import AutopilotNorth
 from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import At
 from vwnav.safety.camera_watch import CameraWatch
@@ -119,9 +120,7 @@ class World:
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on), battery_drain_s=setup.battery_drain_s,
         )  # fmt: skip
-        link = NotedLink(
-            self.autopilot_link.a, self.clock, self.track, lambda: self._tells.autopilot.north
-        )
+        link = NotedLink(self.autopilot_link.a, self.clock, self.track, self._north_told)
         peer = Peer(link, Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
@@ -132,8 +131,7 @@ class World:
         return Watchdog(links, config, self.successor, self.navigator)
 
     def _camera(self, place: Place) -> LockstepCamera:
-        renderer = draw(self.setup, place)
-        period_s = 1.0 / self.setup.image_hz
+        renderer, period_s = draw(self.setup, place), 1.0 / self.setup.image_hz
         return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
 
     def _navigator(self, place: Place, first_counter: int) -> Navigator:
@@ -159,11 +157,10 @@ class World:
     def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
         return self.costs.search if prior.lat_deg is None else self.costs.match
 
-    @property
-    def _tells(self) -> Navigator:
-        """Who gives the estimates: each of them in the north that it believes the autopilot has."""
-        second = self.successor.navigator
-        return second if self.navigator.ended and second is not None else self.navigator
+    def _north_told(self) -> AutopilotNorth:
+        """In which estimates are told: as whoever gives them believes that the autopilot has it."""
+        first, second = self.navigator, self.successor.navigator
+        return (second if first.ended and second else first).autopilot.north
 
     @property
     def site_seed(self) -> int:
