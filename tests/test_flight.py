@@ -1249,3 +1249,48 @@ def test_what_is_asked_for_while_the_autopilot_lands_is_said_not_to_be_done():
     assert scene.flight.phase is Phase.LAND
     scene.flight.obey(Order.PAUSE)
     assert "not heeded" in scene.said[-1]
+
+
+def test_going_on_that_ends_no_pause_is_answered_in_words():
+    """It was taken without a word, and the aircraft flew home all the same."""
+    scene = on_route().go_on(5.0)
+    scene.flight.obey(Order.RETURN)
+    scene.run(in_phase(Phase.RETURN)).go_on(1.0)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(1.0)
+    told = "the ground station asks for going on: not now, it has asked for the way home"
+    assert scene.said[-1] == scene.vehicle.texts[-1] == told
+    scene.flight.obey(Order.PAUSE)
+    scene.go_on(1.0)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(1.0)
+    assert scene.said[-1] == "all well again: going on"
+    assert scene.said.count(told) == 1
+
+
+def test_going_on_says_what_holds_the_flight_besides():
+    scene = on_route().go_on(5.0)
+    scene.sees = False
+    scene.go_on(2.0)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(0.5)
+    blind = "the camera shows nothing that can be followed"
+    assert scene.said[-1] == f"the ground station asks for going on: not now, {blind}"
+
+
+def test_an_aircraft_whose_camera_is_blind_stays_the_pilots():
+    """It was taken out of his hands, held, and landed half a second later."""
+    scene = taken()
+    scene.sees = False
+    scene.go_on(2.0)
+    asked = list(scene.vehicle.asked)
+    scene.flight.obey(Order.GO_ON)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+    blind = "the camera shows nothing that can be followed"
+    assert scene.said[-1] == f"{blind}: the aircraft stays the pilot's"
+    scene.sees = True
+    scene.go_on(1.0)
+    scene.flight.obey(Order.GO_ON)
+    assert scene.run(in_phase(Phase.ROUTE)).flight.phase is Phase.ROUTE

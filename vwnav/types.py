@@ -317,6 +317,8 @@ class Estimate:
         agl_m: height above the ground below.
         t_last_fix_s: exposure of the last map fix that was fused, None before the first.
         reset_counter: counts re-localisations (jumps), nothing else.
+        map_sigma_m: of the map's error from place to place, per axis, as flight has shown it; a
+            shift of the whole map is neither in it nor in the covariance.
         camera_turn_rad: by how much the camera is turned on its mount from what it is taken for,
             clockwise seen from above, as far as is known: images show the heading for so much more.
         sigma_seen_yaw_rad: of the heading that images show; None as that of the heading.
@@ -334,6 +336,7 @@ class Estimate:
     sigma_agl_m: float
     t_last_fix_s: float | None
     reset_counter: int
+    map_sigma_m: float = 0.0
     camera_turn_rad: float = 0.0
     sigma_seen_yaw_rad: float | None = None
     wind_ne_m_s: Array | None = None

@@ -1,8 +1,10 @@
 """Faults do to bytes and images what they say, and the table holds what it must."""
 
 import math
+import random
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +13,12 @@ from pymavlink.dialects.v20 import development as mavlink
 from vwnav.bench.flights import fly as flying
 from vwnav.bench.flights import lockstep_place
 from vwnav.bench.flights.blame import blamed_wrongly
-from vwnav.bench.flights.faults import camera, telemetry
+from vwnav.bench.flights.faults import camera, link, telemetry
+from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.rows import draw_failure, timeline_of
+from vwnav.bench.flights.scenario import Flown, Scenario
+from vwnav.bench.flights.stage import LINK_LATENCY_S
 from vwnav.bench.flights.table import (
     FAMILIES,
     QUICK,
@@ -27,9 +32,13 @@ from vwnav.bench.flights.table import (
 from vwnav.bench.flights.table.manners import in_manners
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.cli.flighttest import fly_row
+from vwnav.geometry.geodesy import LocalFrame
+from vwnav.mission.mission import Phase
 from vwnav.rules import flight_log
 from vwnav.rules.belief import estimate_sigmas
 from vwnav.rules.flight_log import Sent
+from vwnav.sim.memory_link import MemoryLink
+from vwnav.sim.processor import SimulatedClock
 from vwnav.types import Frame
 from vwnav.vehicle import FlightMode
 
@@ -121,15 +130,99 @@ def test_drawn_flights_are_the_same_each_time_and_have_the_faults_of_several_row
             row.name, row.breaks, row.setup.seed,
         )  # fmt: skip
     mixed = [row.name.split(": ", 1)[1].rsplit(", ", 1)[0].split(" + ") for row in rows]
-    assert {len(parts) for parts in mixed} == {2, 3}
+    assert {len(parts) for parts in mixed} == {2, 3, 4}
     table = {row.name: row for row in TABLE}
     for row, parts in zip(rows, mixed, strict=True):
         assert family_of(row) == "drawn"
-        assert len({family_of(table[name]) for name in parts}) == len(parts)
+        assert len({family_of(table[name]) for name in parts[:2]}) == 2
         assert len(row.breaks) == sum(len(table[name].breaks) for name in parts)
-        times_s = [each.at_s for each in row.breaks]
+        at_times = [each for each in row.breaks if each.phase is None and not each.armed]
+        assert list(row.breaks[: len(at_times)]) == at_times  # what waits may never come
+        times_s = [each.at_s for each in at_times]
         assert times_s == sorted(times_s)
-        assert times_s[0] >= 0.0
+        assert all(each.at_s >= 0.0 for each in row.breaks)
+
+
+def test_drawn_flights_begin_everywhere_and_have_persons_and_what_waits_for_a_phase():
+    rows = drawn_rows(500, 0)
+    starts = {None if row.setup.start is None else row.setup.start.phase for row in rows}
+    assert starts == {None, Phase.CLIMB, Phase.ROUTE, Phase.RETURN, Phase.DESCEND}
+    waits = {each.phase for row in rows for each in row.breaks}
+    assert waits >= {Phase.TAKEOFF, Phase.LAND}
+    for words in ("pilot takes over", "hands back", "the ground station", "link cut for 3 s"):
+        assert any(words in row.name for row in rows)
+    for row in rows:
+        from_ground = [row_of(name).setup.start is None for name in parts_of(row)]
+        assert row.setup.start is None or not any(from_ground)
+
+
+def parts_of(row: Scenario) -> list[str]:
+    return row.name.split(": ", 1)[1].rsplit(", ", 1)[0].split(" + ")
+
+
+def test_faults_that_overlap_are_both_there_and_each_ends_alone():
+    """The second took the place of the first, and the end of one ended both."""
+    clock = SimulatedClock()
+    stage = SimpleNamespace(
+        autopilot_link=MemoryLink(clock, random.Random(1)), camera=SimpleNamespace(troubles={})
+    )
+    stage.autopilot_link.a_to_b.latency_s = LINK_LATENCY_S
+    turned, late = telemetry.turned(0.5), telemetry.TelemetryLate(0.3, (telemetry.ATTITUDE,))
+    cuts, slow = (link.LinkCut(), link.LinkCut()), link.RoundTrip(0.2)
+    for fault in (turned, late, slow, *cuts):
+        fault.begin(stage)
+
+    def arrives() -> tuple[float, float] | None:
+        stage.autopilot_link.a.write(attitude(0.1).pack(PACKER))
+        for step in range(1000):
+            clock.now_s += 0.001
+            if data := stage.autopilot_link.b.read():
+                yaw_rad = mavlink.MAVLink(None).decode(bytearray(data)).yaw
+                return round(0.001 * (step + 1), 3), round(yaw_rad, 3)
+        return None
+
+    assert arrives() is None
+    cuts[0].end(stage)
+    assert arrives() is None
+    cuts[1].end(stage)
+    assert arrives() == pytest.approx((0.4, 0.6), abs=0.002)
+    late.end(stage)
+    assert arrives() == pytest.approx((0.1, 0.6), abs=0.002)
+    turned.end(stage)
+    slow.end(stage)
+    assert arrives() == pytest.approx((LINK_LATENCY_S, 0.1), abs=0.002)
+    troubles = camera.CameraTrouble(camera.black), camera.CameraTrouble(camera.black)
+    for fault in troubles:
+        fault.begin(stage)
+    for fault in troubles:
+        assert stage.camera.troubles
+        fault.end(stage)
+    assert not stage.camera.troubles
+
+
+@pytest.mark.parametrize(
+    ("mode", "said", "alone"),
+    [
+        (FlightMode.HOLD, "", True),
+        (FlightMode.HOLD, "pilot switches", False),
+        (FlightMode.MANUAL, "", True),
+        (FlightMode.OFFBOARD, "", False),
+        (FlightMode.LAND, "", False),
+    ],
+)
+def test_an_aircraft_that_nobody_flies_is_seen(mode, said, alone):
+    track = FlightTrace()
+    for i in range(50):
+        place = np.array([0.0, 0.0, -50.0])
+        track.truth.append(Truth(100.0 + i, place, np.zeros(3), mode, True, False))
+    if said:
+        track.events.append(LogLine(2.0, said))
+    flown = Flown(
+        scenario=drawn_rows(1, 0)[0], track=track, begun_s=100.0, flown_s=50.0,
+        local_frame=LocalFrame(41.0, 29.0, 0.0), phase=Phase.RELEASED, steps=(), second_steps=(),
+        broke_s=None, broken=(), end=None,
+    )  # fmt: skip
+    assert any("nobody flies it" in each for each in judge(flown).wrong) is alone
 
 
 def test_rows_of_a_pilot_are_flown_live_only_where_he_has_a_link():

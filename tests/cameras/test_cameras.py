@@ -296,6 +296,29 @@ def test_without_picamera2_it_says_how_to_get_it():
         open_source("picamera2:640x480@30")
 
 
+@pytest.mark.parametrize(
+    ("breaks", "words"),
+    [
+        ("raise ValueError('numpy.dtype size changed')", "numpy.dtype size changed.*simplejpeg"),
+        ("class Picamera2:\n    def __init__(self): raise OSError('no I2C')", "camera: no I2C"),
+        (
+            "class Picamera2:\n    def close(self): raise OSError('closed')\n"
+            "    def create_video_configuration(self, *_, **__): ...\n"
+            "    def configure(self, _): raise KeyError('main')",
+            "camera: 'main'",
+        ),
+    ],
+)
+def test_whatever_keeps_picamera2_from_a_camera_is_one_line(tmp_path, monkeypatch, breaks, words):
+    (tmp_path / "picamera2.py").write_text(breaks)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "picamera2", raising=False)
+    with pytest.raises(SourceError, match=words) as said:
+        open_source("picamera2:640x480")
+    sys.modules.pop("picamera2", None)
+    assert "\n" not in str(said.value)
+
+
 class FakePicamera:
     """A Raspberry Pi camera as picamera2 has it, whose every image ends its first row at 5 s."""
 

@@ -1,5 +1,6 @@
 """What is asked of a live camera by its name, and what comes of it."""
 
+import errno
 import itertools
 import logging
 import shutil
@@ -12,11 +13,12 @@ import numpy as np
 import pytest
 from rtsp_server import FPS, RtspServer, bright
 
-from vwnav.cameras import gstreamer
+from vwnav.cameras import gstreamer, v4l2_crop
 from vwnav.cameras.gstreamer import GstreamerGrabber
 from vwnav.cameras.live import AskedImages, StreamGrabber, V4l2Grabber
 from vwnav.cameras.sources import open_source
 from vwnav.errors import SourceError
+from vwnav.geometry.sensor_mode import SensorMode
 
 FOURCC = {name: float(cv2.VideoWriter.fourcc(*name)) for name in ("MJPG", "YUYV", "GREY")}
 YUYV = np.arange(480 * 640 * 2, dtype=np.uint8).reshape(480, 640, 2)
@@ -108,6 +110,44 @@ def test_another_size_or_format_is_refused_in_one_line(camera):
     assert not any(each.open for each in opened)
 
 
+def test_the_calibrated_format_is_taken_where_none_is_asked(camera):
+    _, opened = camera
+    mode = SensorMode(pixels="YUYV")
+    source = open_source("/dev/null:640x480", mode=mode)
+    source.next_frame()
+    assert source.sensor_mode == mode
+    source.close()
+    asked = open_source("/dev/null:640x480:GREY", mode=mode)
+    asked.next_frame()
+    assert "pixels GREY, not YUYV" in mode.trouble_with(asked.sensor_mode)
+    asked.close()
+    assert [each.get(cv2.CAP_PROP_FOURCC) for each in opened] == [FOURCC["YUYV"], FOURCC["GREY"]]
+
+
+@pytest.mark.parametrize(
+    ("answer", "seen_px"),
+    [
+        ((1, 0, 0, 680, 692, 1920, 1080), (680, 692, 1920, 1080)),
+        ((1, 0, 0, -4, 0, 1920, 1080), None),
+        ((1, 0, 0, 0, 0, 0, 0), None),
+        (None, None),
+    ],
+)
+def test_the_part_of_the_sensor_is_known_where_the_driver_tells_it(
+    camera, monkeypatch, answer, seen_px
+):
+    def ioctl(_, request, asked):
+        assert request == v4l2_crop.GET_SELECTION
+        assert v4l2_crop.SELECTION.unpack(asked)[:2] == (1, 0)  # of captured images, the crop
+        if answer is None:
+            raise OSError(errno.ENOTTY, "Inappropriate ioctl for device")
+        return v4l2_crop.SELECTION.pack(*answer)
+
+    monkeypatch.setattr("vwnav.cameras.v4l2_crop.fcntl.ioctl", ioctl)
+    grabber = V4l2Grabber("/dev/null", AskedImages(pixels="GREY"))
+    assert grabber.sensor_mode == SensorMode(pixels="GREY", seen_px=seen_px)
+
+
 def test_another_rate_is_told_and_flown(camera, caplog):
     with caplog.at_level(logging.WARNING):
         open_source("/dev/null:640x480@60:GREY").close()
@@ -130,6 +170,14 @@ def test_a_camera_whose_pictures_are_all_cut_off_has_failed(camera):
     kind, _ = camera
     kind.retrieve = lambda self: (False, None)
     assert V4l2Grabber("/dev/null", AskedImages()).grab() is None
+
+
+@pytest.mark.parametrize(
+    "name", ["gst:640x480@0:nix", "gst:0x480:nix", "picamera2:640x0", "/dev/null:640x480@0"]
+)
+def test_what_asks_for_nothing_is_one_clear_line(camera, name):
+    with pytest.raises(SourceError, match="asks for 0: width, height and rate"):
+        open_source(name)
 
 
 def test_names_with_colons_are_names(camera, tmp_path):

@@ -10,6 +10,7 @@ from test_cameras import frames_before_error, frames_of, with_index_in_front, wr
 from vwnav.cameras.live import StreamGrabber
 from vwnav.cameras.sources import open_source
 from vwnav.cameras.video_file import VideoFile
+from vwnav.errors import SourceError
 
 COUNT = 30  # pictures, 20 a second
 
@@ -83,6 +84,13 @@ def test_an_mp4_whose_index_makes_no_sense_ends_in_no_traceback(tmp_path, box):
     data[at : at + 24] = bytes(24)
     path.write_bytes(data)
     assert len(frames_of(open_source(str(path)))) > 0
+
+
+@pytest.mark.parametrize("zeros", range(6, 20))
+def test_a_matroska_that_ends_in_zeros_is_one_clear_line(tmp_path, zeros):
+    (tmp_path / "a.mkv").write_bytes(b"\x1a\x45\xdf\xa3\x80" + bytes(zeros))
+    with pytest.raises(SourceError, match="is not a video that can be opened"):
+        VideoFile(tmp_path / "a.mkv")
 
 
 def test_a_video_that_asks_to_be_turned_is_taken_as_it_was_taken(tmp_path, caplog):

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.errors import CalibrationError
-from vwnav.geometry.calibration import load_camera, save_camera
+from vwnav.geometry.calibration import load_camera, load_findings, save_camera
 from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.rotations import rotation_from_euler
+from vwnav.geometry.sensor_mode import SensorMode
 
 K = np.array([[500.25, 0.0, 321.5], [0.0, 501.5, 238.25], [0.0, 0.0, 1.0]])
 OURS = {
@@ -200,6 +202,14 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"calibrated": {"sigma_fx_px": "small"}}, "finite number"),
         ({"calibrated": {"sigma_focal_ratio": 3.0}}, "sigma of the focal length"),
         ({"focal": 3}, "unknown key focal"),
+        ({"sensor_mode": "binned"}, "sensor_mode is no table"),
+        ({"sensor_mode": {"size": [1, 1]}}, "unknown key size of sensor_mode"),
+        ({"sensor_mode": {"read_px": [1640]}}, "read_px of sensor_mode"),
+        ({"sensor_mode": {"read_px": [1640, 0]}}, "read_px of sensor_mode"),
+        ({"sensor_mode": {"seen_px": [0, 0, 3280.5, 2464]}}, "seen_px of sensor_mode"),
+        ({"sensor_mode": {"seen_px": [-1, 0, 3280, 2464]}}, "seen_px of sensor_mode"),
+        ({"sensor_mode": {"bits": True}}, "bits of sensor_mode"),
+        ({"sensor_mode": {"sensor": 219}}, "sensor of sensor_mode"),
     ],
 )
 def test_senseless_values_are_refused_in_one_line(
@@ -208,6 +218,24 @@ def test_senseless_values_are_refused_in_one_line(
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(OURS | change))
     assert message in refused(path)
+
+
+@pytest.mark.parametrize("suffix", [".json", ".toml"])
+@pytest.mark.parametrize(
+    "mode",
+    [
+        None,
+        SensorMode(sensor="imx219", read_px=(1640, 1232), bits=10, seen_px=(0, 0, 3280, 2464)),
+        SensorMode(pixels="MJPG"),
+    ],
+)
+def test_the_mode_of_the_sensor_is_kept_with_its_findings(
+    tmp_path: Path, suffix: str, mode: SensorMode | None
+) -> None:
+    path = tmp_path / f"camera{suffix}"
+    save_camera(replace(mounted(0.0, 0.0, False), sensor_mode=mode), path, {"views": 20})
+    assert load_camera(path).sensor_mode == mode
+    assert load_findings(path) == {"views": 20}
 
 
 def test_how_sure_the_mount_is_comes_from_its_calibration(tmp_path: Path) -> None:

@@ -17,10 +17,14 @@ def checks(kind: int, params: dict[str, tuple[float, int]]) -> dict[str, str]:
         return doctor(f"udpin://127.0.0.1:{port}")
 
 
-def doctor(url: str) -> dict[str, str]:
-    command = [sys.executable, "-m", "vwnav", "doctor", "--json", "--connection", url]
+def doctor(url: str, *words: str) -> dict[str, str]:
+    return {name: check["detail"] for name, check in table(url, *words).items()}
+
+
+def table(url: str, *words: str) -> dict[str, dict[str, str]]:
+    command = [sys.executable, "-m", "vwnav", "doctor", "--json", "--connection", url, *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    return {check["name"]: check["detail"] for check in json.loads(done.stdout)["checks"]}
+    return {check["name"]: check for check in json.loads(done.stdout)["checks"]}
 
 
 def test_doctor_names_a_px4_and_what_is_missing():
@@ -29,6 +33,17 @@ def test_doctor_names_a_px4_and_what_is_missing():
     assert found["autopilot"].startswith("PX4 on udpin://")
     assert found["COM_OF_LOSS_T"].startswith("is 5, should be 1 s or less")
     assert found["EKF2_EV_CTRL"].startswith("is missing, should be")
+
+
+def test_doctor_asks_for_as_full_a_battery_as_the_flight_of_these_settings_will(tmp_path):
+    """The battery is at 87 %."""
+    (tmp_path / "full.toml").write_text("[safety]\nbattery_takeoff_ratio = 0.9\n")
+    port = free_port()
+    with Peer(port) as peer:
+        peer.params = {"COM_OF_LOSS_T": (5.0, mavlink.MAV_PARAM_TYPE_REAL32)}
+        found = table(f"udpin://127.0.0.1:{port}", "--config", str(tmp_path / "full.toml"))
+    assert found["battery"]["verdict"] == "FAIL"
+    assert found["battery"]["detail"] == "87 %, 90 % is wanted: charge it"
 
 
 def test_doctor_names_an_arducopter():

@@ -21,8 +21,10 @@ from vwnav.mission.mission import Phase
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
+from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vision.features.load import load_features
 
+SIFT = load_features("sift")
 AROUND = [(0.0, 150.0), (150.0, 150.0), (150.0, 0.0), (150.0, -40.0), (150.0, 150.0), (0.0, 150.0)]
 FLOWN_M = 30.0
 SLACK_M = 2.1  # a height is reached within 2 m
@@ -108,8 +110,13 @@ def test_what_returns_ask_for_is_said_before_anything_is_armed(plans, ridges, ar
     assert "above the ceiling of 120 m: a return from there goes back along the flown way" in high
     for ridge_m, words in ((60.0, low), (160.0, high.partition(" of the route")[2])):
         assert words in checked(ridges[ridge_m], around).stdout
-        assert words in _map(ridges[ridge_m], load_route(around), load_features("sift")).detail
+        assert words in _map(ridges[ridge_m], load_route(around), SIFT, SafetyConfig()).detail
         assert words in json.loads(checked(ridges[ridge_m], around, "--json").stdout)["returns"]
+
+
+def test_doctor_says_what_returns_ask_for_by_the_settings_that_fly(ridges, around):
+    told = _map(ridges[60.0], load_route(around), SIFT, SafetyConfig(ceiling_m=50.0)).detail
+    assert "above the ceiling of 50 m: a return from there goes back along the flown way" in told
 
 
 def test_the_last_leg_of_a_route_clears_the_ground_too(ridges, around):

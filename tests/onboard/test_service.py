@@ -18,7 +18,7 @@ from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard import program, service
 from vwnav.onboard.aboard import Aboard
 from vwnav.onboard.options import FlyOptions
-from vwnav.onboard.service import ServiceHandle, ServiceManager
+from vwnav.onboard.service import FlightFolder, ServiceHandle, ServiceManager
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 
@@ -215,8 +215,38 @@ def test_a_try_that_never_began_leaves_no_folder_behind(tmp_path, error, left):
     folder = tmp_path / "fly-20261127-120000"
     folder.mkdir()
     with pytest.raises(error):
-        raised_in_a_stack(error("it ended"), program._leaving_no_try(folder))
+        raised_in_a_stack(error("it ended"), FlightFolder(folder, True).leave)
     assert folder.exists() is left
+
+
+def test_of_tries_that_break_again_and_again_the_last_one_is_kept_and_no_flight_goes(
+    tmp_path, capsys
+):
+    flight, mine = tmp_path / "fly-20261127-110000", tmp_path / "broken"
+    for each in (flight, mine):
+        each.mkdir()
+    (mine / "traceback.txt").touch()  # a person's own
+    for second in range(3):
+        folder = tmp_path / f"fly-20261127-12000{second}"
+        folder.mkdir()
+        with pytest.raises(ZeroDivisionError):
+            raised_in_a_stack(ZeroDivisionError("of that"), FlightFolder(folder, True).leave)
+    assert {each.name for each in tmp_path.iterdir()} == {flight.name, mine.name, folder.name}
+    assert "ZeroDivisionError: of that" in (folder / "traceback.txt").read_text()
+    assert f"{folder} keeps why" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", [LinkError, ZeroDivisionError])
+@pytest.mark.parametrize(("tried_again", "began"), [(True, True), (False, False)])
+def test_a_flight_and_what_is_no_service_keep_what_they_left(tmp_path, error, tried_again, began):
+    folder = tmp_path / "fly-20261127-120000"
+    folder.mkdir()
+    held = FlightFolder(folder, tried_again)
+    held.began = began
+    with pytest.raises(error):
+        raised_in_a_stack(error("it ended"), held.leave)
+    assert list(tmp_path.iterdir()) == [folder]
+    assert list(folder.iterdir()) == []
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")

@@ -2,8 +2,12 @@
 
 import csv
 import os
+import subprocess
+import sys
 import threading
 import time
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,6 +122,64 @@ def test_a_folder_with_a_run_is_refused(tmp_path):
     (tmp_path / "trajectory.csv").touch()
     with pytest.raises(VwnavError, match="-o"):
         make_run_folder(tmp_path, "fly")
+
+
+MAKES = (
+    "import sys; from pathlib import Path; from vwnav.recording.run_folder import make_run_folder\n"
+    "sys.stdin.readline()\n"
+    "print(make_run_folder(Path(sys.argv[1]) if sys.argv[1:] else None, 'fly'), flush=True)\n"
+    "sys.stdin.readline()\n"
+)
+
+
+@contextmanager
+def runs(count, *words, cwd):
+    """So many processes that make a run folder once they read a line, and end at the second."""
+    command, pipe = [sys.executable, "-c", MAKES, *map(str, words)], subprocess.PIPE
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    started = [
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=cwd, env=env)
+        for _ in range(count)
+    ]
+    yield started
+    for each in started:
+        each.communicate(timeout=60.0)
+
+
+def makes(process) -> str:
+    process.stdin.write("\n")
+    process.stdin.flush()
+    return process.stdout.readline().strip()
+
+
+def test_a_folder_that_another_run_has_is_refused_until_that_ends_in_whatever_way(tmp_path):
+    folder = tmp_path / "run"
+    with runs(1, folder, cwd=tmp_path) as (first,):
+        assert makes(first) == str(folder)
+        with pytest.raises(VwnavError, match=r"another run writes to .*; give another folder"):
+            make_run_folder(folder, "fly")
+        first.kill()
+        first.wait()
+        assert make_run_folder(folder, "fly") == folder
+        assert make_run_folder(folder, "fly") == folder  # it is ours
+
+
+def test_runs_that_start_at_one_time_have_a_folder_each(tmp_path):
+    with runs(5, cwd=tmp_path) as started:
+        for each in started:
+            each.stdin.write("\n")
+            each.stdin.flush()
+        made = [each.stdout.readline().strip() for each in started]
+    assert len({*made}) == 5
+    assert {tmp_path / each for each in made} == {*(tmp_path / "runs").iterdir()}
+
+
+def test_a_folder_that_appears_meanwhile_is_not_shared(tmp_path, monkeypatch):
+    """Both have seen that the first name is free."""
+    monkeypatch.chdir(tmp_path)
+    first = make_run_folder(None, "fly")
+    monkeypatch.setattr(Path, "exists", lambda path: False)
+    assert make_run_folder(None, "fly") != first
 
 
 def test_json_never_holds_a_nan(tmp_path):

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vwnav.errors import SourceError
 from vwnav.geometry.rotations import (
@@ -16,6 +18,7 @@ from vwnav.geometry.rotations import (
 from vwnav.recording import recorded_telemetry
 from vwnav.recording.reader import VEHICLE_TOPIC, Record
 from vwnav.recording.telemetry_files import load_telemetry
+from vwnav.recording.telemetry_log import TelemetryLog, rising
 from vwnav.types import Attitude, Height, ImuSample, Range, Stationary
 
 
@@ -49,6 +52,42 @@ def test_attitudes_a_second_apart_are_filled_up_so_that_each_image_has_one(tmp_p
     told = csv_of(tmp_path, "t_s,pitch_deg,yaw_deg\n0,0,350\n1,20,10\n9,0,0\n").measurements(0.0)
     assert [seen.t_s for seen in told] == pytest.approx([*np.arange(0.0, 1.05, 0.1), 9.0])
     assert angles_deg(told[5]) == pytest.approx([0.0, 10.0, 0.0], abs=2.0)
+
+
+@pytest.mark.parametrize("strange_s", [1e6, -50.0, 7.05])
+def test_a_row_of_another_time_silences_none_that_follow(tmp_path, caplog, strange_s):
+    """Of each kind: attitudes, heights, ranges."""
+    rows = [f"{0.1 * i:.1f},0,{i},10,12" for i in range(100)]
+    rows.insert(30, f"{strange_s},0,0,10,12")
+    text = "\n".join(["t_s,roll_deg,yaw_deg,height_m,agl_m", *rows])
+    told = csv_of(tmp_path, text).measurements(0.0)
+    for kind in (Attitude, Height, Range):
+        assert [seen.t_s for seen in of(kind, told)] == pytest.approx(np.arange(100) * 0.1)
+    assert "3 measurements left out, whose time is not of those about them" in caplog.text
+
+
+def test_an_arming_of_another_time_does_not_hold_for_the_flight():
+    log = TelemetryLog()
+    for t_s in np.arange(0.0, 10.0, 0.1):
+        log.add(Height(t_s, 0.0))
+    for t_s, armed in ((0.0, False), (1e6, True), (2.0, True), (8.0, False)):
+        log.add_armed(t_s, armed)
+    stands_s = [seen.t_s for seen in of(Stationary, log.measurements(0.0))]
+    assert not [t_s for t_s in stands_s if 2.0 <= t_s < 8.0]
+    assert max(stands_s) > 9.0
+
+
+@given(
+    st.lists(st.floats(0.0, 100.0), max_size=40, unique=True),
+    st.lists(st.tuples(st.integers(0, 40), st.floats(-1e9, 1e9)), max_size=3),
+)
+def test_so_many_strange_times_cost_no_more_than_as_many_others(times_s, strange):
+    shown_s = sorted(times_s)
+    for at, t_s in strange:
+        shown_s.insert(at, t_s)
+    kept = rising(shown_s)
+    assert len(kept) >= len(times_s)
+    assert all(shown_s[a] < shown_s[b] for a, b in itertools.pairwise(kept))
 
 
 def test_agl_becomes_the_range_along_the_tilted_axis(tmp_path):

@@ -100,7 +100,7 @@ def test_a_packet_that_overtook_another_begins_no_new_run(tmp_path, caplog):
     rows[50], rows[51] = rows[51], rows[50]
     attitudes, _ = read(tmp_path, rows)
     assert attitudes[-1].t_s == pytest.approx(14.9)
-    assert "2 measurements left out, whose time goes back" in caplog.text
+    assert "2 measurements left out, whose time is not of those about them" in caplog.text
 
 
 def test_one_packet_that_is_seconds_late_begins_no_new_start(tmp_path):
@@ -116,6 +116,24 @@ def test_a_second_link_that_is_seconds_late_begins_no_new_start(tmp_path):
     mixed = rows[:30] + [row for pair in zip(rows[30:], late, strict=False) for row in pair]
     attitudes, _ = read(tmp_path, mixed + late[70:])
     assert len(attitudes) == COUNT
+
+
+@pytest.mark.parametrize(
+    "begins_s", [[90_000.0], [90_000.0, 40_000.0], [90_000.0, 90_000.5], [0.0]]
+)
+def test_stamps_of_another_time_cost_themselves_alone(tmp_path, begins_s):
+    """A clock that jumps for a packet or two, or a packet that somebody made."""
+    rows = flight(5.0)
+    rows[40:40] = [flight(each_s, count=1)[0] for each_s in begins_s]
+    attitudes, heights = read(tmp_path, rows)
+    assert [seen.t_s for seen in attitudes] == pytest.approx([5.0 + 0.1 * i for i in range(COUNT)])
+    assert len(heights) == HEIGHTS
+
+
+def test_a_flight_with_a_gap_of_a_minute_is_one(tmp_path, caplog):
+    attitudes, _ = read(tmp_path, flight(5.0, count=60) + flight(70.0, count=40))
+    assert len(attitudes) == COUNT
+    assert not caplog.records
 
 
 def test_rows_of_a_csv_whose_time_goes_back_are_told(tmp_path, caplog):

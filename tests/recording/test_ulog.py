@@ -65,6 +65,13 @@ def test_of_several_distance_sensors_the_downward_one_is_taken(tmp_path):
     assert ranges_of(tmp_path / "a.ulg", data) == [20.0] * ROWS
 
 
+def test_a_first_attitude_of_another_time_dates_no_other(tmp_path):
+    rows = [attitude(0, 10**12), *(attitude(0, t_us) for t_us in times_us())]
+    (tmp_path / "a.ulg").write_bytes(ulog([ATTITUDE], [("vehicle_attitude", 0)], rows))
+    told = load_telemetry(tmp_path / "a.ulg").measurements(0.0)
+    assert [seen.t_s for seen in told] == pytest.approx([0.1 * i for i in range(ROWS)])
+
+
 def test_a_sensor_that_says_nothing_of_its_signal_is_believed(tmp_path):
     rows = []
     for t_us in times_us():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vwnav.safety.camera_watch import CameraWatch
+from vwnav.safety.readiness import check_camera
 from vwnav.types import Frame
 
 
@@ -25,6 +26,15 @@ def test_images_that_differ_are_good_and_their_time_is_kept():
     assert [watch.look(seen(seed), seed + 0.04) for seed in range(3)] == ["", "", ""]
     assert watch.image_s == 2.04
     assert watch.trouble == ""
+
+
+def test_another_mode_of_the_same_size_is_trouble_until_it_is_the_calibrated_one():
+    troubles = iter(["another mode", ""])
+    watch = CameraWatch(64, 48, lambda: next(troubles))
+    assert watch.look(seen(1), 1.0) == "another mode"
+    assert check_camera(watch.sight, 1.0).detail == "another mode"
+    assert check_camera(watch.sight, 1.0).verdict == "FAIL"
+    assert watch.look(seen(2), 2.0) == ""
 
 
 def test_one_image_again_is_trouble_until_another_comes():

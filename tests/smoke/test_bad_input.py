@@ -109,6 +109,27 @@ def test_a_service_that_finds_no_autopilot_may_be_tried_again_and_leaves_nothing
     assert list((tmp_path / "runs").iterdir()) == []
 
 
+def test_a_service_that_breaks_again_and_again_leaves_one_folder(
+    vwnav, place, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    (tmp_path / "picamera2.py").write_text(
+        "class Picamera2:\n    camera_properties = None\n"
+        "    def __getattr__(self, _): return lambda *_, **__: None\n"
+    )
+    for _ in range(2):
+        done = vwnav(
+            "fly", "--map", place.pack, "--route", _route(tmp_path, "1,20,0,50\n"), "--home",
+            "60.4,22.5", "--camera", place.camera, "--video", "picamera2", "--connection", NO_LINK,
+            cwd=tmp_path,
+        )  # fmt: skip
+        assert done.code == 1
+        assert "AttributeError" in done.err
+    (left,) = (tmp_path / "runs").iterdir()
+    assert f"runs/{left.name} keeps why" in done.err
+    assert "AttributeError" in (left / "traceback.txt").read_text()
+
+
 def test_a_route_with_a_nan(vwnav, tmp_path):
     done = vwnav(
         "fly", "--sim", "--route", _route(tmp_path, "1,nan,0,50\n"), "-o", tmp_path / "out"

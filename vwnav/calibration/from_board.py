@@ -1,21 +1,19 @@
 """What `vwnav calibrate camera` does, once its options are read."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from vwnav.calibration.board import BoardFinder
+from vwnav.calibration.board_session import BoardSession
 from vwnav.calibration.coverage import ENOUGH_COVERED, Coverage
 from vwnav.calibration.lens import NAMES, LensFit, fit_lens
 from vwnav.calibration.output import check_writable
-from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.sources import open_source
-from vwnav.errors import CalibrationError, SourceError
+from vwnav.errors import CalibrationError
 from vwnav.geometry.calibration import save_camera
-from vwnav.geometry.camera import to_gray
-from vwnav.screen import LiveLine, print_table, say
-from vwnav.seams import FrameSource
+from vwnav.screen import print_table, say
 
 GOOD_HELD_OUT, BAD_HELD_OUT = 0.0008, 0.004  # of the image's width
 GOOD_FOCAL, BAD_FOCAL = 0.001, 0.01  # sigma, of the focal length
@@ -31,16 +29,18 @@ def calibrate_camera(source: str, output: Path) -> None:
     """
     check_writable(output)
     images = open_source(source)
+    session = BoardSession(images)
     try:
-        coverage, size_wh, seen = _watch(images)
+        session.watch()
     finally:
         images.close()
+    coverage = session.coverage
     if not coverage.views:
         raise CalibrationError(
-            f"the board is in none of {seen} pictures: `vwnav calibrate board` draws it; it wants "
-            "light, a sharp picture, and a white margin"
+            f"the board is in none of {session.seen} pictures: `vwnav calibrate board` draws it; "
+            "it wants light, a sharp picture, and a white margin"
         )
-    fit = fit_lens(coverage.views, size_wh)
+    fit = fit_lens(coverage.views, session.size_wh)
     doubts = _doubts(fit, coverage)
     _refuse_useless(fit, coverage)
     verdict = "good" if not doubts else "usable"
@@ -50,49 +50,13 @@ def calibrate_camera(source: str, output: Path) -> None:
         "views": fit.views,
         **{f"sigma_{name}": float(f"{sigma:.3g}") for name, sigma in fit.sigmas.items()},
     }
-    save_camera(fit.camera, output, findings)
+    save_camera(replace(fit.camera, sensor_mode=session.mode), output, findings)
     for doubt in doubts:
         say(doubt)
-    print_table("camera calibration", _rows(fit, coverage, verdict, output))
-
-
-def _watch(images: FrameSource) -> tuple[Coverage, tuple[int, int], int]:
-    """Views until the source ends; of a live camera until they are enough, or Ctrl-C."""
-    finder, live, seen = BoardFinder(), isinstance(images, RealTimeSource), 0
-    coverage: Coverage | None = None
-    size_wh = (0, 0)
-    with LiveLine() as line:
-        try:
-            while (frame := images.next_frame()) is not None:
-                seen += 1
-                size = (frame.image.shape[1], frame.image.shape[0])
-                if coverage is None:
-                    coverage, size_wh = Coverage(size), size
-                if size != size_wh:
-                    raise CalibrationError(
-                        f"picture {seen} is {size[0]} x {size[1]} px, those before it "
-                        f"{size_wh[0]} x {size_wh[1]}: a calibration is for one size"
-                    )
-                view = finder.find(to_gray(frame.image))
-                if view is not None:
-                    coverage.add(view)
-                missing = coverage.missing()
-                line.show(frame.t_s, _status(coverage, view is not None, missing))
-                if live and not missing:
-                    break
-        except KeyboardInterrupt:
-            say("enough: taking what there is")
-    if coverage is None:
-        raise SourceError("no picture came")
-    return coverage, size_wh, seen
-
-
-def _status(coverage: Coverage, found: bool, missing: list[str]) -> str:
-    wanted = f"show {missing[0]}" if missing else "enough"
-    return (
-        f"{'board seen' if found else 'no board  '}  {len(coverage.views)} views  "
-        f"{100.0 * coverage.covered:.0f} % of the picture  {wanted}"
-    )
+    rows = _rows(fit, coverage, verdict, output)
+    if session.mode is not None:
+        rows.append(("mode of the sensor", str(session.mode)))
+    print_table("camera calibration", rows)
 
 
 def _doubts(fit: LensFit, coverage: Coverage) -> list[str]:

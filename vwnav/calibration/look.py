@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from vwnav.calibration.held_light import HeldLight
 from vwnav.cameras.live import RealTimeSource
+from vwnav.cameras.modes import mode_of, trouble_with_mode
 from vwnav.cameras.sources import open_source
-from vwnav.errors import SourceError
+from vwnav.errors import CalibrationError, SourceError
 from vwnav.files.whole import write_whole
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import check_fits, to_gray
@@ -68,19 +69,23 @@ def look(options: LookOptions) -> None:
         _check_drawable(options.output)
     calibration = load_camera(options.camera) if options.camera else None
     extractor = load_features(options.features)
-    source = open_source(options.source)
+    source = open_source(options.source, mode=calibration.sensor_mode if calibration else None)
     try:
         seen = _watch(source, options.seconds, HeldLight(source, calibration, options.height_m))
     finally:
         source.close()
-    gray = to_gray(seen.newest.image)
-    rows = [("size", f"{gray.shape[1]} x {gray.shape[0]} px"), *_times(seen), *_light(gray)]
+    gray, mode = to_gray(seen.newest.image), mode_of(source)
+    rows = [("size", f"{gray.shape[1]} x {gray.shape[0]} px")]
+    rows += [("mode of the sensor", str(mode))] if mode is not None else []
+    rows += [*_times(seen), *_light(gray)]
     if seen.exposure:
         rows.append(("exposure", seen.exposure))
     found = extractor.extract(gray, KEYPOINTS)
     rows.append((f"keypoints, {options.features}", f"{len(found)} of at most {KEYPOINTS}"))
     if calibration is not None:
         check_fits(calibration, gray.shape[1], gray.shape[0])
+        if trouble := trouble_with_mode(source, calibration):
+            raise CalibrationError(trouble)
         px_per_m = float(calibration.K[0, 0]) / options.height_m
         rows.append(
             (

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 
 from vwnav.cameras.light.keeper import LightKeeper
 from vwnav.cameras.light.v4l2 import EXPOSURE_UNIT_S, V4l2LightControls
+from vwnav.cameras.modes import mode_of
 from vwnav.cameras.stream_times import StreamTimes
+from vwnav.cameras.v4l2_crop import seen_part
 from vwnav.cameras.video_file import quieten_decoder
 from vwnav.errors import SourceError
+from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.types import Frame
 
 _log = logging.getLogger(__name__)
@@ -52,6 +55,7 @@ class RealTimeSource:
 
     Attributes:
         dropped: images that were replaced before anybody fetched them.
+        sensor_mode: of the newest image; None where the camera's driver does not say.
     """
 
     def __init__(
@@ -66,6 +70,7 @@ class RealTimeSource:
         self._failed = False
         self._arrived = threading.Condition()
         self.dropped = 0
+        self.sensor_mode: SensorMode | None = None
         self._keeper: LightKeeper | None = None
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
@@ -117,11 +122,13 @@ class RealTimeSource:
                 grabbed = grabber.grab()
                 if grabbed is None:
                     return
+                self.sensor_mode = mode_of(grabber)
                 self._hand_over(*grabbed)
                 if self._keeper is not None:
                     self._keeper.saw(grabber, grabbed[1])
-        except Exception:  # whatever a driver raises when its camera is pulled out
-            _log.exception("the camera failed")
+        except Exception as error:  # whatever a driver raises when its camera is pulled out
+            _log.warning("the camera failed: %r", error)
+            _log.debug("it failed here", exc_info=True)
         finally:
             with suppress(Exception):
                 grabber.close()
@@ -192,7 +199,7 @@ class V4l2Grabber:
         if self._raw:
             self._video.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         self._period_s = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or asked.fps or 30.0)
-        self._compare(device, asked)
+        self._pixels, self._seen_px = self._compare(device, asked), seen_part(device)
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image; one cut off on its way, as a bad cable does, is passed over.
@@ -209,6 +216,12 @@ class V4l2Grabber:
                 return self._exposure_time(stamp_s, arrival_s), self._luminance(image)
         return None
 
+    @property
+    def sensor_mode(self) -> SensorMode:
+        """Format of its images, and what they show of the sensor where the driver tells that."""
+        known = self._pixels if self._pixels.isprintable() else None
+        return SensorMode(pixels=known, seen_px=self._seen_px)
+
     def _luminance(self, image: NDArray[Any]) -> NDArray[np.uint8]:
         """Of YUYV; any other image as it is."""
         if self._raw and image.ndim == 3:  # YUYV: luminance first, then a colour by turns
@@ -224,8 +237,11 @@ class V4l2Grabber:
         self._light = V4l2LightControls(self._device, self._period_s)
         return self._light
 
-    def _compare(self, device: str, asked: AskedImages) -> None:
-        """Refuse another size or format than what was asked; of another rate only tell."""
+    def _compare(self, device: str, asked: AskedImages) -> str:
+        """Refuse another size or format than what was asked; of another rate only tell.
+
+        Returns the format.
+        """
         number = int(self._video.get(cv2.CAP_PROP_FOURCC))
         pixels = number.to_bytes(4, "little").decode("ascii", errors="replace")
         size_wh = tuple(
@@ -237,13 +253,14 @@ class V4l2Grabber:
         if other_size or (asked.pixels is not None and pixels != asked.pixels):
             self._video.release()
             raise SourceError(
-                f"the camera {device} gives {given}, which is not what is asked: "
+                f"the camera {device} gives {given}, which is not what is asked or calibrated: "
                 f"`v4l2-ctl -d {device} --list-formats-ext` shows what it has"
             )
         _log.info("the camera %s gives %s", device, given)
         if asked.fps is not None and abs(1.0 / self._period_s - asked.fps) > 0.5:
             _log.warning("the camera %s gives %s, not %g pictures a second", device, given,
                          asked.fps)  # fmt: skip
+        return pixels
 
     def close(self) -> None:
         """Give the device back."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vwnav.cameras.light.control import Light, LightRange
 from vwnav.errors import SourceError
+from vwnav.geometry.sensor_mode import SensorMode
 
 _IMAGE_TIMEOUT_S = 5.0
 # From a row to the next, by sensor and rows of its mode; of a global shutter there is no such time.
@@ -33,12 +34,20 @@ _LINE_S: dict[str, dict[int, float]] = {
 class PicameraGrabber:
     """A Raspberry Pi camera by picamera2, which comes with the Pi's own operating system.
 
+    Args:
+        width_px, height_px: of the images.
+        fps: wanted of them.
+        mode: of the sensor that is wanted; libcamera takes the one that is most like it. Left to
+            it, it is the one that is most like the images.
+
     Raises:
         SourceError: picamera2 is not there, or no camera is.
     """
 
-    def __init__(self, width_px: int, height_px: int, fps: float) -> None:
-        self._camera = _open_picamera(width_px, height_px, fps)
+    def __init__(
+        self, width_px: int, height_px: int, fps: float, mode: SensorMode | None = None
+    ) -> None:
+        self._camera = _open_picamera(width_px, height_px, fps, mode)
         self._to_centre_s = 0.5 * _readout_s(self._camera)
         self._period_s, self._metadata = 1.0 / fps, dict[str, Any]()
 
@@ -54,6 +63,17 @@ class PicameraGrabber:
         # SensorTimestamp: start of the read-out, ns since boot, when the first row's exposure ends.
         to_centre_s = self._to_centre_s - 0.5 * metadata["ExposureTime"] / 1e6
         return metadata["SensorTimestamp"] / 1e9 + to_centre_s, np.asarray(image, np.uint8)
+
+    @property
+    def sensor_mode(self) -> SensorMode:
+        """Of the newest image; what is seen of the sensor is known from the first one on."""
+        sensor = _sensor(self._camera)
+        return SensorMode(
+            sensor=self._camera.camera_properties.get("Model"),
+            read_px=sensor.get("output_size"),
+            bits=sensor.get("bit_depth"),
+            seen_px=self._metadata.get("ScalerCrop"),
+        )
 
     def light_controls(self) -> "PicameraLightControls":
         """Its exposure and gain.
@@ -114,13 +134,17 @@ class PicameraLightControls:
 def _readout_s(camera: Any) -> float:
     """From the first row to the last; 0 for a sensor that is not known: calibrate its offset."""
     name = str(camera.camera_properties.get("Model", ""))
-    sensor = camera.camera_configuration().get("sensor") or {}
-    rows = (sensor.get("output_size") or (0, 0))[1]
+    rows = (_sensor(camera).get("output_size") or (0, 0))[1]
     # Camera Module 3 tells its lens and filter behind its sensor: imx708_wide_noir.
     return float(rows * _LINE_S.get(name.partition("_")[0], {}).get(rows, 0.0))
 
 
-def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
+def _sensor(camera: Any) -> dict[str, Any]:
+    """How it is read, as libcamera has chosen; empty of versions that do not say."""
+    return camera.camera_configuration().get("sensor") or {}
+
+
+def _open_picamera(width_px: int, height_px: int, fps: float, mode: SensorMode | None) -> Any:
     try:
         # Comes with the Pi's system, not from the package index: unknown to type checkers.
         picamera2 = importlib.import_module("picamera2")
@@ -129,15 +153,24 @@ def _open_picamera(width_px: int, height_px: int, fps: float) -> Any:
             "picamera2 is not installed: `sudo apt install python3-picamera2`, and make the "
             "virtual environment with --system-site-packages"
         ) from error
+    except Exception as error:  # of what it is built on: numpy of another version, as a rule
+        raise SourceError(
+            f"picamera2 does not load ({error}): `pip install --upgrade simplejpeg` in the virtual "
+            "environment where it is numpy's version"
+        ) from error
     camera = None
     try:
         camera = picamera2.Picamera2()
         # picamera2 names formats back to front: "RGB888" is BGR in memory, as OpenCV has it.
         main = {"size": (width_px, height_px), "format": "RGB888"}
-        camera.configure(camera.create_video_configuration(main, controls={"FrameRate": fps}))
+        asked: dict[str, Any] = {"controls": {"FrameRate": fps}}
+        if mode is not None and mode.read_px is not None:
+            asked["sensor"] = {"output_size": mode.read_px, "bit_depth": mode.bits}
+        camera.configure(camera.create_video_configuration(main, **asked))
         camera.start()
-    except (RuntimeError, IndexError) as error:
+    except Exception as error:  # libcamera's have no common base
         if camera is not None:
-            camera.close()  # else the next one finds it taken
+            with suppress(Exception):
+                camera.close()  # else the next one finds it taken
         raise SourceError(f"no Raspberry Pi camera: {error}; `rpicam-hello` shows why") from error
     return camera

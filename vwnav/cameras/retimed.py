@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from vwnav.cameras.light.keeper import HoldsExposure, LightKeeper
+from vwnav.cameras.modes import mode_of
+from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.seams import FrameSource
 from vwnav.types import Frame
 
@@ -18,6 +20,11 @@ class RetimedSource:
         """The next image; None at the end."""
         frame = self._source.next_frame()
         return None if frame is None else replace(frame, t_s=frame.t_s + self._offset_s)
+
+    @property
+    def sensor_mode(self) -> SensorMode | None:
+        """Of the source, where it tells one."""
+        return mode_of(self._source)
 
     def hold_exposure(
         self, most_s: Callable[[], float], say: Callable[[str], None]

@@ -15,6 +15,7 @@ from vwnav.cameras.live import (
 from vwnav.cameras.picamera import PicameraGrabber
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
+from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.recording.reader import RecordedFrames
 from vwnav.seams import FrameSource
 
@@ -26,7 +27,7 @@ _STREAM_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "rtp:
 DEFAULT_FOLDER_FPS = 1.0
 
 
-def open_source(text: str, fps: float | None = None) -> FrameSource:
+def open_source(text: str, fps: float | None = None, mode: SensorMode | None = None) -> FrameSource:
     """Open the images that `text` names.
 
     Args:
@@ -35,22 +36,23 @@ def open_source(text: str, fps: float | None = None) -> FrameSource:
             `gst:WIDTHxHEIGHT[@FPS]:PIPELINE`, or the URL of a stream (`rtsp://...`).
         fps: rate of a folder's images where they carry no time of their own; the rate wanted of
             a live camera.
+        mode: of its sensor that is wanted of a live camera, as far as it can be told.
 
     Raises:
         SourceError: it is not there, cannot be opened, or is none of these.
     """
     picamera = _PICAMERA.fullmatch(text)
     if picamera is not None:
-        width, height, rate = (int(part) if part else None for part in picamera.groups())
-        size, wanted_fps = (width or 1920, height or 1080), fps or rate or 30.0
-        return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps))
+        size, rate = _asked(text, *picamera.groups())
+        size, wanted_fps = size or (1920, 1080), fps or rate or 30.0
+        return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps, mode))
     if text.startswith(_STREAM_SCHEMES):
         return RealTimeSource(lambda: StreamGrabber(text))
     if text.startswith("gst:"):
         return _gstreamer(text, fps)
     device = _DEVICE.fullmatch(text)
     if device is not None and Path(device[1]).is_char_device():
-        return _video4linux(device, fps)
+        return _video4linux(device, fps, mode)
     path = Path(text)
     if path.is_dir():
         return ImageFolder(path, fps or DEFAULT_FOLDER_FPS)
@@ -64,11 +66,13 @@ def open_source(text: str, fps: float | None = None) -> FrameSource:
     )
 
 
-def _video4linux(found: re.Match[str], fps: float | None) -> FrameSource:
-    name, width, height, rate, pixels = found.groups()
-    size_wh = (int(width), int(height)) if width else None
+def _video4linux(found: re.Match[str], fps: float | None, mode: SensorMode | None) -> FrameSource:
+    name, *numbers, pixels = found.groups()
+    size_wh, rate = _asked(found.string, *numbers)
+    if pixels is None and mode is not None:
+        pixels = mode.pixels
     known: dict[str | None, PixelFormat] = {"MJPG": "MJPG", "YUYV": "YUYV", "GREY": "GREY"}
-    asked = AskedImages(size_wh, fps or (float(rate) if rate else None), known.get(pixels))
+    asked = AskedImages(size_wh, fps or rate, known.get(pixels))
     return RealTimeSource(lambda: V4l2Grabber(name, asked))
 
 
@@ -78,6 +82,22 @@ def _gstreamer(text: str, fps: float | None) -> FrameSource:
         raise SourceError(
             f"{text!r} does not say its size: gst:640x480@30:libcamerasrc, for example"
         )
-    width, height, rate, pipeline = found.groups()
-    wanted_fps = fps or float(rate or 30.0)
-    return RealTimeSource(lambda: GstreamerGrabber(pipeline, int(width), int(height), wanted_fps))
+    *numbers, pipeline = found.groups()
+    size_wh, rate = _asked(text, *numbers)
+    assert size_wh is not None
+    return RealTimeSource(lambda: GstreamerGrabber(pipeline, *size_wh, fps or rate or 30.0))
+
+
+def _asked(
+    text: str, width: str | None, height: str | None, rate: str | None
+) -> tuple[tuple[int, int] | None, float | None]:
+    """Size and rate by the digits of a camera's name.
+
+    Raises:
+        SourceError: one of them is 0.
+    """
+    size_wh = (int(width), int(height)) if width and height else None
+    fps = float(rate) if rate else None
+    if fps == 0.0 or (size_wh is not None and min(size_wh) == 0):
+        raise SourceError(f"{text!r} asks for 0: width, height and rate are 1 or more")
+    return size_wh, fps

@@ -127,8 +127,10 @@ def _matroska_end(file: BinaryIO) -> int:
         if len(header) < 6:
             return 0
         id_length = 9 - header[0].bit_length()
+        if id_length > 4:
+            return 0
         length_length = 9 - header[id_length].bit_length() if header[id_length] else 9
-        if id_length > 4 or length_length > 8:
+        if length_length > 8:
             return 0
         raw = int.from_bytes(header[id_length : id_length + length_length])
         length = raw & ((1 << 7 * length_length) - 1)

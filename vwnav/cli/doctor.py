@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from vwnav.geometry.camera import Camera
     from vwnav.guidance.plan_files import Route
     from vwnav.safety.camera_watch import CameraSight
+    from vwnav.safety.safety_config import SafetyConfig
     from vwnav.seams import FrameSource
     from vwnav.types import FeatureExtractor
 
@@ -27,6 +28,7 @@ _BUDGET_SHARE = 0.5  # of the interval, where the settings want fixes more seldo
 _WATCHED, _WATCHED_S = 30, 5.0  # images, and for how long at most
 _STEADY = 8  # images in a row without trouble; the first ones of a camera may be old
 _FIT_UNTOLD = "whether they fit a calibration is not known: --camera FILE tells"
+_MODE_UNTOLD = "whether its sensor is in the calibrated mode ({}) it does not say"
 _KEPT = "kept pictures, no camera's: their rate and times are not looked at, and fly refuses them"
 _HOME_UNTOLD = (
     "whether it covers the route is not known, which counts in metres from home: "
@@ -62,13 +64,13 @@ def doctor(
         check, flown = _route(route)
         checks.append(check)
     if map_path:
-        checks.append(_guarded("map", lambda: _map(map_path, flown, extractor)))
+        checks.append(_guarded("map", lambda: _map(map_path, flown, extractor, config.safety)))
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
     if video:
         checks.append(_guarded("camera", lambda: _camera(video, camera)))
     if connection:
-        checks += _autopilot(connection)
+        checks += _autopilot(connection, config.safety)
     _print(checks, as_json)
     failed = [check.name for check in checks if check.verdict == "FAIL"]
     if failed:
@@ -124,7 +126,9 @@ def _features(config: "Config") -> "tuple[Check, FeatureExtractor]":
     return Check(f"{config.features.name} features", verdict, "; ".join([*said, told])), extractor
 
 
-def _map(path: Path, route: "Route | None", extractor: "FeatureExtractor") -> Check:
+def _map(
+    path: Path, route: "Route | None", extractor: "FeatureExtractor", safety: "SafetyConfig"
+) -> Check:
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.flight_plan import route_on_map
 
@@ -137,7 +141,7 @@ def _map(path: Path, route: "Route | None", extractor: "FeatureExtractor") -> Ch
             return Check("map", "PASS", detail)
         if route.about_home and route.home is None:
             return Check("map", "WARN", f"{detail}; {_HOME_UNTOLD}")
-        found = route_on_map(pack, route, route.home)
+        found = route_on_map(pack, route, route.home, safety)
     each = (found.coverage, found.clearance)
     told = (detail, *(one.summary() for one in each), found.returns)
     verdict: CheckVerdict = "PASS" if all(one.ok for one in each) else "FAIL"
@@ -185,6 +189,7 @@ def _camera(video: str, calibration: Path | None) -> Check:
     """By what `fly` asks of it before it arms."""
     from vwnav.calibration.held_light import HeldLight
     from vwnav.cameras.live import RealTimeSource
+    from vwnav.cameras.modes import mode_of
     from vwnav.cameras.retimed import RetimedSource
     from vwnav.cameras.sources import open_source
     from vwnav.geometry.calibration import load_camera
@@ -192,12 +197,13 @@ def _camera(video: str, calibration: Path | None) -> Check:
 
     camera = load_camera(calibration) if calibration else None
     offset_s = camera.time_offset_s if camera else 0.0
-    source = open_source(video)
+    mode = camera.sensor_mode if camera else None
+    source = open_source(video, mode=mode)
     live = isinstance(source, RealTimeSource)
     try:
         light = HeldLight(source, camera)
         sight, size = _watch(RetimedSource(source, offset_s), camera, live)
-        exposure = light.in_words()
+        exposure, given = light.in_words(), mode_of(source)
     finally:
         source.close()
     if not live:
@@ -206,8 +212,9 @@ def _camera(video: str, calibration: Path | None) -> Check:
     if found.verdict == "FAIL":
         return found
     rate = "" if sight.rate_hz is None else f"{sight.rate_hz:.1f} a second"
-    untold = ("" if live else _KEPT, "" if camera else _FIT_UNTOLD)
-    told = "; ".join(filter(None, (found.detail, size, rate, exposure, *untold)))
+    mode_untold = _MODE_UNTOLD.format(mode) if live and mode and not given else ""
+    untold = ("" if live else _KEPT, "" if camera else _FIT_UNTOLD, mode_untold)
+    told = "; ".join(filter(None, (found.detail, size, str(given or ""), rate, exposure, *untold)))
     return Check("camera", "WARN" if any(untold) else found.verdict, told)
 
 
@@ -219,9 +226,10 @@ def _watch(source: "FrameSource", camera: "Camera | None", live: bool) -> "tuple
         camera: that they should fit; without one the first of them is what the others should fit.
         live: their times are of now.
     """
+    from vwnav.onboard.equipment import watch_camera
     from vwnav.safety.camera_watch import CameraSight, CameraWatch
 
-    watch = CameraWatch(camera.width_px, camera.height_px) if camera else None
+    watch = watch_camera(source, camera) if camera else None
     trouble, good, size = "", 0, ""
     until_s = time.monotonic() + _WATCHED_S
     for _ in range(_WATCHED):
@@ -238,10 +246,9 @@ def _watch(source: "FrameSource", camera: "Camera | None", live: bool) -> "tuple
     return replace(watch.sight, trouble=trouble if good < _STEADY else ""), size
 
 
-def _autopilot(url: str) -> list[Check]:
+def _autopilot(url: str, safety: "SafetyConfig") -> list[Check]:
     from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
     from vwnav.safety.readiness import check_battery, check_parameters
-    from vwnav.safety.safety_config import SafetyConfig
     from vwnav.watchdog.visitors import visit
 
     try:
@@ -256,7 +263,7 @@ def _autopilot(url: str) -> list[Check]:
         if autopilot.budget_refusal is not None:
             checks.append(Check("link", "FAIL", autopilot.budget_refusal))
         checks += check_parameters(findings)
-        return [*checks, check_battery(autopilot.state(), SafetyConfig())]
+        return [*checks, check_battery(autopilot.state(), safety)]
     except VwnavError as error:
         return [Check("autopilot", "FAIL", str(error))]
     finally:

@@ -34,7 +34,7 @@ _TRUTH = "With --connection: where the simulator tells its ground truth."
 _UNTRUE = "With --connection and no --truth, as `vwnav fly` has it:"
 _ONE_OBJECT = "One JSON object on stdout."
 _FOLDER = "Folder of the result: three plots and a table (CSV)."
-_DRAWN = "Not the table: so many flights with the faults of two or three of its rows."
+_DRAWN = "Not the table: so many flights with the faults of two to four of its rows."
 _MANNERS = (
     "The simulated vehicle's: px4, px4-1.16 or copter; with --connection the autopilot's own count."
 )

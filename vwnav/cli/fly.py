@@ -6,6 +6,7 @@ from typing import get_args
 import typer
 
 from vwnav.cli.features import ConfigOption, FeaturesOption, ModelOption
+from vwnav.cli.numbers import finite
 from vwnav.onboard.options import FlyOptions
 from vwnav.sim.config import Manners
 
@@ -40,9 +41,13 @@ def fly(
         None, help="Simulators only: MAVLink URL of the ground truth that the camera is drawn from."
     ),
     home: str | None = typer.Option(None, help="LAT,LON of the take-off; the route's home if not."),
-    home_sigma_m: float = typer.Option(5.0, min=0.5, help="How well home is known."),
+    home_sigma_m: float = typer.Option(
+        5.0, min=0.5, callback=finite, help="How well home is known."
+    ),
     manners: str = typer.Option("px4", help="With --sim: the vehicle's: px4, px4-1.16 or copter."),
-    wind_m_s: float = typer.Option(5.0, min=0.0, max=15.0, help="With --sim: mean wind, gusty."),
+    wind_m_s: float = typer.Option(
+        5.0, min=0.0, max=15.0, callback=finite, help="With --sim: mean wind, gusty."
+    ),
     seed: int = typer.Option(1, help="With --sim: of wind and sensor noise."),
     model: ModelOption = None,
     config_path: ConfigOption = None,

@@ -49,7 +49,9 @@ def build(
     georeference_sigma_m: Annotated[
         float | None,
         typer.Option(
-            min=0.0, callback=finite, help="One sigma of the imagery's position; 1 m if not said."
+            min=0.0,
+            callback=finite,
+            help="One sigma of the imagery's position; else by what overlaps, or 1 m.",
         ),
     ] = None,
     crs: Annotated[
@@ -66,7 +68,8 @@ def build(
     from vwnav.maps.build.sources import default_options, open_sources
     from vwnav.maps.build.writer import check_replaceable
     from vwnav.maps.pack import MapPack
-    from vwnav.screen import progress_bar
+    from vwnav.offline.map_agreement import agreement_of, with_agreement
+    from vwnav.screen import progress_bar, say
     from vwnav.vision.features.load import load_features
 
     zooms = _zooms(levels)
@@ -78,6 +81,7 @@ def build(
         "name": name,
         "attribution": attribution,
         "georeference_sigma_m": georeference_sigma_m,
+        "georeference_basis": None if georeference_sigma_m is None else "given",
         "created_utc": _now_utc(),
         "heights": None if heights is None else _heights(heights, rasters),
     }
@@ -85,6 +89,11 @@ def build(
     said = {key: value for key, value in said.items() if value is not None}
     options: BuildOptions = replace(default_options(sources, rasters), **said)
     with _terminated_as_interrupted(), progress_bar() as progress:
+        agreement = agreement_of(rasters, extractors, progress)
+        if agreement is not None:
+            options, lines = with_agreement(options, agreement)
+            for line in lines:
+                say(f"map: {line}")
         build_pack(rasters, output, extractors, options, progress)
     with MapPack.open(output) as pack:
         _print_description(pack)
@@ -130,11 +139,12 @@ def check(
     from vwnav.errors import PreflightError, RouteError
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.flight_plan import route_on_map
+    from vwnav.safety.safety_config import SafetyConfig
 
     loaded, start = route_and_home(route, route_frame, home)
     with MapPack.open(pack) as opened:
         try:
-            found = route_on_map(opened, loaded, start, margin_m)
+            found = route_on_map(opened, loaded, start, SafetyConfig(), margin_m)
         except RouteError as error:
             raise RouteError(f"{route}: {error}") from error
     coverage, clearance = found.coverage, found.clearance
@@ -221,6 +231,7 @@ def _description(pack: "MapPack") -> dict[str, Any]:
             for info in pack.feature_sets
         ],
         "georeference_sigma_m": pack.georeference_sigma_m,
+        "georeference_basis": pack.georeference_basis,
         "heights": pack.heights is not None,
         "sources": list(pack.sources),
         "created_utc": pack.created_utc,
@@ -233,10 +244,12 @@ def _print_description(pack: "MapPack") -> None:
     south, west, north, east = pack.bounds
     height_m = horizontal_distance_m(south, west, north, west)
     width_m = horizontal_distance_m(south, west, south, east)
+    known = "" if pack.georeference_basis is None else f", {pack.georeference_basis}"
     lines = [
         f"{pack.path}: {pack.name}, {pack.path.stat().st_size / 1e6:.1f} MB",
         f"  covers    {south:.6f} to {north:.6f} N, {west:.6f} to {east:.6f} E "
-        f"({width_m:.0f} x {height_m:.0f} m), good to {pack.georeference_sigma_m:g} m (1 sigma)",
+        f"({width_m:.0f} x {height_m:.0f} m), "
+        f"good to {pack.georeference_sigma_m:g} m (1 sigma{known})",
     ]
     lines += [
         f"  level {level.zoom}  {level.m_per_px:.3f} m/px, {pack.tile_count(level.zoom)} tiles"

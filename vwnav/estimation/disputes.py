@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import level_axes
 from vwnav.estimation.states import (
@@ -194,3 +195,19 @@ def relocated(state: FilterState, measurement: Measurement) -> FilterState:
     jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
     after, counter = moved_along(state, measurement, jump), state.reset_counter + 1
     return replace(after, position_known=True, reset_counter=counter, rejected_fixes=())
+
+
+def learned_of_map(state: FilterState, config: EkfConfig) -> FilterState:
+    """With what a fused fix shows of the map's size of error.
+
+    By as much more as that is than was believed, the place that fixes have told is open, too: the
+    other way, because together they were seen right.
+    """
+    known, variance_m2 = state.map_error, np.diag(state.P)[States.MAP]
+    here = state.x[States.POSITION_NE], state.x[States.MAP], variance_m2
+    found = known.seen(*here, config.map_sigma_m, config.map_length_m)
+    more_m2 = found.opened_m**2 - known.opened_m**2
+    G = np.zeros((States.SIZE, 2))
+    G[States.POSITION_NE] = G[States.ANCHOR_NE] = G[States.EXPOSED_POSITION] = np.eye(2)
+    G[States.MAP] = -np.eye(2)
+    return replace(state, P=state.P + more_m2 * G @ G.T, map_error=found)

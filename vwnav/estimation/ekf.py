@@ -179,8 +179,7 @@ class Ekf:
 
     def _handle_attitude(self, attitude: Attitude) -> Innovation:
         """Take the autopilot's attitude, unaltered: its heading bias is one of the states."""
-        refusal = self._refusal(attitude)
-        if refusal is not None:
+        if (refusal := self._refusal(attitude)) is not None:
             return Innovation(refusal)
         if self.counts_heading:
             self.attitudes.add(attitude)
@@ -323,13 +322,15 @@ class Ekf:
     def _insert(self, event: Event) -> Innovation:
         """Into the timeline; a state that no aircraft has begins anew."""
         assert self._timeline is not None
-        doubted = self._timeline.newest.range_trust.doubted_s is not None
+        before = self._timeline.newest
+        doubted = before.range_trust.doubted_s is not None
         innovation = self._timeline.insert(event)
         if (self._timeline.newest.range_trust.doubted_s is not None) != doubted:
             self._range_changed(doubted)
         newest = self._timeline.newest
-        why = self._timeline.outside
-        if why is not None:
+        if newest.map_error.told_m > before.map_error.told_m:
+            self._say(newest.map_error.words)
+        if (why := self._timeline.outside) is not None:
             self._timeline = Timeline(begun_anew(newest, self._config), self._context)
             again, self._restarted_s = newest.t_s < self._restarted_s + _SAID_S, newest.t_s
             if not again:

@@ -143,7 +143,7 @@ def apply_late_fix(
             if part.verdict is Verdict.RELOCATED:
                 state, compass = found, None
     position = _position(state, fix, exposure, _THEN)
-    position = replace(position, R=position.R + config.map_sigma_m**2 * np.eye(2))
+    position = replace(position, R=position.R + state.map_error.sigma_m**2 * np.eye(2))
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation

@@ -63,6 +63,7 @@ class TimeStep:
         place_known: False where the place only stands for one that nobody knows.
         relief_m: one sigma of the heights of what stands on the ground.
         stands: nothing pushes: a moment ago the aircraft stood disarmed.
+        map_sigma_m: of the map from place to place, per axis.
     """
 
     dt_s: float
@@ -74,6 +75,7 @@ class TimeStep:
     place_known: bool = True
     relief_m: float = 0.0
     stands: bool = False
+    map_sigma_m: float = 0.0
 
     @property
     def quat_wxyz(self) -> Array:
@@ -110,6 +112,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
             state.position_known,
             state.relief_m,
             stands=end_s < stands_until_s,
+            map_sigma_m=state.map_error.sigma_m,
         )
         x, P = _propagate(x, P, step, context)
     return replace(state, t_s=t_s, x=x, P=P, measured=one)
@@ -332,7 +335,7 @@ def _walks(
     fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s) + open_rad * turned_rad
     Q[States.TILT, States.TILT] = config.tilt_sigma_rad**2 * fed_tilt * _LEVEL
     fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
-    sigmas = config.map_sigma_m, config.map_sigma_m, config.map_turn_rad, config.map_scale
+    sigmas = step.map_sigma_m, step.map_sigma_m, config.map_turn_rad, config.map_scale
     Q[_MAP, _MAP] = np.square(sigmas) * fed_map
     climb_m_s = abs(float(x[States.VELOCITY_DOWN]))
     Q[States.BARO, States.BARO] = (

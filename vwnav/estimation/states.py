@@ -1,11 +1,12 @@
 """The filter as a table, what it believes, and its Kalman update: one for every measurement."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.inertial.integrals import Exposure, Measured
 from vwnav.geometry.rotations import without_errors
 from vwnav.types import Array, Estimate
@@ -137,6 +138,7 @@ class FilterState:
         stood_s: when it was told last that the aircraft stands.
         baro_zeroed: the barometer was zeroed where heights are counted from, as far as weather and
             its own error let it; else its bias may be of any size.
+        map_error: how large the error of the map has proved to be.
         height_stepped: the heights that are refused began with a step, not with a climb.
         rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
             since the last one that was believed; or, of a fix, found once, and believed by half.
@@ -159,6 +161,7 @@ class FilterState:
     stood_s: float = -math.inf
     baro_zeroed: bool = True
     height_stepped: bool = False
+    map_error: LearnedMapError = field(default_factory=LearnedMapError)
     reset_counter: int = 0
     rejected_fixes: RejectedInnovations = ()
     rejected_headings: RejectedInnovations = ()
@@ -339,6 +342,7 @@ def estimate_of(
         sigma_agl_m=math.sqrt(variance_agl),
         t_last_fix_s=state.t_last_fix_s,
         reset_counter=state.reset_counter,
+        map_sigma_m=state.map_error.sigma_m,
         camera_turn_rad=-float(x[States.CAMERA_TURN]),
         sigma_seen_yaw_rad=min(math.sqrt(max(float(seen), 0.0) + turned_rad**2), math.pi),
         wind_ne_m_s=None if windless else x[States.WIND_FORCE] / drag,

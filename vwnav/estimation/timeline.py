@@ -12,6 +12,7 @@ from itertools import compress
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LOOK_M
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD
 from vwnav.estimation.beginning.other_camera import (
     apply_lens_doubted,
@@ -20,7 +21,7 @@ from vwnav.estimation.beginning.other_camera import (
 )
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import range_doubted
+from vwnav.estimation.disputes import learned_of_map, range_doubted
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -210,6 +211,10 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
     if event.t_s > state.t_s:
         state = predict(state, event.t_s, context)
     after, innovation = _corrected(state, event, context)
+    one_fix = isinstance(event, NedFix | LateFix) and innovation.verdict is Verdict.FUSED
+    way_m = math.dist(after.x[States.POSITION_NE], after.map_error.seen_ne_m) if one_fix else 0.0
+    if way_m > LOOK_M and not after.rejected_fixes:
+        after = learned_of_map(after, context.config)
     apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
     if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
         after = replace(after, reset_counter=state.reset_counter + 1)

@@ -2,8 +2,9 @@
 
 Our own keys, the same in JSON and TOML (`docs/conventions.md` has an example):
 `width_px height_px model fx_px fy_px cx_px cy_px distortion mount_rpy_deg lever_arm_m readout_s
-time_offset_s calibrated`; those from `distortion` on may be left out. The mount turns the camera
-away from looking straight down with its upper edge to the nose. `calibrated` says how it was found.
+time_offset_s sensor_mode calibrated`; those from `distortion` on may be left out. The mount turns
+the camera away from looking straight down with its upper edge to the nose. `sensor_mode` holds the
+fields of `SensorMode` that are known; `calibrated` says how all of it was found.
 """
 
 import json
@@ -21,6 +22,7 @@ from vwnav.errors import CalibrationError
 from vwnav.files.whole import write_whole
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, CameraModel
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
+from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.types import Array
 
 _MAX_BYTES = 1_000_000
@@ -28,7 +30,8 @@ _LEAST_FOCAL_RATIO = 0.001  # what warming and focusing leave of a measured one
 _NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 _REQUIRED = ("width_px", "height_px", "model", *_NUMBERS)
 _OPTIONAL = (
-    "distortion", "mount_rpy_deg", "lever_arm_m", "readout_s", "time_offset_s", "calibrated"
+    "distortion", "mount_rpy_deg", "lever_arm_m", "readout_s", "time_offset_s", "sensor_mode",
+    "calibrated",
 )  # fmt: skip
 _MODELS: dict[str, CameraModel] = {
     "": "pinhole",
@@ -153,6 +156,7 @@ def _from_dict(values: Any) -> Camera:
         t_body_camera_m=np.array(_numbers(values, "lever_arm_m", (0.0,) * 3)),
         readout_s=_number(values["readout_s"], "readout_s") if "readout_s" in values else None,
         time_offset_s=_number(values.get("time_offset_s", 0.0), "time_offset_s"),
+        sensor_mode=SensorMode.of(values["sensor_mode"]) if "sensor_mode" in values else None,
         **_sigmas(values.get("calibrated", {}), fx_px),
     )
 
@@ -176,6 +180,7 @@ def _sigmas(calibrated: dict[str, Any], fx_px: float) -> dict[str, float]:
 def _to_dict(camera: Camera) -> dict[str, Any]:
     mount_rpy_rad = euler_from_rotation(camera.R_body_camera @ R_BODY_CAMERA_DOWN.T)
     readout = {} if camera.readout_s is None else {"readout_s": camera.readout_s}
+    mode = {} if camera.sensor_mode is None else {"sensor_mode": camera.sensor_mode.told()}
     return {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
@@ -189,6 +194,7 @@ def _to_dict(camera: Camera) -> dict[str, Any]:
         "lever_arm_m": camera.t_body_camera_m.tolist(),
         **readout,
         "time_offset_s": camera.time_offset_s,
+        **mode,
     }
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vwnav.errors import OtherSizeError
+from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.types import Array, Gray
 
 CameraModel = Literal["pinhole", "fisheye"]
@@ -51,6 +52,7 @@ class Camera:
             that of the centre row's exposure on the autopilot's clock.
         sigma_mount_rad: one sigma of the mount's roll and pitch, each.
         sigma_focal_ratio: one sigma of the focal length, as a share of it.
+        sensor_mode: in which the images were that were calibrated; None is not told.
 
     Raises:
         ValueError: from the constructor, when a field makes no camera.
@@ -67,6 +69,7 @@ class Camera:
     time_offset_s: float = 0.0
     sigma_mount_rad: float = UNMEASURED_MOUNT_RAD
     sigma_focal_ratio: float = UNMEASURED_FOCAL_RATIO
+    sensor_mode: SensorMode | None = None
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R_body_camera", (3, 3)), ("t_body_camera_m", (3,))):

@@ -13,7 +13,13 @@ from vwnav.geometry.geodesy import Tile, Window, ground_resolution_m_per_px
 from vwnav.maps.codec import DESCRIPTOR_KINDS, DescriptorKind, decode_features, decode_tile
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.image import Level, MapImage
-from vwnav.maps.schema import SCHEMA_VERSION, SQLITE_MAGIC, metadata_checksum
+from vwnav.maps.schema import (
+    GEOREFERENCE_BASES,
+    SCHEMA_VERSION,
+    SQLITE_MAGIC,
+    GeoreferenceBasis,
+    metadata_checksum,
+)
 from vwnav.types import FEATURE_NAMES, FeatureName, Features
 
 _HEADER_BYTES = 100
@@ -46,6 +52,7 @@ class Description:
         bounds: south, west, north, east of the imagery, degrees.
         levels: finest first.
         georeference_sigma_m: one sigma of the imagery's position, per horizontal axis.
+        georeference_basis: how that is known; None where the pack does not say.
         sources: names of the files it was built from.
     """
 
@@ -55,6 +62,7 @@ class Description:
     levels: tuple[Level, ...]
     feature_sets: tuple[FeatureSetInfo, ...]
     georeference_sigma_m: float
+    georeference_basis: GeoreferenceBasis | None
     sources: tuple[str, ...]
     created_utc: str
 
@@ -111,6 +119,9 @@ def read_description(connection: sqlite3.Connection) -> Description:
         ),
         feature_sets=tuple(_feature_set(row) for row in sets),
         georeference_sigma_m=float(own["georeference_sigma_m"]),
+        georeference_basis=next(
+            (known for known in GEOREFERENCE_BASES if known == own.get("georeference_basis")), None
+        ),
         sources=tuple(json.loads(own["sources"])),
         created_utc=own["created_utc"],
     )

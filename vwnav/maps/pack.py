@@ -69,12 +69,12 @@ class MapPack:
     Damage that shows only in flight costs the damaged tile, with one warning, never the flight.
 
     Attributes:
-        path: the file.
-        name, attribution: shown to people.
+        path, name, attribution: the file; shown to people.
         bounds: south, west, north, east of the imagery, degrees.
         levels: zoom levels, finest first.
         feature_sets: the precomputed ones.
         georeference_sigma_m: one sigma of the imagery's position, per horizontal axis.
+        georeference_basis: how that is known, None if not said.
         sources: names of the files it was built from.
         created_utc: when, ISO 8601, empty if not said.
     """
@@ -102,6 +102,7 @@ class MapPack:
         self.bounds, self.levels = description.bounds, description.levels
         self.feature_sets = description.feature_sets
         self.georeference_sigma_m = description.georeference_sigma_m
+        self.georeference_basis = description.georeference_basis
         self.sources, self.created_utc = description.sources, description.created_utc
         self._images: Lru[Tile, MapImage | None] = Lru(_CACHED_IMAGES)
         self._features: Lru[tuple[str, Tile], Features | None] = Lru(_CACHED_FEATURES)

@@ -3,10 +3,15 @@
 import hashlib
 import sqlite3
 from pathlib import Path
+from typing import Literal, get_args
 from urllib.parse import quote
 
 SCHEMA_VERSION = 1
 SQLITE_MAGIC = b"SQLite format 3\0"
+ASSUMED_SIGMA_M = 1.0  # of the imagery's position, where nothing else is known
+# How it is known: the operator said it, sources that overlap showed it, or nobody did.
+GeoreferenceBasis = Literal["given", "estimated", "assumed"]
+GEOREFERENCE_BASES: tuple[GeoreferenceBasis, ...] = get_args(GeoreferenceBasis)
 APPLICATION_ID = 0x4D504258  # "MPBX": MBTiles, for those who look at the file's header
 
 TABLES = """

@@ -35,6 +35,7 @@ def put_aboard(
     pipeline: Pipeline,
     autopilot: Autopilot,
     keep_alive: DeadMansHandle,
+    camera: CameraWatch,
     record: FlightRecord,
     notices: deque[str],
     arms: bool,
@@ -47,13 +48,13 @@ def put_aboard(
         pipeline: from images to the estimate.
         autopilot: the link's driver.
         keep_alive: the sign of life to the watchdog.
+        camera: looks at each image.
         record: hears and keeps everything.
         notices: where the pipeline puts what it has to say.
         arms: whether it arms by itself.
         first_counter: of resets, where it goes on for another navigator.
     """
     config = plan.config
-    camera = CameraWatch(plan.camera.width_px, plan.camera.height_px)
     watcher = GuardedWatcher(record)
     crew = _crew(autopilot, camera, plan, watcher, arms)
     flight = Flight(

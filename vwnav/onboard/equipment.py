@@ -4,15 +4,18 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from vwnav.cameras.light.keeper import HoldsExposure
+from vwnav.cameras.modes import trouble_with_mode
 from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
 from vwnav.clock import Clock
 from vwnav.errors import LinkError
+from vwnav.geometry.camera import Camera
 from vwnav.geometry.exposure import BlurLimit
 from vwnav.mavlink.links import parse_link
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.simulation import draw_site
+from vwnav.safety.camera_watch import CameraWatch
 from vwnav.seams import FrameSource
 from vwnav.sim.camera_source import SimulatedCamera
 from vwnav.sim.named_sites import is_site, parse_site
@@ -68,7 +71,7 @@ def open_camera(
     """
     source: FrameSource
     if renderer is None:
-        source = open_source(str(options.video))
+        source = open_source(str(options.video), mode=plan.camera.sensor_mode)
         if plan.camera.time_offset_s:
             source = RetimedSource(source, plan.camera.time_offset_s)
     else:
@@ -78,6 +81,11 @@ def open_camera(
         source = SimulatedCamera(renderer, truth, home, clock, flown_m)
     stack.callback(source.close)
     return source
+
+
+def watch_camera(source: FrameSource, camera: Camera) -> CameraWatch:
+    """Looks at each image of a source, whether it fits the calibration."""
+    return CameraWatch(camera.width_px, camera.height_px, lambda: trouble_with_mode(source, camera))
 
 
 def hold_exposure(

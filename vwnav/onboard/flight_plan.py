@@ -128,7 +128,11 @@ class RouteOnMap:
 
 
 def route_on_map(
-    pack: MapPack, route: Route, home: tuple[float, float] | None, margin_m: float = 50.0
+    pack: MapPack,
+    route: Route,
+    home: tuple[float, float] | None,
+    safety: SafetyConfig,
+    margin_m: float = 50.0,
 ) -> RouteOnMap:
     """Hold a route against a map.
 
@@ -136,6 +140,7 @@ def route_on_map(
         pack: the map.
         route: as its file says.
         home: (lat_deg, lon_deg) of the take-off, None where nobody knows.
+        safety: how returns are flown.
         margin_m: imagery is asked for so far around.
 
     Raises:
@@ -148,7 +153,7 @@ def route_on_map(
     frame = LocalFrame(*home, 0.0)
     ground_m = route.ground_amsl_m(home, pack.elevation_m(*home))
     route_ned_m = route.to_ned(frame, DEFAULT_HEIGHT_M, ground_m)
-    way_home = way_home_over(pack, frame, SafetyConfig())
+    way_home = way_home_over(pack, frame, safety)
     flown_ned_m = from_home_ned_m(route_ned_m, np.zeros(2), way_home)
     coverage = check_route(pack, _lat_lon_deg(frame, flown_ned_m), margin_m)
     clearance = check_clearance(pack, frame, flown_ned_m, len(route_ned_m))

@@ -1,15 +1,12 @@
 """`vwnav fly` once its options are read: everything opened, flown, and closed again."""
 
-import shutil
 import socket
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,14 +23,20 @@ from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import HEARD_WITHIN_S, MavsdkAutopilot
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.aboard import Aboard, first_state, put_aboard
-from vwnav.onboard.equipment import draw_camera, hold_exposure, open_camera, open_truth
+from vwnav.onboard.equipment import (
+    draw_camera,
+    hold_exposure,
+    open_camera,
+    open_truth,
+    watch_camera,
+)
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
 from vwnav.onboard.plan import plan_flight
 from vwnav.onboard.record import FlightRecord
 from vwnav.onboard.rejoining import wait_for_the_aircraft
-from vwnav.onboard.service import ServiceHandle, ServiceManager
+from vwnav.onboard.service import FlightFolder, ServiceHandle, ServiceManager
 from vwnav.onboard.simulation import DEFAULT_ROUTE, DEFAULT_SITE
 from vwnav.pace import PacedClock
 from vwnav.recording.disk.budget import DiskBudget
@@ -76,8 +79,8 @@ def fly_route(options: FlyOptions) -> None:
             options = _of_a_flight_that_broke_off(options)
             stack.push(_ends_for_good)
         folder = make_run_folder(options.output, "fly")
-        if _is_tried_again(options):
-            stack.push(_leaving_no_try(folder))
+        held = FlightFolder(folder, _is_tried_again(options))
+        stack.push(held.leave)
         save_config(plan.config, folder / "config.toml")
         sync_file(folder / "config.toml")
         budget = DiskBudget(folder, plan.config.recording, removes=options.output is None)
@@ -104,7 +107,7 @@ def fly_route(options: FlyOptions) -> None:
             say(f"waiting for the autopilot on {link}, for {HEARD_WITHIN_S:.0f} s at most")
         autopilot = connect(watchdog, link, clock, stations)
         stack.callback(autopilot.close)
-        _fly(options, plan, folder, budget, watchdog, autopilot, source, truth, clock, stack)
+        _fly(options, plan, held, budget, watchdog, autopilot, source, truth, clock, stack)
 
 
 def connect(
@@ -176,16 +179,6 @@ def _is_tried_again(options: FlyOptions) -> bool:
     return ServiceManager().listens and options.output is None and not options.rejoined
 
 
-def _leaving_no_try(folder: Path) -> Callable[..., None]:
-    """For a stack: tries that never began would push flights out of the disk's budget."""
-
-    def leave(_kind: object, error: BaseException | None, _traceback: object) -> None:
-        if isinstance(error, VwnavError) and not isinstance(error, FlightError):
-            shutil.rmtree(folder, ignore_errors=True)
-
-    return leave
-
-
 def _of_a_flight_that_broke_off(options: FlyOptions) -> FlyOptions:
     """The same command again: its folder holds that flight."""
     output = None if options.output is None else unused(options.output)
@@ -195,7 +188,7 @@ def _of_a_flight_that_broke_off(options: FlyOptions) -> FlyOptions:
 def _fly(
     options: FlyOptions,
     plan: FlightPlan,
-    folder: Path,
+    held: FlightFolder,
     budget: DiskBudget,
     watchdog: WatchdogProcess,
     autopilot: Autopilot,
@@ -215,24 +208,29 @@ def _fly(
     frame = plan.local_frame
     autopilot.set_origin(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)  # before any estimate
     about = about_run(assembled, plan.config.features.name, "nadir")
-    record = FlightRecord(folder, about, plan.pack, plan.config, truth, clock, budget)
+    record = FlightRecord(held.folder, about, plan.pack, plan.config, truth, clock, budget)
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)
     # Of one that flies nothing is known: the first fix begins.
     if not (vehicle.armed and vehicle.in_air):
         assembled.ekf.initialise(_start(options, plan, vehicle))
     handle = ServiceHandle(watchdog.keepalive, ServiceManager())
-    aboard = put_aboard(plan, assembled.pipeline, autopilot, handle, record, notices, options.arms)
+    watch = watch_camera(source, plan.camera)
+    aboard = put_aboard(
+        plan, assembled.pipeline, autopilot, handle, watch, record, notices, options.arms
+    )
     hold_exposure(source, plan, lambda: aboard.runtime.navigation, notices.append)
     with heeding_signals(aboard.runtime.interrupt):
         try:
             if not options.arms:
                 _listen_for_enter(aboard.flight)
             end = _end_of(aboard, source, clock)
+            held.began = not end.unsafe
         finally:
             handle.end()
             record.close(options, assembled.pipeline, plan.pack.name)
-    _raise_reason(end, "" if end.unsafe and _is_tried_again(options) else f" (record in {folder})")
+    is_removed = end.unsafe and held.is_tried_again
+    _raise_reason(end, "" if is_removed else f" (record in {held.folder})")
 
 
 def _end_of(aboard: Aboard, source: FrameSource, clock: Clock) -> FlightEnd:

@@ -4,17 +4,24 @@ The protocol of sd_notify: a datagram of lines to the socket that NOTIFY_SOCKET 
 """
 
 import os
+import shutil
 import socket
+import traceback
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from time import monotonic
 
+from vwnav.errors import FlightError, VwnavError
 from vwnav.mission.mission import DeadMansHandle
+from vwnav.recording.disk.budget import flights_in
+from vwnav.screen import say
 from vwnav.vehicle import Learned
 from vwnav.watchdog.keepalive import WatchdogReport
 
 _EVERY_S = 1.0
 _ENDING_S = 180.0  # for the files; the control loop beats no more
+_BROKE = "traceback.txt"  # in the folder of a try that broke
 
 
 class ServiceManager:
@@ -89,3 +96,38 @@ class ServiceHandle:
     def end(self) -> None:
         """The control loop has ended; finishing the files may take its time."""
         self._manager.end()
+
+
+class FlightFolder:
+    """A flight's folder; what is tried anew every few seconds may not fill the disk.
+
+    A service's try that never began leaves nothing where it says why in a line. One that broke
+    otherwise leaves its folder with the traceback, in the place of the one before it.
+
+    Args:
+        folder: of the run.
+        is_tried_again: by the service manager, if it does not begin (`deploy/vwnav.service`).
+
+    Attributes:
+        began: whether motors may have run.
+    """
+
+    def __init__(self, folder: Path, is_tried_again: bool) -> None:
+        self.folder, self.is_tried_again = folder, is_tried_again
+        self.began = False
+
+    def leave(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """For a stack, as its outermost: what is left in the end."""
+        if self.began or not self.is_tried_again or not isinstance(error, Exception):
+            return
+        if isinstance(error, FlightError):
+            return
+        if isinstance(error, VwnavError):
+            shutil.rmtree(self.folder, ignore_errors=True)
+            return
+        for each in flights_in(self.folder.parent):
+            if each.name != self.folder.name and (each / _BROKE).exists():
+                shutil.rmtree(each, ignore_errors=True)
+        with suppress(OSError):
+            (self.folder / _BROKE).write_text("".join(traceback.format_exception(error)))
+        say(f"it broke before the flight: {self.folder} keeps why, of the last such try alone")

@@ -25,7 +25,13 @@ from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
-from vwnav.onboard.equipment import draw_camera, hold_exposure, open_camera, open_truth
+from vwnav.onboard.equipment import (
+    draw_camera,
+    hold_exposure,
+    open_camera,
+    open_truth,
+    watch_camera,
+)
 from vwnav.onboard.flight_plan import FlightPlan
 from vwnav.onboard.heap import keep_heap_small
 from vwnav.onboard.options import FlyOptions
@@ -147,8 +153,9 @@ def _succeed(
         assembled.ekf.initialise(_start(plan, handover, handover.lat_lon_deg, vehicle.t_s))
     keep_alive = KeepAlive(UdpChannel(handover.keepalive_port, listens=False), clock)
     stack.callback(keep_alive.close)
+    watch = watch_camera(source, plan.camera)
     aboard = put_aboard(
-        plan, assembled.pipeline, autopilot, keep_alive, record, notices, arms=False,
+        plan, assembled.pipeline, autopilot, keep_alive, watch, record, notices, arms=False,
         first_counter=handover.reset_counter,
     )  # fmt: skip
     aboard.flight.ride(vehicle.t_s, _REASON)

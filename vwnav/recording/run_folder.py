@@ -2,9 +2,12 @@
 
 import csv
 import errno
+import fcntl
 import json
 import math
 import os
+from collections.abc import Iterator
+from contextlib import suppress
 from datetime import datetime
 from itertools import chain, count
 from pathlib import Path
@@ -18,6 +21,7 @@ from vwnav.recording.disk.thread import DiskThread, make_folder, replace_for_goo
 from vwnav.seams import StepResult
 from vwnav.types import MapFix, Rejected, RejectReason
 
+_OURS: dict[Path, int] = {}  # run folders of this process, with what locks them
 _CLOSE_TIMEOUT_S = 20.0
 _MOST_WAITING = 20_000  # rows: ten minutes in which the disk may stall, some 20 MB
 COLUMNS = [
@@ -47,29 +51,71 @@ COLUMNS = [
 
 
 def make_run_folder(wanted: Path | None, kind: str) -> Path:
-    """Create `wanted`, or `runs/<kind>-<time>`.
+    """Create `wanted`, or `runs/<kind>-<time>`; it is this process' own until that ends.
 
     Raises:
-        VwnavError: the folder cannot be made or holds another run.
+        VwnavError: the folder cannot be made, or holds another run, one that goes on too.
     """
-    folder = wanted or unused(Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
-    if any((folder / name).exists() for name in ("trajectory.csv", "flight.mcap")):
-        raise VwnavError(f"{folder} already holds a run; give another folder with -o")
+    folder = wanted
     try:
+        if folder is None:
+            folder = _make_new(Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
         make_folder(folder)
     except OSError as error:
-        raise VwnavError(f"cannot make the run folder {folder}: {error.strerror}") from error
+        where = folder or Path("runs")
+        raise VwnavError(f"cannot make the run folder {where}: {error.strerror}") from error
+    if not _is_ours(folder):
+        raise VwnavError(f"another run writes to {folder}; give another folder with -o")
+    if any((folder / name).exists() for name in ("trajectory.csv", "flight.mcap")):
+        raise VwnavError(f"{folder} already holds a run; give another folder with -o")
     return folder
 
 
 def unused(folder: Path) -> Path:
     """That one or, where it exists, the next number of it.
 
-    A board without a battery for its clock may start twice at the same time; a flight that broke
-    off is followed by another one of the same command.
+    A flight that broke off is followed by another one of the same command.
     """
+    return next(each for each in _numbered(folder) if not each.exists())
+
+
+def _numbered(folder: Path) -> Iterator[Path]:
     others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
-    return next(each for each in chain([folder], others) if not each.exists())
+    return chain([folder], others)
+
+
+def _make_new(folder: Path) -> Path:
+    """That one or, where somebody has it, the next number of it: two may start at one time.
+
+    As does a board without a battery for its clock.
+    """
+    make_folder(folder.parent)
+    for each in _numbered(folder):
+        with suppress(FileExistsError):
+            each.mkdir()
+            sync_names(each.parent)
+            return each
+    raise AssertionError  # numbers do not end
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether no other process has it; it is ours from then on. Where nobody can know, it is."""
+    if folder.resolve() in _OURS:
+        return True
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return False
+    except OSError:  # a file system without locks
+        os.close(handle)
+        return True
+    _OURS[folder.resolve()] = handle  # until the process ends, however it does
+    return True
 
 
 class TrajectoryWriter:

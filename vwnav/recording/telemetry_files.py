@@ -37,8 +37,9 @@ def load_telemetry(path: Path, start_s: float = 0.0) -> TelemetryLog:
         raise SourceError(f"cannot read {path}: {error.strerror or error}") from error
     if log.empty:
         raise SourceError(f"{path} holds neither attitude nor height")
-    if log.went_back:
-        _log.warning("%s: %d measurements left out, whose time goes back", path, log.went_back)
+    if left_out := log.left_out:
+        _log.warning("%s: %d measurements left out, whose time is not of those about them",
+                     path, left_out)  # fmt: skip
     log.start_s += start_s
     return log
 

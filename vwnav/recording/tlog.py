@@ -22,8 +22,9 @@ from vwnav.types import Height, ImuSample, Range
 _log = logging.getLogger(__name__)
 _STAMP_BYTES = 8
 _MARKER = re.compile(b"[" + bytes(MARKERS) + b"]")
-_RESTART_S = 2.0  # by which an autopilot's clock goes back when it starts again; links reorder less
-_STAYS_S = 1.0  # so long, then it is a new start
+# By so much a clock goes back when it starts again, or on after a gap; links reorder less.
+_ELSEWHERE_S = 2.0
+_STAYS_S = 1.0  # so long, then it is another time; else stamps that are wrong
 _WANTED = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT,
     mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -107,7 +108,7 @@ class _Boots:
     def __init__(self) -> None:
         self._all: list[_Boot] = []
         self._latest: dict[int, _Boot] = {}
-        self._anew: dict[int, _Boot] = {}  # what may be the next one, while that is not sure
+        self._elsewhere: dict[int, list[Any]] = {}  # messages of what may be another time
 
     def handle(self, packet: Packet) -> bool:
         """Take one packet in; False where it is damaged."""
@@ -116,25 +117,34 @@ class _Boots:
         message = _decoded(packet)
         if message is None:
             return False
-        self._boot_of(packet.system_id, message).handle(message)
+        self._take(packet.system_id, message)
         return True
 
-    def _boot_of(self, system: int, message: Any) -> "_Boot":
-        """Of a clock that went back it is a new one once that has stayed so: a second link is late.
+    def _take(self, system: int, message: Any) -> None:
+        """A clock that went elsewhere is believed once it has stayed there.
 
-        What came too late by that is left out.
+        Then one that went back has started anew, and one that went on was not heard for a while.
+        What did not stay is left out: a stamp that is wrong, a second link that is late.
         """
-        boot = self._latest.get(system)
-        if boot is None:
-            self._latest[system] = boot = _Boot(system)
-            self._all.append(boot)
-        elif boot.is_over(message):
-            boot = self._anew.setdefault(system, _Boot(system))
-            if boot.span_s > _STAYS_S:
-                self._latest[system] = self._anew.pop(system)
-                self._all.append(boot)
-        elif _boot_s(message) is not None:
-            self._anew.pop(system, None)
+        boot, t_s = self._latest.get(system) or self._begin(system), _boot_s(message)
+        if t_s is None or not boot.is_far_from(t_s):
+            if t_s is not None:
+                self._elsewhere.pop(system, None)
+            boot.handle(message)
+            return
+        there = self._elsewhere.setdefault(system, [])
+        if there and abs(t_s - (_boot_s(there[-1]) or 0.0)) > _ELSEWHERE_S:
+            there.clear()
+        there.append(message)
+        first_s = _boot_s(there[0]) or 0.0
+        if t_s - first_s > _STAYS_S:
+            boot = boot if boot.is_before(first_s) else self._begin(system)
+            for each in self._elsewhere.pop(system):
+                boot.handle(each)
+
+    def _begin(self, system: int) -> "_Boot":
+        boot = self._latest[system] = _Boot(system)
+        self._all.append(boot)
         return boot
 
     def longest(self, path: Path) -> TelemetryLog:
@@ -168,10 +178,13 @@ class _Boot:
         """Time from the first message that told one to the newest."""
         return 0.0 if self._began_s is None else self._now_s - self._began_s
 
-    def is_over(self, message: Any) -> bool:
-        """Whether the clock by which this was sent began anew."""
-        t_s = _boot_s(message)
-        return t_s is not None and t_s < self._now_s - _RESTART_S
+    def is_far_from(self, t_s: float) -> bool:
+        """Whether a time is not that of the newest messages."""
+        return self._began_s is not None and abs(t_s - self._now_s) > _ELSEWHERE_S
+
+    def is_before(self, t_s: float) -> bool:
+        """Whether a time is later than all that was heard, and that was more than a moment."""
+        return t_s > self._now_s and self.span_s > 0.0
 
     def handle(self, message: Any) -> None:
         """Take one message in."""

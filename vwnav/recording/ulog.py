@@ -95,8 +95,11 @@ def _told(data_list: list[Any]) -> TelemetryLog:
             log.add_armed(t_s, state == _ARMED)
     if "sensor_combined" in topics:
         _add_imu(log, topics["sensor_combined"])
-    if log.oldest_attitude is not None:
-        log.start_s = float(topics["vehicle_attitude"]["timestamp"][0]) / 1e6
+    if (oldest := log.oldest_attitude) is not None:
+        attitudes = topics["vehicle_attitude"]
+        stamps = attitudes.get("timestamp_sample", attitudes["timestamp"])
+        first = int(np.argmin(np.abs(stamps / 1e6 - oldest.t_s)))
+        log.start_s = float(attitudes["timestamp"][first]) / 1e6
     return log
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,14 +43,19 @@ class CameraWatch:
 
     Args:
         width_px, height_px: of the images that the calibration is for.
+        trouble_of_mode: why images of that size may yet show more or less than the calibrated
+            ones; "" where nothing says so.
 
     Attributes:
         image_s: when the newest image was looked at, None before the first.
         trouble: why that one cannot be used; empty when it can.
     """
 
-    def __init__(self, width_px: int, height_px: int) -> None:
+    def __init__(
+        self, width_px: int, height_px: int, trouble_of_mode: Callable[[], str] = lambda: ""
+    ) -> None:
         self._size = (width_px, height_px)
+        self._trouble_of_mode = trouble_of_mode
         self._shown: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._exposed_s = -math.inf
         self._exposures_s: deque[float] = deque(maxlen=_RATE_OF_MOST)
@@ -92,6 +98,8 @@ class CameraWatch:
         size = (image.shape[1], image.shape[0])
         if size != self._size:
             return str(OtherSizeError(self._size, size))
+        if trouble := self._trouble_of_mode():
+            return trouble
         sample = image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX]
         self._shade = _shade_of(sample)
         return "the camera repeats its pictures" if self._is_repeated(sample) else ""

@@ -295,8 +295,11 @@ class Hierarchy:
         return Decision(rule.action, reason, rule.rank)
 
     def lands_for(self, now: Situation) -> str | None:
-        """Why it would be landed, whoever has it now; None where it would not."""
-        rules = (rule for rule in TABLE if rule.action is Action.LAND)
+        """Why it would be landed, whoever has it now; None where it would not.
+
+        Held for a signal that is lost, too: that ends in a landing seconds later.
+        """
+        rules = (rule for rule in TABLE if rule.action is Action.LAND or rule.rank is Rank.SIGNAL)
         reasons = (self._standing.get(rule) or rule.reason(now, self._config) for rule in rules)
         return next((reason for reason in reasons if reason is not None), None)
 

@@ -15,7 +15,13 @@ from vwnav.safety.situation import BatteryLevel, Situation
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import Navigation, Order, VehicleState
 
-_DONE_BY = {Order.PAUSE: Action.HOLD, Order.RETURN: Action.RETURN, Order.LAND: Action.LAND}
+_DONE_BY = {
+    Order.PAUSE: {Action.HOLD},
+    Order.GO_ON: {Action.NAVIGATE, Action.SLOW},
+    Order.RETURN: {Action.RETURN},
+    Order.LAND: {Action.LAND},
+}
+_ASKS = "the ground station asks for"
 
 
 class SafetyMonitor:
@@ -34,7 +40,7 @@ class SafetyMonitor:
         self._begin_watching()
         self._bounds: RouteBounds | None = None
         self._order: Order | None = None
-        self._is_new_order = False
+        self._is_new_order = self._ends_pause = False
         self._lands = False
 
     def _begin_watching(self) -> None:
@@ -79,6 +85,7 @@ class SafetyMonitor:
 
     def obey(self, order: Order) -> None:
         """What a ground station asks for; it has its place in the hierarchy."""
+        self._ends_pause = order is Order.GO_ON and self.is_paused
         self._order, self._is_new_order = order, True
 
     @property
@@ -113,7 +120,7 @@ class SafetyMonitor:
 
         `decision`: what is done.
         """
-        is_new, self._is_new_order = self._is_new_order, False
+        is_new, self._is_new_order = self._is_new_order and not self._ends_pause, False
         return _unheeded(self._order, decision) if is_new else ""
 
     def _situation(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Situation:
@@ -163,8 +170,9 @@ def _blind_for_s(navigation: Navigation, t_s: float) -> float:
 
 def _unheeded(order: Order | None, decision: Decision) -> str:
     """What stands against an order; "" where it is done."""
-    done_by = None if order is None else _DONE_BY.get(order)
-    if done_by in (None, decision.action) or decision.rank is Rank.OPERATOR:
+    if order is None or decision.action in _DONE_BY.get(order, ()):
         return ""
-    assert order is not None
-    return f"the ground station asks for {order.value}: not now, {decision.reason}"
+    if decision.rank is Rank.OPERATOR and order is not Order.GO_ON:
+        return ""
+    reason = decision.reason.replace(_ASKS, "it has asked for")
+    return f"{_ASKS} {order.value}: not now, {reason}"

@@ -51,7 +51,7 @@ class LockstepCamera:
         renderer, home_ned_m: what is seen, and (3,) where in it the vehicle's start place lies.
         period_s: between exposures.
         latency_s: from the exposure to the image.
-        trouble: None while it works.
+        troubles: of its images, one after the other, each by the `id` of who makes it.
         R_body_mount: (3, 3) by which it was knocked out of its mount.
         drawn: how many images were.
     """
@@ -63,7 +63,7 @@ class LockstepCamera:
         self.home_ned_m = home_ned_m
         self.period_s = period_s
         self.latency_s = latency_s
-        self.trouble: Trouble | None = None
+        self.troubles: dict[int, Trouble] = {}
         self.R_body_mount: Array = np.eye(3)
         self.drawn = 0
         self._index = 0
@@ -101,8 +101,10 @@ class LockstepCamera:
             pose = self._waiting.popleft()[1]
         if pose is None:
             return None
-        frame = Frame(pose.t_s, self._draw(pose), pose.index)
-        return frame if self.trouble is None else self.trouble(frame)
+        frame: Frame | None = Frame(pose.t_s, self._draw(pose), pose.index)
+        for trouble in list(self.troubles.values()):
+            frame = None if frame is None else trouble(frame)
+        return frame
 
     def _draw(self, pose: Pose) -> NDArray[np.uint8]:
         self.drawn += 1

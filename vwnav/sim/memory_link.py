@@ -7,7 +7,7 @@ and the simulated vehicle talk over it as they do over UDP or a serial line.
 import heapq
 import random
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 _BITS_PER_BYTE = 10  # start bit, eight, stop bit
 _SOON_S = 0.02
@@ -26,14 +26,24 @@ class LineState:
         loss: share of the packets that never arrive.
         baud: bits per second of a serial line; None carries whatever comes.
         cut: nothing gets in.
-        tap: what becomes of each packet: dropped, altered, delayed, doubled; None lets them be.
+        taps: what becomes of each packet: dropped, altered, delayed, doubled; one after the other,
+            each by the `id` of who put it there.
     """
 
     latency_s: float = 0.0
     loss: float = 0.0
     baud: float | None = None
     cut: bool = False
-    tap: Tap | None = None
+    taps: dict[int, Tap] = field(default_factory=dict)
+
+    def tapped(self, packet: bytes) -> list[tuple[float, bytes]]:
+        """(delay in s, packet) of each that comes of one."""
+        packets = [(0.0, packet)]
+        for tap in list(self.taps.values()):
+            packets = [
+                (delay_s + more_s, made) for delay_s, each in packets for more_s, made in tap(each)
+            ]
+        return packets
 
 
 class Line:
@@ -49,9 +59,7 @@ class Line:
 
     def put(self, packet: bytes) -> None:
         """Send one packet."""
-        for delay_s, each in (
-            ((0.0, packet),) if self._state.tap is None else self._state.tap(packet)
-        ):
+        for delay_s, each in self._state.tapped(packet):
             self._put(each, delay_s)
 
     def _put(self, packet: bytes, delay_s: float) -> None:

@@ -3,6 +3,7 @@
 import gc
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -177,6 +178,24 @@ def judge_turns(runs: list[Run]) -> list[Metric]:
     ]  # fmt: skip
 
 
+def judge_warped(true_m: float, runs: list[Run]) -> list[Metric]:
+    """A map that is off by so much from place to place, which the settings do not say."""
+    nees = _settled(runs, lambda run: position_nees(run.rows))
+    half = nees.shape[1] // 2
+    ratio = np.array([run.last.map_error.sigma_m for run in runs]) / true_m
+    errors = np.concatenate([run.rows.error_ne_m[run.rows.t_s > SETTLED_S] for run in runs])
+    return [
+        Metric("map's error, learned over true, mean", float(np.mean(ratio)), "", 0.7, 1.3),
+        Metric("the least", float(np.min(ratio))),
+        Metric("the most", float(np.max(ratio))),
+        Metric("NEES of position (2) mean, first half", float(np.mean(nees[:, :half]))),
+        Metric("NEES of position (2) mean, second half", float(np.mean(nees[:, half:])), "",
+               None, 3.0),
+        Metric("within the 95 % ellipse", 100.0 * float(np.mean(nees < 5.991)), "%"),
+        Metric("position RMSE", rms(errors), "m"),
+    ]  # fmt: skip
+
+
 def judge_height(runs: list[Run]) -> list[Metric]:
     """Height above ground."""
     ratio = np.concatenate(
@@ -238,6 +257,14 @@ SCENARIOS = (
         "turns",
         FilterWorld(seconds=150.0, headings_deg=TURNS_DEG, turn_deg_s=90.0, speed_m_s=5.0),
         judge_turns,
+    ),
+    *(
+        FilterScenario(
+            f"warped-{size_m:g}m",
+            FilterWorld(seconds=400.0, imu_hz=_IMU_HZ, map_error_m=size_m),
+            partial(judge_warped, size_m),
+        )
+        for size_m in (0.5, 1.0, 2.0, 3.0)
     ),
     FilterScenario("baro", replace(_SHORT, baro_drift_m=3.0), judge_height),
     FilterScenario(

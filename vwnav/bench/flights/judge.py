@@ -22,6 +22,10 @@ _GOES_ON = {
     Phase.RETURN: (Phase.RETURN, Phase.DESCEND, Phase.LAND),
     Phase.DESCEND: (Phase.DESCEND, Phase.LAND),
 }
+# In these it stays up, whoever is there; and by which words the harness notes that a person chose.
+_STAYS_UP = frozenset({FlightMode.HOLD, FlightMode.MANUAL, FlightMode.OTHER})
+_ACTS = ("pilot switches", "pilot pushes", "a second station asks")
+_ALONE_S = 30.0
 
 
 def judge(flown: Flown) -> FlightVerdict:
@@ -60,6 +64,24 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
             return [f"nobody else has it: {_where(last)}, {_said(flown)}"]
         case Ending.STAYED if flew:
             return [f"it took off: {_where(last)}"]
+        case Ending.ANYHOW:
+            return _left_alone(flown)
+    return []
+
+
+def _left_alone(flown: Flown) -> list[str]:
+    """Whether it hung in the air until its battery would be empty, chosen so by no person."""
+    acts = (each.t_s for each in flown.track.events if each.text.startswith(_ACTS))
+    until_s = min(acts, default=math.inf) + flown.begun_s
+    since_s: float | None = None
+    for each in flown.track.truth:
+        hangs = each.armed and not each.on_ground and each.mode in _STAYS_UP
+        if not hangs or each.t_s > until_s:
+            since_s = None
+        elif since_s is None:
+            since_s = each.t_s
+        elif each.t_s - since_s > _ALONE_S:
+            return [f"nobody flies it since {since_s - flown.begun_s:.1f} s: {_where(each)}"]
     return []
 
 
@@ -83,7 +105,8 @@ def _others_have_it(flown: Flown) -> bool:
 
 def _followed(flown: Flown) -> list[str]:
     broke_s = flown.broke_s
-    if flown.scenario.breaks and broke_s is None:
+    is_whatever = flown.scenario.ending is Ending.ANYHOW
+    if flown.scenario.breaks and broke_s is None and not is_whatever:
         return ["nothing broke: the flight never got there"]
     wrong = []
     for each in flown.scenario.follows:

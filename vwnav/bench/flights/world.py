@@ -119,10 +119,8 @@ class World:
             parameters=(*PARAMETERS[setup.manners], *setup.parameters),
             pilot=PilotPlan(rc_on=setup.rc_on), battery_drain_s=setup.battery_drain_s,
         )  # fmt: skip
-        link = NotedLink(
-            self.autopilot_link.a, self.clock, self.track, lambda: self.navigator.autopilot.north
-        )
-        peer = Peer(link, Role.COMPANION)
+        north, link = lambda: self._tells.autopilot.north, self.autopilot_link.a
+        peer = Peer(NotedLink(link, self.clock, self.track, north), Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
     def _watchdog(self) -> Watchdog:
@@ -150,14 +148,18 @@ class World:
             self.features, place.fallback, MapPack.open(place.pack), camera, self.local_frame,
             setup.config, executor, notices.append,
         )  # fmt: skip
-        return Equipped(
-            setup.mission, self.local_frame, setup.config,
-            CameraWatch(camera.width_px, camera.height_px), assembled.pipeline, assembled.ekf,
-            executor, record, notices, about_run(assembled, self.features.name, "nadir"),
-        )  # fmt: skip
+        watch = CameraWatch(camera.width_px, camera.height_px)
+        about, ekf = about_run(assembled, self.features.name, "nadir"), assembled.ekf
+        return Equipped(setup.mission, self.local_frame, setup.config, watch, assembled.pipeline,
+                        ekf, executor, record, notices, about)  # fmt: skip
 
     def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
         return self.costs.search if prior.lat_deg is None else self.costs.match
+
+    @property
+    def _tells(self) -> Navigator:
+        """Who gives the estimates: each in the north that it believes the autopilot has."""
+        return (self.navigator.ended and self.successor.navigator) or self.navigator
 
     @property
     def site_seed(self) -> int:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
+from vwnav.recording.telemetry_log import rising
 from vwnav.types import Array, Attitude, Range
 
 MAX_GAP_S = 0.5  # attitudes farther apart are not interpolated between
@@ -33,10 +34,7 @@ class FlownAttitudes:
     """
 
     def __init__(self, attitudes: Sequence[Attitude]) -> None:
-        kept = [attitudes[0]]
-        for each in attitudes[1:]:
-            if each.t_s > kept[-1].t_s:
-                kept.append(each)
+        kept = [attitudes[i] for i in rising([each.t_s for each in attitudes])]
         self._t_s = np.array([each.t_s for each in kept])
         self._R = np.stack([rotation_from_quat(each.quat_wxyz) for each in kept])
         steps = [vector_from_rotation(a.T @ b) for a, b in zip(self._R, self._R[1:], strict=False)]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vwnav.cli.numbers import finite
 from vwnav.files.whole import write_whole
 
 if TYPE_CHECKING:
@@ -30,7 +31,10 @@ def estimator(
     seconds: Annotated[
         float | None,
         typer.Option(
-            "--seconds", min=60.0, help="Length of a nominal (600) or rendered (130) flight."
+            "--seconds",
+            min=60.0,
+            callback=finite,
+            help="Length of a nominal (600) or rendered (130) flight.",
         ),
     ] = None,
     features: Annotated[

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vwnav.cli.manners import manners_of
+from vwnav.cli.numbers import finite
 from vwnav.errors import VwnavError
 from vwnav.files.whole import write_whole
 
@@ -31,7 +32,9 @@ def flights(
         Path | None,
         typer.Option(help="Route about home, or first_flight.plan (of `make fly`), loop_3km.plan."),
     ] = None,
-    wind_m_s: Annotated[float, typer.Option(min=0.0, max=15.0, help="Mean wind, gusty.")] = 8.0,
+    wind_m_s: Annotated[
+        float, typer.Option(min=0.0, max=15.0, callback=finite, help="Mean wind, gusty.")
+    ] = 8.0,
     sites: Annotated[int, typer.Option(min=1, max=999, help="Generated sites in turn.")] = 4,
     manners: Annotated[
         str,

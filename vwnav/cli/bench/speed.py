@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vwnav.cli.numbers import finite
+
 if TYPE_CHECKING:
     from vwnav.bench.speed.results import SpeedReport
 
@@ -15,7 +17,10 @@ _FILE_WIDTH = 80
 
 def speed(
     target_hz: Annotated[
-        float, typer.Option(min=0.1, max=30.0, help="Pictures matched to the map a second.")
+        float,
+        typer.Option(
+            min=0.1, max=30.0, callback=finite, help="Pictures matched to the map a second."
+        ),
     ] = 5.0,
     features: Annotated[
         list[str] | None,
@@ -26,7 +31,7 @@ def speed(
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Pictures of each setting.")] = 20,
     seconds: Annotated[
-        float, typer.Option(min=5.0, help="In real time, of what is chosen.")
+        float, typer.Option(min=5.0, callback=finite, help="In real time, of what is chosen.")
     ] = 20.0,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     output: Annotated[

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vwnav.cli.numbers import all_finite, finite
+
 if TYPE_CHECKING:
     from vwnav.bench.flights.waypoints import Errors, WaypointsRow
     from vwnav.bench.flights.world import Place
@@ -25,11 +27,18 @@ def waypoints(
         list[str] | None, typer.Option(help="learned, sift or orb; may be repeated; else all.")
     ] = None,
     height_m: Annotated[
-        list[float] | None, typer.Option(min=10.0, max=120.0, help="May be repeated; else 25, 50.")
+        list[float] | None,
+        typer.Option(
+            min=10.0, max=120.0, callback=all_finite, help="May be repeated; else 25, 50."
+        ),
     ] = None,
     runs: Annotated[int, typer.Option("--runs", min=1, help="Flights of each row.")] = 6,
-    seconds: Annotated[float, typer.Option(min=5.0, help="Length of each.")] = 20.0,
-    wind_m_s: Annotated[float, typer.Option(min=0.0, max=15.0, help="Mean wind, gusty.")] = 5.0,
+    seconds: Annotated[
+        float, typer.Option(min=5.0, callback=finite, help="Length of each.")
+    ] = 20.0,
+    wind_m_s: Annotated[
+        float, typer.Option(min=0.0, max=15.0, callback=finite, help="Mean wind, gusty.")
+    ] = 5.0,
     seed: Annotated[int, typer.Option(help="The same flights for every feature set.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     output: Annotated[

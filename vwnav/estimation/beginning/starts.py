@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.states import (
     KNOWN_SHARE,
@@ -79,9 +80,18 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     P, t_s = np.diag(variance), start.t_s
     if start.learned is not None:
         _take_on(x, P, start.learned, t_s, config)
-    zeroed = start.sigma_baro_m is None
-    turns = tells_heading(P)
-    return FilterState(t_s, x, P, known, turns, t_s, t_s, trusted=trusted, baro_zeroed=zeroed)
+    return FilterState(
+        t_s,
+        x,
+        P,
+        position_known=known,
+        heading_known=tells_heading(P),
+        tracked_s=t_s,
+        exposed_s=t_s,
+        trusted=trusted,
+        baro_zeroed=start.sigma_baro_m is None,
+        map_error=LearnedMapError(config.map_sigma_m),
+    )
 
 
 def first_variance(config: EkfConfig) -> Array:
@@ -123,6 +133,7 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
     variance[States.DOWN], variance[States.TERRAIN] = _HEIGHT_SIGMA_M**2, _TERRAIN_SIGMA_M**2
     variance[States.BARO] = _BARO_SIGMA_M**2
     variance[States.VELOCITY] = config.restart_velocity_m_s**2
+    variance[States.MAP] = state.map_error.sigma_m**2
     known = state.trusted is not None
     sigma_m = config.unknown_sigma_m
     if state.trusted is not None:
@@ -146,6 +157,7 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
         trusted=state.trusted,
         baro_zeroed=state.baro_zeroed,
         reset_counter=state.reset_counter + 1,
+        map_error=state.map_error,
     )
 
 

@@ -21,17 +21,15 @@ from vwnav.geometry.geodesy import (
 )
 from vwnav.maps.build.keypoints import block_of, extract_block
 from vwnav.maps.build.raster import Bounds, RasterSource
-from vwnav.maps.build.warp import PlacedRaster, bounds_window, render
+from vwnav.maps.build.warp import BLOCK_PX, PlacedRaster, bounds_window, compose
 from vwnav.maps.build.writer import PackWriter
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.image import MapImage, window_slices
-from vwnav.maps.schema import SCHEMA_VERSION
+from vwnav.maps.schema import ASSUMED_SIGMA_M, SCHEMA_VERSION, GeoreferenceBasis
 from vwnav.types import FeatureExtractor
 
 LEVELS_BY_DEFAULT = 3
 _COARSER_AT_MOST = 1.2  # the finest level loses at most so much of the source's resolution
-_BLOCK_PX = 4 * TILE_PX  # rendered at once
-_SMALLEST_PART_PX = 32
 _MAX_TILES = 2_000_000
 
 Progress = Callable[[str, int, int], None]  # what is being done, how much is done, of how much
@@ -45,7 +43,9 @@ class BuildOptions:
         levels: zoom levels; by default the sources' own resolution and the two coarser ones.
         name: shown to people; by default that of the first source.
         attribution: whom the imagery's terms want named.
-        georeference_sigma_m: one sigma of the imagery's position, per horizontal axis.
+        georeference_sigma_m: one sigma of the imagery's position, per horizontal axis; None:
+            not known, and 1 m is assumed.
+        georeference_basis: how it is known; None in a pack that does not say.
         created_utc: when, as ISO 8601, for provenance.
         heights: of the terrain.
         origins: names of what the imagery comes from, for provenance; by default the sources'.
@@ -54,7 +54,8 @@ class BuildOptions:
     levels: Sequence[int] | None = None
     name: str | None = None
     attribution: str = ""
-    georeference_sigma_m: float = 1.0
+    georeference_sigma_m: float | None = None
+    georeference_basis: GeoreferenceBasis | None = "given"
     created_utc: str = ""
     heights: HeightGrid | None = None
     origins: Sequence[str] | None = None
@@ -163,7 +164,7 @@ def _write_level(
     blocks = _blocks([raster.window(zoom) for raster in rasters])
     counter = _Counter(report, f"level {zoom}", len(blocks))
     for block in blocks:
-        image = _finer(writer, zoom, block) if from_finer else _composite(rasters, zoom, block)
+        image = _finer(writer, zoom, block) if from_finer else compose(rasters, zoom, block)
         for tile in block.tiles(zoom) if image is not None else ():
             part = window_slices(tile.window, block.x0, block.y0)
             writer.put_tile(tile, MapImage(image.bgr[part], image.mask[part]))
@@ -175,7 +176,7 @@ def _blocks(windows: Sequence[Window]) -> list[Window]:
     edges = np.array(windows)
     x0, y0 = edges[:, :2].min(axis=0) // TILE_PX * TILE_PX
     x1, y1 = -(-edges[:, 2:].max(axis=0) // TILE_PX) * TILE_PX
-    blocks = Window(int(x0), int(y0), int(x1), int(y1)).parts(_BLOCK_PX)
+    blocks = Window(int(x0), int(y0), int(x1), int(y1)).parts(BLOCK_PX)
     return [
         block for block in blocks if any(0 not in window.clipped(block).shape for window in windows)
     ]
@@ -184,30 +185,6 @@ def _blocks(windows: Sequence[Window]) -> list[Window]:
 def _finer(writer: PackWriter, zoom: int, block: Window) -> MapImage:
     twice = Window(*(2 * edge for edge in block))
     return writer.colour_image(zoom + 1, twice).halved()
-
-
-def _composite(rasters: Sequence[PlacedRaster], zoom: int, block: Window) -> MapImage:
-    """The block from all rasters; the first one that has data wins."""
-    out = MapImage.empty(block.shape)
-    for raster in rasters:
-        # A raster much finer than the level is read in smaller parts, or it would fill the memory.
-        size_px = max(_BLOCK_PX // raster.reduction(zoom), _SMALLEST_PART_PX)
-        for part in block.parts(size_px):
-            if 0 not in raster.window(zoom).grown(1).clipped(part).shape:
-                _fill(out, block, raster, zoom, part)
-        if out.mask.all():
-            break
-    return out
-
-
-def _fill(out: MapImage, block: Window, raster: PlacedRaster, zoom: int, part: Window) -> None:
-    into = window_slices(part, block.x0, block.y0)
-    missing = ~out.mask[into]
-    image = render(raster, zoom, part) if missing.any() else None
-    if image is not None:
-        fresh = image.mask & missing
-        out.bgr[into][fresh] = image.bgr[fresh]
-        out.mask[into] |= fresh
 
 
 def _write_features(
@@ -266,11 +243,15 @@ def _mbtiles_metadata(
 def _own_metadata(
     sources: Sequence[RasterSource], options: BuildOptions, levels: tuple[int, ...]
 ) -> dict[str, str]:
-    return {
+    sigma_m, basis = options.georeference_sigma_m, options.georeference_basis
+    if sigma_m is None:
+        sigma_m, basis = ASSUMED_SIGMA_M, "assumed"
+    own = {
         "schema_version": str(SCHEMA_VERSION),
         "levels": json.dumps(levels),
-        "georeference_sigma_m": repr(float(options.georeference_sigma_m)),
+        "georeference_sigma_m": repr(float(sigma_m)),
         "sources": json.dumps(options.origins or [source.name for source in sources]),
         "created_utc": options.created_utc,
         "vwnav_version": __version__,
     }
+    return own if basis is None else own | {"georeference_basis": basis}

@@ -51,13 +51,17 @@ def extract_block(
     usable = usable_mask(image.mask)
     if not usable[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX].any():
         return {}
-    count = KEYPOINTS_PER_TILE * BLOCK_TILES**2 * _OVERSAMPLING
-    found = extractor.extract(filled_gray(image), count)
-    found = _chosen(found, _at(usable, found.uv))
+    found = usable_features(image, extractor, KEYPOINTS_PER_TILE * BLOCK_TILES**2 * _OVERSAMPLING)
     return {
         tile: _in_tile(found, tile.window.x0 - window.x0, tile.window.y0 - window.y0)
         for tile in block_tiles(block)
     }
+
+
+def usable_features(image: MapImage, extractor: FeatureExtractor, count: int) -> Features:
+    """The features of a piece of map, at most `count`, none near missing data."""
+    found = extractor.extract(filled_gray(image), count)
+    return _chosen(found, _at(usable_mask(image.mask), found.uv))
 
 
 def usable_mask(mask: Mask) -> Mask:

@@ -100,11 +100,13 @@ def default_options(paths: Sequence[Path], sources: Sequence[RasterSource]) -> B
     if not packs:
         return BuildOptions(name=paths[0].resolve().stem)
     pack, alone = packs[0], len(sources) == 1
+    assumed = pack.georeference_basis == "assumed"
     return BuildOptions(
         levels=tuple(level.zoom for level in pack.levels) if alone else None,
         name=pack.name,
         attribution=pack.attribution,
-        georeference_sigma_m=pack.georeference_sigma_m,
+        georeference_sigma_m=None if assumed else pack.georeference_sigma_m,
+        georeference_basis=pack.georeference_basis,
         heights=pack.heights,
         origins=pack.sources if alone else None,
     )

@@ -1,6 +1,7 @@
 """Warps georeferenced rasters onto the web-mercator grid."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import (
     MAX_LAT_DEG,
+    TILE_PX,
     Window,
     ground_resolution_m_per_px,
     horizontal_distance_m,
@@ -17,9 +19,11 @@ from vwnav.geometry.geodesy import (
     mercator_px,
 )
 from vwnav.maps.build.raster import Bounds, RasterSource
-from vwnav.maps.image import MapImage
+from vwnav.maps.image import MapImage, window_slices
 from vwnav.types import Array
 
+BLOCK_PX = 4 * TILE_PX  # rendered at once
+_SMALLEST_PART_PX = 32
 _NODE_PX = 32  # exact georeference at such a grid, linear between: 1e-4 px at worst
 _EDGE_PX = 0.49  # images with rounded corners leave gaps of up to a pixel between them
 _PAD_PX = 4  # what the cubic kernel and the mask's erosion reach
@@ -84,6 +88,30 @@ def render(raster: PlacedRaster, zoom: int, window: Window) -> MapImage | None:
     sampled = sample(image, u_local.astype(np.float32), v_local.astype(np.float32))
     mask = sampled.mask & inside
     return MapImage(np.where(mask[..., None], sampled.bgr, 0).astype(np.uint8), mask)
+
+
+def compose(rasters: Sequence[PlacedRaster], zoom: int, block: Window) -> MapImage:
+    """Global pixels of a level from all rasters; the first one that has data wins."""
+    out = MapImage.empty(block.shape)
+    for raster in rasters:
+        # A raster much finer than the level is read in smaller parts, or it would fill the memory.
+        size_px = max(BLOCK_PX // raster.reduction(zoom), _SMALLEST_PART_PX)
+        for part in block.parts(size_px):
+            if 0 not in raster.window(zoom).grown(1).clipped(part).shape:
+                _fill(out, block, raster, zoom, part)
+        if out.mask.all():
+            break
+    return out
+
+
+def _fill(out: MapImage, block: Window, raster: PlacedRaster, zoom: int, part: Window) -> None:
+    into = window_slices(part, block.x0, block.y0)
+    missing = ~out.mask[into]
+    image = render(raster, zoom, part) if missing.any() else None
+    if image is not None:
+        fresh = image.mask & missing
+        out.bgr[into][fresh] = image.bgr[fresh]
+        out.mask[into] |= fresh
 
 
 def _aligned(at: Array) -> bool:

@@ -91,11 +91,7 @@ class DiskBudget:
         return sorted(each for each in self._flights() if each.name != self._present.name)
 
     def _flights(self) -> list[Path]:
-        return [
-            each
-            for each in self._present.parent.iterdir()
-            if _OWN_NAME.fullmatch(each.name) and each.is_dir() and not each.is_symlink()
-        ]
+        return flights_in(self._present.parent)
 
     def _taken_bytes(self) -> int:
         return sum(
@@ -104,6 +100,15 @@ class DiskBudget:
             for folder, _, names in os.walk(flight)
             for name in names
         )
+
+
+def flights_in(runs: Path) -> list[Path]:
+    """Folders of flights that were not named by a person."""
+    return [
+        each
+        for each in runs.iterdir()
+        if _OWN_NAME.fullmatch(each.name) and each.is_dir() and not each.is_symlink()
+    ]
 
 
 def _bytes_of(path: Path) -> int:

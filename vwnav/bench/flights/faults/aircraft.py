@@ -5,8 +5,15 @@ from dataclasses import dataclass, replace
 from pymavlink.dialects.v20 import common as mavlink
 
 from vwnav.bench.flights.stage import FlightStage, Lasting
+from vwnav.vehicle import Order
 
 _FREEZING_K, _STANDARD_K = 273.15, 288.15
+_ORDERS = {  # the command, and its first parameter
+    Order.PAUSE: (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0),
+    Order.GO_ON: (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0),
+    Order.RETURN: (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, 0.0),
+    Order.LAND: (mavlink.MAV_CMD_NAV_LAND, 0.0),
+}
 
 
 @dataclass(frozen=True)
@@ -150,11 +157,11 @@ class SimulatorStands:
     def begin(self, world: FlightStage) -> None:
         """It stands."""
         world.core.wait(self.seconds)
-        world.camera.trouble = lambda frame: None
+        world.camera.troubles[id(self)] = lambda frame: None
 
     def end(self, world: FlightStage) -> None:
         """It goes on."""
-        world.camera.trouble = None
+        del world.camera.troubles[id(self)]
 
 
 @dataclass(frozen=True)
@@ -217,11 +224,28 @@ class PilotHandsBack(Lasting):
         world.note("pilot hands back")
 
 
+@dataclass(frozen=True)
+class StationOrders(Lasting):
+    """A ground station asks the navigator for something: see `vwnav.mavlink.ground_commands`."""
+
+    order: Order
+
+    def begin(self, world: FlightStage) -> None:
+        """One command, to the navigator itself."""
+        world.autopilot_link.a.write(_packet_of(self.order, *world.navigator.port.own_id))
+        world.note(f"the ground station orders {self.order.value}")
+
+
 def asks_to_go_on(system: int, component: int) -> bytes:
     """A packet of a ground station to the navigator that has these ids."""
+    return _packet_of(Order.GO_ON, system, component)
+
+
+def _packet_of(order: Order, system: int, component: int) -> bytes:
     station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    number, goes_on = _ORDERS[order]
     command = mavlink.MAVLink_command_long_message(
-        system, component, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0, 1.0, 0, 0, 0, 0, 0, 0
+        system, component, number, 0, goes_on, 0, 0, 0, 0, 0, 0
     )
     return bytes(command.pack(station))
 

@@ -41,11 +41,11 @@ class CameraTrouble:
 
     def begin(self, world: FlightStage) -> None:
         """Trouble."""
-        world.camera.trouble = self.make()
+        world.camera.troubles[id(self)] = self.make()
 
     def end(self, world: FlightStage) -> None:
         """None."""
-        world.camera.trouble = None
+        del world.camera.troubles[id(self)]
 
     def __str__(self) -> str:
         return f"camera: {self.make.__name__.replace('_', ' ')}"
@@ -62,12 +62,14 @@ class ImagesLate:
         """Late."""
         world.camera.latency_s += self.seconds
         if not self.stamped:
-            world.camera.trouble = lambda frame: replace(frame, t_s=frame.t_s + self.seconds)
+            world.camera.troubles[id(self)] = lambda frame: replace(
+                frame, t_s=frame.t_s + self.seconds
+            )
 
     def end(self, world: FlightStage) -> None:
         """As before."""
         world.camera.latency_s -= self.seconds
-        world.camera.trouble = None
+        world.camera.troubles.pop(id(self), None)
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,13 @@ class LinkCut:
 
     def begin(self, world: FlightStage) -> None:
         """Cut."""
-        world.autopilot_link.cut(True)
+        for line in _lines(world):
+            line.taps[id(self)] = lambda packet: ()
 
     def end(self, world: FlightStage) -> None:
         """Joined."""
-        world.autopilot_link.cut(False)
+        for line in _lines(world):
+            del line.taps[id(self)]
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,12 @@ class RoundTrip:
     def begin(self, world: FlightStage) -> None:
         """Longer."""
         for line in _lines(world):
-            line.latency_s = 0.5 * self.seconds
+            line.latency_s += 0.5 * self.seconds - LINK_LATENCY_S
 
     def end(self, world: FlightStage) -> None:
         """As before."""
         for line in _lines(world):
-            line.latency_s = LINK_LATENCY_S
+            line.latency_s -= 0.5 * self.seconds - LINK_LATENCY_S
 
 
 @dataclass(frozen=True)
@@ -77,12 +79,12 @@ class _Spoils(ABC):
     def begin(self, world: FlightStage) -> None:
         """Spoilt."""
         for number, line in enumerate(_lines(world)):
-            line.tap = self._tap(random.Random(self.seed + number))
+            line.taps[id(self)] = self._tap(random.Random(self.seed + number))
 
     def end(self, world: FlightStage) -> None:
         """Clean."""
         for line in _lines(world):
-            line.tap = None
+            del line.taps[id(self)]
 
     @abstractmethod
     def _tap(self, rng: random.Random) -> Tap: ...
@@ -125,11 +127,14 @@ class Replayed:
 
     def begin(self, world: FlightStage) -> None:
         """Twice."""
-        world.autopilot_link.a_to_b.tap = lambda packet: ((0.0, packet), (self.later_s, packet))
+        world.autopilot_link.a_to_b.taps[id(self)] = lambda packet: (
+            (0.0, packet),
+            (self.later_s, packet),
+        )
 
     def end(self, world: FlightStage) -> None:
         """Once."""
-        world.autopilot_link.a_to_b.tap = None
+        del world.autopilot_link.a_to_b.taps[id(self)]
 
 
 @dataclass(frozen=True)

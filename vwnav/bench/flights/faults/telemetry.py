@@ -26,16 +26,18 @@ class TelemetryLate:
     def begin(self, world: FlightStage) -> None:
         """Late."""
         if not self.numbers:
-            world.autopilot_link.a_to_b.latency_s = self.seconds
+            world.autopilot_link.a_to_b.latency_s += self.seconds - LINK_LATENCY_S
         else:
-            world.autopilot_link.a_to_b.tap = lambda packet: (
+            world.autopilot_link.a_to_b.taps[id(self)] = lambda packet: (
                 (self.seconds if number_of(packet) in self.numbers else 0.0, packet),
             )
 
     def end(self, world: FlightStage) -> None:
         """As before."""
-        world.autopilot_link.a_to_b.latency_s = LINK_LATENCY_S
-        world.autopilot_link.a_to_b.tap = None
+        if not self.numbers:
+            world.autopilot_link.a_to_b.latency_s -= self.seconds - LINK_LATENCY_S
+        else:
+            del world.autopilot_link.a_to_b.taps[id(self)]
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,11 @@ class Missing:
 
     def begin(self, world: FlightStage) -> None:
         """They are dropped."""
-        world.autopilot_link.a_to_b.tap = self._drop
+        world.autopilot_link.a_to_b.taps[id(self)] = self._drop
 
     def end(self, world: FlightStage) -> None:
         """They come."""
-        world.autopilot_link.a_to_b.tap = None
+        del world.autopilot_link.a_to_b.taps[id(self)]
 
     def _drop(self, packet: bytes) -> Iterable[tuple[float, bytes]]:
         return () if number_of(packet) in self.numbers else ((0.0, packet),)
@@ -64,11 +66,11 @@ class Doubled:
 
     def begin(self, world: FlightStage) -> None:
         """Twice."""
-        world.autopilot_link.a_to_b.tap = self._double
+        world.autopilot_link.a_to_b.taps[id(self)] = self._double
 
     def end(self, world: FlightStage) -> None:
         """Once."""
-        world.autopilot_link.a_to_b.tap = None
+        del world.autopilot_link.a_to_b.taps[id(self)]
 
     def _double(self, packet: bytes) -> Iterable[tuple[float, bytes]]:
         return ((0.0, packet),) * (2 if number_of(packet) in self.numbers else 1)
@@ -88,11 +90,11 @@ class Altered:
 
     def begin(self, world: FlightStage) -> None:
         """They are altered."""
-        world.autopilot_link.a_to_b.tap = altering(self.numbers, self.change)
+        world.autopilot_link.a_to_b.taps[id(self)] = altering(self.numbers, self.change)
 
     def end(self, world: FlightStage) -> None:
         """They are right."""
-        world.autopilot_link.a_to_b.tap = None
+        del world.autopilot_link.a_to_b.taps[id(self)]
 
     def __str__(self) -> str:
         return self.what
@@ -176,12 +178,15 @@ class BootClockJumps:
         """From now on."""
         lost_s = world.core.vehicle.t_s
         link = world.autopilot_link
-        link.a_to_b.tap = altering(None, lambda message: _set_back(message, lost_s))
-        link.b_to_a.tap = altering((TIMESYNC,), lambda message: _set_forward(message, lost_s))
+        link.a_to_b.taps[id(self)] = altering(None, lambda message: _set_back(message, lost_s))
+        link.b_to_a.taps[id(self)] = altering(
+            (TIMESYNC,), lambda message: _set_forward(message, lost_s)
+        )
 
     def end(self, world: FlightStage) -> None:
         """It counts on."""
-        world.autopilot_link.a_to_b.tap = world.autopilot_link.b_to_a.tap = None
+        del world.autopilot_link.a_to_b.taps[id(self)]
+        del world.autopilot_link.b_to_a.taps[id(self)]
 
 
 def _set_back(message: Any, by_s: float) -> None:

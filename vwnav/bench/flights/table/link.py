@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from vwnav.bench.flights.faults import link
+from vwnav.bench.flights.faults.aircraft import StationOrders
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     CLIMB,
@@ -15,12 +16,13 @@ from vwnav.bench.flights.scenario import (
     Scenario,
     flies_on,
     phase,
+    said,
     setup,
 )
 from vwnav.bench.flights.setup import AirStart
 from vwnav.mission.mission import Phase
 from vwnav.sim.config import Manners
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
 
 CUTS_S = (0.3, 1.0, 3.0, 5.0, 10.0, 30.0)
 
@@ -139,4 +141,34 @@ OTHERS = [
     )
     for mode in (FlightMode.HOLD, FlightMode.RETURN)
 ]
-LINK = [*CUTS, *AT_THE_START, *NOT_DOWN, *SLOW, *DIRTY, *OTHERS]
+ORDERS = [
+    Scenario(
+        name="the ground station pauses the flight for 8 s",
+        setup=setup(),
+        breaks=(
+            Break(fault=StationOrders(Order.PAUSE), at_s=BREAKS_AT_S),
+            Break(fault=StationOrders(Order.GO_ON), at_s=BREAKS_AT_S + 8.0),
+        ),
+        limit_s=30.0,
+        ending=Ending.FLIES_ON,
+        follows=(said(1.0, "holding"), said(9.0, "going on")),
+    ),
+    Scenario(
+        name="the ground station asks for the way home",
+        setup=setup(),
+        breaks=(Break(fault=StationOrders(Order.RETURN), at_s=BREAKS_AT_S),),
+        limit_s=120.0,
+        follows=(phase(1.0, "returning"),),
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
+    Scenario(
+        name="the ground station asks for a landing",
+        setup=setup(),
+        breaks=(Break(fault=StationOrders(Order.LAND), at_s=BREAKS_AT_S),),
+        limit_s=80.0,
+        follows=(phase(1.0, "landing"),),
+        lands_within_m=15.0,  # PX4's Land stops first, from 7.6 m/s by 3 m/s^2: 13.5 m
+    ),
+]
+LINK = [*CUTS, *AT_THE_START, *NOT_DOWN, *SLOW, *DIRTY, *OTHERS, *ORDERS]

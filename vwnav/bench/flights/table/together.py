@@ -1,5 +1,7 @@
 """Bad days: several things at once, and what breaks again and again."""
 
+import math
+
 from vwnav.bench.flights.faults import aircraft, camera, computer, link
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
@@ -129,6 +131,19 @@ BLIND = [
         lands_within_m=50.0,
     ),
 ]
+TURNED = [
+    Scenario(
+        name="navigator killed, and then the heading reset by 90 degrees",
+        setup=setup(),
+        breaks=(
+            Break(fault=computer.NavigatorKilled(), at_s=BREAKS_AT_S),
+            Break(fault=aircraft.HeadingReset(math.pi / 2), at_s=BREAKS_AT_S + 2.8),
+        ),
+        limit_s=75.0,
+        follows=(down(70.0),),
+        lands_within_m=70.0,
+    ),
+]
 _CUT = Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0)
 # PX4 has fallen back to a mode that stays up by the time that the link is there again.
 FALLEN_BACK = [
@@ -163,4 +178,4 @@ FALLEN_BACK = [
         0,
     ),
 ]
-TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *FALLEN_BACK]
+TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *FALLEN_BACK]

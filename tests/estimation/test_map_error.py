@@ -1,0 +1,91 @@
+"""How far a map is off from place to place is learned in flight, and then the sigma says so."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vwnav.bench.estimator.flown import Run
+from vwnav.bench.estimator.run import play
+from vwnav.bench.estimator.scores import position_nees
+from vwnav.bench.estimator.streams import sense
+from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.beginning.map_error import LearnedMapError
+from vwnav.estimation.config import EkfConfig
+
+WAY_M, LOOKS = 10.0, 400  # 4 km
+SETTINGS = EkfConfig().map_sigma_m, EkfConfig().map_length_m
+WORLD = FilterWorld(seconds=240.0, imu_hz=50.0, hover_share=0.0)
+
+
+def _looked(true_m: float, noise_m: float, seed: int) -> LearnedMapError:
+    """After 4 km over a Gauss-Markov error, each place measured once, as the filter would."""
+    config, rng = EkfConfig(), np.random.default_rng(seed)
+    keep = math.exp(-WAY_M / config.map_length_m)
+    error_m = true_m * rng.normal(size=2)
+    learned = LearnedMapError(config.map_sigma_m)
+    for look in range(LOOKS):
+        error_m = keep * error_m + true_m * math.sqrt(1.0 - keep**2) * rng.normal(size=2)
+        gain = learned.sigma_m**2 / (learned.sigma_m**2 + noise_m**2)
+        m = gain * (error_m + noise_m * rng.normal(size=2))
+        variance_m2 = np.full(2, (1.0 - gain) * learned.sigma_m**2)
+        learned = learned.seen(np.array([look * WAY_M, 0.0]), m, variance_m2, *SETTINGS)
+    return learned
+
+
+@pytest.mark.parametrize("true_m", [0.5, 1.0, 2.0, 3.0])
+def test_its_size_is_learned_within_a_third_on_average(true_m: float) -> None:
+    sizes_m = [_looked(true_m, 0.5, seed).sigma_m for seed in range(20)]
+    assert 0.8 * true_m < np.mean(sizes_m) < 1.2 * true_m
+    assert np.mean(np.abs(np.array(sizes_m) / true_m - 1.0) < 0.3) >= 0.8
+
+
+@given(noise_m=st.floats(0.05, 3.0), seed=st.integers(0, 1000))
+def test_of_a_map_as_good_as_the_settings_say_nothing_else_is_learned(
+    noise_m: float, seed: int
+) -> None:
+    setting_m = EkfConfig().map_sigma_m
+    assert setting_m <= _looked(setting_m, noise_m, seed).sigma_m < 1.7 * setting_m
+
+
+def test_who_hovers_learns_nothing() -> None:
+    run, _ = _flown(2.0, replace(WORLD, seconds=60.0, speed_m_s=0.0))
+    assert run.last.map_error.sigma_m == EkfConfig().map_sigma_m
+
+
+def test_the_operator_is_told_once_for_each_size() -> None:
+    learned, said = LearnedMapError(SETTINGS[0]), []
+    rng = np.random.default_rng(3)
+    for look in range(300):
+        before = learned
+        place_ne_m = np.array([20.0 * look, 0.0])
+        learned = learned.seen(place_ne_m, rng.normal(0.0, 2.5, 2), np.full(2, 0.01), *SETTINGS)
+        if learned.told_m > before.told_m:
+            said.append(learned.words)
+    assert [line.split("(")[1] for line in said] == ["1 sigma) from place to place"] * 2
+    assert learned.told_m == 2.0
+
+
+def _flown(map_error_m: float, world: FilterWorld = WORLD) -> tuple[Run, list[str]]:
+    world, said = replace(world, map_error_m=map_error_m), list[str]()
+    rng = np.random.default_rng([4, 0])
+    [truth] = fly(world, [rng])
+    return play(sense(world, truth, rng), say=said.append), said
+
+
+def test_a_flight_over_a_warped_map_learns_by_how_much() -> None:
+    run, said = _flown(2.0)
+    assert 0.6 < run.last.map_error.sigma_m / 2.0 < 1.4
+    assert run.estimates[-1].map_sigma_m == run.last.map_error.sigma_m
+    assert any("the map is off by" in line for line in said)
+    later = run.rows.t_s > 120.0  # with the setting alone it is some 30
+    assert np.mean(position_nees(run.rows)[later]) < 6.0
+
+
+def test_a_flight_over_a_good_map_stays_as_sure_as_it_was() -> None:
+    run, said = _flown(0.3)
+    assert run.last.map_error.sigma_m < 0.45
+    assert not any("the map is off" in line for line in said)

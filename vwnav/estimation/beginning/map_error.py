@@ -1,0 +1,81 @@
+"""How far a map is off from place to place, as the fixes of a flight show it.
+
+The filter has an estimate m of the map's error e here, of variance P, out of a prior of variance
+s^2. As of a single measurement y = e + n, n of variance v, that is m = f y, where f = 1 - P / s^2
+and v = P / f. So y is of variance sigma^2 + v, whatever s was: the likelihood of every size sigma
+of the error (a variance component; Mehra 1972, section V, calls it covariance matching). Places a
+correlation length apart are independent, so a look counts for as much of it as was flown.
+
+A shift of the whole map is not among it: who sees nothing but the map cannot tell.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_SIZES = np.geomspace(1.0, 20.0, 48)  # that are thought of, in settings
+_PRIOR = -0.5 * (np.log(_SIZES) / 1.0) ** 2  # that sigma of its logarithm
+LOOK_M = 5.0  # of the way, from look to look
+_TELLS = 0.01  # f of a look that is heard
+_TOLD_M = (1.0, 2.0, 4.0)  # sizes that the operator is told of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedMapError:
+    """What is known of the size of `States.MAP`.
+
+    Attributes:
+        sigma_m: per axis, as it is taken now: never less than the setting.
+        seen_ne_m: (2,) where it was looked at last; infinitely far away before.
+        log_likelihood: (n,) of each of the sizes, by all looks.
+        opened_m: the largest that it was ever taken for.
+        told_m: what the operator knows that it is at least.
+    """
+
+    sigma_m: float = 0.0
+    seen_ne_m: tuple[float, float] = (math.inf, math.inf)
+    log_likelihood: Array | None = None
+    opened_m: float = 0.0
+    told_m: float = 0.0
+
+    def seen(
+        self,
+        place_ne_m: Array,
+        error_m: Array,
+        variance_m2: Array,
+        setting_m: float,
+        length_m: float,
+    ) -> "LearnedMapError":
+        """What is known once a fix was fused, `LOOK_M` and more from the last look.
+
+        Args:
+            place_ne_m: (2,) where.
+            error_m: (2,) of the map there, as the filter has it now.
+            variance_m2: (2,) of that.
+            setting_m: the size that the settings say.
+            length_m: over which errors of places are alike.
+        """
+        place = float(place_ne_m[0]), float(place_ne_m[1])
+        if self.log_likelihood is None:
+            begun = replace(self, seen_ne_m=place, opened_m=self.sigma_m)
+            return replace(begun, log_likelihood=np.zeros(len(_SIZES)))
+        share = min(math.dist(place, self.seen_ne_m) / length_m, 1.0)
+        sizes_m, told = setting_m * _SIZES, np.zeros(len(_SIZES))
+        for m, P in zip(error_m.tolist(), variance_m2.tolist(), strict=True):
+            f = 1.0 - P / self.sigma_m**2
+            if f > _TELLS:
+                variances = sizes_m**2 + P / f
+                told -= 0.5 * share * (np.log(variances) + (m / f) ** 2 / variances)
+        log_likelihood = self.log_likelihood + told
+        sigma_m = float(sizes_m[np.argmax(_PRIOR + log_likelihood)])
+        told_m = max([self.told_m, *(size for size in _TOLD_M if size <= sigma_m)])
+        return LearnedMapError(sigma_m, place, log_likelihood, max(self.opened_m, sigma_m), told_m)
+
+    @property
+    def words(self) -> str:
+        """What the operator reads once it has grown so that he should."""
+        return f"the map is off by {self.sigma_m:.1f} m (1 sigma) from place to place"
