@@ -2,11 +2,12 @@ import cv2
 import numpy as np
 import onnx
 import pytest
+from onnx import TensorProto, numpy_helper
 
 from export import parity, quantize, verify
 from export.export_onnx import ExportError
 from export.images import read_grey, training_images
-from vwnav.vision.features.learned import LearnedFeatures
+from vwnav.vision.features.learned import LearnedFeatures, released_model
 
 
 @pytest.fixture(scope="module")
@@ -128,3 +129,11 @@ def test_verify_refuses_a_graph_of_other_weights(checkpoint, model, tmp_path, ca
     onnx.save(other, tmp_path / "other.onnx")
     with pytest.raises(ExportError, match="another"):
         verify.verify(tmp_path / "other.onnx", checkpoint, None, [])
+
+
+@pytest.mark.parametrize("name", ["default_int8", "nano_int8"])
+def test_released_weights_take_seven_bits_so_that_no_processor_saturates(name):
+    stored = onnx.load(released_model(name)).graph.initializer
+    kept = [numpy_helper.to_array(each) for each in stored if each.data_type == TensorProto.INT8]
+    largest = max(int(np.abs(each.astype(int)).max()) for each in kept)
+    assert 1 < largest <= 64
