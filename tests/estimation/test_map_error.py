@@ -52,7 +52,7 @@ def test_of_a_map_as_good_as_the_settings_say_nothing_else_is_learned(
 
 
 def test_who_hovers_learns_nothing() -> None:
-    run, _ = _flown(2.0, replace(WORLD, seconds=60.0, speed_m_s=0.0))
+    run, _ = _flown(2.0, world=replace(WORLD, seconds=60.0, speed_m_s=0.0))
     assert run.last.map_error.sigma_m == EkfConfig().map_sigma_m
 
 
@@ -69,20 +69,23 @@ def test_the_operator_is_told_once_for_each_size() -> None:
     assert learned.told_m == 2.0
 
 
-def _flown(map_error_m: float, world: FilterWorld = WORLD) -> tuple[Run, list[str]]:
+def _flown(map_error_m: float, seed: int = 0, world: FilterWorld = WORLD) -> tuple[Run, list[str]]:
     world, said = replace(world, map_error_m=map_error_m), list[str]()
-    rng = np.random.default_rng([4, 0])
+    rng = np.random.default_rng([4, seed])
     [truth] = fly(world, [rng])
     return play(sense(world, truth, rng), say=said.append), said
 
 
-def test_a_flight_over_a_warped_map_learns_by_how_much() -> None:
-    run, said = _flown(2.0)
-    assert 0.6 < run.last.map_error.sigma_m / 2.0 < 1.4
-    assert run.estimates[-1].map_sigma_m == run.last.map_error.sigma_m
-    assert any("the map is off by" in line for line in said)
-    later = run.rows.t_s > 120.0  # with the setting alone it is some 30
-    assert np.mean(position_nees(run.rows)[later]) < 6.0
+def test_flights_over_a_warped_map_learn_by_how_much_and_say_so() -> None:
+    """With the setting alone they are 36 and 40 of NEES, and 1.7 and 2.9 m off (RMS)."""
+    flights = [_flown(2.0, seed) for seed in (0, 1)]
+    learned_m = [run.last.map_error.sigma_m for run, _ in flights]
+    assert np.mean(learned_m) == pytest.approx(2.0, rel=0.3)
+    nees = [position_nees(run.rows)[run.rows.t_s > 120.0] for run, _ in flights]
+    assert np.mean(nees) < 4.5
+    for (run, said), size_m in zip(flights, learned_m, strict=True):
+        assert run.estimates[-1].map_sigma_m == size_m
+        assert any("the map is off by" in line for line in said)
 
 
 def test_a_flight_over_a_good_map_stays_as_sure_as_it_was() -> None:

@@ -240,6 +240,22 @@ def test_what_is_said_about_a_pack_is_kept(tmp_path: Path):
         assert pack.elevation_m(59.0, 22.1) is None
 
 
+@pytest.mark.parametrize(
+    ("options", "sigma_m", "basis"),
+    [
+        (BuildOptions(), 1.0, "assumed"),
+        (BuildOptions(georeference_sigma_m=0.4), 0.4, "given"),
+        (BuildOptions(georeference_sigma_m=0.4, georeference_basis="estimated"), 0.4, "estimated"),
+        (BuildOptions(georeference_sigma_m=0.4, georeference_basis=None), 0.4, None),
+    ],
+)
+def test_a_pack_says_how_its_error_is_known_or_is_as_packs_were(
+    tmp_path: Path, options: BuildOptions, sigma_m: float, basis: str | None
+):
+    with MapPack.open(small_pack(tmp_path / "a.mbtiles", options=options)) as pack:
+        assert (pack.georeference_sigma_m, pack.georeference_basis) == (sigma_m, basis)
+
+
 def test_the_same_sources_give_the_same_file(tmp_path: Path):
     first = small_pack(tmp_path / "a.mbtiles", (SiftStub(),))
     second = small_pack(tmp_path / "b.mbtiles", (SiftStub(),))

@@ -212,12 +212,12 @@ def _apply_position(
     after = replace(fused, rejected_fixes=())
     if not state.position_known or innovation.verdict is not Verdict.FUSED or sudden:
         after, innovation = _disputed(state, fix, measurement, innovation, context)
+        if not innovation.accepted:
+            return after, innovation
     elif lone is not measurement:
         once, drift = state.rejected_fixes, config.relocation_drift_m_s
         after, once = by_half(state, fused, measurement, once, fix.t_s, drift)
         after = replace(after, rejected_fixes=once)
-    if not innovation.accepted:
-        return after, innovation
     before_s = after.t_last_fix_s
     if before_s is not None and 0.0 < fix.t_s - before_s < _AGREEING_S:
         # It agrees with one shortly before it: to begin anew from, should that be.

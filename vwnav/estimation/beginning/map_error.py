@@ -15,10 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
 _SIZES = np.geomspace(1.0, 20.0, 48)  # that are thought of, in settings
-_PRIOR = -0.5 * (np.log(_SIZES) / 1.0) ** 2  # that sigma of its logarithm
+_PRIOR = -0.5 * np.log(_SIZES) ** 2  # of a size: a factor of e is one sigma
 LOOK_M = 5.0  # of the way, from look to look
 _TELLS = 0.01  # f of a look that is heard
 _TOLD_M = (1.0, 2.0, 4.0)  # sizes that the operator is told of
@@ -38,15 +36,15 @@ class LearnedMapError:
 
     sigma_m: float = 0.0
     seen_ne_m: tuple[float, float] = (math.inf, math.inf)
-    log_likelihood: Array | None = None
+    log_likelihood: NDArray[np.float64] | None = None
     opened_m: float = 0.0
     told_m: float = 0.0
 
     def seen(
         self,
-        place_ne_m: Array,
-        error_m: Array,
-        variance_m2: Array,
+        place_ne_m: NDArray[np.float64],
+        error_m: NDArray[np.float64],
+        variance_m2: NDArray[np.float64],
         setting_m: float,
         length_m: float,
     ) -> "LearnedMapError":

@@ -13,6 +13,7 @@ from vwnav.bench.flights.scenario import (
     setup,
 )
 from vwnav.bench.flights.stage import Fault
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
 
 RELIEF = [
@@ -63,6 +64,7 @@ MAP = [
         lands_at_ne_m=(0.0, 0.0),
         map_off_m=10.0,
     ),
+    flies_route("map off by 1.5 m from place to place", map_warp=MapWarp(sigma_m=2.0, seed=2)),
     _first_fix("turned by 14 degrees", ground.OneFixWrong(turned_deg=-14.0)),
     _first_fix("turned by 30 degrees", ground.OneFixWrong(turned_deg=30.0)),
     _first_fix("8 m off", ground.OneFixWrong(ne_m=(6.4, -4.8))),
