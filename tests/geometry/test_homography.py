@@ -37,7 +37,9 @@ def pairs(
 ) -> tuple[np.ndarray, np.ndarray]:
     uv0 = rng.uniform(0.0, SIZE_PX, (count, 2))
     uv1 = transform_points(H, uv0) + rng.normal(0.0, noise_px, (count, 2))
-    uv1[inliers:] = rng.uniform(uv1.min(), uv1.max(), (count - inliers, 2))
+    wrong = rng.uniform(uv1.min(), uv1.max(), (count - inliers, 2))
+    near = np.linalg.norm(wrong - uv1[inliers:], axis=1) < 5.0  # by chance: those would be right
+    uv1[inliers:] = np.where(near[:, None], wrong + 20.0, wrong)
     return uv0, uv1
 
 

@@ -155,8 +155,8 @@ def _open_picamera(width_px: int, height_px: int, fps: float, mode: SensorMode |
         ) from error
     except Exception as error:  # of what it is built on: numpy of another version, as a rule
         raise SourceError(
-            f"picamera2 does not load ({error}): `pip install --upgrade simplejpeg` in the virtual "
-            "environment where it is numpy's version"
+            f"picamera2 does not load ({error}): where that is numpy's version, upgrade simplejpeg "
+            "in the virtual environment"
         ) from error
     camera = None
     try:

@@ -40,7 +40,6 @@ from vwnav.geometry.rotations import wrap_pi
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
-_SMALLEST_SIGMA_M = 0.03
 _HOVERS_M_S, _OF_SCALE = 1.0, 0.1  # seen on and on, one place is out of scale, by less than that
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
@@ -48,6 +47,7 @@ _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error an
 _TURNED_COS = math.cos(math.radians(40.0))
 _LONE_SHARE = 1.0 / 3.0  # of a variance, as noise: halves a sigma, from these sigmas on
 _OPEN_M, _OPEN_RAD, _LONE_HEADING_RAD = 2.25, math.radians(4.0), math.radians(15.0)
+_SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 
@@ -325,16 +325,16 @@ def apply_agl(
     fused, innovation = fuse(state, measurement)
     trust = state.range_trust
     heard = by_map and trust.agreed_ne_m is not None and trust.doubted_s is None
-    drawn = heard and abs(float(fused.x[States.MAP_SCALE])) > _MOST_SCALE * config.map_scale
+    most = _MOST_SCALE * config.map_scale * state.map_error.sigma_m / config.map_sigma_m
+    drawn = heard and abs(float(fused.x[States.MAP_SCALE])) > most  # of a warped map, more
     if innovation.verdict is Verdict.FUSED and not drawn:
         return replace(fused, rejected_agls=()), innovation
     hovers = float(np.linalg.norm(state.x[States.VELOCITY])) < _HOVERS_M_S
     if heard and hovers and abs(float(measurement.residual[0])) < _OF_SCALE * state.agl_m:
         return state, replace(innovation, verdict=Verdict.GATED)  # one place, seen on and on
     if drawn:  # inside its gate a height gives way each time, and the map's scale takes it
-        x = state.x.copy()
-        x[States.MAP_SCALE] = 0.0
-        state = freed(replace(state, x=x), States.MAP_SCALE, config.map_scale)
+        unscaled = state.x * (np.arange(States.SIZE) != States.MAP_SCALE)
+        state = freed(replace(state, x=unscaled), States.MAP_SCALE, config.map_scale)
         measurement = replace(measurement, residual=agl_m - H @ state.x)
     else:
         rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)

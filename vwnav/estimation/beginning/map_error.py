@@ -4,7 +4,8 @@ The filter has an estimate m of the map's error e here, of variance P, out of a 
 s^2. As of a single measurement y = e + n, n of variance v, that is m = f y, where f = 1 - P / s^2
 and v = P / f. So y is of variance sigma^2 + v, whatever s was: the likelihood of every size sigma
 of the error (a variance component; Mehra 1972, section V, calls it covariance matching). Places a
-correlation length apart are independent, so a look counts for as much of it as was flown.
+correlation length apart are independent, so a look counts for as much of it as was flown; the
+noise of all looks is much the same (the place itself), so it counts for the f that it knows, too.
 
 A shift of the whole map is not among it: who sees nothing but the map cannot tell.
 """
@@ -59,15 +60,14 @@ class LearnedMapError:
         """
         place = float(place_ne_m[0]), float(place_ne_m[1])
         if self.log_likelihood is None:
-            begun = replace(self, seen_ne_m=place, opened_m=self.sigma_m)
-            return replace(begun, log_likelihood=np.zeros(len(_SIZES)))
+            return replace(self, seen_ne_m=place, log_likelihood=np.zeros(len(_SIZES)))
         share = min(math.dist(place, self.seen_ne_m) / length_m, 1.0)
         sizes_m, told = setting_m * _SIZES, np.zeros(len(_SIZES))
         for m, P in zip(error_m.tolist(), variance_m2.tolist(), strict=True):
             f = 1.0 - P / self.sigma_m**2
             if f > _TELLS:
                 variances = sizes_m**2 + P / f
-                told -= 0.5 * share * (np.log(variances) + (m / f) ** 2 / variances)
+                told -= 0.5 * f * share * (np.log(variances) + (m / f) ** 2 / variances)
         log_likelihood = self.log_likelihood + told
         sigma_m = float(sizes_m[np.argmax(_PRIOR + log_likelihood)])
         told_m = max([self.told_m, *(size for size in _TOLD_M if size <= sigma_m)])

@@ -90,7 +90,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
         exposed_s=t_s,
         trusted=trusted,
         baro_zeroed=start.sigma_baro_m is None,
-        map_error=LearnedMapError(config.map_sigma_m),
+        map_error=LearnedMapError(config.map_sigma_m, opened_m=config.map_sigma_m),
     )
 
 
