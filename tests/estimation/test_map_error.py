@@ -13,20 +13,24 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.config import Config, with_map
 from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
+from vwnav.maps.schema import GeoreferenceBasis
 
 WAY_M, LOOKS = 10.0, 400  # 4 km
 SETTINGS = EkfConfig().map_sigma_m, EkfConfig().map_length_m
 WORLD = FilterWorld(seconds=240.0, imu_hz=50.0, hover_share=0.0)
 
 
-def _looked(true_m: float, noise_m: float, seed: int) -> LearnedMapError:
+def _looked(
+    true_m: float, noise_m: float, seed: int, stated_m: float = SETTINGS[0]
+) -> LearnedMapError:
     """After 4 km over a Gauss-Markov error, each place measured once, as the filter would."""
     config, rng = EkfConfig(), np.random.default_rng(seed)
     keep = math.exp(-WAY_M / config.map_length_m)
     error_m = true_m * rng.normal(size=2)
-    learned = LearnedMapError(config.map_sigma_m)
+    learned = LearnedMapError.stated(stated_m)
     for look in range(LOOKS):
         error_m = keep * error_m + true_m * math.sqrt(1.0 - keep**2) * rng.normal(size=2)
         gain = learned.sigma_m**2 / (learned.sigma_m**2 + noise_m**2)
@@ -57,7 +61,7 @@ def test_who_hovers_learns_nothing() -> None:
 
 
 def test_the_operator_is_told_once_for_each_size() -> None:
-    learned, said = LearnedMapError(SETTINGS[0]), []
+    learned, said = LearnedMapError.stated(SETTINGS[0]), []
     rng = np.random.default_rng(3)
     for look in range(300):
         before = learned
@@ -69,11 +73,22 @@ def test_the_operator_is_told_once_for_each_size() -> None:
     assert learned.told_m == 2.0
 
 
-def _flown(map_error_m: float, seed: int = 0, world: FilterWorld = WORLD) -> tuple[Run, list[str]]:
+@given(stated_m=st.floats(0.3, 3.0), true_m=st.floats(0.5, 3.0), seed=st.integers(0, 100))
+def test_what_a_pack_states_is_unlearned_after_some_kilometres(
+    stated_m: float, true_m: float, seed: int
+) -> None:
+    sizes_m = [_looked(true_m, 0.5, 10 * seed + i, stated_m).sigma_m for i in range(4)]
+    assert 0.75 * true_m < np.mean(sizes_m) < 1.35 * true_m
+
+
+def _flown(
+    map_error_m: float, seed: int = 0, world: FilterWorld = WORLD, stated_m: float = 0.0
+) -> tuple[Run, list[str]]:
     world, said = replace(world, map_error_m=map_error_m), list[str]()
     rng = np.random.default_rng([4, seed])
     [truth] = fly(world, [rng])
-    return play(sense(world, truth, rng), say=said.append), said
+    config = replace(EkfConfig(), map_stated_sigma_m=stated_m)
+    return play(sense(world, truth, rng), config, say=said.append), said
 
 
 def test_flights_over_a_warped_map_learn_by_how_much_and_say_so() -> None:
@@ -92,3 +107,36 @@ def test_a_flight_over_a_good_map_stays_as_sure_as_it_was() -> None:
     run, said = _flown(0.3)
     assert run.last.map_error.sigma_m < 0.45
     assert not any("the map is off" in line for line in said)
+
+
+def test_a_map_that_is_stated_to_be_warped_is_flown_unsure_from_the_first_fix() -> None:
+    """Not stated, the first minute has NEES of 25 to 30."""
+    flights = [_flown(2.0, seed, stated_m=2.0)[0] for seed in (0, 1)]
+    first = [position_nees(run.rows)[run.rows.t_s < 60.0] for run in flights]
+    assert 0.5 < np.mean(first) < 4.0
+
+
+def test_a_map_that_is_better_than_stated_is_found_to_be_so() -> None:
+    run, said = _flown(0.3, stated_m=2.0)
+    sizes_m = [estimate.map_sigma_m for estimate in run.estimates]
+    assert (sizes_m[0], sizes_m[-1]) == (2.0, pytest.approx(0.7, abs=0.1))
+    assert np.mean(position_nees(run.rows)) < 2.0
+    assert not any("the map is off" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "basis", "stated_m"),
+    [
+        (1.0, "estimated", 1.0),
+        (1.0, "given", math.sqrt(0.5)),
+        (1.0, "assumed", 0.0),
+        (1.0, None, 0.0),
+        (50.0, "given", 3.0),
+    ],
+)
+def test_what_a_pack_says_of_itself_is_what_a_flight_begins_with(
+    sigma_m: float, basis: GeoreferenceBasis | None, stated_m: float
+) -> None:
+    assert with_map(Config(), sigma_m, basis).ekf.map_stated_sigma_m == pytest.approx(stated_m)
+    worse = replace(EkfConfig(), map_stated_sigma_m=5.0)
+    assert with_map(Config(ekf=worse), sigma_m, basis).ekf.map_stated_sigma_m == 5.0

@@ -90,7 +90,7 @@ def place(tmp_path_factory) -> Place:
         [array_source(bgr, georeference, name="place")],
         pack,
         extractors,
-        BuildOptions(name="place"),
+        BuildOptions(name="place", georeference_sigma_m=1.0),
     )
     camera = default_camera()
     save_camera(camera, folder / "camera.toml")

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from smoke_place import FRAMES, read_run
 
+from vwnav.config import load_config
 from vwnav.geometry.calibration import load_camera, save_camera
 from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.maps.pack import MapPack
 from vwnav.recording.run_folder import COLUMNS
 
 
@@ -43,7 +45,7 @@ def test_replay_without_telemetry_finds_the_place_and_follows_it(replayed, place
     assert np.median(errors) < 1.5
 
 
-def test_replay_leaves_a_run_folder_that_explains_itself(replayed):
+def test_replay_leaves_a_run_folder_that_explains_itself(replayed, place):
     _, folder = replayed
     run = read_run(folder)
     assert run["point"] == "center"
@@ -51,7 +53,9 @@ def test_replay_leaves_a_run_folder_that_explains_itself(replayed):
     assert list(read_rows(folder)[0]) == COLUMNS
     assert read_rows(folder)[0]["t_s"] == "0.0000"
     assert cv2.imread(str(folder / "track.png")) is not None
-    assert "[ekf]" in (folder / "config.toml").read_text()
+    stated_m = load_config(folder / "config.toml").ekf.map_stated_sigma_m
+    with MapPack.open(place.pack) as pack:  # half of the variance that was given
+        assert stated_m == pytest.approx(pack.georeference_sigma_m / np.sqrt(2.0))
 
 
 def test_the_same_recording_gives_the_same_trajectory(vwnav, place, replayed, tmp_path):

@@ -66,6 +66,7 @@ class EkfConfig(Settings):
     slope_length_m: Positive = 40.0  # Gauss-Markov in the way flown
     slope_seen: NotNegative = 0.03  # what a view of houses, trees and hollows is no plane by
     map_sigma_m: Positive = 0.3  # Gauss-Markov in the way flown: all fixes of a place share it
+    map_stated_sigma_m: NotNegative = 0.0  # at first, of a pack that knows it to be worse
     map_turn_rad: Angle = math.radians(0.25)  # likewise: a tilt that matching took for a turn, too
     map_scale: Share = 0.008
     map_length_m: Positive = 100.0  # waves of 50 m, and ways that lead back over the same ground
@@ -128,6 +129,11 @@ class EkfConfig(Settings):
     offset_span_s: Positive = 0.5  # and the least time they span
     # By which agreeing headings may drift apart
     heading_drift_rad_s: NotNegative = math.radians(2.0)
+
+    @property
+    def map_first_sigma_m(self) -> float:
+        """What the map's error from place to place is taken for before anything was seen of it."""
+        return max(self.map_sigma_m, self.map_stated_sigma_m)
 
     def without_telemetry(self) -> "EkfConfig":
         """For a video alone: the position is that of the image's centre, and nothing is felt.

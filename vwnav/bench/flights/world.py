@@ -18,6 +18,7 @@ from vwnav.bench.flights.noted_link import LockstepWatcher, NotedLink
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
+from vwnav.config import with_map
 from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
@@ -141,17 +142,16 @@ class World:
         )  # fmt: skip
 
     def _equipped(self, place: Place) -> Equipped:
-        setup, camera = self.setup, place.camera
-        record, notices = LockstepWatcher(self.note, self.clock), deque[str]()
+        setup, camera, notices = self.setup, place.camera, deque[str]()
+        pack, record = MapPack.open(place.pack), LockstepWatcher(self.note, self.clock)
+        config = with_map(setup.config, pack.georeference_sigma_m, pack.georeference_basis)
         executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
-        assembled = assemble(
-            self.features, place.fallback, MapPack.open(place.pack), camera, self.local_frame,
-            setup.config, executor, notices.append,
-        )  # fmt: skip
+        assembled = assemble(self.features, place.fallback, pack, camera, self.local_frame, config,
+                             executor, notices.append)  # fmt: skip
         watch = CameraWatch(camera.width_px, camera.height_px)
-        about, ekf = about_run(assembled, self.features.name, "nadir"), assembled.ekf
-        return Equipped(setup.mission, self.local_frame, setup.config, watch, assembled.pipeline,
-                        ekf, executor, record, notices, about)  # fmt: skip
+        about = about_run(assembled, self.features.name, "nadir")
+        return Equipped(setup.mission, self.local_frame, config, watch, assembled.pipeline,
+                        assembled.ekf, executor, record, notices, about)  # fmt: skip
 
     def _cost_of_matching(self, frame: Frame, prior: Prior, seed: int) -> float:
         return self.costs.search if prior.lat_deg is None else self.costs.match

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SIZES = np.geomspace(1.0, 20.0, 48)  # that are thought of, in settings
-_PRIOR = -0.5 * np.log(_SIZES) ** 2  # of a size: a factor of e is one sigma
 LOOK_M = 5.0  # of the way, from look to look
 _TELLS = 0.01  # f of a look that is heard
 _TOLD_M = (1.0, 2.0, 4.0)  # sizes that the operator is told of
@@ -29,6 +28,7 @@ class LearnedMapError:
 
     Attributes:
         sigma_m: per axis, as it is taken now: never less than the setting.
+        stated_m: what it was taken for before anything was seen.
         seen_ne_m: (2,) where it was looked at last; infinitely far away before.
         log_likelihood: (n,) of each of the sizes, by all looks.
         opened_m: the largest that it was ever taken for.
@@ -36,6 +36,7 @@ class LearnedMapError:
     """
 
     sigma_m: float = 0.0
+    stated_m: float = 0.0
     seen_ne_m: tuple[float, float] = (math.inf, math.inf)
     log_likelihood: NDArray[np.float64] | None = None
     opened_m: float = 0.0
@@ -69,9 +70,22 @@ class LearnedMapError:
                 variances = sizes_m**2 + P / f
                 told -= 0.5 * f * share * (np.log(variances) + (m / f) ** 2 / variances)
         log_likelihood = self.log_likelihood + told
-        sigma_m = float(sizes_m[np.argmax(_PRIOR + log_likelihood)])
+        prior = -0.5 * np.log(sizes_m / self.stated_m) ** 2  # a factor of e is one sigma
+        sigma_m = float(sizes_m[np.argmax(prior + log_likelihood)])
         told_m = max([self.told_m, *(size for size in _TOLD_M if size <= sigma_m)])
-        return LearnedMapError(sigma_m, place, log_likelihood, max(self.opened_m, sigma_m), told_m)
+        return replace(
+            self,
+            sigma_m=sigma_m,
+            seen_ne_m=place,
+            log_likelihood=log_likelihood,
+            opened_m=max(self.opened_m, sigma_m),
+            told_m=told_m,
+        )
+
+    @classmethod
+    def stated(cls, sigma_m: float) -> "LearnedMapError":
+        """Of a map over which nothing has flown yet."""
+        return cls(sigma_m, stated_m=sigma_m, opened_m=sigma_m, told_m=sigma_m)
 
     @property
     def words(self) -> str:

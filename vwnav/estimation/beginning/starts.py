@@ -90,7 +90,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
         exposed_s=t_s,
         trusted=trusted,
         baro_zeroed=start.sigma_baro_m is None,
-        map_error=LearnedMapError(config.map_sigma_m, opened_m=config.map_sigma_m),
+        map_error=LearnedMapError.stated(config.map_first_sigma_m),
     )
 
 
@@ -111,7 +111,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.WIND_FORCE] = config.wind_force_sigma_m_s2**2
     variance[States.GUST_FORCE] = (config.drag_per_s * config.gust_sigma_m_s) ** 2
     variance[States.DRAG] = config.drag_sigma_per_s**2
-    variance[States.MAP] = config.map_sigma_m**2
+    variance[States.MAP] = config.map_first_sigma_m**2
     variance[States.MAP_TURN] = config.map_turn_rad**2
     variance[States.MAP_SCALE] = config.map_scale**2
     return variance
