@@ -6,18 +6,19 @@ import sys
 
 import pytest
 
-from vwnav.screen import print_rows, print_table
+from vwnav.safety.check import Check
+from vwnav.screen import ReadinessTable, print_rows, print_table
 
 SAYS_ON = """
 import sys
 import threading
 from vwnav.safety.check import Check
-from vwnav.screen import LiveLine, progress_bar, say, show_checks
+from vwnav.screen import LiveLine, ReadinessTable, progress_bar, say
 
 def speak():
     for number in range(300):
         say(f"line {number} " + 60 * "x")
-    show_checks((Check("link", "PASS", "heard"),))
+    ReadinessTable().show((Check("link", "PASS", "heard"),))
     with progress_bar() as report:
         report("tiles", 1, 2)
     with LiveLine(every_s=0.0) as line:
@@ -58,3 +59,18 @@ def test_what_stands_in_brackets_is_shown_as_it_is(capsys):
     shown = capsys.readouterr().out.replace("\n", "")
     assert shown.count("[old]") == shown.count("[@30]") == 4
     assert "[red]" in shown
+
+
+def test_of_the_readiness_list_only_what_changed_is_shown_again(capfd):
+    table = ReadinessTable()
+    link, warned = Check("link", "PASS", "heard"), Check("NAV_DLL_ACT", "WARN", "is 0")
+    table.show((link, warned, Check("camera", "FAIL", "no picture has come")))
+    first = capfd.readouterr().err
+    assert all(said in first for said in ("heard", "NAV_DLL_ACT", "no picture has come"))
+    table.show((link, warned, Check("camera", "PASS", "pictures come")))
+    then = capfd.readouterr().err
+    assert "pictures come" in then
+    assert "heard" not in then
+    assert "NAV_DLL_ACT" not in then
+    table.show((link, warned))
+    assert capfd.readouterr().err == ""

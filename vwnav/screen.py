@@ -116,9 +116,18 @@ def check_table(checks: Iterable[Check]) -> Table:
     return table
 
 
-def show_checks(checks: tuple[Check, ...]) -> None:
-    """The readiness list, on stderr."""
-    talk.print(check_table(checks))
+class ReadinessTable:
+    """The readiness list on stderr: all of it at first, then what is not as it was."""
+
+    def __init__(self) -> None:
+        self._shown: tuple[Check, ...] = ()
+
+    def show(self, checks: tuple[Check, ...]) -> None:
+        """Show what has changed since the last time."""
+        changed = [check for check in checks if check not in self._shown]
+        self._shown = checks
+        if changed:
+            talk.print(check_table(changed))
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.check import Check
 from vwnav.safety.estimate_guard import EstimateGuard
 from vwnav.safety.readiness import Equipment, check_flight
-from vwnav.screen import show_checks
+from vwnav.screen import ReadinessTable
 from vwnav.seams import GuardedWatcher
 from vwnav.vehicle import Autopilot, Navigation, VehicleState
 
@@ -89,4 +89,4 @@ def _crew(
         equipment = Equipment(autopilot.findings, autopilot.budget_refusal, camera.sight)
         return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
 
-    return Crew(watcher.event, checks, show_checks, arms)
+    return Crew(watcher.event, checks, ReadinessTable().show, arms)
