@@ -15,7 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 TREE = Path(os.environ.get("VWNAV_AARCH64", ROOT / ".aarch64")).resolve()
 
-sys.path.insert(0, str(ROOT / "tests" / "watchdog"))  # the link peer serves here too
+for room in ("watchdog", "maps"):  # the link peer and the large map serve here too
+    sys.path.insert(0, str(ROOT / "tests" / room))
 
 
 @dataclass(frozen=True)

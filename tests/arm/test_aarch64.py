@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from large_map import spread
 from link_peer import Peer, free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -34,7 +35,8 @@ SAME_PX = 0.05
 MOST_MB = 350.0
 AGL_M, SPEED_M_S, FPS, FRAMES, HEADING_RAD = 55.0, 8.0, 10.0, 60, 0.4
 START_M = -25.0  # along the way, home at 0
-NORTH0_M, EAST0_M, MAP_PX, M_PER_PX = 150.0, -150.0, 1000, 0.3
+NORTH0_M, EAST0_M, MAP_PX, M_PER_PX = 500.0, -500.0, 3334, 0.3
+COPIES = 10  # of that square kilometre, each way
 
 
 def ground(look: str, size_wh: tuple[int, int]) -> np.ndarray:
@@ -145,7 +147,7 @@ def test_doctor_finds_the_autopilot_on_the_link(aarch64, cpu):
 
 @pytest.fixture(scope="session")
 def flight(tmp_path_factory) -> Path:
-    """Map, calibration, telemetry and 60 images of a flight, drawn once."""
+    """Map of 100 km2, calibration, telemetry and 60 images of a flight, drawn once."""
     folder = tmp_path_factory.mktemp("flight")
     site = parse_site("sim:default")
     frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
@@ -153,6 +155,7 @@ def flight(tmp_path_factory) -> Path:
     source = array_source(bgr, local_georeference(frame, (NORTH0_M, EAST0_M), M_PER_PX), name="x")
     options = BuildOptions(name="x")
     build_pack([source], folder / "map.mbtiles", [LearnedFeatures()], options)
+    spread(folder / "map.mbtiles", COPIES)
     camera = Camera.from_hfov(320, 240, 75.0)
     save_camera(camera, folder / "camera.toml")
     renderer = CameraRenderer(

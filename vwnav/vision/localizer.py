@@ -54,7 +54,7 @@ from vwnav.vision.registration import (
     may_be_chance,
     register,
 )
-from vwnav.vision.rivals import best_of, elsewhere_turned
+from vwnav.vision.rivals import best_apart, best_of, elsewhere_turned
 
 CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
@@ -146,7 +146,7 @@ class Localizer:
                 return query.rejected(RejectReason.GIVEN_UP, detail)
             found = self._register(query, candidate)
             if isinstance(found, Registration) and candidate.coarse:
-                coarse.append(found)
+                coarse = best_apart([*coarse, found])
                 if self._decades(found) < SURE_DECADES:
                     continue
             if isinstance(found, Registration):

@@ -31,9 +31,21 @@ class _Found(Protocol):
 Found = TypeVar("Found", bound=_Found)
 
 
+def best_apart(hits: list[Found]) -> list[Found]:
+    """The best of them at places of their own, best first, no more than are looked at closer.
+
+    Each holds the features of its piece of the map: a search of a large one may not keep them all.
+    """
+    apart: list[Found] = []
+    for hit in sorted(hits, key=lambda each: each.consensus.log10_nfa):
+        if not any(hit.is_place_of(other) for other in apart):
+            apart.append(hit)
+    return apart[:REFINED_COARSE]
+
+
 def best_of(
     query: Query,
-    coarse: list[Found],
+    places: list[Found],
     tests: int,
     closer: Callable[[Found], Found | Rejected],
 ) -> Found | Rejected:
@@ -41,7 +53,7 @@ def best_of(
 
     Args:
         query: what was searched for.
-        coarse: what was found, in any order.
+        places: what was found, as `best_apart` keeps it.
         tests: looks that the search took.
         closer: refines and verifies one of them.
     """
@@ -49,18 +61,12 @@ def best_of(
         RejectReason.FEW_INLIERS, f"nothing like it on the map ({tests} looks)"
     )
     verified: list[Found] = []
-    tried: list[Found] = []
-    for hit in sorted(coarse, key=lambda each: each.consensus.log10_nfa):
-        if any(hit.is_place_of(other) for other in tried):
-            continue
-        tried.append(hit)
+    for rank, hit in enumerate(places):
         found = closer(hit)
         if not isinstance(found, Rejected):
             verified.append(found)
-        elif len(tried) == 1 or found.reason is RejectReason.AMBIGUOUS:
+        elif rank == 0 or found.reason is RejectReason.AMBIGUOUS:
             refusal = found
-        if len(tried) == REFINED_COARSE:
-            break
     if not verified or refusal.reason is RejectReason.AMBIGUOUS:
         return refusal
     best, *rivals = sorted(verified, key=lambda each: each.consensus.log10_nfa)
