@@ -16,6 +16,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation
 from vwnav.maps.pack import MapPack
+from vwnav.maps.schema import GeoreferenceBasis
 from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
 from vwnav.seams import FeatureChoice
@@ -32,6 +33,9 @@ _RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
 _TOLD_RAD = math.radians(2.0)  # by which a mount is off that is told of
 _HALF_TURN_RAD = math.pi - 1e-6
 _MINOR = 0.4  # share of a tilt that is not told besides the rest
+# Of its variance, from place to place, by how it is known
+_OF_PLACES: dict[GeoreferenceBasis | None, float] = {"estimated": 1.0, "given": 0.5}
+_MOST_STATED_M = 3.0  # with more nobody could fly on the first fix: what is more, flight learns
 _AFTER_ALL = "the camera sees and hangs as its calibration says, after all"
 
 
@@ -65,6 +69,18 @@ def choose_features(
     except ModelError as error:
         say(f"learned features are not available, flying on SIFT: {error}")
         return sift, None
+
+
+def with_map(config: Config, pack: MapPack) -> Config:
+    """The settings with how far off from place to place the map is, by what its pack says.
+
+    Sources that overlap disagree by just that. Of what an operator gives half the variance is
+    taken for a shift of the whole, which flight cannot see. What is assumed says nothing.
+    """
+    share = _OF_PLACES.get(pack.georeference_basis, 0.0)
+    stated_m = min(math.sqrt(share) * pack.georeference_sigma_m, _MOST_STATED_M)
+    ekf = replace(config.ekf, map_stated_sigma_m=max(config.ekf.map_stated_sigma_m, stated_m))
+    return config.model_copy(update={"ekf": ekf})
 
 
 def warm(extractor: FeatureExtractor, config: LocalizerConfig) -> None:

@@ -1,7 +1,6 @@
 """All settings in one schema: defaults, a TOML file over them, and the resolved result."""
 
 import difflib
-import math
 import tomllib
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -15,7 +14,6 @@ from vwnav.errors import ConfigError
 from vwnav.estimation.config import EkfConfig
 from vwnav.files.whole import write_whole
 from vwnav.guidance.limits import LimitsConfig
-from vwnav.maps.schema import GeoreferenceBasis
 from vwnav.mission.config import FlightConfig
 from vwnav.recording.disk.budget import RecordingConfig
 from vwnav.safety.safety_config import EstimateLimits, SafetyConfig
@@ -23,9 +21,6 @@ from vwnav.seams import PipelineConfig
 from vwnav.settings.ranges import check_written, in_short
 from vwnav.types import FEATURE_NAMES
 from vwnav.vision.config import FeaturesConfig, LocalizerConfig, OdometryConfig
-
-_OF_PLACES: dict[GeoreferenceBasis | None, float] = {"estimated": 1.0, "given": 0.5}  # of variance
-_MOST_STATED_M = 3.0  # with more nobody could fly on the first fix: what is more, flight learns
 
 
 class Config(BaseSettings):
@@ -111,18 +106,6 @@ def with_camera(config: Config, mount_sigma_rad: float, focal_sigma_ratio: float
         mount_turn_sigma_rad=max(config.ekf.mount_turn_sigma_rad, 2.0 * mount_sigma_rad),
         focal_sigma_ratio=focal_sigma_ratio,
     )
-    return config.model_copy(update={"ekf": ekf})
-
-
-def with_map(config: Config, sigma_m: float, basis: GeoreferenceBasis | None) -> Config:
-    """The settings with how far off from place to place the map is, by what its pack says.
-
-    Sources that overlap disagree by just that. Of what an operator gives half the variance is
-    taken for a shift of the whole, which flight cannot see. What is assumed says nothing.
-    """
-    share = _OF_PLACES.get(basis, 0.0)
-    stated_m = min(math.sqrt(share) * sigma_m, _MOST_STATED_M)
-    ekf = replace(config.ekf, map_stated_sigma_m=max(config.ekf.map_stated_sigma_m, stated_m))
     return config.model_copy(update={"ekf": ekf})
 
 

@@ -44,16 +44,13 @@ def aarch64(tmp_path_factory) -> Callable[..., Emulated]:
 
     def run(cpu: str, *arguments: object) -> Emulated:
         environment = os.environ | {"VWNAV_CPU": cpu, "VWNAV_SOURCE": str(ROOT), "COLUMNS": "200"}
-        out, err = folder / "out", folder / "err"
-        with out.open("w") as to, err.open("w") as errors:
-            process = subprocess.Popen(
-                [str(TREE / "python"), *map(str, arguments)],
-                stdout=to, stderr=errors, env=environment, cwd=ROOT,
-            )  # fmt: skip
-            _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        peak_mb = usage.ru_maxrss / 1e3
-        return Emulated(process.returncode, out.read_text(), err.read_text(), peak_mb)
+        measured = Path(__file__).with_name("measured.py"), folder / "peak"
+        command = [sys.executable, *measured, TREE / "python", *arguments]
+        run = subprocess.run(
+            [*map(str, command)], capture_output=True, text=True, env=environment, cwd=ROOT
+        )
+        peak_mb = float((folder / "peak").read_text())
+        return Emulated(run.returncode, run.stdout, run.stderr, peak_mb)
 
     return run
 

@@ -13,10 +13,8 @@ from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
 from vwnav.bench.estimator.streams import sense
 from vwnav.bench.estimator.world import FilterWorld, fly
-from vwnav.config import Config, with_map
 from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
-from vwnav.maps.schema import GeoreferenceBasis
 
 WAY_M, LOOKS = 10.0, 400  # 4 km
 SETTINGS = EkfConfig().map_sigma_m, EkfConfig().map_length_m
@@ -122,21 +120,3 @@ def test_a_map_that_is_better_than_stated_is_found_to_be_so() -> None:
     assert (sizes_m[0], sizes_m[-1]) == (2.0, pytest.approx(0.7, abs=0.1))
     assert np.mean(position_nees(run.rows)) < 2.0
     assert not any("the map is off" in line for line in said)
-
-
-@pytest.mark.parametrize(
-    ("sigma_m", "basis", "stated_m"),
-    [
-        (1.0, "estimated", 1.0),
-        (1.0, "given", math.sqrt(0.5)),
-        (1.0, "assumed", 0.0),
-        (1.0, None, 0.0),
-        (50.0, "given", 3.0),
-    ],
-)
-def test_what_a_pack_says_of_itself_is_what_a_flight_begins_with(
-    sigma_m: float, basis: GeoreferenceBasis | None, stated_m: float
-) -> None:
-    assert with_map(Config(), sigma_m, basis).ekf.map_stated_sigma_m == pytest.approx(stated_m)
-    worse = replace(EkfConfig(), map_stated_sigma_m=5.0)
-    assert with_map(Config(ekf=worse), sigma_m, basis).ekf.map_stated_sigma_m == 5.0

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import cv2
 
-from vwnav.assemble import Assembled, about_run, assemble, choose_features
+from vwnav.assemble import Assembled, about_run, assemble, choose_features, with_map
 from vwnav.cameras.sources import open_source
-from vwnav.config import load_config, save_config, with_camera, with_features, with_map
+from vwnav.config import load_config, save_config, with_camera, with_features
 from vwnav.errors import SourceError, VwnavError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import Camera, check_fits
@@ -51,7 +51,7 @@ def replay_source(options: ReplayOptions) -> None:
             camera = choose_camera(options.camera, options.hfov_deg, width_px, height_px)
             local_frame = LocalFrame(*pack.middle, 0.0)
             config = with_camera(config, camera.sigma_mount_rad, camera.sigma_focal_ratio)
-            config = with_map(config, pack.georeference_sigma_m, pack.georeference_basis)
+            config = with_map(config, pack)
             if alone:
                 config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})
             assembled = assemble(

@@ -3,8 +3,8 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from vwnav.assemble import choose_features, warm
-from vwnav.config import load_config, with_camera, with_features, with_map
+from vwnav.assemble import choose_features, warm, with_map
+from vwnav.config import load_config, with_camera, with_features
 from vwnav.errors import PreflightError
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.geodesy import LocalFrame, parse_lat_lon
@@ -33,7 +33,7 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     config = with_camera(config, camera.sigma_mount_rad, camera.sigma_focal_ratio)
     features = choose_features(config.features, say)
     pack = stack.enter_context(MapPack.open(_map_path(options, features)))
-    config = with_map(config, pack.georeference_sigma_m, pack.georeference_basis)
+    config = with_map(config, pack)
     home = parse_lat_lon(options.home) if options.home else route.home
     if home is None and options.sim:
         site = parse_site(options.video or DEFAULT_SITE)

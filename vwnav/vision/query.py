@@ -30,6 +30,7 @@ from vwnav.types import (
 from vwnav.vision.shutter import ray_flow, seen_by_rows
 
 MAX_VIEW_PX = 1400
+MOST_VIEWS = 64  # that are kept: a search makes all headings of a height, then those of the next
 EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
 MIN_SHRINK = 0.6  # below this the image is halved first: a warp alone would alias
 GRID_PX = 8  # of a view, within which the image bends by some hundredths of a pixel
@@ -105,7 +106,7 @@ class Query:
             where nothing is known of it.
         attitude_known: whether roll and pitch are.
         heading_open: whether nothing, or next to nothing, is known of it.
-        views: made so far, by heading, height in pixels, size and nadir: a cut one has another.
+        views: made last, by heading, height in pixels, size and nadir: a cut one has another.
         piece: of the map that was looked at last: its level, its window and its features.
         weak: places found so far that too little speaks for.
         ms: milliseconds spent per stage, named as in `MatchStats`.
@@ -193,6 +194,8 @@ class Query:
                 gray = self.warp(made)
             with self.stage("extract_ms"):
                 self.views[key] = self._extract(made, gray, max_keypoints)
+            if len(self.views) > MOST_VIEWS:
+                del self.views[next(iter(self.views))]
         return replace(self.views[key], rectification=made)
 
     def warp(self, made: Rectification) -> Gray:

@@ -12,13 +12,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from vwnav.assemble import about_run, assemble
+from vwnav.assemble import about_run, assemble, with_map
 from vwnav.bench.flights.navigator import Equipped, LockstepSuccessor, Navigator
 from vwnav.bench.flights.noted_link import LockstepWatcher, NotedLink
 from vwnav.bench.flights.setup import PARAMETERS, AirStart, Setup
 from vwnav.bench.flights.stage import LINK_LATENCY_S, BreakableFeatures
 from vwnav.bench.flights.track import FlightTrace, Heard, LogLine, Truth
-from vwnav.config import with_map
 from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
@@ -144,7 +143,7 @@ class World:
     def _equipped(self, place: Place) -> Equipped:
         setup, camera, notices = self.setup, place.camera, deque[str]()
         pack, record = MapPack.open(place.pack), LockstepWatcher(self.note, self.clock)
-        config = with_map(setup.config, pack.georeference_sigma_m, pack.georeference_basis)
+        config = with_map(setup.config, pack)
         executor = LateExecutor(self.clock, self.processor, self._cost_of_matching)
         assembled = assemble(self.features, place.fallback, pack, camera, self.local_frame, config,
                              executor, notices.append)  # fmt: skip
