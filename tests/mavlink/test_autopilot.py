@@ -519,6 +519,21 @@ def test_parameters_are_read_in_the_background_with_the_bits_of_px4_integers():
     assert "COM_OF_LOSS_T" not in findings
 
 
+def test_parameters_whose_answers_were_lost_are_asked_for_again():
+    """One that starts anew while they are read answers some, and nothing for seconds."""
+    bench = Bench(settle_s=0.0)
+    bench.peer.params |= {"EKF2_HGT_REF": (0.0, 9), "COM_OF_LOSS_T": (1.0, 9)}
+    table = bench.autopilot._parameters.values
+    bench.wait(lambda: table)
+    bench.down.cut = True
+    bench.run(6.0)
+    missing = {f.parameter for f in bench.autopilot.findings or () if f.present is None}
+    assert "COM_OF_LOSS_T" in missing, "the answers were to be lost"
+    bench.down.cut = False
+    bench.run(7.0)
+    assert "COM_OF_LOSS_T" not in {f.parameter for f in bench.autopilot.findings}
+
+
 def test_a_parameter_that_somebody_mends_is_no_finding_any_more(bench):
     bench.wait(lambda: bench.autopilot.findings is not None)
     assert "COM_OF_LOSS_T" in {f.parameter for f in bench.autopilot.findings}

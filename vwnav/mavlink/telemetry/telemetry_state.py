@@ -118,6 +118,11 @@ class TelemetryState:
         """The newest attitude."""
         return self._attitude
 
+    @property
+    def armed(self) -> bool:
+        """As its last heartbeat said."""
+        return self._armed
+
     def handle(self, name: str, fields: Fields, received_s: float) -> None:
         """Take one message in; unknown ones do nothing."""
         self._heard_s = received_s
