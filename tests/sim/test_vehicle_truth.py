@@ -6,7 +6,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -237,6 +237,33 @@ def test_it_reads_over_tcp() -> None:
         assert reader.wait(2.0) is not None
         thread.join()
         reader.close()
+
+
+def test_over_tcp_it_reads_on_when_the_simulator_has_started_anew() -> None:
+    """ArduPilot's closes its ports when it is rebooted, and opens them again."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        reader = TruthReader(f"tcpout://127.0.0.1:{server.getsockname()[1]}")
+        try:
+            for north_deg in (41.0, 42.0):
+                stream, _ = server.accept()
+                with stream:
+                    stream.sendall(hil(north_deg) + hil(north_deg))
+                    until(lambda deg=north_deg: newest_deg(reader) == pytest.approx(deg))
+        finally:
+            reader.close()
+
+
+def newest_deg(reader: TruthReader) -> float:
+    state = reader.latest()
+    return math.nan if state is None else state.lat_deg
+
+
+def until(done: Callable[[], bool], timeout_s: float = 5.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not done():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(
