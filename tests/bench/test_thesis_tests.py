@@ -105,12 +105,14 @@ class Written:
 
     packets: list[bytes] = field(default_factory=list)
     asked: list[FlightMode] = field(default_factory=list)
-    radio_on: bool = True
 
     def write(self, data: bytes) -> None:
         self.packets.append(data)
 
     def take_over(self) -> None:
+        pass
+
+    def switch_radio_off(self) -> None:
         pass
 
     def ask(self, mode: FlightMode) -> None:

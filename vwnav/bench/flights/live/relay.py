@@ -23,6 +23,8 @@ _PERIOD_S = 0.05  # of the sticks
 _HEARTBEAT_S = 1.0
 _STATION = (255, 190)
 _MIDDLE_US, _UNTOUCHED_US = 1500, 65535
+# ArduPilot's simulator has a receiver of its own, which is heard 3 s after the sticks fell silent.
+_OWN_RECEIVER, _SILENT, _AS_BEFORE = b"SIM_RC_FAIL", 1.0, 0.0
 # Flown with sticks and a position: PX4 Position (main, sub), ArduCopter Loiter.
 _STICK_MODES = {AutopilotKind.PX4: (3.0, 0.0), AutopilotKind.ARDUPILOT: (5.0, 0.0)}
 
@@ -117,7 +119,7 @@ class MavlinkPilot:
         self._autopilot: tuple[int, AutopilotKind] | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self.radio_on = True
+        self._radio_on = True
         self._thread = threading.Thread(target=self._run, name="pilot", daemon=True)
         self._thread.start()
 
@@ -133,10 +135,17 @@ class MavlinkPilot:
             command = mode_command(self._autopilot[1], mode)
             self._command(command.number, *(value or 0.0 for value in command.params))
 
+    def switch_radio_off(self) -> None:
+        """Nothing is heard of the sticks any more, until it is closed."""
+        self._radio_on = False
+        self._set_own_receiver(_SILENT)
+
     def close(self) -> None:
         """Let go."""
         self._stop.set()
         self._thread.join()
+        if not self._radio_on:
+            self._set_own_receiver(_AS_BEFORE)
         self._link.close()
 
     def _run(self) -> None:
@@ -152,7 +161,7 @@ class MavlinkPilot:
                 beat = mavlink.MAVLink_heartbeat_message(gcs, none, 0, 0, 4, 3)
                 self._send(beat)
                 self._hand_on(bytes(beat.get_msgbuf()))
-            if self.radio_on:
+            if self._radio_on:
                 self._move_sticks()
 
     def _meet(self, message: Any) -> None:
@@ -170,6 +179,12 @@ class MavlinkPilot:
         else:
             sticks = [_MIDDLE_US] * 4 + [_UNTOUCHED_US] * 4
             self._send(mavlink.MAVLink_rc_channels_override_message(system, 1, *sticks))
+
+    def _set_own_receiver(self, fails: float) -> None:
+        if self._autopilot is None or self._autopilot[1] is not AutopilotKind.ARDUPILOT:
+            return
+        system, int8 = self._autopilot[0], mavlink.MAV_PARAM_TYPE_INT8
+        self._send(mavlink.MAVLink_param_set_message(system, 1, _OWN_RECEIVER, fails, int8))
 
     def _command(self, number: int, *params: float) -> None:
         assert self._autopilot is not None
