@@ -12,6 +12,7 @@ from autopilot_links import (
     HOME,
     INTERVAL,
     NOT_NOW,
+    PX4,
     PX4_DESCEND,
     PX4_HOLD,
     PX4_OFFBOARD,
@@ -211,6 +212,14 @@ def test_an_origin_is_set_until_a_filter_is_there_to_take_it(bench):
     assert bench.peer.origin == (604030000, 224610000, 40000)
 
 
+def test_one_that_takes_long_to_start_is_given_its_origin_all_the_same(bench):
+    bench.peer.keeps_origin = True
+    bench.autopilot.set_origin(*HOME)
+    bench.run(25.0)
+    bench.peer.keeps_origin = False
+    bench.wait(lambda: bench.peer.origin, 8.0)
+
+
 def test_an_autopilot_that_keeps_its_own_origin_gets_estimates_about_that_one(bench):
     bench.peer.origin, bench.peer.keeps_origin = (604040000, 224610000, 45000), True
     bench.has_origin()
@@ -231,6 +240,42 @@ def test_an_autopilot_that_restarts_is_given_its_origin_again_before_any_estimat
         bench.run(0.02)
     order = [m.get_type() for _, m in bench.peer.heard]
     assert order.index("SET_GPS_GLOBAL_ORIGIN") < order.index("VISION_POSITION_ESTIMATE")
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+def test_one_that_restarts_so_early_that_no_clock_shows_it_is_given_its_origin_again(kind):
+    bench = Bench(kind, settle_s=0.0)
+    bench.peer.boot_at_s = bench.clock() - 1.0
+    bench.has_origin()
+    bench.down.cut = bench.up.cut = True
+    bench.run(6.0)
+    bench.down.cut = bench.up.cut = False
+    bench.peer.origin, bench.peer.boot_at_s = None, bench.clock() - 4.0
+    bench.wait(lambda: bench.peer.origin, 8.0)
+    bench.wait(lambda: bench.offset_ned_m() is not None)
+
+
+def test_an_origin_that_somebody_else_sets_on_the_ground_is_the_one_that_counts(bench):
+    bench.has_origin()
+    bench.peer.origin = (604040000, 224610000, 40000)
+    bench.run(7.0)
+    assert bench.offset_ned_m() == pytest.approx([-111.4, 0.0, 0.0], abs=0.2)
+
+
+def test_an_origin_is_not_looked_for_in_flight_nor_given_up_in_a_cut(bench):
+    bench.has_origin()
+    bench.peer.heard.clear()
+    bench.down.cut = True
+    bench.run(30.0)
+    assert bench.offset_ned_m() is not None
+    assert not bench.peer.of("SET_GPS_GLOBAL_ORIGIN")
+    bench.down.cut, bench.peer.armed = False, True
+    bench.run(1.0)
+    bench.peer.origin = (604040000, 224610000, 40000)
+    bench.peer.heard.clear()
+    bench.run(20.0)
+    assert not bench.peer.commands(512)
+    assert bench.offset_ned_m() == pytest.approx([0.0, 0.0, 0.0], abs=0.2)
 
 
 def test_the_autopilots_own_position_is_told_about_the_runs_origin(bench):

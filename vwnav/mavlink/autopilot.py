@@ -140,8 +140,8 @@ class LinkedAutopilot:
             self._streams.step(t_s)
             self._request.resume()
             self._procedures.step()
-            if self._origin is not None and _is_over(self._origin):
-                self._origin = None
+            if self._origin is not None:
+                next(self._origin)
             if not self._telemetry.armed:
                 self._review.step(self._telemetry.kind, t_s)
 
@@ -277,7 +277,7 @@ class LinkedAutopilot:
             self._port.send, self.system_id, self._commands, self._telemetry,
             self._clock, self._patience_s,
         )  # fmt: skip
-        self._origin = agreement.agree(frame)
+        self._origin = agreement.keep(frame)
 
     def _handle_telemetry(self, name: str, fields: Fields, received_s: float) -> None:
         with self._lock:
@@ -312,12 +312,3 @@ class LinkedAutopilot:
         if round_trip_s is None:
             return _PATIENCE_UNKNOWN_S
         return min(max(_PATIENCE_S[0], 1.5 * round_trip_s + 0.1), _PATIENCE_S[1])
-
-
-def _is_over(procedure: Generator[None, None, None]) -> bool:
-    """Resume it."""
-    try:
-        next(procedure)
-    except StopIteration:
-        return True
-    return False
