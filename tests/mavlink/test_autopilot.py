@@ -9,6 +9,7 @@ from autopilot_links import (
     ARM,
     COPTER,
     DENIED,
+    HIGHRES_IMU,
     HOME,
     INTERVAL,
     NOT_NOW,
@@ -614,6 +615,21 @@ def test_an_autopilot_that_forgot_its_rates_in_a_cut_is_asked_again(bench):
     bench.down.cut = False
     bench.run(5.0)
     assert {105, 436} <= set(bench.peer.intervals_us)
+
+
+def test_what_a_flight_needs_is_asked_for_within_ten_seconds_however_long_nobody_heard():
+    """A line of which one way was loose: an ArduPilot sends nothing that it was not asked for."""
+    bench = Bench(COPTER, settle_s=0.0)
+    bench.up.cut, bench.peer.unknown = True, {HIGHRES_IMU}
+    bench.peer.intervals_us = dict.fromkeys((30, 29, 1, 245, 193), 1e9)  # as good as never
+    bench.run(35.0)
+    bench.up.cut = False
+    bench.wait(lambda: bench.peer.intervals_us[30] < 1e6, 10.0)
+    bench.run(40.0)
+    bench.peer.heard.clear()
+    bench.run(60.0)
+    asked = [each.param1 for each in bench.peer.commands(INTERVAL)]
+    assert asked.count(HIGHRES_IMU) <= 2  # each time it tells all ground stations that it cannot
 
 
 def test_the_first_autopilot_is_listened_to_and_nobody_elses_commands(bench):

@@ -21,7 +21,9 @@ _TIMESYNC_S = 0.2
 _QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 _ASK_S = 0.02  # one message after another: a serial link's buffer is small
 _LOOK_S = 2.0  # so long a message's rate is counted
-_SLOWEST_ASK_S = 60.0  # for a message that never comes at the rate asked for
+# For a message that never comes at the rate asked for, and for one that a flight can do without:
+# an ArduPilot that does not know it says so to every ground station, each time.
+_SLOWEST_ASK_S, _SPARED_ASK_S = 8.0, 60.0
 _ENOUGH = 0.6  # of the rate asked for: PX4 divides its own
 _SILENCE = -1.0  # as an interval: do not send it
 _CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
@@ -108,7 +110,8 @@ class StreamKeeper:
         if due is not None:
             watched = self._watched[due.name]
             watched.due_s = t_s + watched.wait_s
-            watched.wait_s = min(2.0 * watched.wait_s, _SLOWEST_ASK_S)
+            slowest_s = _SLOWEST_ASK_S if due.least_hz else _SPARED_ASK_S
+            watched.wait_s = min(2.0 * watched.wait_s, slowest_s)
             self._ask(due.number, 1e6 / due.rate_hz, t_s)
         elif self._to_silence:
             self._ask(self._to_silence.pop(0), _SILENCE, t_s)
