@@ -30,6 +30,7 @@ _TRUTH_OF = {
 }
 _ASK_EVERY_S = 1.0
 _STAMPS_GONE_S = 1.0  # no SYSTEM_TIME for so long: states are dated by their arrival
+_SILENT_S = 3.0  # of the vehicle that is followed: another one is
 _QUESTION_EVERY_S = 0.2
 _QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 
@@ -37,6 +38,7 @@ _QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 class TruthReader:
     """Reads truth in a thread of its own, until `close`.
 
+    Of several vehicles on one port it follows the first that tells a state, until that is silent.
     States are dated by the simulator's own time, joined to ours as an autopilot's is: one that is
     read late on a busy machine was so when it says. SIM_STATE has no time: ArduPilot sends what is
     due at one moment together, SYSTEM_TIME first (its `ap_message` order), and that dates it.
@@ -62,6 +64,7 @@ class TruthReader:
         self._states: deque[TruthState] = deque()
         self._lock = threading.Lock()
         self._stop = threading.Event()
+        self._followed, self._followed_s = 0, -math.inf  # whose states are read; the newest came
         self._vehicle: tuple[int, int] | None = None
         self._wanted: tuple[int, ...] = (_HIL_STATE_QUATERNION, _SIM_STATE)
         self._sender = SenderClock()
@@ -131,6 +134,8 @@ class TruthReader:
             self._line.talk_to(source)
             if kind == "HEARTBEAT":
                 self._meet(message)
+            elif self._is_anothers(message, now_s):
+                continue
             elif kind == "TIMESYNC":
                 self._learn(message, now_s)
             elif kind == "HIL_STATE_QUATERNION":
@@ -140,6 +145,15 @@ class TruthReader:
                 self._stamp_s, self._stamped_s = message.time_boot_ms * 1e-3, now_s
             elif kind == "SIM_STATE":
                 self._add(from_sim_state, message, self._time_of_sim_state(now_s))
+
+    def _is_anothers(self, message: Any, now_s: float) -> bool:
+        """Of a second vehicle on a port that several send to, PX4's 14550 for one."""
+        system = message.get_srcSystem()
+        if system != self._followed and now_s - self._followed_s < _SILENT_S:
+            return True
+        if message.get_msgId() in (_HIL_STATE_QUATERNION, _SIM_STATE):
+            self._followed, self._followed_s = system, now_s
+        return False
 
     def _meet(self, heartbeat: Any) -> None:
         """A vehicle, not the ground stations, gimbals and companions beside it."""
