@@ -21,7 +21,7 @@ class Autopilot:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.settimeout(0.2)
-        self._mav = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+        self.others: tuple[int, ...] = ()
         self.url = f"udpout://127.0.0.1:{self._socket.getsockname()[1]}"
 
     def hear(self, until: Callable[[list[Any]], bool], seconds: float = 5.0) -> list[Any]:
@@ -34,7 +34,9 @@ class Autopilot:
                 continue
             self._heard += mavlink.MAVLink(None).parse_buffer(data) or []
             beat = mavlink.MAVLink_heartbeat_message(2, self._kind, 0, 0, 3, 3)
-            self._socket.sendto(beat.pack(self._mav), pilot)
+            for system in (3, *self.others):
+                mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
+                self._socket.sendto(beat.pack(mav), pilot)
         return self._heard
 
     def close(self) -> None:
@@ -58,7 +60,7 @@ def receivers(heard: list[Any]) -> list[float]:
 def test_a_radio_that_is_off_leaves_no_receiver_that_still_hears(kind, sticks, expected):
     """ArduPilot's simulator has one of its own, which takes over when the sticks fall silent."""
     autopilot = Autopilot(kind)
-    pilot = MavlinkPilot(autopilot.url, lambda _: None)
+    pilot = MavlinkPilot(autopilot.url, lambda _: None, lambda: 3)
     try:
         autopilot.hear(lambda heard: len(told(heard, sticks)) > 2)
         pilot.switch_radio_off()
@@ -67,3 +69,19 @@ def test_a_radio_that_is_off_leaves_no_receiver_that_still_hears(kind, sticks, e
         pilot.close()
     assert receivers(autopilot.hear(lambda heard: receivers(heard) == expected, 2.0)) == expected
     autopilot.close()
+
+
+def test_of_several_on_the_port_the_one_that_is_flown_has_the_pilot():
+    """Every simulator of PX4's sends to its ground station's port, 14550."""
+    autopilot = Autopilot(PX4)
+    autopilot.others = (4,)
+    pilot = MavlinkPilot(autopilot.url, lambda _: None, lambda: 3)
+    try:
+        autopilot.hear(lambda heard: len(told(heard, "MANUAL_CONTROL")) > 5)
+        pilot.take_over()
+        heard = autopilot.hear(lambda heard: bool(told(heard, "COMMAND_LONG")))
+    finally:
+        pilot.close()
+        autopilot.close()
+    assert {each.target for each in told(heard, "MANUAL_CONTROL")} == {3}
+    assert [each.target_system for each in told(heard, "COMMAND_LONG")] == [3]

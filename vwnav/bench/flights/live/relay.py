@@ -105,13 +105,16 @@ class MavlinkPilot:
         url: of a link of the autopilot's that nobody else uses.
         hand_on: takes the station's heartbeats to the program, as an autopilot that routes would:
             a station that was never heard commands nothing.
+        flown: system of the autopilot that is flown, of several on that link; 0 while not known.
 
     Raises:
         LinkError: it cannot be opened.
     """
 
-    def __init__(self, url: str, hand_on: Callable[[bytes], None]) -> None:
-        self._hand_on = hand_on
+    def __init__(
+        self, url: str, hand_on: Callable[[bytes], None], flown: Callable[[], int]
+    ) -> None:
+        self._hand_on, self._flown = hand_on, flown
         self._link = open_link(parse_link(url))
         self._packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
         self._parser = mavlink.MAVLink(None)
@@ -166,7 +169,8 @@ class MavlinkPilot:
 
     def _meet(self, message: Any) -> None:
         known = {kind.value for kind in AutopilotKind}
-        if message.get_type() == "HEARTBEAT" and message.autopilot in known:
+        is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot in known
+        if is_autopilot and message.get_srcSystem() == self._flown():
             self._autopilot = message.get_srcSystem(), AutopilotKind(message.autopilot)
 
     def _move_sticks(self) -> None:
