@@ -105,12 +105,14 @@ class Written:
 
     packets: list[bytes] = field(default_factory=list)
     asked: list[FlightMode] = field(default_factory=list)
-    radio_on: bool = True
 
     def write(self, data: bytes) -> None:
         self.packets.append(data)
 
     def take_over(self) -> None:
+        pass
+
+    def switch_radio_off(self) -> None:
         pass
 
     def ask(self, mode: FlightMode) -> None:
@@ -196,6 +198,7 @@ def listening() -> Simulator:
     """A simulator without its links."""
     simulator = object.__new__(Simulator)
     simulator.heard, simulator.armed, simulator._stood_z_m = {}, False, 0.0
+    simulator.system_id = 0
     return simulator
 
 
@@ -228,6 +231,16 @@ def test_where_nobody_tells_the_truth_the_autopilots_word_is_taken_about_home():
     words = where.fly_words()
     assert words[words.index("--video") + 1] == "rtsp://camera"
     assert "--truth" not in words  # nothing is drawn, and it does not arm by itself
+
+
+def test_what_a_second_autopilot_on_the_link_says_is_not_the_flown_ones():
+    simulator = listening()
+    for system, armed in ((1, True), (2, False)):
+        beat = heartbeat(armed)
+        beat._header.srcSystem, beat._header.srcComponent = system, 1
+        simulator._hear(beat)
+    assert simulator.armed
+    assert simulator.system_id == 1
 
 
 def test_a_program_that_hangs_in_flight_is_not_waited_for_without_end(tmp_path, monkeypatch):

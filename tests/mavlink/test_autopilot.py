@@ -9,9 +9,11 @@ from autopilot_links import (
     ARM,
     COPTER,
     DENIED,
+    HIGHRES_IMU,
     HOME,
     INTERVAL,
     NOT_NOW,
+    PX4,
     PX4_DESCEND,
     PX4_HOLD,
     PX4_OFFBOARD,
@@ -211,6 +213,14 @@ def test_an_origin_is_set_until_a_filter_is_there_to_take_it(bench):
     assert bench.peer.origin == (604030000, 224610000, 40000)
 
 
+def test_one_that_takes_long_to_start_is_given_its_origin_all_the_same(bench):
+    bench.peer.keeps_origin = True
+    bench.autopilot.set_origin(*HOME)
+    bench.run(25.0)
+    bench.peer.keeps_origin = False
+    bench.wait(lambda: bench.peer.origin, 8.0)
+
+
 def test_an_autopilot_that_keeps_its_own_origin_gets_estimates_about_that_one(bench):
     bench.peer.origin, bench.peer.keeps_origin = (604040000, 224610000, 45000), True
     bench.has_origin()
@@ -231,6 +241,42 @@ def test_an_autopilot_that_restarts_is_given_its_origin_again_before_any_estimat
         bench.run(0.02)
     order = [m.get_type() for _, m in bench.peer.heard]
     assert order.index("SET_GPS_GLOBAL_ORIGIN") < order.index("VISION_POSITION_ESTIMATE")
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+def test_one_that_restarts_so_early_that_no_clock_shows_it_is_given_its_origin_again(kind):
+    bench = Bench(kind, settle_s=0.0)
+    bench.peer.boot_at_s = bench.clock() - 1.0
+    bench.has_origin()
+    bench.down.cut = bench.up.cut = True
+    bench.run(6.0)
+    bench.down.cut = bench.up.cut = False
+    bench.peer.origin, bench.peer.boot_at_s = None, bench.clock() - 4.0
+    bench.wait(lambda: bench.peer.origin, 8.0)
+    bench.wait(lambda: bench.offset_ned_m() is not None)
+
+
+def test_an_origin_that_somebody_else_sets_on_the_ground_is_the_one_that_counts(bench):
+    bench.has_origin()
+    bench.peer.origin = (604040000, 224610000, 40000)
+    bench.run(7.0)
+    assert bench.offset_ned_m() == pytest.approx([-111.4, 0.0, 0.0], abs=0.2)
+
+
+def test_an_origin_is_not_looked_for_in_flight_nor_given_up_in_a_cut(bench):
+    bench.has_origin()
+    bench.peer.heard.clear()
+    bench.down.cut = True
+    bench.run(30.0)
+    assert bench.offset_ned_m() is not None
+    assert not bench.peer.of("SET_GPS_GLOBAL_ORIGIN")
+    bench.down.cut, bench.peer.armed = False, True
+    bench.run(1.0)
+    bench.peer.origin = (604040000, 224610000, 40000)
+    bench.peer.heard.clear()
+    bench.run(20.0)
+    assert not bench.peer.commands(512)
+    assert bench.offset_ned_m() == pytest.approx([0.0, 0.0, 0.0], abs=0.2)
 
 
 def test_the_autopilots_own_position_is_told_about_the_runs_origin(bench):
@@ -519,6 +565,21 @@ def test_parameters_are_read_in_the_background_with_the_bits_of_px4_integers():
     assert "COM_OF_LOSS_T" not in findings
 
 
+def test_parameters_whose_answers_were_lost_are_asked_for_again():
+    """One that starts anew while they are read answers some, and nothing for seconds."""
+    bench = Bench(settle_s=0.0)
+    bench.peer.params |= {"EKF2_HGT_REF": (0.0, 9), "COM_OF_LOSS_T": (1.0, 9)}
+    table = bench.autopilot._parameters.values
+    bench.wait(lambda: table)
+    bench.down.cut = True
+    bench.run(6.0)
+    missing = {f.parameter for f in bench.autopilot.findings or () if f.present is None}
+    assert "COM_OF_LOSS_T" in missing, "the answers were to be lost"
+    bench.down.cut = False
+    bench.run(7.0)
+    assert "COM_OF_LOSS_T" not in {f.parameter for f in bench.autopilot.findings}
+
+
 def test_a_parameter_that_somebody_mends_is_no_finding_any_more(bench):
     bench.wait(lambda: bench.autopilot.findings is not None)
     assert "COM_OF_LOSS_T" in {f.parameter for f in bench.autopilot.findings}
@@ -554,6 +615,21 @@ def test_an_autopilot_that_forgot_its_rates_in_a_cut_is_asked_again(bench):
     bench.down.cut = False
     bench.run(5.0)
     assert {105, 436} <= set(bench.peer.intervals_us)
+
+
+def test_what_a_flight_needs_is_asked_for_within_ten_seconds_however_long_nobody_heard():
+    """A line of which one way was loose: an ArduPilot sends nothing that it was not asked for."""
+    bench = Bench(COPTER, settle_s=0.0)
+    bench.up.cut, bench.peer.unknown = True, {HIGHRES_IMU}
+    bench.peer.intervals_us = dict.fromkeys((30, 29, 1, 245, 193), 1e9)  # as good as never
+    bench.run(35.0)
+    bench.up.cut = False
+    bench.wait(lambda: bench.peer.intervals_us[30] < 1e6, 10.0)
+    bench.run(40.0)
+    bench.peer.heard.clear()
+    bench.run(60.0)
+    asked = [each.param1 for each in bench.peer.commands(INTERVAL)]
+    assert asked.count(HIGHRES_IMU) <= 2  # each time it tells all ground stations that it cannot
 
 
 def test_the_first_autopilot_is_listened_to_and_nobody_elses_commands(bench):

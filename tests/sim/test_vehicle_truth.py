@@ -6,7 +6,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -18,14 +18,17 @@ from vwnav.sim.truth import TruthReader
 from vwnav.sim.truth_state import TruthState, between
 
 PACKER = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+ANOTHERS = mavlink.MAVLink(None, srcSystem=4, srcComponent=1)
 
 
-def hil(north_deg: float = 41.0, usec: int = 0, w: float = -1.0, x: float = 0.0) -> bytes:
+def hil(
+    north_deg: float = 41.0, usec: int = 0, w: float = -1.0, x: float = 0.0, packer: Any = PACKER
+) -> bytes:
     place = (round(north_deg * 1e7), 290000000, 50000)
     message = mavlink.MAVLink_hil_state_quaternion_message(
         usec, [w, x, 0.0, 0.0], 0.1, 0.2, 0.3, *place, 100, -200, 50, 0, 0, 0, 0, 0
     )
-    return bytes(message.pack(PACKER))
+    return bytes(message.pack(packer))
 
 
 def sim_state(north_deg: float = 41.0000001) -> bytes:
@@ -206,6 +209,21 @@ def test_a_simulator_that_falls_behind_for_good_is_followed_by_its_answers(sende
     assert state.t_s - zero_s == pytest.approx(sent_s, abs=0.03)
 
 
+def test_of_two_vehicles_on_one_port_one_is_followed_until_it_is_silent(sender: Sender) -> None:
+    """Ground stations' ports are shared: PX4's simulators all send to 14550."""
+    sender.send(hil(41.0))
+    sender.reader.wait(2.0)
+    seen = set()
+    for _ in range(20):
+        sender.send(hil(51.0, packer=ANOTHERS) + hil(41.0) + hil(51.0, packer=ANOTHERS))
+        time.sleep(0.01)
+        seen.add(round(newest_deg(sender.reader)))
+    assert seen == {41}
+    time.sleep(3.1)
+    sender.send(hil(51.0, packer=ANOTHERS))
+    until(lambda: newest_deg(sender.reader) == pytest.approx(51.0))
+
+
 def state_at(t_s: float, w: float = 1.0, lon_deg: float = 0.0) -> TruthState:
     return TruthState(t_s, 0.0, lon_deg, 0.0, (w, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
 
@@ -237,6 +255,33 @@ def test_it_reads_over_tcp() -> None:
         assert reader.wait(2.0) is not None
         thread.join()
         reader.close()
+
+
+def test_over_tcp_it_reads_on_when_the_simulator_has_started_anew() -> None:
+    """ArduPilot's closes its ports when it is rebooted, and opens them again."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        reader = TruthReader(f"tcpout://127.0.0.1:{server.getsockname()[1]}")
+        try:
+            for north_deg in (41.0, 42.0):
+                stream, _ = server.accept()
+                with stream:
+                    stream.sendall(hil(north_deg) + hil(north_deg))
+                    until(lambda deg=north_deg: newest_deg(reader) == pytest.approx(deg))
+        finally:
+            reader.close()
+
+
+def newest_deg(reader: TruthReader) -> float:
+    state = reader.latest()
+    return math.nan if state is None else state.lat_deg
+
+
+def until(done: Callable[[], bool], timeout_s: float = 5.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not done():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(

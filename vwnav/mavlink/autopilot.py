@@ -1,7 +1,6 @@
 """The autopilot on a MAVLink link: PX4 and ArduCopter behind one face (`vehicle.Autopilot`)."""
 
 import logging
-import math
 import threading
 from collections.abc import Callable, Generator
 from dataclasses import replace
@@ -13,17 +12,15 @@ from vwnav.mavlink.link_budget import LinkBudget, plan_link
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.outputs.autopilot_north import AutopilotNorth
 from vwnav.mavlink.outputs.steady import Outputs
-from vwnav.mavlink.parameters import ParameterTable
+from vwnav.mavlink.parameters import ParameterReview, ParameterTable
 from vwnav.mavlink.ports.port import Fields, Port
-from vwnav.mavlink.preflight_parameters import check_parameters, parameter_names
-from vwnav.mavlink.procedures import NOT_HEARD, TAKEOFF_HEIGHT, Procedures
+from vwnav.mavlink.procedures import NOT_HEARD, Procedures
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
 from vwnav.mavlink.upkeep import OriginAgreement, StreamKeeper, Timesync
 from vwnav.types import Estimate, Telemetry
 from vwnav.vehicle import Finding, FlightMode, Order, Request, VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
-_READ_AGAIN_S = 5.0
 _CHUNK, _NOTICE = 50, 5  # of STATUSTEXT: bytes, severity
 _LONGEST_ROUND_TRIP_S = 1.0  # before take-off
 _LEAST_ATTITUDE_HZ = 18.0  # of 20 that are asked for at least
@@ -61,6 +58,7 @@ class LinkedAutopilot:
         self._parameters = ParameterTable(
             port.send, self.system_id, self._is_px4, clock, self._patience_s
         )
+        self._review = ParameterReview(self._parameters)
         self._outputs = Outputs(port, self._telemetry, clock)
         self._procedures = Procedures(
             self._commands, self._parameters, self._telemetry, self._outputs.setpoint, clock
@@ -69,9 +67,6 @@ class LinkedAutopilot:
         self._streams: StreamKeeper | None = None
         self._request = CurrentRequest()
         self._origin: Generator[None, None, None] | None = None
-        self._reading: Generator[None, None, None] | None = None
-        self._read_s = -math.inf
-        self._findings: tuple[Finding, ...] | None = None
         self._frame: LocalFrame | None = None
         self._restarts = 0
         self._texts = 0
@@ -113,7 +108,7 @@ class LinkedAutopilot:
     @property
     def findings(self) -> tuple[Finding, ...] | None:
         """Parameters that are not as flight on vision wants them, worst first; None until read."""
-        return self._findings
+        return self._review.findings
 
     @property
     def budget_refusal(self) -> str | None:
@@ -145,9 +140,10 @@ class LinkedAutopilot:
             self._streams.step(t_s)
             self._request.resume()
             self._procedures.step()
-            if self._origin is not None and _is_over(self._origin):
-                self._origin = None
-            self._read_parameters(t_s)
+            if self._origin is not None:
+                next(self._origin)
+            if not self._telemetry.armed:
+                self._review.step(self._telemetry.kind, t_s)
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:
         """Agree upon an origin with the autopilot; estimates are held back until then.
@@ -281,27 +277,7 @@ class LinkedAutopilot:
             self._port.send, self.system_id, self._commands, self._telemetry,
             self._clock, self._patience_s,
         )  # fmt: skip
-        self._origin = agreement.agree(frame)
-
-    def _read_parameters(self, t_s: float) -> None:
-        """Once; what is set later is heard, because an autopilot tells it to everybody."""
-        assert self._telemetry.kind is not None
-        if self._reading is not None:
-            if not _is_over(self._reading):
-                return
-            self._reading = None
-            self._judge_parameters()
-        elif self._findings is None and t_s - self._read_s > _READ_AGAIN_S:
-            self._read_s = t_s
-            names = parameter_names(self._telemetry.kind)
-            px4 = self._telemetry.kind is AutopilotKind.PX4
-            self._reading = self._parameters.read(names + ((TAKEOFF_HEIGHT,) if px4 else ()))
-
-    def _judge_parameters(self) -> None:
-        assert self._telemetry.kind is not None
-        if self._parameters.values:
-            found = check_parameters(self._telemetry.kind, self._parameters.values)
-            self._findings = tuple(found)
+        self._origin = agreement.keep(frame)
 
     def _handle_telemetry(self, name: str, fields: Fields, received_s: float) -> None:
         with self._lock:
@@ -318,9 +294,7 @@ class LinkedAutopilot:
 
     def _handle_parameter(self, _: str, fields: Fields, __: float) -> None:
         with self._lock:
-            self._parameters.handle_value(fields)
-            if self._findings is not None:
-                self._judge_parameters()
+            self._review.handle_value(self._telemetry.kind, fields)
 
     def _handle_timesync(self, _: str, fields: Fields, received_s: float) -> None:
         with self._lock:
@@ -338,12 +312,3 @@ class LinkedAutopilot:
         if round_trip_s is None:
             return _PATIENCE_UNKNOWN_S
         return min(max(_PATIENCE_S[0], 1.5 * round_trip_s + 0.1), _PATIENCE_S[1])
-
-
-def _is_over(procedure: Generator[None, None, None]) -> bool:
-    """Resume it."""
-    try:
-        next(procedure)
-    except StopIteration:
-        return True
-    return False

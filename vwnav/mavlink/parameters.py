@@ -1,12 +1,17 @@
-"""The autopilot's parameters: read by name in the background, written and put back."""
+"""The autopilot's parameters: read by name in the background, judged, written and put back."""
 
+import math
 import struct
 from collections.abc import Callable, Generator
 from typing import Any
 
+from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.ports.port import Fields, Send
+from vwnav.mavlink.preflight_parameters import check_parameters, parameter_names
+from vwnav.vehicle import Finding
 
 _TRIES = 3
+_READ_AGAIN_S = 5.0
 _REAL32 = 9  # MAV_PARAM_TYPE
 
 
@@ -78,6 +83,47 @@ class ParameterTable:
 
     def _address(self, name: str) -> dict[str, Any]:
         return {"target_system": self._system_id(), "target_component": 1, "param_id": name}
+
+
+class ParameterReview:
+    """What a flight on vision wants otherwise: read, and read again while something is missing.
+
+    An autopilot that starts anew meanwhile answers some of the questions and not the others. What
+    is set later is heard, because an autopilot tells it to everybody.
+
+    Attributes:
+        findings: worst first; None until some parameter was told.
+    """
+
+    def __init__(self, table: ParameterTable) -> None:
+        self._table = table
+        self._reading: Generator[None, None, None] | None = None
+        self._read_s = -math.inf
+        self.findings: tuple[Finding, ...] | None = None
+
+    def step(self, kind: AutopilotKind, t_s: float) -> None:
+        """Carry it on, on the ground; one question at most."""
+        if self._reading is not None:
+            if next(self._reading, True):
+                self._reading = None
+                self._judge(kind)
+        elif self._misses_some and t_s - self._read_s > _READ_AGAIN_S:
+            self._read_s = t_s
+            self._reading = self._table.read(parameter_names(kind))
+
+    def handle_value(self, kind: AutopilotKind | None, fields: Fields) -> None:
+        """Take a PARAM_VALUE in."""
+        self._table.handle_value(fields)
+        if self.findings is not None and kind is not None:
+            self._judge(kind)
+
+    @property
+    def _misses_some(self) -> bool:
+        return self.findings is None or any(each.present is None for each in self.findings)
+
+    def _judge(self, kind: AutopilotKind) -> None:
+        if self._table.values:
+            self.findings = tuple(check_parameters(kind, self._table.values))
 
 
 def integer_of_bits(value: float | None) -> int:

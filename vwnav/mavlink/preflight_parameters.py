@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.vehicle import Finding, Severity
 
+TAKEOFF_HEIGHT = "MIS_TAKEOFF_ALT"
+
 
 @dataclass(frozen=True, slots=True)
 class _ParameterRule:
@@ -87,9 +89,10 @@ _OPTIONAL = frozenset({"COM_RC_OVERRIDE", "MAN_OVERRIDE_SPD", "SYS_HAS_GPS", "EK
 
 
 def parameter_names(kind: AutopilotKind) -> tuple[str, ...]:
-    """Every parameter that is looked at."""
-    names = (name for rule in _rules(kind) for name in rule.names)
-    return tuple(dict.fromkeys(names))
+    """Every parameter that is looked at, the one that is borrowed for a take-off too."""
+    names = [name for rule in _rules(kind) for name in rule.names]
+    borrowed = [TAKEOFF_HEIGHT] if kind is AutopilotKind.PX4 else []
+    return tuple(dict.fromkeys(names + borrowed))
 
 
 def check_parameters(kind: AutopilotKind, values: Mapping[str, float]) -> list[Finding]:

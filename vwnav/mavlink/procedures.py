@@ -6,11 +6,11 @@ from collections.abc import Callable, Generator
 from vwnav.mavlink.commands import CommandSender, Procedure
 from vwnav.mavlink.modes import AutopilotKind, Command, mode_command
 from vwnav.mavlink.parameters import ParameterTable
+from vwnav.mavlink.preflight_parameters import TAKEOFF_HEIGHT
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
 from vwnav.vehicle import FlightMode, VehicleState, VelocitySetpoint
 
 NOT_HEARD = "the autopilot is not heard"
-TAKEOFF_HEIGHT = "MIS_TAKEOFF_ALT"
 _CMD_NAV_TAKEOFF, _CMD_ARM = 22, 400
 _TEXT_WAIT_S = 0.1  # the reason comes as a text, after the answer
 _TEXT_AGE_S = 3.0

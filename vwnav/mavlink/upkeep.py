@@ -21,7 +21,9 @@ _TIMESYNC_S = 0.2
 _QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 _ASK_S = 0.02  # one message after another: a serial link's buffer is small
 _LOOK_S = 2.0  # so long a message's rate is counted
-_SLOWEST_ASK_S = 60.0  # for a message that never comes at the rate asked for
+# For a message that never comes at the rate asked for, and for one that a flight can do without:
+# an ArduPilot that does not know it says so to every ground station, each time.
+_SLOWEST_ASK_S, _SPARED_ASK_S = 8.0, 60.0
 _ENOUGH = 0.6  # of the rate asked for: PX4 divides its own
 _SILENCE = -1.0  # as an interval: do not send it
 _CMD_MESSAGE_INTERVAL, _CMD_REQUEST_MESSAGE = 511, 512
@@ -31,6 +33,7 @@ _UNCONFIRMED_TRIES = 30  # an autopilot that is still starting has no filter to 
 _ORIGIN_TOO_FAR_M = 20e3  # numbers of single precision are coarse there
 _ORIGIN_PERIOD_S = 0.3
 _ORIGIN_DIFFERS_M = 0.5
+_ORIGIN_LOOK_S = 5.0
 
 
 class Timesync:
@@ -107,7 +110,8 @@ class StreamKeeper:
         if due is not None:
             watched = self._watched[due.name]
             watched.due_s = t_s + watched.wait_s
-            watched.wait_s = min(2.0 * watched.wait_s, _SLOWEST_ASK_S)
+            slowest_s = _SLOWEST_ASK_S if due.least_hz else _SPARED_ASK_S
+            watched.wait_s = min(2.0 * watched.wait_s, slowest_s)
             self._ask(due.number, 1e6 / due.rate_hz, t_s)
         elif self._to_silence:
             self._ask(self._to_silence.pop(0), _SILENCE, t_s)
@@ -150,6 +154,9 @@ class OriginAgreement:
     PX4 1.18 must have the origin before the first vision message, or its position jumps by
     thousands of kilometres: until there is agreement, `TelemetryState.origin_offset_ned_m` is None.
     An origin that is there already, of an earlier flight or of GPS, is kept for the same reason.
+
+    On the ground it is looked for now and then: one that has started anew has forgotten it, where
+    its clock did not show that, and a ground station may set another one.
     """
 
     def __init__(
@@ -167,10 +174,19 @@ class OriginAgreement:
         self._telemetry = telemetry
         self._clock = clock
         self._patience_s = patience_s
+        self._told: Array | None = None  # our origin about the one that it told last
 
-    def agree(self, frame: LocalFrame) -> Generator[None, None, None]:
-        """Agree upon the origin of `frame`."""
-        self._telemetry.origin = self._telemetry.origin_offset_ned_m = None
+    def keep(self, frame: LocalFrame) -> Generator[None, None, None]:
+        """Agree upon the origin of `frame`, and see to it that it stays so; never ends."""
+        yield from self._agree(frame)
+        while True:
+            yield from self._wait(_ORIGIN_LOOK_S)
+            if not self._telemetry.armed:
+                yield from self._look_again(frame)
+
+    def _agree(self, frame: LocalFrame) -> Generator[None, None, None]:
+        """Nothing is sent about it until it stands."""
+        self._telemetry.origin_offset_ned_m = None
         offset_ned_m = yield from self._ask(frame)
         tries = 0
         while _is_far(offset_ned_m):
@@ -181,22 +197,46 @@ class OriginAgreement:
             offset_ned_m = yield from self._ask(frame)
         if offset_ned_m is None:
             _log.warning("the autopilot does not confirm its origin; estimates are sent anyway")
-            offset_ned_m = np.zeros(3)
-        elif np.linalg.norm(offset_ned_m) >= _ORIGIN_DIFFERS_M:
-            distance_m = np.linalg.norm(offset_ned_m)
-            _log.warning("the autopilot keeps its own origin, %.1f m from ours", distance_m)
+            self._telemetry.origin_offset_ned_m = np.zeros(3) if self._told is None else self._told
+        else:
+            self._take(offset_ned_m)
+
+    def _look_again(self, frame: LocalFrame) -> Generator[None, None, None]:
+        """An answer may be lost once; where nothing is heard at all nothing is known."""
+        asked_s = self._clock()
+        offset_ned_m = yield from self._ask(frame)
+        if offset_ned_m is None:
+            offset_ned_m = yield from self._ask(frame)
+        if offset_ned_m is not None:
+            self._take(offset_ned_m)
+        elif self._told is None:
+            self._send("SET_GPS_GLOBAL_ORIGIN", self._fields(frame))
+        elif self._telemetry.heard_s > asked_s:
+            yield from self._agree(frame)
+
+    def _take(self, offset_ned_m: Array) -> None:
+        before, self._told = self._telemetry.origin_offset_ned_m, offset_ned_m
+        if before is not None and np.linalg.norm(offset_ned_m - before) < _ORIGIN_DIFFERS_M:
+            return
         self._telemetry.origin_offset_ned_m = offset_ned_m
+        distance_m = np.linalg.norm(offset_ned_m)
+        if distance_m >= _ORIGIN_DIFFERS_M:
+            _log.warning("the autopilot keeps its own origin, %.1f m from ours", distance_m)
 
     def _ask(self, frame: LocalFrame) -> Generator[None, None, Array | None]:
-        """Our origin about the one that the autopilot tells."""
+        """Our origin about the one that the autopilot tells; None where it tells none."""
+        self._telemetry.origin = None
         self._commands.tell(Command(_CMD_REQUEST_MESSAGE, (float(_GPS_GLOBAL_ORIGIN),)))
-        asked_s = self._clock()
-        while self._clock() - asked_s < max(_ORIGIN_PERIOD_S, self._patience_s()):
-            yield
+        yield from self._wait(max(_ORIGIN_PERIOD_S, self._patience_s()))
         origin = self._telemetry.origin
         if origin is None:
             return None
         return LocalFrame(*origin).to_ned(frame.lat_deg, frame.lon_deg, frame.alt_amsl_m)
+
+    def _wait(self, seconds: float) -> Generator[None, None, None]:
+        since_s = self._clock()
+        while self._clock() - since_s < seconds:
+            yield
 
     def _fields(self, frame: LocalFrame) -> dict[str, int]:
         return {

@@ -3,9 +3,7 @@
 For the renderer and the score only: nothing that navigates may read it.
 """
 
-import logging
 import math
-import socket
 import threading
 import time
 from bisect import bisect_left
@@ -16,12 +14,11 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.clock import Clock, WallClock
-from vwnav.errors import ConfigError, LinkError
 from vwnav.sender_clock import SenderClock
 from vwnav.sim.mavlink.link import datagram_parser
+from vwnav.sim.mavlink.truth_line import Source, TruthLine
 from vwnav.sim.truth_state import TruthState, between, from_hil_state_quaternion, from_sim_state
 
-_log = logging.getLogger(__name__)
 _HISTORY_S = 5.0
 _SOURCE_SYSTEM, _SOURCE_COMPONENT = 245, 191
 _AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -33,7 +30,7 @@ _TRUTH_OF = {
 }
 _ASK_EVERY_S = 1.0
 _STAMPS_GONE_S = 1.0  # no SYSTEM_TIME for so long: states are dated by their arrival
-_WAIT_S = 0.2
+_SILENT_S = 3.0  # of the vehicle that is followed: another one is
 _QUESTION_EVERY_S = 0.2
 _QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 
@@ -41,13 +38,13 @@ _QUESTIONS = 20  # TIMESYNC questions whose answers are waited for
 class TruthReader:
     """Reads truth in a thread of its own, until `close`.
 
+    Of several vehicles on one port it follows the first that tells a state, until that is silent.
     States are dated by the simulator's own time, joined to ours as an autopilot's is: one that is
     read late on a busy machine was so when it says. SIM_STATE has no time: ArduPilot sends what is
     due at one moment together, SYSTEM_TIME first (its `ap_message` order), and that dates it.
 
     Args:
-        url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT, or as MAVSDK writes them: "//"
-            after the colon, udp for udpin, no host to listen everywhere, tcp for tcpout.
+        url: as `TruthLine` reads it.
         rate_hz: the rate it asks the simulator for.
         clock: stamps what arrives.
 
@@ -59,15 +56,15 @@ class TruthReader:
     def __init__(self, url: str, rate_hz: float = 100.0, clock: Clock | None = None) -> None:
         self._rate_hz = rate_hz
         self._clock = clock if clock is not None else WallClock()
-        self._socket, self._peer = _open(url)
-        self._stream = self._socket.type == socket.SOCK_STREAM
-        self._parsers: dict[object, Any] = {}
+        self._line = TruthLine(url)
+        self._parsers: dict[Source, Any] = {}
         self._packer = mavlink.MAVLink(
             None, srcSystem=_SOURCE_SYSTEM, srcComponent=_SOURCE_COMPONENT
         )
         self._states: deque[TruthState] = deque()
         self._lock = threading.Lock()
         self._stop = threading.Event()
+        self._followed, self._followed_s = 0, -math.inf  # whose states are read; the newest came
         self._vehicle: tuple[int, int] | None = None
         self._wanted: tuple[int, ...] = (_HIL_STATE_QUATERNION, _SIM_STATE)
         self._sender = SenderClock()
@@ -109,7 +106,7 @@ class TruthReader:
         """Stop reading and free the port."""
         self._stop.set()
         self._thread.join()
-        self._socket.close()
+        self._line.close()
 
     def _run(self) -> None:
         asked_s = questioned_s = -math.inf
@@ -121,38 +118,24 @@ class TruthReader:
             if now_s - asked_s >= _ASK_EVERY_S:
                 asked_s = now_s
                 self._ask(now_s)
-            data, peer = self._read()
+            data, source = self._line.read()
             if data:
-                self._handle(data, peer, self._clock())
+                self._handle(data, source, self._clock())
 
-    def _read(self) -> tuple[bytes, Any]:
-        """What arrived within 0.2 s, and from whom."""
-        try:
-            if self._stream:
-                data = self._socket.recv(65536)
-                if not data:
-                    self._stop.wait(_WAIT_S)
-                return data, None
-            return self._socket.recvfrom(65536)
-        except TimeoutError:
-            return b"", None
-        except OSError as error:  # a UDP peer that is not there yet, a reset TCP connection
-            _log.debug("truth: %s", error)
-            self._stop.wait(_WAIT_S)
-            return b"", None
-
-    def _handle(self, data: bytes, peer: Any, now_s: float) -> None:
-        parser = self._parsers.get(peer)
-        if parser is None or not self._stream:
+    def _handle(self, data: bytes, source: Source, now_s: float) -> None:
+        parser = self._parsers.get(source)
+        if parser is None or not self._line.is_stream:
             parser = datagram_parser(parser, data)
         for message in parser.parse_buffer(data) or []:
             kind = message.get_type()
             if kind == "BAD_DATA":
                 continue
-            self._parsers[peer] = parser
-            self._peer = peer or self._peer
+            self._parsers[source] = parser
+            self._line.talk_to(source)
             if kind == "HEARTBEAT":
                 self._meet(message)
+            elif self._is_anothers(message, now_s):
+                continue
             elif kind == "TIMESYNC":
                 self._learn(message, now_s)
             elif kind == "HIL_STATE_QUATERNION":
@@ -162,6 +145,15 @@ class TruthReader:
                 self._stamp_s, self._stamped_s = message.time_boot_ms * 1e-3, now_s
             elif kind == "SIM_STATE":
                 self._add(from_sim_state, message, self._time_of_sim_state(now_s))
+
+    def _is_anothers(self, message: Any, now_s: float) -> bool:
+        """Of a second vehicle on a port that several send to, PX4's 14550 for one."""
+        system = message.get_srcSystem()
+        if system != self._followed and now_s - self._followed_s < _SILENT_S:
+            return True
+        if message.get_msgId() in (_HIL_STATE_QUATERNION, _SIM_STATE):
+            self._followed, self._followed_s = system, now_s
+        return False
 
     def _meet(self, heartbeat: Any) -> None:
         """A vehicle, not the ground stations, gimbals and companions beside it."""
@@ -233,32 +225,4 @@ class TruthReader:
     def _send(self, message: Any) -> None:
         packet = message.pack(self._packer)
         self._packer.seq = (self._packer.seq + 1) % 256
-        try:
-            if self._stream:
-                self._socket.sendall(packet)
-            elif self._peer is not None:
-                self._socket.sendto(packet, self._peer)
-        except OSError as error:
-            _log.debug("truth: %s", error)
-
-
-def _open(url: str) -> tuple[socket.socket, tuple[str, int] | None]:
-    """A socket, and whom to talk to on it."""
-    kind, _, rest = url.partition(":")
-    host, _, port = rest.removeprefix("//").rpartition(":")
-    if kind in ("udp", "udpin"):
-        kind, host = "udpin", host or "0.0.0.0"
-    if kind not in ("udpin", "udpout", "tcpout", "tcp") or not host or not port.isdigit():
-        raise ConfigError(f"{url!r} is no link to the truth: write udpout:HOST:PORT or tcpout:...")
-    address = (host, int(port))
-    try:
-        if kind.startswith("tcp"):
-            stream = socket.create_connection(address, timeout=5.0)
-            stream.settimeout(_WAIT_S)
-            return stream, None
-        datagram = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        datagram.settimeout(_WAIT_S)
-        datagram.bind(address if kind == "udpin" else ("0.0.0.0", 0))
-    except OSError as error:
-        raise LinkError(f"cannot open {url} for the truth: {error}") from error
-    return datagram, None if kind == "udpin" else address
+        self._line.send(packet)

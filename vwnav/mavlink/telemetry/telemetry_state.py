@@ -80,7 +80,7 @@ class TelemetryState:
         self._attitude_boot_s = -math.inf
         self._rates_rad_s = np.zeros(3)
         self._heartbeat_t_s = -math.inf
-        self._heard_s = -math.inf
+        self.heard_s = -math.inf
         self._armed = False
         self._landed_state = 0
         self._sensors: tuple[int, int] | None = None  # present, healthy
@@ -118,9 +118,14 @@ class TelemetryState:
         """The newest attitude."""
         return self._attitude
 
+    @property
+    def armed(self) -> bool:
+        """As its last heartbeat said."""
+        return self._armed
+
     def handle(self, name: str, fields: Fields, received_s: float) -> None:
         """Take one message in; unknown ones do nothing."""
-        self._heard_s = received_s
+        self.heard_s = received_s
         handler = self._handlers.get(name)
         if handler is not None:
             handler(fields, received_s)
@@ -167,7 +172,7 @@ class TelemetryState:
             rc_available=bool(present & healthy & _RC_RECEIVER),
             local_position_ok=self._position_ok(t_s),
             armable=bool(healthy & _PREARM) and self._can_take_off(),
-            silence_s=t_s - self._heard_s,
+            silence_s=t_s - self.heard_s,
             intended_mode=self.modes.intended(t_s),
             failsafe=self.modes.is_failsafe(t_s),
             aiding=self.aiding(t_s),

@@ -15,6 +15,7 @@ from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Ending, Scenario
 from vwnav.bench.flights.stage import Fault
+from vwnav.bench.flights.table.manners import in_manners
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode
 
@@ -31,12 +32,16 @@ _AT_SPEED_M_S = 4.0
 
 
 def live_rows(rows: Iterable[Scenario], has_pilot: bool) -> list[Scenario]:
-    """Those of the route that are broken from our side; those of a pilot need his link."""
+    """Those of the route that are broken from our side; those of a pilot need his link.
+
+    Whose parameters an autopilot is set up with is its owner's: no row that names some.
+    """
     kinds = (*_SPOILS_LINK, *_INSIDE, *_SIGNALS, *(_PILOTS if has_pilot else ()))
     return [
         row
         for row in rows
         if len(row.breaks) == 1
+        and not row.setup.parameters
         and isinstance(row.breaks[0].fault, kinds)
         and row.setup.start is not None
         and row.setup.start.phase is Phase.ROUTE
@@ -56,6 +61,7 @@ def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path)
     began_s = time.process_time()
     with live_flight(simulator, folder, ROUTE_TEXT, _inside(plan.fault)) as flight:
         wrong = _reach_route(flight)
+        row = in_manners(row, simulator.manners)
         broke_s, broke_at = None if wrong else flight.t_s, flight.place_ned_m()
         if broke_s is not None:
             flight.note(f"breaks: {plan.fault}")

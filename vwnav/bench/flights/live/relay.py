@@ -23,6 +23,8 @@ _PERIOD_S = 0.05  # of the sticks
 _HEARTBEAT_S = 1.0
 _STATION = (255, 190)
 _MIDDLE_US, _UNTOUCHED_US = 1500, 65535
+# ArduPilot's simulator has a receiver of its own, which is heard 3 s after the sticks fell silent.
+_OWN_RECEIVER, _SILENT, _AS_BEFORE = b"SIM_RC_FAIL", 1.0, 0.0
 # Flown with sticks and a position: PX4 Position (main, sub), ArduCopter Loiter.
 _STICK_MODES = {AutopilotKind.PX4: (3.0, 0.0), AutopilotKind.ARDUPILOT: (5.0, 0.0)}
 
@@ -103,13 +105,16 @@ class MavlinkPilot:
         url: of a link of the autopilot's that nobody else uses.
         hand_on: takes the station's heartbeats to the program, as an autopilot that routes would:
             a station that was never heard commands nothing.
+        flown: system of the autopilot that is flown, of several on that link; 0 while not known.
 
     Raises:
         LinkError: it cannot be opened.
     """
 
-    def __init__(self, url: str, hand_on: Callable[[bytes], None]) -> None:
-        self._hand_on = hand_on
+    def __init__(
+        self, url: str, hand_on: Callable[[bytes], None], flown: Callable[[], int]
+    ) -> None:
+        self._hand_on, self._flown = hand_on, flown
         self._link = open_link(parse_link(url))
         self._packer = mavlink.MAVLink(None, srcSystem=_STATION[0], srcComponent=_STATION[1])
         self._parser = mavlink.MAVLink(None)
@@ -117,7 +122,7 @@ class MavlinkPilot:
         self._autopilot: tuple[int, AutopilotKind] | None = None
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self.radio_on = True
+        self._radio_on = True
         self._thread = threading.Thread(target=self._run, name="pilot", daemon=True)
         self._thread.start()
 
@@ -133,10 +138,17 @@ class MavlinkPilot:
             command = mode_command(self._autopilot[1], mode)
             self._command(command.number, *(value or 0.0 for value in command.params))
 
+    def switch_radio_off(self) -> None:
+        """Nothing is heard of the sticks any more, until it is closed."""
+        self._radio_on = False
+        self._set_own_receiver(_SILENT)
+
     def close(self) -> None:
         """Let go."""
         self._stop.set()
         self._thread.join()
+        if not self._radio_on:
+            self._set_own_receiver(_AS_BEFORE)
         self._link.close()
 
     def _run(self) -> None:
@@ -152,12 +164,13 @@ class MavlinkPilot:
                 beat = mavlink.MAVLink_heartbeat_message(gcs, none, 0, 0, 4, 3)
                 self._send(beat)
                 self._hand_on(bytes(beat.get_msgbuf()))
-            if self.radio_on:
+            if self._radio_on:
                 self._move_sticks()
 
     def _meet(self, message: Any) -> None:
         known = {kind.value for kind in AutopilotKind}
-        if message.get_type() == "HEARTBEAT" and message.autopilot in known:
+        is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot in known
+        if is_autopilot and message.get_srcSystem() == self._flown():
             self._autopilot = message.get_srcSystem(), AutopilotKind(message.autopilot)
 
     def _move_sticks(self) -> None:
@@ -170,6 +183,12 @@ class MavlinkPilot:
         else:
             sticks = [_MIDDLE_US] * 4 + [_UNTOUCHED_US] * 4
             self._send(mavlink.MAVLink_rc_channels_override_message(system, 1, *sticks))
+
+    def _set_own_receiver(self, fails: float) -> None:
+        if self._autopilot is None or self._autopilot[1] is not AutopilotKind.ARDUPILOT:
+            return
+        system, int8 = self._autopilot[0], mavlink.MAV_PARAM_TYPE_INT8
+        self._send(mavlink.MAVLink_param_set_message(system, 1, _OWN_RECEIVER, fails, int8))
 
     def _command(self, number: int, *params: float) -> None:
         assert self._autopilot is not None

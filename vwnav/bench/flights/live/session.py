@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1
+
 from vwnav.bench.flights.faults.aircraft import asks_to_go_on
 from vwnav.bench.flights.live.inside import patch_folder
 from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
@@ -69,6 +71,7 @@ class Simulator:
 
     Attributes:
         mode, armed, manners: as its heartbeat says.
+        system_id: of the first autopilot that is heard, which is the one; 0 before.
         heard: the newest message of each kind that passed over the link, see `relay.HEARD`.
 
     Raises:
@@ -78,6 +81,7 @@ class Simulator:
     def __init__(self, links: Links) -> None:
         self.mode, self.armed = FlightMode.HOLD, False
         self.manners: Manners = "px4"
+        self.system_id = 0
         self._stood_z_m = 0.0
         self.heard: dict[str, Any] = {}
         with contextlib.ExitStack() as stack:
@@ -85,7 +89,8 @@ class Simulator:
             stack.callback(self.relay.close)
             self.pilot = None
             if links.pilot is not None:
-                self.pilot = MavlinkPilot(links.pilot, self.relay.autopilot_link.a.write)
+                hand_on = self.relay.autopilot_link.a.write
+                self.pilot = MavlinkPilot(links.pilot, hand_on, lambda: self.system_id)
                 stack.callback(self.pilot.close)
             self.where: Whereabouts
             if links.truth is not None:
@@ -141,6 +146,8 @@ class Simulator:
             time.sleep(_LOOK_S)
 
     def _hear(self, message: Any) -> None:
+        if self._is_anothers(message):
+            return
         self.heard[message.get_type()] = message
         if message.get_type() == "LOCAL_POSITION_NED" and not self.armed:
             self._stood_z_m = float(message.z)
@@ -149,9 +156,15 @@ class Simulator:
         self.armed = bool(message.base_mode & _ARMED)
         with contextlib.suppress(ValueError):
             kind = AutopilotKind(message.autopilot)
+            self.system_id = message.get_srcSystem()
             mode = flight_mode(kind, message.custom_mode)
             self.manners = "copter" if kind is AutopilotKind.ARDUPILOT else "px4"
             self.mode = _NAMES.get(mode, FlightMode.HOLD)
+
+    def _is_anothers(self, message: Any) -> bool:
+        """Of a second autopilot on the link, to which `vwnav fly` does not listen either."""
+        is_autopilots = message.get_srcComponent() == MAV_COMP_ID_AUTOPILOT1
+        return is_autopilots and self.system_id not in (0, message.get_srcSystem())
 
 
 @contextlib.contextmanager

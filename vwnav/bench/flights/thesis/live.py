@@ -74,7 +74,7 @@ def _play_the_pilot(flight: LiveFlight, say: Say) -> None:
     _wait(flight, GIVES_BACK_S - TAKES_S)
     flight.simulator.hand_back()
     _wait(flight, RADIO_OFF_S - GIVES_BACK_S)
-    pilot.radio_on = False
+    pilot.switch_radio_off()
 
 
 def _how_to_hand_back(flight: LiveFlight) -> str:

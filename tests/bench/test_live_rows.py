@@ -1,0 +1,71 @@
+"""Rows of the table that are flown in real time are judged as the autopilot that flies them."""
+
+import contextlib
+import random
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vwnav.bench.flights.live import campaign
+from vwnav.bench.flights.live.campaign import fly_live_row, live_rows
+from vwnav.bench.flights.table import TABLE, row_of
+from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
+from vwnav.mission.mission import Phase
+from vwnav.sim.memory_link import MemoryLink
+from vwnav.vehicle import FlightMode
+
+
+class CutFlight:
+    """A live flight whose link is cut on the route: down after that, so many metres away."""
+
+    def __init__(self, manners: str, landed_m: float) -> None:
+        self.simulator = SimpleNamespace(
+            manners=manners, armed=True, pilot=None, bring_down=lambda _: None,
+            relay=SimpleNamespace(autopilot_link=MemoryLink(time.monotonic, random.Random(1))),
+        )  # fmt: skip
+        self.track, self.begun_s, self.t_s = FlightTrace(), time.monotonic(), 60.0
+        self.track.phases.append(LogLine(50.0, Phase.ROUTE.value))
+        self._landed_m, self._broken = landed_m, False
+        self._look(0.0)
+
+    def watch(self, done: object, _: float) -> bool:
+        if self._broken:
+            self.simulator.armed = False
+            self._look(self._landed_m)
+        return True
+
+    def is_in(self, phase: Phase) -> bool:
+        return phase is Phase.ROUTE
+
+    def is_down(self) -> bool:
+        return not self.simulator.armed
+
+    def has_ended(self) -> bool:
+        return False
+
+    def note(self, _: str) -> None:
+        self._broken = True
+
+    def place_ned_m(self) -> np.ndarray:
+        return self.track.truth[-1].position_ned_m
+
+    def _look(self, north_m: float) -> None:
+        place, still, armed = np.array([north_m, 0.0, 0.0]), np.zeros(3), self.simulator.armed
+        now_s = time.monotonic()
+        self.track.truth.append(Truth(now_s, place, still, FlightMode.LAND, armed, not armed))
+
+
+@pytest.mark.parametrize(("manners", "passes"), [("px4", False), ("copter", True)])
+def test_a_bound_of_arducopters_own_counts_where_one_flies(manners, passes, monkeypatch, tmp_path):
+    flight = CutFlight(manners, landed_m=40.0)
+    monkeypatch.setattr(campaign, "live_flight", lambda *_: contextlib.nullcontext(flight))
+    row = row_of("link cut for 3 s on the route")
+    result = fly_live_row(row, "link", flight.simulator, tmp_path)
+    assert result.passed is passes, result.wrong
+
+
+def test_no_row_is_flown_live_that_wants_a_parameter_of_the_autopilot():
+    named = [row.name for row in live_rows(TABLE, True) if row.setup.parameters]
+    assert named == []
