@@ -170,6 +170,34 @@ def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_
     assert ekf.estimate(12.2).sigma_horizontal_m < 2.0
 
 
+@pytest.mark.parametrize("off_m", [-30.0, 20.0, 40.0])
+@pytest.mark.parametrize("course_rad", [0.0, 0.7, 2.0])
+def test_a_place_that_is_open_to_one_side_is_not_open_to_a_pull_along_the_way(off_m, course_rad):
+    """A way of 120 m by compass: two that lay ahead alike were believed, and the height with them.
+
+    That was a third off, at 14 sigmas of the place half a minute later, and right ones refused.
+    """
+    ahead = np.array([math.cos(course_rad), math.sin(course_rad)])
+    ekf, place = Ekf(EkfConfig()), np.array([0.0, 0.0, -50.0])
+    ekf.handle(Attitude(0.0, LEVEL))
+    start = Start(t_s=0.0, position_ned_m=place, sigma_m=1.0, agl_m=50.0, sigma_velocity_m_s=9.0)
+    ekf.initialise(start)
+    for n in range(1, 81):
+        t_s = round(0.2 * n, 6)
+        ekf.handle(Attitude(t_s, LEVEL))
+        way_m = np.array([*(1.6 * ahead), 0.0])
+        before_s, noise_m2 = round(t_s - 0.2, 6), 0.03**2 * np.eye(3)
+        ekf.handle(OdometryMotion(before_s, t_s, way_m, noise_m2, 0.0, 0.003, 50.0, 99))
+        ekf.handle(Height(t_s, 50.0))
+        if n >= 75:
+            wrong_m = (8.0 * t_s + off_m) * ahead
+            ekf.handle(replace(fix(t_s, 0.0), position_ne_m=wrong_m))
+    estimate = ekf.estimate(t_s)
+    off = float((estimate.position_ned_m[:2] - 8.0 * t_s * ahead) @ ahead)
+    assert abs(off) < 5.0 * math.sqrt(ahead @ estimate.covariance[:2, :2] @ ahead)
+    assert estimate.agl_m == pytest.approx(50.0, abs=3.0)
+
+
 @given(
     st.floats(-38.0, 38.0), st.floats(0.0, 10.0), st.floats(-math.pi, math.pi), st.integers(1, 15)
 )
