@@ -230,10 +230,10 @@ def _disputed(
     state: FilterState, fix: NedFix, measurement: Measurement, told: Innovation, context: Context
 ) -> tuple[FilterState, Innovation]:
     """What a fix tells that is not as was believed: others must agree."""
-    config = context.config
+    config, drift = context.config, context.config.relocation_drift_m_s
     if state.position_known:
-        rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
-        drift = config.relocation_drift_m_s
+        window_s, least = config.dispute_window_s, 3 * config.relocation_fixes // 2
+        rejected = remember(state.rejected_fixes, fix.t_s, measurement, window_s, least)
         if told.accepted and len(agreeing(rejected, drift)) >= config.sudden_fixes:
             return replace(correct(state, measurement), rejected_fixes=()), told
         if told.accepted:
