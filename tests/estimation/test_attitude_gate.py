@@ -105,6 +105,26 @@ def test_a_heading_that_the_autopilot_resets_is_followed_within_a_quarter_second
     assert ekf.attitudes.at(2.25) is not None
 
 
+@pytest.mark.parametrize("tilts_deg", [0.0, 6.0])
+@pytest.mark.parametrize("imu_apart_s", [0.12, 0.5, math.inf])
+def test_a_quarter_turn_by_reset_is_followed_where_an_imu_was_heard_and_tells_nothing(
+    tilts_deg, imu_apart_s
+):
+    """One that fell silent, or comes seldom, vouched for no attitude: all were refused for good."""
+    ekf, imu_s, verdicts = cruising(2.0, imu=True), 2.0, []
+    for n in range(1, 301):
+        t_s = 2.0 + STEP_S * n
+        turned = quat(118.0) if t_s < 4.0 else quat(-142.0, tilts_deg - 8.0)
+        verdicts.append(ekf.handle(Attitude(t_s, turned)).verdict)
+        ekf.handle(Height(t_s, 50.0))
+        if t_s >= imu_s + imu_apart_s:
+            imu_s = t_s
+            ekf.handle(ImuSample(t_s, HOVER, np.zeros(3)))
+    assert set(verdicts[:99]) == {Verdict.FUSED}
+    assert verdicts[-1] is Verdict.FUSED
+    assert ekf.attitudes.at(8.0).quat_wxyz == pytest.approx(quat(-142.0, tilts_deg - 8.0))
+
+
 @pytest.mark.parametrize("jump_deg", [-90.0, -20.0, 30.0, 170.0])
 @pytest.mark.parametrize("tilts_deg", [0.0, 6.0])
 def test_a_reset_attitude_turns_no_image_that_was_taken_before_it_was_believed(jump_deg, tilts_deg):

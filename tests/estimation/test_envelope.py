@@ -42,6 +42,29 @@ def fix(t_s: float, north_m: float, sigma_m: float = 0.5) -> NedFix:
     return NedFix(t_s=t_s, position_ne_m=place, covariance_ne_m2=covariance)
 
 
+def flying(speed_m_s: float) -> Ekf:
+    """At the start of a way whose first place is known to a metre."""
+    ekf, place = Ekf(EkfConfig()), np.array([0.0, 0.0, -50.0])
+    ekf.handle(Attitude(0.0, LEVEL))
+    sigma_m_s = 1.0 + speed_m_s
+    ekf.initialise(
+        Start(t_s=0.0, position_ned_m=place, sigma_m=1.0, agl_m=50.0, sigma_velocity_m_s=sigma_m_s)
+    )
+    return ekf
+
+
+def follow(ekf: Ekf, start_s: float, seconds: float, velocity_ne_m_s: np.ndarray) -> float:
+    """Ways five times a second; the time at their end."""
+    t_s, way_m = start_s, np.array([*(0.2 * velocity_ne_m_s), 0.0])
+    for _ in range(round(5 * seconds)):
+        before_s, t_s = t_s, round(t_s + 0.2, 6)
+        ekf.handle(Attitude(t_s, LEVEL))
+        noise_m2 = 0.03**2 * np.eye(3)
+        ekf.handle(OdometryMotion(before_s, t_s, way_m, noise_m2, 0.0, 0.003, 50.0, 99))
+        ekf.handle(Height(t_s, 50.0))
+    return t_s
+
+
 def test_the_first_fix_of_an_unknown_place_counts_as_a_reset():
     ekf = hovering(None)
     assert ekf.estimate(2.0).reset_counter == 0
@@ -168,6 +191,38 @@ def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_
         ekf.handle(Attitude(t_s, LEVEL))
     assert ekf.handle(fix(12.2, 100.0)).accepted
     assert ekf.estimate(12.2).sigma_horizontal_m < 2.0
+
+
+@pytest.mark.parametrize("off_m", [-30.0, 20.0, 40.0])
+@pytest.mark.parametrize("course_rad", [0.0, 0.7, 2.0])
+def test_a_place_that_is_open_to_one_side_is_not_open_to_a_pull_along_the_way(off_m, course_rad):
+    """A way of 120 m by compass: two that lay ahead alike were believed, and the height with them.
+
+    That was a third off, at 14 sigmas of the place half a minute later, and right ones refused.
+    """
+    ahead = np.array([math.cos(course_rad), math.sin(course_rad)])
+    ekf = flying(8.0)
+    follow(ekf, 0.0, 15.0, 8.0 * ahead)
+    for n in range(76, 82):
+        t_s = follow(ekf, round(0.2 * n - 0.2, 6), 0.2, 8.0 * ahead)
+        wrong_m = (8.0 * t_s + off_m) * ahead
+        ekf.handle(replace(fix(t_s, 0.0), position_ne_m=wrong_m))
+    estimate = ekf.estimate(t_s)
+    off = float((estimate.position_ned_m[:2] - 8.0 * t_s * ahead) @ ahead)
+    assert abs(off) < 5.0 * math.sqrt(ahead @ estimate.covariance[:2, :2] @ ahead)
+    assert estimate.agl_m == pytest.approx(50.0, abs=3.0)
+
+
+@pytest.mark.parametrize("apart_s", [2.0, 3.0, 8.0])
+def test_fixes_that_are_refused_and_agree_are_believed_however_slowly_they_are_found(apart_s):
+    """Twelve had to agree within 30 s: found every 3 s they were refused for good."""
+    ekf, t_s, accepted = flying(0.0), 0.0, []
+    for _ in range(16):
+        t_s = follow(ekf, t_s, apart_s, np.zeros(2))
+        accepted.append(ekf.handle(fix(t_s, 40.0)).accepted)
+    assert not any(accepted[:11])
+    assert all(accepted[11:])
+    assert ekf.estimate(t_s).position_ned_m[0] == pytest.approx(40.0, abs=1.0)
 
 
 @given(

@@ -51,6 +51,15 @@ def test_without_the_gyro_nobody_tells():
     assert attitudes.held(1.5).from_wxyz is None
 
 
+def test_a_sample_after_a_silence_carries_no_attitude_on():
+    """Of how it turns since that tells nothing: it was taken for an aircraft that turns no more."""
+    attitudes = turning(1.0, 0.5)
+    attitudes.gyro.begin(1.0)
+    assert attitudes.gyro.between(1.0, 1.0) == pytest.approx([1.0, 0.0, 0.0, 0.0])
+    assert attitudes.gyro.between(1.0, 1.09) is None
+    assert attitudes.at(1.09) is None
+
+
 def test_it_is_not_carried_on_for_ever():
     assert not turning(1.0, 7.0).held(6.5).known
 

@@ -98,6 +98,24 @@ def test_a_silence_is_not_integrated_over():
     assert preintegrated(history.until(1.0), history.until(1.02)) is not None
 
 
+@pytest.mark.parametrize("apart_s", [0.12, 0.2, 0.5])
+def test_between_samples_that_come_seldom_an_aircraft_flies_on(apart_s):
+    """It stood for a tenth of a second after each: a fifth of the way was lost at 2 Hz."""
+    attitudes = AttitudeHistory(10.0)
+    imu = ImuHistory(attitudes, 10.0)
+    context = Context(EkfConfig(), attitudes, imu)
+    x = np.zeros(States.SIZE)
+    x[States.DRAG] = context.config.drag_per_s
+    x[States.POSITION], x[States.VELOCITY_NE] = (0.0, 0.0, -50.0), (8.0, 0.0)
+    state = FilterState(0.0, x, np.eye(States.SIZE), True, True, 0.0, 0.0)
+    for t_s in (0.02 * np.arange(1, 101)).tolist():
+        attitudes.add(Attitude(t_s, np.array([1.0, 0.0, 0.0, 0.0])))
+        if t_s >= imu.newest_s + apart_s:
+            imu.add(ImuSample(t_s, AT_REST, np.zeros(3), apart_s))
+        state = predict(state, t_s, context)
+    assert state.x[States.POSITION_NE] == pytest.approx([16.0, 0.0], abs=0.01)
+
+
 def test_a_correction_of_our_clock_makes_no_turn_longer():
     history = ImuHistory(level_attitudes(), 10.0)
     rates = np.array([0.0, 0.0, 1.0])

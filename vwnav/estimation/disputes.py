@@ -29,6 +29,7 @@ _LEVEL_VECTORS = (
 _PLACES_BEFORE = (States.ANCHOR_NE, States.EXPOSED_POSITION)
 BAROMETER_OFF_M = 8.0  # what weather, gusts and rotors do to it within a flight, at most
 _MOST_REMEMBERED = 64  # rejected innovations
+_DRIFTS_S = 30.0  # for so long at most: else all that is old would agree
 DATE_OFF_S = 0.5  # by which images may be dated wrongly
 _LEAN_DOUBT_RAD = 0.15
 _ALIKE_S = 1.0  # for so long neighbours are off alike
@@ -77,12 +78,19 @@ def range_doubted(state: FilterState, drawn_m: float = 0.0) -> FilterState:
 
 
 def remember(
-    rejected: RejectedInnovations, t_s: float, measurement: Measurement, window_s: float
+    rejected: RejectedInnovations,
+    t_s: float,
+    measurement: Measurement,
+    window_s: float,
+    least: int = 0,
 ) -> RejectedInnovations:
-    """The rejected innovations of the last `window_s`, with that of a measurement at the end."""
+    """The rejected innovations of the last `window_s`, with that of a measurement at the end.
+
+    `least` of them however old they are: what is found seldom must be able to agree, too.
+    """
     newest = RejectedInnovation(t_s, measurement.residual, measurement.R)
-    recent = [before for before in rejected if before.t_s >= t_s - window_s]
-    return (*recent, newest)[-_MOST_REMEMBERED:]
+    recent = sum(before.t_s >= t_s - window_s for before in rejected)
+    return (*rejected, newest)[-min(max(recent, least) + 1, _MOST_REMEMBERED) :]
 
 
 def seen_from(
@@ -130,7 +138,7 @@ def _agree(
 ) -> bool:
     """Whether two want the same; `capped`: drift explains no more than they are unsure by."""
     apart, spread = newest.residual - before.residual, before.covariance + newest.covariance
-    drift2 = (drift_per_s * (newest.t_s - before.t_s)) ** 2
+    drift2 = (drift_per_s * min(newest.t_s - before.t_s, _DRIFTS_S)) ** 2
     if capped:
         drift2 = min(drift2, float(np.trace(spread)) / len(apart))
     spread = spread + drift2 * np.eye(len(apart))

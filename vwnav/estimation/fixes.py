@@ -230,10 +230,10 @@ def _disputed(
     state: FilterState, fix: NedFix, measurement: Measurement, told: Innovation, context: Context
 ) -> tuple[FilterState, Innovation]:
     """What a fix tells that is not as was believed: others must agree."""
-    config = context.config
+    config, drift = context.config, context.config.relocation_drift_m_s
     if state.position_known:
-        rejected = remember(state.rejected_fixes, fix.t_s, measurement, config.dispute_window_s)
-        drift = config.relocation_drift_m_s
+        window_s, least = config.dispute_window_s, 3 * config.relocation_fixes // 2
+        rejected = remember(state.rejected_fixes, fix.t_s, measurement, window_s, least)
         if told.accepted and len(agreeing(rejected, drift)) >= config.sudden_fixes:
             return replace(correct(state, measurement), rejected_fixes=()), told
         if told.accepted:
@@ -257,10 +257,10 @@ def _alone(state: FilterState, measurement: Measurement, open_: float) -> Measur
     It may be of ground that looks alike, turned or aside, and as sure of itself as any.
     """
     H, R = measurement.H, measurement.R
-    shared = H @ state.P @ H.T
-    short = float(np.trace(_LONE_SHARE * shared - R)) / len(R)
-    tells_much = short > 0.0 and float(np.trace(shared)) > len(R) * open_**2
-    return replace(measurement, R=R + short * np.eye(len(R))) if tells_much else measurement
+    variances, axes = np.linalg.eigh(H @ state.P @ H.T)  # it may be open to one side alone
+    short = np.maximum(_LONE_SHARE * variances - np.diag(axes.T @ R @ axes), 0.0)
+    short[variances <= open_**2] = 0.0
+    return replace(measurement, R=R + (axes * short) @ axes.T) if np.any(short) else measurement
 
 
 def _apply_heading(

@@ -28,7 +28,8 @@ _MOST_WAITING = 1000  # where nothing ever vouches for them
 # How long those that join each other must last, and how many they must be, after ...
 _SILENCE = (0.04, 3)  # ... a silence in which it could be turned to
 _HEADING_RESET = (0.15, 4)
-_RESET = (1.0, 10)  # ... a jump that tilts it too; without a gyro three times as long
+_RESET = (1.0, 10)  # ... a jump that tilts it too
+_UNTOLD_RESET = (3.0, 10)  # ... the same without a gyro, and any while one is silent
 
 
 class AttitudeGate:
@@ -141,20 +142,18 @@ class AttitudeGate:
         self._jumped = silent_s < _ANYWHERE_S and not self._joins(newest, attitude)
 
     def _convinced(self, newest_s: float) -> bool:
-        """Whether those that wait are the autopilot's: where a gyro was heard, it must go along."""
+        """Whether those that wait are the autopilot's: where a gyro is heard, it must go along."""
         first, last = self._waiting[0], self._waiting[-1]
         if self._unvouched(last.t_s):
             return False
         span_s, count = _SILENCE
         if self._jumped:
-            if self._imu.heard and not self._gyro_heard(first.t_s, last.t_s):
-                return False
             newest = self._attitudes.at(newest_s)
             assert newest is not None
             tilted = _tilt_angle(newest.quat_wxyz, first.quat_wxyz) > _LEVEL_RAD
             span_s, count = _RESET if tilted else _HEADING_RESET
-            if tilted and not self._imu.heard:
-                span_s *= 3.0
+            if (tilted or self._imu.heard) and not self._gyro_heard(first.t_s, last.t_s):
+                span_s, count = _UNTOLD_RESET
         return last.t_s - first.t_s >= span_s and len(self._waiting) >= count
 
     def _gyro_heard(self, from_s: float, to_s: float) -> bool:

@@ -96,11 +96,11 @@ class GyroHistory:
         if not self._times_s or not self._times_s[0] <= t_s <= self._times_s[-1] + LONGEST_GAP_S:
             return None
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
-        if i == 0:
-            return self._series[0], self._turned[0]
-        if self._series[i] != self._series[i - 1]:
-            return (self._series[i], self._turned[i]) if t_s >= self._times_s[i] else None
-        t0_s, t1_s = self._times_s[i - 1], self._times_s[i]
+        t1_s = self._times_s[i]
+        if i == 0 or self._series[i] != self._series[i - 1]:
+            alone = self._series[i], self._turned[i]
+            return alone if t_s == t1_s else None  # it tells of its own moment
+        t0_s = self._times_s[i - 1]
         fraction = (min(t_s, t1_s) - t0_s) / (t1_s - t0_s)
         if t_s > t1_s:
             fraction += (t_s - t1_s) / self._span_s

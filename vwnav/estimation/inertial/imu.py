@@ -127,13 +127,10 @@ class ImuHistory:
         if not self._times_s or not self._times_s[0] <= t_s <= self._times_s[-1] + LONGEST_GAP_S:
             return None
         i = min(bisect.bisect_right(self._times_s, t_s), len(self._times_s) - 1)
-        one = self._felt[i]
-        if i == 0:
-            return one
+        one, t1_s = self._felt[i], self._times_s[i]
+        if i == 0 or self._felt[i - 1].series != one.series:
+            return one if t_s == t1_s else None  # alone it tells of its own moment
         zero, t0_s = self._felt[i - 1], self._times_s[i - 1]
-        if zero.series != one.series:
-            return one if t_s >= self._times_s[i] else None
-        t1_s = self._times_s[i]
         fraction = (min(t_s, t1_s) - t0_s) / (t1_s - t0_s)
         if t_s > t1_s:  # by the sensor's own clock: its dates may lie together, or apart
             fraction += (t_s - t1_s) / (one.span_s - zero.span_s)
