@@ -4,6 +4,7 @@ One layout on every paper, so that an image need not say which paper it shows: h
 squares are is nothing that a lens can tell.
 """
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from vwnav.errors import CalibrationError
+from vwnav.files.whole import write_whole
 from vwnav.types import Array, Gray
 
 COLUMNS, ROWS = 7, 10  # squares
@@ -66,9 +68,10 @@ def write_board(path: Path, paper: str) -> Paper:
         raise CalibrationError(f"no paper {paper!r}: {' or '.join(PAPERS)}")
     if path.suffix.lower() != ".pdf":
         raise CalibrationError(f"{path}: the board is written as PDF; call it {path.stem}.pdf")
-    sheet = PAPERS[paper]
+    sheet, drawn = PAPERS[paper], io.BytesIO()
+    _page(sheet, paper).save(drawn, "PDF", resolution=_DPI, title="vwnav calibration board")
     try:
-        _page(sheet, paper).save(path, "PDF", resolution=_DPI, title="vwnav calibration board")
+        write_whole(path, drawn.getvalue())
     except OSError as error:
         raise CalibrationError(f"{path}: cannot write ({error.strerror or error})") from error
     return sheet
