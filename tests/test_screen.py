@@ -74,3 +74,15 @@ def test_of_the_readiness_list_only_what_changed_is_shown_again(capfd):
     assert "NAV_DLL_ACT" not in then
     table.show((link, warned))
     assert capfd.readouterr().err == ""
+
+
+def test_what_kept_it_on_the_ground_and_is_gone_is_said_to_be_gone(capfd):
+    """A parameter that was mended, a switch that was put back: they have a line while they do."""
+    table, camera = ReadinessTable(), Check("camera", "FAIL", "no picture has come")
+    table.show((Check("VISO_TYPE", "FAIL", "is 0"), Check("link", "PASS", "heard"), camera))
+    capfd.readouterr()
+    table.show((camera,))
+    said = capfd.readouterr().err
+    assert "PASS" in said
+    assert "no more: is 0" in said
+    assert not any(other in said for other in ("heard", "camera", "FAIL"))

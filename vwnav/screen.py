@@ -123,11 +123,17 @@ class ReadinessTable:
         self._shown: tuple[Check, ...] = ()
 
     def show(self, checks: tuple[Check, ...]) -> None:
-        """Show what has changed since the last time."""
+        """Show what has changed since the last time, and what is in the way no more."""
         changed = [check for check in checks if check not in self._shown]
+        names = {check.name for check in checks}
+        gone = [
+            Check(check.name, "PASS", f"no more: {check.detail}")
+            for check in self._shown
+            if check.verdict != "PASS" and check.name not in names
+        ]
         self._shown = checks
-        if changed:
-            talk.print(check_table(changed))
+        if changed or gone:
+            talk.print(check_table([*changed, *gone]))
 
 
 @contextmanager

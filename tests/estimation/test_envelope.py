@@ -42,14 +42,13 @@ def fix(t_s: float, north_m: float, sigma_m: float = 0.5) -> NedFix:
     return NedFix(t_s=t_s, position_ne_m=place, covariance_ne_m2=covariance)
 
 
-def flying(speed_m_s: float) -> Ekf:
-    """At the start of a way whose first place is known to a metre."""
+def flying(speed_m_s: float, sigma_m: float = 1.0) -> Ekf:
+    """At the start of a way whose first place is known to a metre, or less well."""
     ekf, place = Ekf(EkfConfig()), np.array([0.0, 0.0, -50.0])
     ekf.handle(Attitude(0.0, LEVEL))
     sigma_m_s = 1.0 + speed_m_s
-    ekf.initialise(
-        Start(t_s=0.0, position_ned_m=place, sigma_m=1.0, agl_m=50.0, sigma_velocity_m_s=sigma_m_s)
-    )
+    start = Start(t_s=0.0, position_ned_m=place, sigma_m=sigma_m, agl_m=50.0)
+    ekf.initialise(replace(start, sigma_velocity_m_s=sigma_m_s))
     return ekf
 
 
@@ -191,6 +190,16 @@ def test_one_sudden_fix_that_nothing_confirms_is_believed_no_further_than_wrong_
         ekf.handle(Attitude(t_s, LEVEL))
     assert ekf.handle(fix(12.2, 100.0)).accepted
     assert ekf.estimate(12.2).sigma_horizontal_m < 2.0
+
+
+def test_two_wrong_fixes_that_are_minutes_apart_do_not_agree_by_chance():
+    """Of an unsure place: 49 m lay between them, and the second was believed to 1.6 m."""
+    ekf, t_s = flying(0.0, sigma_m=100.0), 0.0
+    for place_ne_m in ([150.0, 0.0], [105.0, 20.0]):
+        t_s = follow(ekf, t_s, 40.0, np.zeros(2))
+        wrong = replace(fix(t_s, 0.0), position_ne_m=np.array(place_ne_m))
+        assert ekf.handle(wrong).verdict is Verdict.UNCONFIRMED
+    assert ekf.estimate(t_s).sigma_horizontal_m > 20.0
 
 
 @pytest.mark.parametrize("off_m", [-30.0, 20.0, 40.0])

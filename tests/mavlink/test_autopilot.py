@@ -279,6 +279,22 @@ def test_an_origin_is_not_looked_for_in_flight_nor_given_up_in_a_cut(bench):
     assert bench.offset_ned_m() == pytest.approx([0.0, 0.0, 0.0], abs=0.2)
 
 
+@pytest.mark.parametrize("after_s", [0.1, 0.9])
+def test_who_arms_while_its_origin_is_looked_for_is_not_left_without_estimates(bench, after_s):
+    """Answers that are lost tell nothing: in the air they were taken for an origin forgotten."""
+    bench.has_origin()
+    bench.peer.origin, bench.peer.keeps_origin = None, True  # it answers nothing
+    bench.peer.heard.clear()
+    bench.wait(lambda: bench.peer.commands(512), 7.0)
+    bench.run(after_s)
+    bench.peer.armed = True
+    bench.run(1.0)
+    bench.peer.heard.clear()
+    bench.run(4.0, lambda: bench.autopilot.send_estimate(bench.estimate()))
+    assert len(bench.peer.of("VISION_POSITION_ESTIMATE")) > 100
+    assert not bench.peer.of("SET_GPS_GLOBAL_ORIGIN")
+
+
 def test_the_autopilots_own_position_is_told_about_the_runs_origin(bench):
     bench.peer.origin = (604040000, 224610000, 40000)
     bench.has_origin()

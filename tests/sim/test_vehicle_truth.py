@@ -224,6 +224,26 @@ def test_of_two_vehicles_on_one_port_one_is_followed_until_it_is_silent(sender: 
     until(lambda: newest_deg(sender.reader) == pytest.approx(51.0))
 
 
+def test_of_two_vehicles_on_one_port_the_one_that_is_followed_is_asked(sender: Sender) -> None:
+    """The other one's rates are its owner's; what it does not hear, the right one cannot do."""
+    sender.send(hil(41.0))
+    sender.reader.wait(2.0)
+    asked = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.setblocking(False)
+        for _ in range(25):
+            for socket_, packer in ((other, ANOTHERS), (sender.socket, PACKER)):
+                beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
+                told = bytes(beat.pack(packer)) + hil(41.0, packer=packer)
+                socket_.sendto(told, ("127.0.0.1", sender.port))
+            time.sleep(0.05)
+            if (request := sender.asked("COMMAND_LONG")) is not None:
+                asked.append(request.target_system)
+        assert set(asked) == {3}
+        with pytest.raises(BlockingIOError):
+            other.recv(1000)
+
+
 def state_at(t_s: float, w: float = 1.0, lon_deg: float = 0.0) -> TruthState:
     return TruthState(t_s, 0.0, lon_deg, 0.0, (w, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
 

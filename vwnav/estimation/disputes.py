@@ -121,13 +121,17 @@ def by_half(
     return after, seen_from((newest,), state, after, measurement)
 
 
-def agreeing(rejected: RejectedInnovations, drift_per_s: float) -> RejectedInnovations:
-    """Those that want the same change as the newest one, itself included.
+def agreeing(
+    rejected: RejectedInnovations, drift_per_s: float, window_s: float = math.inf
+) -> RejectedInnovations:
+    """Those of the last `window_s` that want the same change as the newest one, itself included.
 
     Two agree when their residuals differ by no more than their covariances, and the drift that the
     prediction may have made between them, explain at 99.9 %.
     """
-    return tuple(each for each in rejected if _agree(each, rejected[-1], drift_per_s))
+    newest = rejected[-1]
+    recent = (each for each in rejected if each.t_s >= newest.t_s - window_s)
+    return tuple(each for each in recent if _agree(each, newest, drift_per_s))
 
 
 def _agree(

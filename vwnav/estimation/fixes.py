@@ -234,7 +234,7 @@ def _disputed(
     if state.position_known:
         window_s, least = config.dispute_window_s, 3 * config.relocation_fixes // 2
         rejected = remember(state.rejected_fixes, fix.t_s, measurement, window_s, least)
-        if told.accepted and len(agreeing(rejected, drift)) >= config.sudden_fixes:
+        if told.accepted and len(agreeing(rejected, drift, window_s)) >= config.sudden_fixes:
             return replace(correct(state, measurement), rejected_fixes=()), told
         if told.accepted:
             after = leaning(state, measurement, config.lone_fix_sigma_m)

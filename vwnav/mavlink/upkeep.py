@@ -189,7 +189,7 @@ class OriginAgreement:
         self._telemetry.origin_offset_ned_m = None
         offset_ned_m = yield from self._ask(frame)
         tries = 0
-        while _is_far(offset_ned_m):
+        while _is_far(offset_ned_m) and not (self._telemetry.armed and self._told is not None):
             tries += 1
             if tries > (_UNCONFIRMED_TRIES if offset_ned_m is None else _ORIGIN_TRIES):
                 break
@@ -202,13 +202,18 @@ class OriginAgreement:
             self._take(offset_ned_m)
 
     def _look_again(self, frame: LocalFrame) -> Generator[None, None, None]:
-        """An answer may be lost once; where nothing is heard at all nothing is known."""
+        """An answer may be lost once; where nothing is heard at all nothing is known.
+
+        Who is armed meanwhile flies on the one that was told last.
+        """
         asked_s = self._clock()
         offset_ned_m = yield from self._ask(frame)
         if offset_ned_m is None:
             offset_ned_m = yield from self._ask(frame)
         if offset_ned_m is not None:
             self._take(offset_ned_m)
+        elif self._telemetry.armed:
+            return
         elif self._told is None:
             self._send("SET_GPS_GLOBAL_ORIGIN", self._fields(frame))
         elif self._telemetry.heard_s > asked_s:

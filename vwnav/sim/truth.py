@@ -131,11 +131,11 @@ class TruthReader:
             if kind == "BAD_DATA":
                 continue
             self._parsers[source] = parser
+            if self._is_anothers(message, now_s):
+                continue
             self._line.talk_to(source)
             if kind == "HEARTBEAT":
                 self._meet(message)
-            elif self._is_anothers(message, now_s):
-                continue
             elif kind == "TIMESYNC":
                 self._learn(message, now_s)
             elif kind == "HIL_STATE_QUATERNION":
