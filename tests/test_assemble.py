@@ -29,5 +29,13 @@ def test_what_a_pack_says_of_itself_is_what_a_flight_begins_with(
 ) -> None:
     pack = cast(MapPack, SimpleNamespace(georeference_sigma_m=sigma_m, georeference_basis=basis))
     assert with_map(Config(), pack).ekf.map_stated_sigma_m == pytest.approx(stated_m)
-    worse = replace(EkfConfig(), map_stated_sigma_m=5.0)
-    assert with_map(Config(ekf=worse), pack).ekf.map_stated_sigma_m == 5.0
+
+
+def test_where_a_pack_says_nothing_the_settings_count() -> None:
+    config = Config(ekf=replace(EkfConfig(), map_stated_sigma_m=0.7))
+    silent, good = (
+        cast(MapPack, SimpleNamespace(georeference_sigma_m=0.4, georeference_basis=basis))
+        for basis in ("assumed", "estimated")
+    )
+    assert with_map(config, silent).ekf.map_stated_sigma_m == 0.7
+    assert with_map(config, good).ekf.map_stated_sigma_m == 0.4

@@ -75,11 +75,13 @@ def with_map(config: Config, pack: MapPack) -> Config:
     """The settings with how far off from place to place the map is, by what its pack says.
 
     Sources that overlap disagree by just that. Of what an operator gives half the variance is
-    taken for a shift of the whole, which flight cannot see. What is assumed says nothing.
+    taken for a shift of the whole, which flight cannot see. What is assumed says nothing: there
+    the settings count.
     """
-    share = _OF_PLACES.get(pack.georeference_basis, 0.0)
-    stated_m = min(math.sqrt(share) * pack.georeference_sigma_m, _MOST_STATED_M)
-    ekf = replace(config.ekf, map_stated_sigma_m=max(config.ekf.map_stated_sigma_m, stated_m))
+    if pack.georeference_basis not in _OF_PLACES:
+        return config
+    stated_m = math.sqrt(_OF_PLACES[pack.georeference_basis]) * pack.georeference_sigma_m
+    ekf = replace(config.ekf, map_stated_sigma_m=min(stated_m, _MOST_STATED_M))
     return config.model_copy(update={"ekf": ekf})
 
 

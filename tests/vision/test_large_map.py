@@ -13,7 +13,7 @@ from large_map import spread
 from vwnav.maps.pack import MapPack
 from vwnav.types import Prior
 from vwnav.vision.localizer import Localizer
-from vwnav.vision.rivals import REFINED_COARSE
+from vwnav.vision.rivals import KEPT_COARSE
 
 FIRST = 3  # pieces that the pack itself and the query hold on to
 WAYS = 4
@@ -37,4 +37,4 @@ def test_a_search_holds_on_to_the_pieces_of_its_best_places_alone(
         frame = frame_at(texture(7), 0.0, 0.0, 90.0, rng=np.random.default_rng(3))
         prior = Prior(agl_m=90.0, sigma_agl_ratio=0.1, roll_rad=0.0, pitch_rad=0.0)
         Localizer(pack, learned, CAMERA).localize(frame, prior, 0)
-    assert max(held) <= REFINED_COARSE + FIRST
+    assert max(held) <= KEPT_COARSE + FIRST

@@ -11,6 +11,7 @@ from vwnav.vision.consensus import Consensus
 from vwnav.vision.query import Query
 
 REFINED_COARSE = 3  # of what a search found, the best
+KEPT_COARSE = 6  # while it goes on: two may prove to be one place
 
 
 class _Found(Protocol):
@@ -32,7 +33,7 @@ Found = TypeVar("Found", bound=_Found)
 
 
 def best_apart(hits: list[Found]) -> list[Found]:
-    """The best of them at places of their own, best first, no more than are looked at closer.
+    """The best of them at places of their own, best first.
 
     Each holds the features of its piece of the map: a search of a large one may not keep them all.
     """
@@ -40,7 +41,7 @@ def best_apart(hits: list[Found]) -> list[Found]:
     for hit in sorted(hits, key=lambda each: each.consensus.log10_nfa):
         if not any(hit.is_place_of(other) for other in apart):
             apart.append(hit)
-    return apart[:REFINED_COARSE]
+    return apart[:KEPT_COARSE]
 
 
 def best_of(
@@ -61,7 +62,7 @@ def best_of(
         RejectReason.FEW_INLIERS, f"nothing like it on the map ({tests} looks)"
     )
     verified: list[Found] = []
-    for rank, hit in enumerate(places):
+    for rank, hit in enumerate(places[:REFINED_COARSE]):
         found = closer(hit)
         if not isinstance(found, Rejected):
             verified.append(found)
