@@ -125,7 +125,7 @@ import sys, threading, time
 from contextlib import ExitStack
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.safety.check import Check
-from vwnav.screen import LiveLine, say, show_checks
+from vwnav.screen import LiveLine, ReadinessTable, say
 
 longest_s = {}
 
@@ -141,7 +141,7 @@ with stderr_that_never_waits(), LiveLine() as line:
     acts = {
         "say": lambda: say("an event " + 200 * "x"),
         "line": lambda: line.show(time.monotonic(), "12.3 s on route " + 60 * "x"),
-        "checks": lambda: show_checks((Check("link", "PASS", "heard"),)),
+        "checks": lambda: ReadinessTable().show((Check("link", "PASS", "heard"),)),
     }
     threads = [threading.Thread(target=loop, args=each) for each in acts.items()]
     for thread in threads:
