@@ -5,6 +5,7 @@ the tree up. Floating point is not the same to the last bit: another order of su
 """
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -146,8 +147,8 @@ def test_doctor_finds_the_autopilot_on_the_link(aarch64, cpu):
 
 
 @pytest.fixture(scope="session")
-def flight(tmp_path_factory) -> Path:
-    """Map of 100 km2, calibration, telemetry and 60 images of a flight, drawn once."""
+def flight(tmp_path_factory) -> Iterator[Path]:
+    """Map of 100 km2 (2.4 GB), calibration, telemetry and 60 images of a flight, drawn once."""
     folder = tmp_path_factory.mktemp("flight")
     site = parse_site("sim:default")
     frame = LocalFrame(site.home_lat_deg, site.home_lon_deg, 0.0)
@@ -180,7 +181,8 @@ def flight(tmp_path_factory) -> Path:
     }  # fmt: skip
     start = {"origin": [site.home_lat_deg, site.home_lon_deg, 0.0], "known": known}
     (folder / "start.json").write_text(json.dumps(start))
-    return folder
+    yield folder
+    (folder / "map.mbtiles").unlink()  # pytest keeps its folders
 
 
 @pytest.mark.long

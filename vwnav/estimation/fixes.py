@@ -40,6 +40,7 @@ from vwnav.geometry.rotations import wrap_pi
 # A copy without any error of its own would make P singular: metres, radians, metres.
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
+_SMALLEST_SIGMA_M = 0.03
 _HOVERS_M_S, _OF_SCALE = 1.0, 0.1  # seen on and on, one place is out of scale, by less than that
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
@@ -47,7 +48,6 @@ _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error an
 _TURNED_COS = math.cos(math.radians(40.0))
 _LONE_SHARE = 1.0 / 3.0  # of a variance, as noise: halves a sigma, from these sigmas on
 _OPEN_M, _OPEN_RAD, _LONE_HEADING_RAD = 2.25, math.radians(4.0), math.radians(15.0)
-_SMALLEST_SIGMA_M = 0.03
 _AGREEING_S = 10.0  # a fix that agrees with one so shortly before it is trusted
 
 

@@ -165,13 +165,13 @@ def phase(within_s: float, *names: str) -> Follows:
     return Follows(f"phase {' or '.join(names)}", within_s, when)
 
 
-def said(within_s: float, text: str) -> Follows:
-    """The program says so."""
+def said(within_s: float, *texts: str) -> Follows:
+    """The program says one of these."""
 
     def when(track: FlightTrace, _: float) -> list[float]:
-        return [each.t_s for each in track.events if text in each.text]
+        return [each.t_s for each in track.events if any(text in each.text for text in texts)]
 
-    return Follows(f"says {text!r}", within_s, when)
+    return Follows(f"says {' or '.join(map(repr, texts))}", within_s, when)
 
 
 def unsaid(within_s: float, text: str) -> Follows:
