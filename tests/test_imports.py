@@ -65,7 +65,7 @@ ALLOWED = {
     "bench": BASE
     | {"geometry", "maps", "vision", "estimation", "guidance", "safety", "mavlink", "watchdog"}
     | {"pipeline", "mission", "flight", "runtime", "rules", "recording", "cameras"}
-    | {"sim", "config", "assemble", "screen", "onboard", "seams"},
+    | {"sim", "config", "assemble", "screen", "onboard", "seams", "calibration"},
 }
 
 

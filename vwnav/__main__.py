@@ -20,6 +20,7 @@ from vwnav.cli.bench.estimator import estimator
 from vwnav.cli.bench.features import drift, features
 from vwnav.cli.bench.flights import flights
 from vwnav.cli.bench.localizer import localizer
+from vwnav.cli.bench.mount import mount
 from vwnav.cli.bench.shutter import shutter
 from vwnav.cli.bench.significance import significance
 from vwnav.cli.bench.speed import speed
@@ -54,6 +55,7 @@ for measure in (
     estimator,
     flights,
     localizer,
+    mount,
     shutter,
     significance,
     speed,

@@ -144,6 +144,7 @@ def real_flight(
     route_text: str = ROUTE_TEXT,
     hear: Callable[[Any], None] | None = None,
     in_others: bool = False,
+    settings: str = "",
 ) -> Iterator[RealFlight]:
     """Start vehicle and navigator; both are gone at the end.
 
@@ -155,6 +156,7 @@ def real_flight(
         route_text: what is flown.
         hear: is called with messages of the link, through a relay.
         in_others: it is those that follow the navigator that are broken.
+        settings: of the navigator, as `--config` takes them.
     """
     link, truth = free_ports(2)
     config = VehicleConfig(
@@ -164,11 +166,14 @@ def real_flight(
     )  # fmt: skip
     route = folder / "route.txt"
     route.write_text(route_text)
+    config_path = folder / "vwnav.toml"
+    config_path.write_text(settings)
     vehicle_url = f"udpin://127.0.0.1:{link}"
     relay = None if hear is None else Relay(vehicle_url, hear)
     command = [
         sys.executable, "-m", "vwnav", "fly", "--video", "sim:default", "--map", "sim:default",
-        "--route", str(route), "--home", f"{HOME.lat_deg},{HOME.lon_deg}",
+        "--route", str(route), "--config", str(config_path),
+        "--home", f"{HOME.lat_deg},{HOME.lon_deg}",
         "--connection", vehicle_url if relay is None else relay.url,
         "--truth", f"udpout:127.0.0.1:{truth}", "-o", str(folder / "run"),
     ]  # fmt: skip

@@ -5,12 +5,13 @@ from contextlib import closing
 import cv2
 import numpy as np
 import pytest
-from mount_recording import Mounted, record
 
+from vwnav.bench.mount.recorded import Mounted, record
 from vwnav.geometry.calibration import load_camera, load_findings, save_camera
 from vwnav.geometry.rotations import vector_from_rotation
 from vwnav.recording.input_log import About, InputLog
 from vwnav.recording.recorder import Recorder
+from vwnav.sim.named_sites import parse_site
 from vwnav.sim.renderer import default_camera
 from vwnav.types import Attitude
 
@@ -31,7 +32,7 @@ def mount(vwnav, place, tmp_path):
 @pytest.mark.long
 def test_a_wrongly_mounted_late_and_rolling_camera_is_found_out(mount, place, tmp_path):
     truth = Mounted()
-    R_body_camera = record(tmp_path / "flight.mcap", truth, place.frame)
+    R_body_camera = record(tmp_path / "flight.mcap", truth, parse_site("sim:default"))
     done, out = mount(tmp_path / "flight.mcap")
     assert done.code == 0, done.err
     assert "lever arm: not told by this flight" in done.err

@@ -42,6 +42,20 @@ class MountOptions:
     output: Path
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundMount:
+    """What a flight tells of its camera.
+
+    Attributes:
+        verdict: what is taken of it. fit: what the least squares found.
+        images: that have an attitude.
+    """
+
+    verdict: MountVerdict
+    fit: MountFit
+    images: int
+
+
 def calibrate_mount(options: MountOptions) -> None:
     """Find the images on the map, solve, write the calibration and print what was told.
 
@@ -49,6 +63,18 @@ def calibrate_mount(options: MountOptions) -> None:
         VwnavError: of a file, or the flight tells nothing.
     """
     check_writable(options.output)
+    found = find_mount(options)
+    findings = load_findings(options.camera) | found.verdict.findings
+    save_camera(found.verdict.camera, options.output, findings)
+    _report(found, options.output)
+
+
+def find_mount(options: MountOptions) -> FoundMount:
+    """Find the images on the map and solve.
+
+    Raises:
+        VwnavError: of a file, or the flight tells nothing.
+    """
     cv2.setNumThreads(1)
     flown = load_camera(options.camera)
     flight = read_flight(options.source, options.telemetry)
@@ -62,9 +88,7 @@ def calibrate_mount(options: MountOptions) -> None:
     bank_rad = float(np.arccos(np.clip(upright.min(), -1.0, 1.0)))
     heights = bool(np.isfinite([each.height_m for each in sightings]).mean() > 0.5)
     verdict = judge(flown, fit, options.focal, heights, bank_rad)
-    findings = load_findings(options.camera) | verdict.findings
-    save_camera(verdict.camera, options.output, findings)
-    _report(verdict, fit, session, options.output)
+    return FoundMount(verdict, fit, len(session.stamps))
 
 
 class _MountSession:
@@ -129,15 +153,15 @@ class _MountSession:
         return (frame for frame in images_of(self._source) if frame.t_s in wanted_s)
 
 
-def _report(verdict: MountVerdict, fit: MountFit, session: _MountSession, output: Path) -> None:
+def _report(found: FoundMount, output: Path) -> None:
     rows = []
-    for each in verdict.told:
+    for each in found.verdict.told:
         rows.append((each.name, "refused" if each.refused else each.value))
         if each.refused:
             say(f"{each.name}: not told by this flight, left as it was: {each.refused}")
     rows += [
-        ("pictures on the map", f"{fit.images} of {len(session.stamps)} with an attitude"),
-        ("a point's error", f"{fit.sigma_px:.2f} px"),
+        ("pictures on the map", f"{found.fit.images} of {found.images} with an attitude"),
+        ("a point's error", f"{found.fit.sigma_px:.2f} px"),
         ("written to", str(output)),
     ]
     print_table("mount calibration", rows)

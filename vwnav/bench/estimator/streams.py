@@ -75,7 +75,7 @@ class MeasurementStream:
 
 def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -> MeasurementStream:
     """The streams of one flight."""
-    errors = _AttitudeErrors(world, truth, rng)
+    errors = AttitudeErrors(world, truth, rng)
     events = [
         *_attitudes(truth, errors),
         *_heights(world, truth, rng),
@@ -90,7 +90,7 @@ def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -
     return MeasurementStream(truth, events, measured, table, errors.quats)
 
 
-class _AttitudeErrors:
+class AttitudeErrors:
     """The autopilot's attitude Rz(yaw error) exp(tilt) R_true.
 
     Its gyro holds the tilt in NED while the body turns; within seconds it is levelled anew, to a
@@ -162,7 +162,7 @@ def _multiply(a: Array, b: Array) -> Array:
     return np.concatenate([scalar, w0 * v1 + w1 * v0 + np.cross(v0, v1)], axis=1)
 
 
-def _attitudes(truth: TrueTrajectory, errors: _AttitudeErrors) -> list[MeasurementEvent]:
+def _attitudes(truth: TrueTrajectory, errors: AttitudeErrors) -> list[MeasurementEvent]:
     times = truth.t_s.tolist()
     return [
         MeasurementEvent(times[i] + _ATTITUDE_LATE_S, Attitude(times[i], errors.quats[i]))
@@ -213,7 +213,7 @@ def _heights(
 
 
 def _odometry(
-    world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, rng: np.random.Generator
+    world: FilterWorld, truth: TrueTrajectory, errors: AttitudeErrors, rng: np.random.Generator
 ) -> list[MeasurementEvent]:
     """Ways from keyframes that are replaced as the view changes; the first image is one."""
     events: list[MeasurementEvent] = []
@@ -254,7 +254,7 @@ def _odometry(
 
 
 def _slope_seen(
-    world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, key: int, now: int
+    world: FilterWorld, truth: TrueTrajectory, errors: AttitudeErrors, key: int, now: int
 ) -> tuple[Array | None, Array | None]:
     """Rise of the ground about a keyframe as its attitude has it, and covariance, of a long way."""
     place, tilt = truth.position_ned_m[key, :2], errors.seen_ne[key]
@@ -287,7 +287,7 @@ def _tilted_rad(quat0: Array, quat1: Array) -> Array:
 
 
 def _fixes(
-    world: FilterWorld, truth: TrueTrajectory, errors: _AttitudeErrors, rng: np.random.Generator
+    world: FilterWorld, truth: TrueTrajectory, errors: AttitudeErrors, rng: np.random.Generator
 ) -> list[MeasurementEvent]:
     events: list[MeasurementEvent] = []
     map_error = world.map_error_m * _waves(truth, 2, rng)

@@ -1,0 +1,1 @@
+"""`vwnav calibrate mount` over rendered flights whose camera hangs as was drawn."""
