@@ -1,5 +1,6 @@
 """Videos whose container counts otherwise than by pictures, or asks to be shown turned."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -91,6 +92,21 @@ def test_a_matroska_that_ends_in_zeros_is_one_clear_line(tmp_path, zeros):
     (tmp_path / "a.mkv").write_bytes(b"\x1a\x45\xdf\xa3\x80" + bytes(zeros))
     with pytest.raises(SourceError, match="is not a video that can be opened"):
         VideoFile(tmp_path / "a.mkv")
+
+
+@pytest.mark.parametrize("number", [0, 1, 10, COUNT - 2])
+def test_a_stamp_of_the_far_future_dates_one_picture_alone(tmp_path, number):
+    path = tmp_path / "a.mkv"
+    data = video(path)
+    before = [frame.t_s for frame in frames_of(open_source(str(path)))]
+    # SimpleBlock (RFC 9559, 5.1.3.4): track 1, time in its cluster, flags, first bits of MPEG-4.
+    block = re.compile(rb"\xa3[\x40-\x7f].\x81(..)[\x00\x80]\x00\x00\x01", re.DOTALL)
+    times = [found.start(1) for found in block.finditer(data)]
+    assert len(times) == COUNT
+    struct.pack_into(">h", data, times[number], 32000)  # ms
+    path.write_bytes(data)
+    after = [frame.t_s for frame in frames_of(open_source(str(path)))]
+    assert after == pytest.approx(before, abs=0.02)
 
 
 def test_a_video_that_asks_to_be_turned_is_taken_as_it_was_taken(tmp_path, caplog):

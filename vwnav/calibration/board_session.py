@@ -29,6 +29,7 @@ class BoardSession:
         size_wh: of the images in pixels.
         mode: of the camera's sensor; None where the source does not say.
         seen: images that were looked at.
+        cut_short: whether a person ended the last watch of a live camera, which could go on.
     """
 
     def __init__(self, images: FrameSource) -> None:
@@ -37,14 +38,16 @@ class BoardSession:
         self.size_wh, self.seen = (0, 0), 0
         self.coverage = Coverage(self.size_wh)
         self.mode: SensorMode | None = None
+        self.cut_short = False
 
     def watch(self) -> None:
-        """Until the source ends, the views of a live one are enough, or Ctrl-C.
+        """Until the source ends, the views of a live one are enough, or Ctrl-C; it may go on then.
 
         Raises:
             VwnavError: of the source before its first image, and of one that is not live later,
                 too; its images are of several sizes.
         """
+        self.cut_short = False
         with LiveLine() as line:
             try:
                 for frame in self._frames():
@@ -52,6 +55,7 @@ class BoardSession:
                     if self._live and not missing:
                         break
             except KeyboardInterrupt:
+                self.cut_short = self._live
                 say("enough: taking what there is")
         if not self.seen:
             raise SourceError("no picture came")

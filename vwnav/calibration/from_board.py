@@ -31,18 +31,11 @@ def calibrate_camera(source: str, output: Path) -> None:
     images = open_source(source)
     session = BoardSession(images)
     try:
-        session.watch()
+        fit = _watch(session)
     finally:
         images.close()
     coverage = session.coverage
-    if not coverage.views:
-        raise CalibrationError(
-            f"the board is in none of {session.seen} pictures: `vwnav calibrate board` draws it; "
-            "it wants light, a sharp picture, and a white margin"
-        )
-    fit = fit_lens(coverage.views, session.size_wh)
     doubts = _doubts(fit, coverage)
-    _refuse_useless(fit, coverage)
     verdict = "good" if not doubts else "usable"
     findings = {
         "verdict": verdict,
@@ -57,6 +50,41 @@ def calibrate_camera(source: str, output: Path) -> None:
     if session.mode is not None:
         rows.append(("mode of the sensor", str(session.mode)))
     print_table("camera calibration", rows)
+
+
+def _watch(session: BoardSession) -> LensFit:
+    """Until the views fix a lens; who takes too few of a live camera is told, and may go on.
+
+    Raises:
+        VwnavError: of the source; the images fix no lens, and no more were shown.
+    """
+    while True:
+        before = len(session.coverage.views)
+        session.watch()
+        views = len(session.coverage.views)
+        try:
+            return _fitted(session)
+        except CalibrationError as error:
+            if not session.cut_short or views == before:
+                raise
+            say(f"{error}; {views} views are kept: go on, or Ctrl-C again gives them up")
+
+
+def _fitted(session: BoardSession) -> LensFit:
+    """The lens of what was shown.
+
+    Raises:
+        CalibrationError: there is nothing that fixes one.
+    """
+    coverage = session.coverage
+    if not coverage.views:
+        raise CalibrationError(
+            f"the board is in none of {session.seen} pictures: `vwnav calibrate board` draws it; "
+            "it wants light, a sharp picture, and a white margin"
+        )
+    fit = fit_lens(coverage.views, session.size_wh)
+    _refuse_useless(fit, coverage)
+    return fit
 
 
 def _doubts(fit: LensFit, coverage: Coverage) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vwnav.cameras.video_container import is_cut_off, what_is_counted
 from vwnav.errors import SourceError
@@ -54,6 +55,7 @@ class VideoFile:
         self._index = 0
         self._last_t_s = -1.0
         self._ahead: deque[Frame] = deque()
+        self._coming = self._decoded()
 
     def next_frame(self) -> Frame | None:
         """The next image, None after the last.
@@ -76,15 +78,31 @@ class VideoFile:
         self._video.release()
 
     def _read(self) -> Frame | None:
+        now, self._coming = self._coming, None
+        if now is None:
+            return None
+        self._coming = self._decoded()
+        self._last_t_s, index = self._time_of(now[0]), self._index
+        self._index += 1
+        return Frame(self._last_t_s, now[1], index)
+
+    def _decoded(self) -> tuple[float, NDArray[np.uint8]] | None:
+        """The next image and its stamp, s."""
         good, image = self._video.read()
         if not good:
             return None
-        t_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-        if t_s <= self._last_t_s:  # a container without time stamps, or with broken ones
-            t_s = self._last_t_s + 1.0 / self._fps
-        self._last_t_s, index = t_s, self._index
-        self._index += 1
-        return Frame(t_s, np.asarray(image, dtype=np.uint8), index)
+        return self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(image, dtype=np.uint8)
+
+    def _time_of(self, stamp_s: float) -> float:
+        """A stamp as it is, but where it does not go on, or the next one does and it does not.
+
+        A container may have no stamps, or broken ones; one in the far future dates that image
+        alone wrongly, not all that follow.
+        """
+        ahead = self._coming is not None and self._last_t_s < self._coming[0] <= stamp_s
+        if stamp_s > self._last_t_s and not ahead:
+            return stamp_s
+        return self._last_t_s + 1.0 / self._fps if self._index else 0.0
 
     def _check_end(self) -> None:
         if self._index == 0:
