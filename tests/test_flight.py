@@ -824,6 +824,45 @@ def test_after_a_longer_gap_hold_and_land_are_asked_for_once_the_autopilot_agree
     assert "lost for too long" in scene.flight.end.reason
 
 
+def hold_asked_for(mode: FlightMode) -> Scene:
+    """In a failsafe after a long gap, just after Hold was asked for; it has not been answered."""
+    scene = failsafe(gap(on_route(), 4.0), mode)
+    scene.vehicle.answers_after = 1000
+    scene.vehicle.be(own_position_ned_m=scene.vehicle.position.copy())
+    return scene.run(lambda scene: scene.vehicle.asked[-1] == "hold").go_on(0.4)
+
+
+@pytest.mark.parametrize("intended", [FlightMode.MANUAL, FlightMode.UNKNOWN])
+@pytest.mark.parametrize("sticks", [True, False])
+def test_a_pilot_who_takes_over_while_hold_is_asked_for_is_not_landed_against(intended, sticks):
+    """Whether his radio is heard, or nobody has told yet who chose the mode."""
+    scene = hold_asked_for(FlightMode.DESCEND)
+    asked = list(scene.vehicle.asked)
+    scene.vehicle.be(
+        mode=FlightMode.MANUAL, intended_mode=intended, failsafe=False, rc_available=sticks
+    )
+    scene.go_on(8.0)
+    assert scene.vehicle.asked == asked
+    assert scene.flight.phase is Phase.RELEASED
+
+
+@pytest.mark.parametrize("mode", [FlightMode.RETURN, FlightMode.OTHER])
+def test_nor_is_one_who_chooses_a_mode_of_the_autopilot_s(mode):
+    scene = hold_asked_for(FlightMode.DESCEND)
+    asked = list(scene.vehicle.asked)
+    scene.vehicle.be(mode=mode, failsafe=False)
+    scene.go_on(8.0)
+    assert scene.vehicle.asked == asked
+    assert scene.flight.phase is Phase.RELEASED
+
+
+def test_a_hold_that_is_told_to_be_wanted_while_the_failsafe_flies_on_is_ours():
+    scene = hold_asked_for(FlightMode.DESCEND)
+    scene.vehicle.be(intended_mode=FlightMode.HOLD)
+    scene.go_on(3.0)
+    assert scene.flight.phase is Phase.LAND
+
+
 @pytest.mark.parametrize("trouble", ["battery", "nothing on our side"])
 def test_a_failsafe_that_is_not_for_want_of_us_is_flown_to_its_end_and_not_made_worse(trouble):
     scene = on_route()

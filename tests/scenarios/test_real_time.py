@@ -3,11 +3,13 @@
 Bounds are wide: these machines are shared. The narrow ones are measured (docs/flying.md).
 """
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -302,6 +304,14 @@ def test_a_watchdog_that_hangs_is_replaced_and_the_aircraft_lands_near_by(tmp_pa
         assert np.hypot(*(flight.place_ned_m() - stopped_at)[:2]) < 30.0
 
 
+def _hear_at_once() -> None:
+    """Threads of ours go first: who hears a setpoint is an autopilot, on a processor of its own."""
+    for thread in threading.enumerate():
+        assert thread.native_id is not None
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, thread.native_id, -20)
+
+
 THERE_AND_BACK = "".join(f"{i},{90 * (i % 2)},{-10 * (i % 3)},32\n" for i in range(1, 41))
 
 
@@ -315,6 +325,7 @@ def _gaps_s(tmp_path, kinds: tuple[str, ...], settings: str = "") -> dict[str, n
 
     with real_flight(tmp_path, route_text=THERE_AND_BACK, hear=note, settings=settings) as flight:
         flight.wait_until_on_route()
+        _hear_at_once()
         begun_s = time.monotonic()
         flight.wait(lambda: time.monotonic() - begun_s > 600.0, 620.0)
         end_s = time.monotonic()
@@ -343,6 +354,6 @@ def test_setpoints_come_steadily_for_ten_minutes_beside_a_busy_loop(tmp_path):
 @pytest.mark.alone
 def test_the_link_keeps_its_rate_for_ten_minutes_while_the_matcher_takes_both_cores(tmp_path):
     flat_out = "[features]\nthreads = 2\n[pipeline]\nfix_interval_s = 0.0\n"
-    kinds = ("SET_POSITION_TARGET_LOCAL_NED", "ODOMETRY")
+    kinds = ("SET_POSITION_TARGET_LOCAL_NED", "VISION_POSITION_ESTIMATE")
     for kind, gaps_s in _gaps_s(tmp_path, kinds, flat_out).items():
         assert np.percentile(gaps_s, 99.9) <= 0.06, kind

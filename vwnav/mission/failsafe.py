@@ -61,7 +61,7 @@ class FailsafeRecovery:
         assert self._recovery is not None
         if vehicle.is_fallback:
             self.interrupted = None
-        if decision.action is Action.RELEASE and not self._recovery.has_asked:
+        if decision.action is Action.RELEASE and not self._recovery.has_brought(vehicle):
             return Next(Phase.RELEASED, decision.reason)
         self.note(navigation, t_s)
         gap_s = math.inf if self._lost_lately(t_s) else gap_s

@@ -54,14 +54,24 @@ class Recovery:
 
     @property
     def has_asked(self) -> bool:
-        """Hold has been asked for: that mode is ours."""
+        """Hold has been asked for."""
         return self._held_s is not None
+
+    def has_brought(self, vehicle: VehicleState) -> bool:
+        """It flies the Hold that was asked for, or will once it has a position: that is ours.
+
+        Any other mode in the meantime is somebody's.
+        """
+        told = vehicle.mode is FlightMode.HOLD or vehicle.intended_mode is FlightMode.HOLD
+        return self.has_asked and told and not vehicle.has_sticks
 
     def step(
         self, vehicle: VehicleState, estimate: Estimate | None, gap_s: float, t_s: float
     ) -> Wish:
         """The wish of this tick; `gap_s` is how long link or estimates were missing."""
         if self._held_s is not None:
+            if vehicle.may_be_pilots:
+                return Wish.WAIT  # whose mode it is has not been told yet
             waited = t_s - self._held_s >= _HOLD_WAIT_S
             return Wish.LAND if waited or vehicle.mode is FlightMode.HOLD else Wish.WAIT
         if vehicle.mode in (FlightMode.OFFBOARD, FlightMode.TAKEOFF):
