@@ -190,6 +190,15 @@ def test_what_is_broken_on_purpose_need_not_be_steady() -> None:
     assert verdict_of(pause, cut) == "held"
 
 
+@pytest.mark.parametrize(("round_trip_s", "verdict"), [(0.0, "broken"), (0.3, "held")])
+def test_what_was_said_before_a_pilot_was_heard_of_may_still_come(round_trip_s, verdict) -> None:
+    """Rows are of the autopilot's end of a line that takes its time, both ways."""
+    log = with_mode(good_flight(), FlightMode.MANUAL, 15.0)
+    log = silent(log, "setpoints", 15.5, math.inf)
+    rule = next(rule for rule in RULES if rule.name == "setpoint after the pilot")
+    assert verdict_of(rule, replace(log, round_trip_s=round_trip_s)) == verdict
+
+
 def test_a_pilot_who_hands_it_back_is_obeyed() -> None:
     log = with_mode(good_flight(), FlightMode.MANUAL, 15.0, 18.0)
     log = silent(log, "setpoints", 15.0, 18.1)

@@ -137,7 +137,9 @@ COMMANDS = (
         "command after the pilot",
         "Once a person has the aircraft nothing is commanded until it is handed back.",
         ("vehicle", "commands"),
-        lambda log: never_while(after(PILOT_S, taken(log)), _of_control(log), _asked),
+        lambda log: never_while(
+            after(PILOT_S + log.round_trip_s, taken(log)), _of_control(log), _asked
+        ),
     ),
     Rule(
         "own commands",

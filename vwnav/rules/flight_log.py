@@ -172,6 +172,7 @@ class FlightLog:
         map_off_m: how far the map itself is off.
         map_sigma_m: one sigma of that, per axis, where it is not known.
         broken: when something was broken on purpose: what must be steady need not be then.
+        round_trip_s: of the line, both ways together: rows are of the autopilot's end.
     """
 
     bounds: FlightLimits = field(default_factory=FlightLimits)
@@ -194,6 +195,7 @@ class FlightLog:
     map_off_m: float = 0.0
     map_sigma_m: float = 0.0
     broken: Sequence[Span] = ()
+    round_trip_s: float = 0.0
 
     @cached_property
     def end_s(self) -> float:

@@ -66,7 +66,9 @@ SETPOINTS = (
         "setpoint after the pilot",
         "Once a person has the aircraft no setpoint is sent until it is handed back.",
         ("vehicle", "setpoints"),
-        lambda log: never_while(after(PILOT_S, taken(log)), log.setpoints, _flown),
+        lambda log: never_while(
+            after(PILOT_S + log.round_trip_s, taken(log)), log.setpoints, _flown
+        ),
     ),
     Rule(
         "setpoint out of control",

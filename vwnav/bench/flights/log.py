@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from vwnav.bench.flights.faults.aircraft import SimulatorStands
+from vwnav.bench.flights.faults.link import RoundTrip
 from vwnav.bench.flights.scenario import Flown
 from vwnav.config import Config
 from vwnav.mission.mission import Phase
@@ -32,6 +33,8 @@ def flight_log(flown: Flown) -> FlightLog:
     # Of a time that a simulator did not have, and until a TIMESYNC answer can tell of it.
     stands = any(isinstance(each.fault, SimulatorStands) for each in flown.scenario.breaks)
     stood = [(lo, hi + _ANSWERED_S) for lo, hi in broken] if stands else []
+    faults = [each.fault for each in flown.scenario.breaks]
+    trips = [each.seconds for each in faults if isinstance(each, RoundTrip)]
     return FlightLog(
         bounds=bounds_of(flown.scenario.setup.config),
         vehicle=[
@@ -73,6 +76,7 @@ def flight_log(flown: Flown) -> FlightLog:
             for row in track.truth
         ],
         broken=broken,
+        round_trip_s=max(trips, default=0.0),
     )
 
 
