@@ -5,7 +5,7 @@ the one or the other: x' = f(x), P' = F P F^T + Q, in steps of at most some tent
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +20,7 @@ from vwnav.estimation.inertial.attitudes import (
     true_from_autopilot,
     yaw_of,
 )
-from vwnav.estimation.inertial.gyro_aiding import (
-    correlated_noise_update,
-    explained,
-    gyro_measurement,
-)
+from vwnav.estimation.inertial.gyro_aiding import correlated_noise_update, gyro_measurement
 from vwnav.estimation.inertial.integrals import Measured, white_acceleration
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
 from vwnav.estimation.states import FilterState, States
@@ -33,11 +29,11 @@ from vwnav.types import Array
 
 _STEP_S = 0.1
 _MOST_STEPS = 20  # a long silence is crossed in longer steps; only the thrust is then coarser
-_MAP = np.r_[States.MAP, States.MAP_TURN, States.MAP_SCALE]
+_MAP_TURN_AND_SCALE = slice(States.MAP_TURN, States.MAP_SCALE + 1)
 _OPEN_RAD = 1.0  # a turn by so much in a silence opens the tilt whole, in however many steps
 _STORM_M_S = 20.0  # no wind that is flown in is stronger
 _CALM_BELOW_M = 1.0  # height above ground: nothing is told of the air below
-_LEVEL = np.eye(2)
+_LEVEL, _SPACE, _IDENTITY = np.eye(2), np.eye(3), np.eye(States.SIZE)
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
 
 
@@ -49,8 +45,7 @@ class Transition(NamedTuple):
     Q: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TimeStep:
+class TimeStep(NamedTuple):
     """The time between `state` and a later one, and what the autopilot tells of it.
 
     Attributes:
@@ -132,7 +127,6 @@ def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Ar
     predicted, F, Q = imu_model(x, step, step.imu, context)
     quats, F_tilt = (step.quat0_wxyz, step.quat1_wxyz), F[States.TILT, States.TILT]
     change = gyro_measurement(x, step.imu, quats, step.dt_s, F_tilt, context.config)
-    Q, change = explained(P, Q, change)
     x, P = correlated_noise_update(predicted, P, F, Q, change)
     x[States.HEADING_BIAS] = wrap_pi(float(x[States.HEADING_BIAS]))
     return x, 0.5 * (P + P.T)
@@ -190,21 +184,24 @@ def imu_model(x: Array, step: TimeStep, imu: PreintegratedImu, context: Context)
     white = config.imu_noise_m_s2**2 + imu.velocity_variance_m2_s2 / dt_s
     air = _air(x, dt_s, config)
     moved[States.WIND_FORCE] *= air.keep_wind
-    F[States.WIND_FORCE, States.WIND_FORCE] = air.keep_wind * _LEVEL
     moved[States.GUST_FORCE] *= air.keep_gust
-    F[States.GUST_FORCE, States.GUST_FORCE] = air.keep_gust * _LEVEL
+    keeps, walks = _diagonal(F), _diagonal(Q)
+    keeps[States.WIND_FORCE] = air.keep_wind
+    keeps[States.GUST_FORCE] = air.keep_gust
     Q[States.MOTION, States.MOTION] = _white_acceleration(x, white, white, dt_s, config)
-    Q[States.HEADING_BIAS, States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
-    Q[States.TILT, States.TILT] += config.tilt_slew_rad**2 * dt_s * _LEVEL
-    for states, walk in (
-        (States.ACCELEROMETER_BIAS, config.accelerometer_walk_m_s2),
-        (States.GYRO_BIAS, config.gyro_walk_rad_s),
-    ):
-        Q[states, states] = walk**2 * dt_s * np.eye(3)
-    Q[States.DRAG, States.DRAG] = config.drag_walk_per_s**2 * dt_s
-    Q[States.WIND_FORCE, States.WIND_FORCE] = air.wind_m2_s4 * _LEVEL
-    Q[States.GUST_FORCE, States.GUST_FORCE] = air.gust_m2_s4 * _LEVEL
+    walks[States.HEADING_BIAS] = config.heading_slew_rad**2 * dt_s
+    walks[States.TILT] += config.tilt_slew_rad**2 * dt_s
+    walks[States.ACCELEROMETER_BIAS] = config.accelerometer_walk_m_s2**2 * dt_s
+    walks[States.GYRO_BIAS] = config.gyro_walk_rad_s**2 * dt_s
+    walks[States.DRAG] = config.drag_walk_per_s**2 * dt_s
+    walks[States.WIND_FORCE] = air.wind_m2_s4
+    walks[States.GUST_FORCE] = air.gust_m2_s4
     return Transition(moved, F, Q)
+
+
+def _diagonal(square: Array) -> Array:
+    """(n,) the diagonal of (n, n), to be written to."""
+    return square.reshape(-1)[:: len(square) + 1]
 
 
 class _Air(NamedTuple):
@@ -284,19 +281,21 @@ def _transition(
     moved[States.VELOCITY] += gained
     moved[States.ACCELERATION] *= keep
     moved[States.TILT] = F_tilt @ x[States.TILT]
-    moved[_MAP] *= keep_map
+    moved[States.MAP] *= keep_map
+    moved[_MAP_TURN_AND_SCALE] *= keep_map
     keep_slope = math.exp(-flown_m / config.slope_length_m)
     moved[States.SLOPE] *= keep_slope
     way_m = moved[States.POSITION_NE] - x[States.POSITION_NE]
     moved[States.TERRAIN] += x[States.SLOPE] @ way_m
 
-    F = np.eye(States.SIZE)
-    F[States.POSITION, States.VELOCITY] = flown_s * np.eye(3)
-    F[States.ACCELERATION, States.ACCELERATION] = keep * _LEVEL
+    F = _IDENTITY.copy()
+    keeps = _diagonal(F)
+    keeps[States.ACCELERATION] = keep
+    keeps[States.MAP] = keeps[_MAP_TURN_AND_SCALE] = keep_map
+    keeps[States.SLOPE] = keep_slope
+    F[States.POSITION, States.VELOCITY] = flown_s * _SPACE
     F[States.VELOCITY_NE, States.HEADING_BIAS] = turned[1], -turned[0]
     F[States.TILT, States.TILT] = F_tilt
-    F[_MAP, _MAP] = keep_map
-    F[States.SLOPE, States.SLOPE] = keep_slope * _LEVEL
     F[States.TERRAIN, States.SLOPE] = way_m
     F[States.TERRAIN, States.VELOCITY_NE] = flown_s * x[States.SLOPE]
     known = step.place_known and _follow_ground(x, moved, F, flown_s, context)
@@ -328,21 +327,22 @@ def _walks(
     """(n, n) of Q: random walks that both models share, and what feeds the Gauss-Markov states."""
     dt_s = step.dt_s
     Q = np.zeros((States.SIZE, States.SIZE))
+    walks = _diagonal(Q)
     fed = 1.0 - math.exp(-2.0 * dt_s / config.acceleration_time_s)
-    Q[States.ACCELERATION, States.ACCELERATION] = config.acceleration_sigma_m_s2**2 * fed * _LEVEL
+    walks[States.ACCELERATION] = config.acceleration_sigma_m_s2**2 * fed
     turned_rad = abs(step.turned_rad)
     open_rad = _OPEN_RAD if step.imu is None else turned_rad  # by the gyro it is told step by step
     fed_tilt = 1.0 - math.exp(-2.0 * dt_s / config.tilt_time_s) + open_rad * turned_rad
-    Q[States.TILT, States.TILT] = config.tilt_sigma_rad**2 * fed_tilt * _LEVEL
+    walks[States.TILT] = config.tilt_sigma_rad**2 * fed_tilt
     fed_map = 1.0 - math.exp(-2.0 * flown_m / config.map_length_m)
-    sigmas = step.map_sigma_m, step.map_sigma_m, config.map_turn_rad, config.map_scale
-    Q[_MAP, _MAP] = np.square(sigmas) * fed_map
+    walks[States.MAP] = step.map_sigma_m**2 * fed_map
+    walks[States.MAP_TURN] = config.map_turn_rad**2 * fed_map
+    walks[States.MAP_SCALE] = config.map_scale**2 * fed_map
     climb_m_s = abs(float(x[States.VELOCITY_DOWN]))
-    Q[States.BARO, States.BARO] = (
-        config.baro_walk_m**2 * dt_s + config.baro_climb_walk_m**2 * climb_m_s * dt_s
-    )
+    baro_m2 = config.baro_walk_m**2 + config.baro_climb_walk_m**2 * climb_m_s
+    walks[States.BARO] = baro_m2 * dt_s
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
     bent_m = config.terrain_bend_m * math.hypot(*x[States.SLOPE])
     stands_m2 = step.relief_m**2 / config.relief_length_m
-    Q[States.TERRAIN, States.TERRAIN] = (walk_m**2 + bent_m**2 + stands_m2) * flown_m
+    walks[States.TERRAIN] = (walk_m**2 + bent_m**2 + stands_m2) * flown_m
     return Q

@@ -67,6 +67,7 @@ class States:
 
 
 HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
+_IDENTITY = np.eye(States.SIZE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,9 +296,8 @@ def _schmidt_gain(P: Array, PHt: Array, measurement: Measurement) -> Array:
 
 def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:
     """Joseph's form keeps P symmetric and positive for any gain; headings stay in [-pi, pi)."""
-    A = np.eye(States.SIZE) - K @ measurement.H
-    P = A @ state.P @ A.T
-    P += (K @ measurement.R) @ K.T
+    A = _IDENTITY - K @ measurement.H
+    P = A @ state.P @ A.T + (K @ measurement.R) @ K.T
     x = state.x + K @ measurement.residual
     x[HEADINGS] = (x[HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
     return replace(state, x=x, P=0.5 * (P + P.T))

@@ -9,7 +9,7 @@ shows how E has changed: tilt that builds up, a compass that is pulled aside, a 
 autopilot's own filter resets. Only changes: what E is, fixes and odometry tell.
 """
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ from vwnav.types import Array
 _JUMP_UNSURE = 0.1  # of a jump's size: how well the gyro tells it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DelayedStateMeasurement:
+class DelayedStateMeasurement(NamedTuple):
     """About both ends of a step x1 = F x0 + w: z = A x1 - B x0 + n, which is C x0 + A w + n.
 
     Attributes:
@@ -74,23 +73,6 @@ def gyro_measurement(
     return DelayedStateMeasurement(seen - C @ x, A, C, variance * np.eye(3))
 
 
-def explained(
-    P: Array, Q: Array, z: DelayedStateMeasurement
-) -> tuple[Array, DelayedStateMeasurement]:
-    """Q and the measurement, opened by a jump of the attitude where the noises do not explain it.
-
-    Gyros do not jump, attitude filters do: such a change is one of the attitude's error.
-    """
-    r = z.residual
-    S = z.C @ (P @ z.C.T) + z.A @ (Q @ z.A.T) + z.R
-    if r @ np.linalg.solve(S, r) <= CHI_SQUARE_GATE[3]:
-        return Q, z
-    Q = Q.copy()
-    Q[States.HEADING_BIAS, States.HEADING_BIAS] += r[2] ** 2
-    Q[States.TILT, States.TILT] += (r[0] ** 2 + r[1] ** 2) * np.eye(2)
-    return Q, replace(z, R=z.R + np.diag((_JUMP_UNSURE * r) ** 2))
-
-
 def correlated_noise_update(
     x: Array, P: Array, F: Array, Q: Array, z: DelayedStateMeasurement
 ) -> tuple[Array, Array]:
@@ -101,11 +83,34 @@ def correlated_noise_update(
     Hwang, "Introduction to Random Signals and Applied Kalman Filtering"): the gain is
     K = (F P C^T + Q A^T) S^-1. The covariance is in Joseph's form, of the error
     (F - K C) x0 + (I - K A) w - K n. `x` (n,) is predicted already, `P` (n, n) is not.
+
+    Gyros do not jump, attitude filters do: a change that the noises do not explain is one of the
+    attitude's error, and opens Q.
     """
     A, C, R, r = z.A, z.C, z.R, z.residual
-    PCt, QAt = P @ C.T, Q @ A.T
-    S = C @ PCt + A @ QAt + R
-    K = np.linalg.solve(S, (F @ PCt + QAt).T).T
+    PCt = P @ C.T
+    CPCt = C @ PCt
+    AQAt, QAt = _noise(A, Q)
+    solved = np.linalg.solve(CPCt + AQAt + R, np.column_stack([r, (F @ PCt + QAt).T]))
+    if r @ solved[:, 0] > CHI_SQUARE_GATE[3]:
+        Q, R = _opened(Q, r), R + np.diag((_JUMP_UNSURE * r) ** 2)
+        AQAt, QAt = _noise(A, Q)
+        solved = np.linalg.solve(CPCt + AQAt + R, np.column_stack([r, (F @ PCt + QAt).T]))
+    K = solved[:, 1:].T
     M = F - K @ C
     crossed = K @ QAt.T
-    return x + K @ r, M @ P @ M.T + Q - crossed - crossed.T + K @ (A @ QAt + R) @ K.T
+    return x + K @ r, M @ P @ M.T + Q - crossed - crossed.T + K @ (AQAt + R) @ K.T
+
+
+def _noise(A: Array, Q: Array) -> tuple[Array, Array]:
+    """A Q A^T (3, 3) and Q A^T (n, 3)."""
+    QAt = Q @ A.T
+    return A @ QAt, QAt
+
+
+def _opened(Q: Array, r: Array) -> Array:
+    """Q (n, n) with the attitude's error open to a jump r (3,)."""
+    opened = Q.copy()
+    opened[States.HEADING_BIAS, States.HEADING_BIAS] += r[2] ** 2
+    opened[States.TILT, States.TILT] += (r[0] ** 2 + r[1] ** 2) * np.eye(2)
+    return opened

@@ -1,6 +1,5 @@
 """What the autopilot tells of a moment; what its IMU felt until then are sums to subtract."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuIntegrals:
+class ImuIntegrals(NamedTuple):
     """Integrals since the first sample, in NED as the autopilot's attitude has it.
 
     In an hour they grow to some 4e4 m/s: differences of them keep ten digits for days.
@@ -64,9 +62,15 @@ class Exposure(NamedTuple):
 
 def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:
     """(6, 6) what it adds to position and velocity in a time, (m/s^2)^2 per hertz."""
-    q = np.diag([level, level, vertical])
-    Q = np.empty((6, 6))
-    Q[:3, :3] = q * dt_s**3 / 3.0
-    Q[:3, 3:] = Q[3:, :3] = q * dt_s**2 / 2.0
-    Q[3:, 3:] = q * dt_s
-    return Q
+    apart, both, gained = dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s
+    h, v = level, vertical
+    return np.array(
+        [
+            [h * apart, 0.0, 0.0, h * both, 0.0, 0.0],
+            [0.0, h * apart, 0.0, 0.0, h * both, 0.0],
+            [0.0, 0.0, v * apart, 0.0, 0.0, v * both],
+            [h * both, 0.0, 0.0, h * gained, 0.0, 0.0],
+            [0.0, h * both, 0.0, 0.0, h * gained, 0.0],
+            [0.0, 0.0, v * both, 0.0, 0.0, v * gained],
+        ]
+    )

@@ -1,6 +1,6 @@
 """What an IMU felt, integrated once: any span is a difference of two sums."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +9,7 @@ from vwnav.geometry.rotations import quat_conjugate, quat_multiply
 from vwnav.types import Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PreintegratedImu:
+class PreintegratedImu(NamedTuple):
     """What the IMU felt over a span, in NED as the autopilot's attitude has it.
 
     Attributes:
