@@ -1,0 +1,104 @@
+"""A law: whatever broke before, who has taken over is neither steered nor commanded against."""
+
+import copy
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_flight import Scene, failsafe, gap, hold_asked_for, in_phase, on_route
+
+from vwnav.mission.mission import Phase
+from vwnav.vehicle import FlightMode
+
+HEARD_S = 0.3
+FALLS_TO = [
+    FlightMode.HOLD, FlightMode.DESCEND, FlightMode.LAND, FlightMode.RETURN, FlightMode.MANUAL,
+]  # fmt: skip
+HAPPENINGS = {
+    "a gap of the link": lambda scene: gap(scene, 2.5),
+    "a longer gap": lambda scene: gap(scene, 6.0),
+    "no estimate": lambda scene: setattr(scene, "lost", "the estimate is lost"),
+    "an estimate again": lambda scene: setattr(scene, "lost", ""),
+    "the autopilot agrees": lambda scene: scene.vehicle.be(
+        own_position_ned_m=scene.vehicle.position.copy()
+    ),
+    "it is elsewhere": lambda scene: scene.vehicle.be(
+        own_position_ned_m=scene.vehicle.position + 40.0
+    ),
+    "it refuses": lambda scene: scene.vehicle.refuse.update(
+        {name: ["not now"] * 50 for name in ("hold", "land", "offboard")}
+    ),
+    "it answers late": lambda scene: setattr(scene.vehicle, "answers_after", 15),
+    "it answers never": lambda scene: setattr(scene.vehicle, "answers_after", 10_000),
+    "back in our mode": lambda scene: scene.vehicle.be(mode=FlightMode.OFFBOARD, failsafe=False),
+    "Hold is wanted": lambda scene: scene.vehicle.be(intended_mode=FlightMode.HOLD),
+    "blind": lambda scene: setattr(scene, "sees", False),
+    "battery low": lambda scene: scene.vehicle.be(battery_ratio=0.2),
+    "battery critical": lambda scene: scene.vehicle.be(battery_ratio=0.08),
+    "interrupted": lambda scene: scene.flight.abort("interrupted"),
+}
+HAPPENINGS |= {
+    f"falls to {mode.value}": lambda scene, mode=mode: scene.vehicle.be(
+        mode=mode, intended_mode=FlightMode.OFFBOARD, failsafe=True
+    )
+    for mode in FALLS_TO
+}
+DAY = st.lists(
+    st.tuples(st.sampled_from(sorted(HAPPENINGS)), st.sampled_from([0.1, 0.6, 1.2, 2.4, 5.5])),
+    max_size=6,
+)  # fmt: skip
+
+
+STARTS = {
+    **{
+        phase.value: lambda phase=phase: Scene().run(in_phase(phase)).go_on(1.0)
+        for phase in (Phase.TAKEOFF, Phase.CLIMB, Phase.RETURN, Phase.DESCEND)
+    },
+    "on route": on_route,
+    "a failsafe after a gap": lambda: failsafe(gap(on_route(), 4.0), FlightMode.DESCEND),
+    "Hold was asked for": lambda: hold_asked_for(FlightMode.DESCEND),
+    "a landing that is refused": lambda: _landing_refused(),
+}
+
+
+def _landing_refused() -> Scene:
+    scene = on_route()
+    scene.vehicle.refuse = {"land": ["not now"] * 100}
+    scene.flight.abort("interrupted")
+    return scene.go_on(0.5)
+
+
+@cache
+def begun(start: str) -> Scene:
+    """Made once; each example flies on with a copy."""
+    return STARTS[start]()
+
+
+@pytest.mark.parametrize("start", STARTS)
+@given(
+    day=DAY,
+    mode=st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.OTHER]),
+    sticks=st.booleans(),
+    told_after_s=st.sampled_from([0.0, 0.2]),
+)
+@settings(max_examples=60)
+def test_who_has_taken_over_keeps_the_aircraft(start, day, mode, sticks, told_after_s):
+    scene = copy.deepcopy(begun(start))
+    for happens, seconds in day:
+        HAPPENINGS[happens](scene)
+        scene.go_on(seconds)
+        if not scene.vehicle.vehicle.armed:
+            return
+    seen = {"failsafe": False, "rc_available": sticks}
+    scene.vehicle.be(mode=mode, intended_mode=FlightMode.UNKNOWN, **seen)
+    scene.go_on(told_after_s)
+    scene.vehicle.be(mode=mode, intended_mode=mode, **seen)
+    scene.go_on(HEARD_S)
+    asked, setpoints = list(scene.vehicle.asked), scene.vehicle.setpoints
+    scene.vehicle.be(own_position_ned_m=np.array(scene.vehicle.position))
+    scene.lost, scene.sees = "", True
+    scene.go_on(15.0)
+    assert scene.vehicle.asked == asked
+    assert scene.vehicle.setpoints == setpoints
