@@ -856,6 +856,16 @@ def test_nor_is_one_who_chooses_a_mode_of_the_autopilot_s(mode):
     assert scene.flight.phase is Phase.RELEASED
 
 
+def test_nor_is_a_way_home_that_the_autopilot_flies_instead_of_the_hold():
+    """A battery's, say: it knows where it is, and is flown to its end."""
+    scene = hold_asked_for(FlightMode.DESCEND)
+    asked = list(scene.vehicle.asked)
+    scene.vehicle.be(mode=FlightMode.RETURN, intended_mode=FlightMode.HOLD)
+    scene.go_on(8.0)
+    assert scene.vehicle.asked == asked
+    assert scene.flight.phase is Phase.RELEASED
+
+
 def test_a_hold_that_is_told_to_be_wanted_while_the_failsafe_flies_on_is_ours():
     scene = hold_asked_for(FlightMode.DESCEND)
     scene.vehicle.be(intended_mode=FlightMode.HOLD)

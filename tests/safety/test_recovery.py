@@ -45,6 +45,14 @@ def test_land_follows_at_once_when_the_hold_shows():
     assert recovery.step(held, ESTIMATE, 3.0, 1.2) is Wish.LAND
 
 
+@pytest.mark.parametrize("mode", [FlightMode.RETURN, FlightMode.OTHER, FlightMode.MANUAL])
+def test_nothing_follows_the_hold_while_nobody_has_told_whose_mode_it_is(mode):
+    recovery = Recovery(CONFIG, explained=True)
+    assert wishes(recovery, 1.1)[-1] is Wish.HOLD
+    untold = replace(LANDS, mode=mode, intended_mode=FlightMode.UNKNOWN, failsafe=False)
+    assert {recovery.step(untold, ESTIMATE, 3.0, t_s) for t_s in (1.2, 3.0, 4.0)} == {Wish.WAIT}
+
+
 @pytest.mark.parametrize(
     ("own", "sigma_m"),
     [(None, 1.0), (np.array([13.1, 20.0, -50.0]), 0.1), (np.array([10.0, 26.2, -50.0]), 2.0)],

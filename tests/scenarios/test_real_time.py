@@ -305,17 +305,19 @@ def test_a_watchdog_that_hangs_is_replaced_and_the_aircraft_lands_near_by(tmp_pa
 
 
 def _hear_at_once() -> None:
-    """Threads of ours go first: who hears a setpoint is an autopilot, on a processor of its own."""
-    for thread in threading.enumerate():
-        assert thread.native_id is not None
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, thread.native_id, -20)
+    """The relay's thread goes first: an autopilot hears on a processor of its own."""
+    [relay] = (thread for thread in threading.enumerate() if thread.name == "relay")
+    assert relay.native_id is not None
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, relay.native_id, -20)
 
 
 THERE_AND_BACK = "".join(f"{i},{90 * (i % 2)},{-10 * (i % 3)},32\n" for i in range(1, 41))
 
 
-def _gaps_s(tmp_path, kinds: tuple[str, ...], settings: str = "") -> dict[str, np.ndarray]:
+def _gaps_s(
+    tmp_path, kinds: tuple[str, ...], settings: str = "", begin=lambda: None
+) -> dict[str, np.ndarray]:
     """Between messages of each kind to the autopilot, over ten minutes of a route."""
     times_s: dict[str, list[float]] = {kind: [] for kind in kinds}
 
@@ -325,7 +327,7 @@ def _gaps_s(tmp_path, kinds: tuple[str, ...], settings: str = "") -> dict[str, n
 
     with real_flight(tmp_path, route_text=THERE_AND_BACK, hear=note, settings=settings) as flight:
         flight.wait_until_on_route()
-        _hear_at_once()
+        begin()
         begun_s = time.monotonic()
         flight.wait(lambda: time.monotonic() - begun_s > 600.0, 620.0)
         end_s = time.monotonic()
@@ -350,11 +352,12 @@ def test_setpoints_come_steadily_for_ten_minutes_beside_a_busy_loop(tmp_path):
     assert np.percentile(gaps_s["SET_POSITION_TARGET_LOCAL_NED"], 99.9) <= 0.1
 
 
-@pytest.mark.xfail(reason="80 and 107 ms: docs/benchmarks.md says what stands in the way")
 @pytest.mark.long
 @pytest.mark.alone
 def test_the_link_keeps_its_rate_for_ten_minutes_while_the_matcher_takes_both_cores(tmp_path):
     flat_out = "[features]\nthreads = 2\n[pipeline]\nfix_interval_s = 0.0\n"
     kinds = ("SET_POSITION_TARGET_LOCAL_NED", "VISION_POSITION_ESTIMATE")
-    for kind, gaps_s in _gaps_s(tmp_path, kinds, flat_out).items():
-        assert np.percentile(gaps_s, 99.9) <= 0.06, kind
+    gaps_s = _gaps_s(tmp_path, kinds, flat_out, begin=_hear_at_once)
+    slow = {kind: p999_s for kind in kinds if (p999_s := np.percentile(gaps_s[kind], 99.9)) > 0.06}
+    if slow:  # all else has to hold; what stands in the way of this: docs/benchmarks.md
+        pytest.xfail(f"0.06 s are asked: {slow}")

@@ -17,6 +17,8 @@ _AGREES_S = 1.0
 _AGREES_M = 3.0
 _AGREES_SIGMAS = 3.0
 _HOLD_WAIT_S = 2.0
+# What PX4 falls back to for want of one; MANUAL in the 1.16 era, with nobody at the sticks.
+_WITHOUT_POSITION = frozenset({FlightMode.LAND, FlightMode.DESCEND, FlightMode.MANUAL})
 _UNMANNED_S = 5.0  # in a mode of the sticks that nobody chose, which holds its height for good
 
 
@@ -60,20 +62,22 @@ class Recovery:
     def has_brought(self, vehicle: VehicleState) -> bool:
         """It flies the Hold that was asked for, or will once it has a position: that is ours.
 
-        Any other mode in the meantime is somebody's.
+        Any other mode in the meantime is somebody's, or a failsafe that no gap of ours explains.
         """
-        told = vehicle.mode is FlightMode.HOLD or vehicle.intended_mode is FlightMode.HOLD
-        return self.has_asked and told and not vehicle.has_sticks
+        waits = vehicle.intended_mode is FlightMode.HOLD and vehicle.mode in _WITHOUT_POSITION
+        brought = vehicle.mode is FlightMode.HOLD or waits
+        return self.has_asked and brought and not vehicle.has_sticks
 
     def step(
         self, vehicle: VehicleState, estimate: Estimate | None, gap_s: float, t_s: float
     ) -> Wish:
         """The wish of this tick; `gap_s` is how long link or estimates were missing."""
         if self._held_s is not None:
-            if vehicle.may_be_pilots:
-                return Wish.WAIT  # whose mode it is has not been told yet
+            if vehicle.mode is FlightMode.HOLD:
+                return Wish.LAND
+            untold = vehicle.intended_mode is FlightMode.UNKNOWN and not vehicle.failsafe
             waited = t_s - self._held_s >= _HOLD_WAIT_S
-            return Wish.LAND if waited or vehicle.mode is FlightMode.HOLD else Wish.WAIT
+            return Wish.LAND if waited and not (untold or vehicle.may_be_pilots) else Wish.WAIT
         if vehicle.mode in (FlightMode.OFFBOARD, FlightMode.TAKEOFF):
             return Wish.GO_ON if gap_s <= self._config.resume_gap_s else Wish.LAND
         if self._is_unmanned_for_long(vehicle, t_s):

@@ -21,6 +21,7 @@ from vwnav.vision.config import FeaturesConfig
 MOST_MOUNT_DEG, OFFSETS_S, READOUTS_S = 4.0, (0.02, 0.1), (0.01, 0.03)
 FOCALS = (0.98, 1.0, 1.015)  # of the true focal length over the calibrated one
 SIGMAS = 3.0
+_CAMERA = "camera.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +90,7 @@ def bench_mount(
         seed: of cameras, ways and sensors.
     """
     with TemporaryDirectory(prefix="vwnav-mount-") as folder:
+        save_camera(default_camera(), Path(folder) / _CAMERA)
         for number in range(runs):
             yield _trial(Path(folder), site, pack, features, number, seed)
 
@@ -133,11 +135,9 @@ def drawn(number: int, seed: int) -> Mounted:
 def _trial(
     folder: Path, site: Site, pack: Path, features: FeaturesConfig, number: int, seed: int
 ) -> MountTrial:
-    recording, camera = folder / f"{number}.mcap", folder / "camera.toml"
+    recording, camera = folder / f"{number}.mcap", folder / _CAMERA
     mounted = drawn(number, seed)
     R_body_camera = record(recording, mounted, site, (seed, number))
-    if not camera.exists():
-        save_camera(default_camera(), camera)
     options = MountOptions(
         source=str(recording), map_path=pack, camera=camera, telemetry=None, focal=True,
         features=features, output=folder / "mounted.toml",
