@@ -732,6 +732,21 @@ def test_a_pilot_who_takes_over_where_the_autopilot_had_fallen_back_to_sticks_ha
     assert scene.vehicle.asked == asked
 
 
+@pytest.mark.parametrize("mode", [FlightMode.RETURN, FlightMode.HOLD])
+def test_who_chooses_the_very_mode_that_the_autopilot_had_fallen_back_to_has_it(mode):
+    """The mode that is flown does not change: what was asked for does."""
+    scene = failsafe(gap(on_route(), 2.5), mode)
+    scene.vehicle.refuse = {name: ["not now"] * 100 for name in ("hold", "land")}
+    scene.vehicle.be(own_position_ned_m=scene.vehicle.position.copy())
+    scene.run(lambda scene: scene.vehicle.asked[-1] == "land").go_on(1.0)
+    assert scene.flight.phase is Phase.LAND
+    scene.vehicle.be(mode=mode, failsafe=False)
+    asked = list(scene.vehicle.asked)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+
+
 def test_offboard_is_not_asked_for_out_of_a_failsafe_that_holds_the_take_off():
     """PX4 waits 5 s in Hold before it returns; a mode that is asked for then ends the failsafe."""
     scene = Scene().run(in_phase(Phase.TAKEOFF))

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from test_flight import Scene, failsafe, gap, hold_asked_for, in_phase, on_route
 
@@ -76,7 +76,14 @@ def begun(start: str) -> Scene:
     return STARTS[start]()
 
 
+REFUSED_IN_RETURN = [
+    ("a gap of the link", 0.1), ("falls to return", 0.1), ("it refuses", 0.1),
+    ("the autopilot agrees", 0.1), ("a gap of the link", 0.6),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize("start", STARTS)
+@example(day=REFUSED_IN_RETURN, mode=FlightMode.RETURN, sticks=False, told_after_s=0.0)
 @given(
     day=DAY,
     mode=st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.OTHER]),

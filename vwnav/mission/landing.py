@@ -41,13 +41,17 @@ class Landing:
         self._say = say
         self._began_s = t_s
         self._mode_before = vehicle.mode
+        is_told = vehicle.intended_mode is not FlightMode.UNKNOWN
+        self._ours = _ASKED_BY_US | {vehicle.intended_mode if is_told else vehicle.mode}
         self._comes_down = vehicle.mode in COMING_DOWN
         self._request: Request | None = None
         self._asked_s = t_s
         self._stands_since_s: float | None = None
         self._said_slow = self._was_silent = False
         self.refused: str | None = None
-        if not self._comes_down:
+        if self._comes_down:
+            autopilot.withdraw()  # a Hold that was asked for before would end it
+        else:
             self._request = autopilot.land()
 
     def step(self, vehicle: VehicleState, t_s: float) -> LandingState:
@@ -71,10 +75,15 @@ class Landing:
         return LandingState.ASKED
 
     def _is_changed(self, vehicle: VehicleState) -> bool:
-        """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too."""
-        if vehicle.is_fallback and vehicle.intended_mode in _ASKED_BY_US:
+        """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too.
+
+        Who chooses the very mode to which it had fallen back changes what is asked for alone.
+        """
+        is_ours = vehicle.intended_mode in self._ours
+        if vehicle.is_fallback and is_ours:
             return False
-        is_pilots = vehicle.mode is FlightMode.MANUAL
+        is_chosen = not is_ours and vehicle.intended_mode is not FlightMode.UNKNOWN
+        is_pilots = vehicle.mode is FlightMode.MANUAL or is_chosen
         return is_pilots or self._comes_down or vehicle.mode is not self._mode_before
 
     @staticmethod

@@ -97,6 +97,8 @@ class Recovery:
         self._agrees_since_s = t_s if self._agrees_since_s is None else self._agrees_since_s
         if t_s - self._agrees_since_s < _AGREES_S:
             return Wish.WAIT
+        if vehicle.mode is FlightMode.HOLD:
+            return Wish.LAND  # a Hold that is asked for from now on is a person's
         self._held_s = t_s
         return Wish.HOLD
 
