@@ -224,6 +224,25 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_speed
     assert (apart_m < 0.8) != blown_away
 
 
+@pytest.mark.parametrize(("touching_s", "is_right"), [(6.0, True), (600.0, False)])
+def test_one_that_hovers_just_above_the_ground_may_drift(touching_s, is_right):
+    """A pilot's hands, at 0.2 m: it gathers 1.2 m/s, and no landing is told."""
+    ekf = Ekf(EkfConfig(touching_s=touching_s))
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -3.0]), agl_m=3.0))
+    worst = 0.0
+    for k in range(1, 1200):
+        t_s = 0.05 * k
+        leans = 20.0 < t_s < 32.0
+        lean = np.array([math.cos(0.005), 0.0, -math.sin(0.005), 0.0]) if leans else LEVEL
+        ekf.handle(Attitude(t_s, lean))
+        ekf.handle(Height(t_s, max(3.0 - 0.3 * t_s, 0.2)))
+        north_m_s = 0.098 * min(max(t_s - 20.0, 0.0), 12.0)
+        found = ekf.estimate(t_s)
+        sigma_m_s = math.sqrt(found.covariance[3, 3])
+        worst = max(worst, abs(found.velocity_ned_m_s[0] - north_m_s) / sigma_m_s)
+    assert (worst < 3.0) == is_right, worst
+
+
 def test_the_touch_of_one_that_came_down_blind_does_not_make_its_place_any_surer():
     """The ground has stopped it: 50 m of uncertainty had become 38 by that."""
     ekf = Ekf(EkfConfig())

@@ -113,10 +113,15 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     Autopilots tell a landing seconds after the touch. Until then a level aircraft in wind looks as
     if the wind blew it away, at a height where no image tells otherwise. One that was believed to
     move before it came so low does fly there: the ground may fall away below it. It is the ground
-    that stops it, which tells nothing of how it flew, nor of the place where that has led.
+    that stops it, which tells nothing of how it flew, nor of the place where that has led. And one
+    of which no landing is told for seconds hovers, and drifts as it likes.
     """
+    if state.agl_m > config.touching_agl_m:
+        return replace(state, above_s=state.t_s)
+    state = replace(state, above_s=min(state.above_s, state.t_s))
     speed_m_s = float(np.hypot(*state.x[States.VELOCITY_NE]))
-    if state.agl_m > config.touching_agl_m or speed_m_s > config.touching_speed_m_s:
+    is_long = state.t_s - state.above_s > config.touching_s
+    if is_long or speed_m_s > config.touching_speed_m_s:
         return state
     H = np.zeros((2, States.SIZE))
     H[:, States.VELOCITY_NE] = np.eye(2)
@@ -248,7 +253,7 @@ def _most_step_m(state: FilterState) -> float:
 def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
     """It does not move, and the ground is right below; what the gyro still says is its bias."""
     config = context.config
-    state = replace(state, stood_s=state.t_s)
+    state = replace(state, stood_s=state.t_s, above_s=state.t_s)
     H = np.zeros((3, States.SIZE))
     H[:, States.VELOCITY] = np.eye(3)
     R = config.stationary_sigma_m_s**2 * np.eye(3)

@@ -137,12 +137,11 @@ class FilterState:
             which of it a way, a fix or a rangefinder takes for the ground is not known.
         newest_height: time and height that the barometer told last, believed or not.
         stood_s: when it was told last that the aircraft stands.
-        baro_zeroed: the barometer was zeroed where heights are counted from, as far as weather and
-            its own error let it; else its bias may be of any size.
+        above_s: when it last stood, or was higher than one that touches the ground.
+        baro_zeroed: where heights are counted from, as far as weather lets it; else it may be off.
         map_error: how large the error of the map has proved to be.
         height_stepped: the heights that are refused began with a step, not with a climb.
-        rejected_fixes, rejected_headings, rejected_agls, rejected_heights, rejected_ways: refused
-            since the last one that was believed; or, of a fix, found once, and believed by half.
+        rejected_*: refused since the last one that was believed; or, of a fix, believed by half.
     """
 
     t_s: float
@@ -160,6 +159,7 @@ class FilterState:
     relief_m: float = 0.0
     newest_height: tuple[float, float] | None = None
     stood_s: float = -math.inf
+    above_s: float = math.inf
     baro_zeroed: bool = True
     height_stepped: bool = False
     map_error: LearnedMapError = field(default_factory=LearnedMapError)
