@@ -35,7 +35,8 @@ test: .venv/.dev
 
 test-long: .venv/.dev
 	$(BIN)/python -m pytest -m alone; alone=$$?; \
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not alone" && exit $$alone
+	$(BIN)/python -m pytest -n 2 --dist worksteal --hypothesis-profile=searching -m "not alone" \
+		&& exit $$alone
 
 # AARCH64 names another folder for the emulated system
 AARCH64 ?= .aarch64

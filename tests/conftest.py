@@ -9,8 +9,10 @@ from hypothesis import settings
 # Before numpy loads, as the command does it, and for the processes that tests start.
 os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
-# Laws are about values, not about how busy the machine is.
-settings.register_profile("any_machine", deadline=None)
+# Laws are about values, not about how busy the machine is; and the same code gets the same verdict.
+settings.register_profile("any_machine", deadline=None, derandomize=True)
+# `make test-long`: other examples each time. What one finds becomes an @example of its law.
+settings.register_profile("searching", deadline=None)
 # Each mutant runs them anew; a law that needs luck to kill one would make the number a dice roll.
 settings.register_profile(
     "mutants", deadline=None, max_examples=10, derandomize=True, database=None

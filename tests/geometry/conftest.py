@@ -5,16 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import settings
 
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import mercator_px, mercator_px_per_m
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.types import Array
-
-# A machine busy with other work is no failure of a law.
-settings.register_profile("unhurried", deadline=None)
-settings.load_profile("unhurried")
 
 LAT_DEG, LON_DEG, ZOOM = 33.6, 73.1, 19
 

@@ -1,14 +1,9 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 from map_samples import SiftStub, small_pack
 
 from vwnav.maps.pack import MapPack
-
-# Other work shares the cores: how long an example takes says nothing.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
 
 
 @pytest.fixture(scope="session")

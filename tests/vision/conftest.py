@@ -1,15 +1,11 @@
 import cv2
 import pytest
-from hypothesis import settings
 from vision_scenes import ground_pack, texture
 
 from vwnav.maps.pack import MapPack
 from vwnav.types import FeatureExtractor
 from vwnav.vision.features.load import load_features
 
-# Other work shares the cores: how long an example takes says nothing.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
 cv2.setNumThreads(1)
 
 
