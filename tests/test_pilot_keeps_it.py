@@ -5,12 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from test_flight import Scene, failsafe, gap, hold_asked_for, in_phase, on_route
 
 from vwnav.mission.mission import Phase
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
+from vwnav.watchdog.keepalive import GuardState, WatchdogReport
 
 HEARD_S = 0.3  # from the mode; the word on who chose it may come later
 FALLS_TO = [
@@ -37,7 +38,18 @@ HAPPENINGS = {
     "blind": lambda scene: setattr(scene, "sees", False),
     "battery low": lambda scene: scene.vehicle.be(battery_ratio=0.2),
     "battery critical": lambda scene: scene.vehicle.be(battery_ratio=0.08),
+    "a pilot for a while": lambda scene: scene.vehicle.be(mode=FlightMode.MANUAL, failsafe=False),
     "interrupted": lambda scene: scene.flight.abort("interrupted"),
+}
+HAPPENINGS |= {
+    f"{order.value} is asked for": lambda scene, order=order: scene.flight.obey(order)
+    for order in Order
+}
+HAPPENINGS |= {
+    f"the watchdog: {state.name}": lambda scene, state=state: setattr(
+        scene.handle, "report", WatchdogReport(state, 1, 0.1)
+    )
+    for state in (GuardState.RELAY, GuardState.BRAKING)
 }
 HAPPENINGS |= {
     f"falls to {mode.value}": lambda scene, mode=mode: scene.vehicle.be(
@@ -51,6 +63,10 @@ DAY = st.lists(
 )  # fmt: skip
 
 
+PERSONS = [
+    FlightMode.MANUAL, FlightMode.RETURN, FlightMode.OTHER, FlightMode.MISSION, FlightMode.HOLD,
+    FlightMode.LAND,
+]  # fmt: skip
 STARTS = {
     **{
         phase.value: lambda phase=phase: Scene().run(in_phase(phase)).go_on(1.0)
@@ -86,7 +102,7 @@ REFUSED_IN_RETURN = [
 @example(day=REFUSED_IN_RETURN, mode=FlightMode.RETURN, sticks=False, told_after_s=0.0)
 @given(
     day=DAY,
-    mode=st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.OTHER]),
+    mode=st.sampled_from(PERSONS),
     sticks=st.booleans(),
     told_after_s=st.sampled_from([0.0, 0.2]),
 )
@@ -97,6 +113,7 @@ def test_who_has_taken_over_keeps_the_aircraft(start, day, mode, sticks, told_af
         scene.go_on(seconds)
         if not scene.vehicle.vehicle.armed:
             return
+    assume(mode is not FlightMode.HOLD or "hold" not in scene.vehicle.asked)  # else it may be ours
     seen = {"failsafe": False, "rc_available": sticks}
     scene.vehicle.be(mode=mode, intended_mode=FlightMode.UNKNOWN, **seen)
     scene.go_on(told_after_s)
