@@ -747,6 +747,18 @@ def test_who_chooses_the_very_mode_that_the_autopilot_had_fallen_back_to_has_it(
     assert scene.vehicle.asked == asked
 
 
+def test_a_landing_in_the_take_off_is_asked_for_again_when_that_ends_in_hold():
+    """PX4's take-off goes over into Hold by itself; nobody chose it, and nobody would end it."""
+    scene = Scene().run(in_phase(Phase.TAKEOFF))
+    scene.vehicle.refuse = {"land": ["no answer"] * 6}
+    scene.flight.abort("interrupted")
+    scene.go_on(0.5)
+    scene.vehicle.be(mode=FlightMode.HOLD)
+    scene.go_on(4.0)
+    assert scene.flight.phase is Phase.LAND
+    assert scene.run().flight.end.reason == "interrupted"
+
+
 def test_offboard_is_not_asked_for_out_of_a_failsafe_that_holds_the_take_off():
     """PX4 waits 5 s in Hold before it returns; a mode that is asked for then ends the failsafe."""
     scene = Scene().run(in_phase(Phase.TAKEOFF))

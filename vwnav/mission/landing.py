@@ -40,9 +40,10 @@ class Landing:
         self._autopilot = autopilot
         self._say = say
         self._began_s = t_s
-        self._mode_before = vehicle.mode
+        goes_over = {FlightMode.HOLD} if vehicle.mode is FlightMode.TAKEOFF else set()  # by itself
         is_told = vehicle.intended_mode is not FlightMode.UNKNOWN
-        self._ours = _ASKED_BY_US | {vehicle.intended_mode if is_told else vehicle.mode}
+        self._modes_before = goes_over | {vehicle.mode}
+        self._ours = _ASKED_BY_US | goes_over | {vehicle.intended_mode if is_told else vehicle.mode}
         self._comes_down = vehicle.mode in COMING_DOWN
         self._request: Request | None = None
         self._asked_s = t_s
@@ -84,7 +85,7 @@ class Landing:
             return False
         is_chosen = not is_ours and vehicle.intended_mode is not FlightMode.UNKNOWN
         is_pilots = vehicle.mode is FlightMode.MANUAL or is_chosen
-        return is_pilots or self._comes_down or vehicle.mode is not self._mode_before
+        return is_pilots or self._comes_down or vehicle.mode not in self._modes_before
 
     @staticmethod
     def _may_be_fallback(vehicle: VehicleState) -> bool:
