@@ -201,24 +201,28 @@ def test_faults_that_overlap_are_both_there_and_each_ends_alone():
 
 
 @pytest.mark.parametrize(
-    ("mode", "said", "alone"),
+    ("mode", "said", "has_radio", "alone"),
     [
-        (FlightMode.HOLD, "", True),
-        (FlightMode.HOLD, "pilot switches", False),
-        (FlightMode.MANUAL, "", True),
-        (FlightMode.OFFBOARD, "", False),
-        (FlightMode.LAND, "", False),
+        (FlightMode.HOLD, "", False, True),
+        (FlightMode.HOLD, "", True, True),
+        (FlightMode.HOLD, "pilot switches", False, False),
+        (FlightMode.MANUAL, "", False, True),
+        (FlightMode.MANUAL, "", True, False),
+        (FlightMode.OFFBOARD, "", False, False),
+        (FlightMode.LAND, "", False, False),
     ],
 )
-def test_an_aircraft_that_nobody_flies_is_seen(mode, said, alone):
+def test_an_aircraft_that_nobody_flies_is_seen(mode, said, has_radio, alone):
     track = FlightTrace()
     for i in range(50):
         place = np.array([0.0, 0.0, -50.0])
         track.truth.append(Truth(100.0 + i, place, np.zeros(3), mode, True, False))
     if said:
         track.events.append(LogLine(2.0, said))
+    row = drawn_rows(1, 0)[0]
     flown = Flown(
-        scenario=drawn_rows(1, 0)[0], track=track, begun_s=100.0, flown_s=50.0,
+        scenario=replace(row, setup=replace(row.setup, rc_on=has_radio)),
+        track=track, begun_s=100.0, flown_s=50.0,
         local_frame=LocalFrame(41.0, 29.0, 0.0), phase=Phase.RELEASED, steps=(), second_steps=(),
         broke_s=None, broken=(), end=None,
     )  # fmt: skip

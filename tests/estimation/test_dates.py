@@ -89,3 +89,20 @@ def test_doubtful_fixes_tell_as_much_as_an_error_they_share_leaves(spacing_s):
     C_m2 = (0.5 * speed_m_s) ** 2 * toeplitz(np.exp(-spacing_s * np.arange(count)))
     expected = np.ones(count) @ np.linalg.solve(C_m2, np.ones(count))
     assert told == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("attitude_hz", [50.0, 30.0])
+@pytest.mark.parametrize("rate_rad_s", [0.2, 1.2])
+def test_how_fast_it_tilts_attitudes_tell_where_no_gyro_does(attitude_hz, rate_rad_s):
+    """With nothing to tell it was taken to stand still: in a swing 0.6 m off at a sigma of 0.1."""
+    with_gyro, without = AttitudeHistory(10.0), AttitudeHistory(10.0)
+    with_gyro.gyro.begin(0.0)
+    for n in range(1, 101):
+        with_gyro.gyro.turn(0.01 * n, np.array([0.0, 0.01 * rate_rad_s, 0.0]), 0.01)
+    for t_s in np.arange(0.0, 1.0, 1.0 / attitude_hz).tolist():
+        pitched = Rotation.from_euler("Y", rate_rad_s * (t_s - 0.5))
+        for attitudes in (with_gyro, without):
+            attitudes.add(Attitude(t_s, pitched.as_quat(scalar_first=True)))
+    told, guessed = with_gyro.exposure(0.55), without.exposure(0.55)
+    assert told.tilts_rad_s == pytest.approx(rate_rad_s, rel=1e-3)
+    assert guessed.tilts_rad_s == pytest.approx(rate_rad_s, rel=1e-3)

@@ -71,11 +71,13 @@ def _ending(flown: Flown, off_m: float | None) -> list[str]:
 
 def _left_alone(flown: Flown) -> list[str]:
     """Whether it hung in the air until its battery would be empty, chosen so by no person."""
+    # Where a radio is heard, a mode of the sticks is the pilot's.
+    stays_up = _STAYS_UP - ({FlightMode.MANUAL} if flown.scenario.setup.rc_on else set())
     acts = (each.t_s for each in flown.track.events if each.text.startswith(_ACTS))
     until_s = min(acts, default=math.inf) + flown.begun_s
     since_s: float | None = None
     for each in flown.track.truth:
-        hangs = each.armed and not each.on_ground and each.mode in _STAYS_UP
+        hangs = each.armed and not each.on_ground and each.mode in stays_up
         if not hangs or each.t_s > until_s:
             since_s = None
         elif since_s is None:

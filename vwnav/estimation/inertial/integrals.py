@@ -49,7 +49,7 @@ class Exposure(NamedTuple):
         t_s: when.
         yaw_rad: its heading.
         lean: (2,) where the body's down axis meets the ground, level forward and right, in heights.
-        tilts_rad_s: how fast it tilted; 0 where no gyro tells.
+        tilts_rad_s: how fast it tilted, as the gyro says; where none tells, as attitudes do.
         told: telemetry reaches there; else it is a guess.
     """
 
