@@ -120,3 +120,13 @@ def test_left_in_a_mode_of_the_sticks_it_is_asked_to_land(explained):
     asked = wishes(Recovery(CONFIG, explained=explained), 6.0, STICKS, None)
     assert Wish.LAND not in asked[:49]
     assert set(asked[51:]) == {Wish.LAND}
+
+
+def test_a_long_gap_is_not_forgotten_however_late_the_autopilot_agrees():
+    """It held for good: the watches remember a gap for ten seconds."""
+    recovery = Recovery(CONFIG, explained=True)
+    holds = replace(LANDS, mode=FlightMode.HOLD, own_position_ned_m=None)
+    assert set(wishes(recovery, 1.0, holds)) == {Wish.WAIT}
+    assert set(wishes(recovery, 20.0, holds, gap_s=0.0)) == {Wish.WAIT}
+    agrees = replace(holds, own_position_ned_m=np.array([10.0, 20.0, -40.0]))
+    assert wishes(recovery, 2.0, agrees, gap_s=0.0)[-1] is Wish.LAND

@@ -78,8 +78,11 @@ class Landing:
     def _is_changed(self, vehicle: VehicleState) -> bool:
         """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too.
 
-        Who chooses the very mode to which it had fallen back changes what is asked for alone.
+        Who chooses the very mode to which it had fallen back changes what is asked for alone. Out
+        of one PX4 goes back to Offboard by itself.
         """
+        if vehicle.mode is FlightMode.OFFBOARD:
+            return False
         is_ours = vehicle.intended_mode in self._ours
         if vehicle.is_fallback and is_ours:
             return False
@@ -98,11 +101,12 @@ class Landing:
             self._autopilot.send_velocity(VelocitySetpoint(0.0, 0.0, 0.0))
         request = self._request
         self._was_silent = self._was_silent or vehicle.silence_s > _HEARD_S
-        if request is None or not request.done:
+        if request is not None and not request.done:
             return
         # Once, though it is asked every second; who was not heard has not refused.
-        if request.refused is not None and self.refused is None and not self._was_silent:
-            self.refused = f"the autopilot refused to land: {request.refused}"
+        refused = None if request is None else request.refused
+        if refused is not None and self.refused is None and not self._was_silent:
+            self.refused = f"the autopilot refused to land: {refused}"
             self._say(self.refused)
         if t_s - self._asked_s >= _ASK_AGAIN_S:
             self._asked_s, self._request = t_s, self._autopilot.land()

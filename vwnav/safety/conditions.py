@@ -84,6 +84,7 @@ class PilotWatch:
             self.released = _FELL_TO_STICKS if intended in self._own_modes else _not_ours(mode)
         elif mode is not FlightMode.UNKNOWN and intended in self._own_modes:
             self.failsafe, self.is_told = mode, True
+            self._unknown_since_s = None
         elif FlightMode.UNKNOWN in (mode, intended):
             # It has not been told, or who wanted it has not.
             self._unknown_since_s = t_s if self._unknown_since_s is None else self._unknown_since_s

@@ -50,6 +50,7 @@ class Recovery:
     def __init__(self, config: SafetyConfig, explained: bool) -> None:
         self._config = config
         self._explained = explained
+        self._gap_s = 0.0  # the longest, however long ago
         self._agrees_since_s: float | None = None
         self._held_s: float | None = None
         self._unmanned_since_s: float | None = None
@@ -71,7 +72,8 @@ class Recovery:
     def step(
         self, vehicle: VehicleState, estimate: Estimate | None, gap_s: float, t_s: float
     ) -> Wish:
-        """The wish of this tick; `gap_s` is how long link or estimates were missing."""
+        """The wish of this tick; `gap_s` is how long link or estimates were missing lately."""
+        self._gap_s = gap_s = max(self._gap_s, gap_s)
         if self._held_s is not None:
             if vehicle.mode is FlightMode.HOLD:
                 return Wish.LAND
