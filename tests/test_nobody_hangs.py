@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from test_flight import Scene, gap
 from test_pilot_keeps_it import STARTS, begun
 
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
+from vwnav.watchdog.keepalive import GuardState, WatchdogReport
 
 HEALED_S = 300.0
 # In these it stays up until somebody asks for something, or follows nobody's setpoints.
@@ -57,6 +58,16 @@ HAPPENINGS = {
     "blind": lambda scene: setattr(scene, "sees", False),
     "it sees again": lambda scene: setattr(scene, "sees", True),
     "interrupted": lambda scene: scene.flight.abort("interrupted"),
+    "no fix": lambda scene: setattr(scene, "fixes", False),
+    "fixes again": lambda scene: setattr(scene, "fixes", True),
+    "the watchdog brakes": lambda scene: setattr(
+        scene.handle, "report", WatchdogReport(GuardState.BRAKING, 1, 0.1)
+    ),
+    "the watchdog relays": lambda scene: setattr(
+        scene.handle, "report", WatchdogReport(GuardState.RELAY, 1, 0.1)
+    ),
+    "the way home is asked for": lambda scene: scene.flight.obey(Order.RETURN),
+    "a landing is asked for": lambda scene: scene.flight.obey(Order.LAND),
     "back in the mode": comes_back,
     "the take-off is over": takeoff_ends,
 }
@@ -100,7 +111,8 @@ def test_an_aircraft_that_nobody_has_taken_comes_down_or_flies_on(start, day):
         if not scene.vehicle.vehicle.armed:
             return
     # All is well again, and the autopilot stays in what it flies.
-    scene.lost, scene.sees, scene.vehicle.answers_after = "", True, 1
+    scene.lost, scene.sees, scene.fixes, scene.vehicle.answers_after = "", True, True, 1
+    scene.handle.report = None
     scene.vehicle.refuse.clear()
     if scene.vehicle.vehicle.mode not in STAYS_UP:
         return
