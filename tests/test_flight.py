@@ -691,11 +691,13 @@ def test_after_the_pilots_mode_change_nothing_is_asked_again(mode):
     assert scene.run().flight.end.reason
 
 
-def test_a_pilot_who_takes_over_a_landing_has_it():
+@pytest.mark.parametrize("mode", [FlightMode.MANUAL, FlightMode.HOLD, FlightMode.OFFBOARD])
+def test_a_pilot_who_takes_over_a_landing_has_it(mode):
+    """A ground station that flies ArduCopter in GUIDED, too."""
     scene = on_route()
     scene.flight.abort("interrupted")
     scene.go_on(5.0)
-    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.vehicle.be(mode=mode)
     asked = list(scene.vehicle.asked)
     scene.go_on(20.0)
     assert scene.flight.phase is Phase.RELEASED

@@ -42,15 +42,16 @@ class Landing:
         self._began_s = t_s
         goes_over = {FlightMode.HOLD} if vehicle.mode is FlightMode.TAKEOFF else set()  # by itself
         is_told = vehicle.intended_mode is not FlightMode.UNKNOWN
-        self._modes_before = goes_over | {vehicle.mode}
-        self._ours = _ASKED_BY_US | goes_over | {vehicle.intended_mode if is_told else vehicle.mode}
-        self._comes_down = vehicle.mode in COMING_DOWN
+        intended = vehicle.intended_mode if is_told else vehicle.mode
+        self._modes_before = goes_over | {vehicle.mode, intended}
+        self._ours = _ASKED_BY_US | goes_over | {intended}
+        self._is_flown = False  # the landing itself, not a failsafe that happens to come down
         self._request: Request | None = None
         self._asked_s = t_s
         self._stands_since_s: float | None = None
         self._said_slow = self._was_silent = False
         self.refused: str | None = None
-        if self._comes_down:
+        if vehicle.mode in COMING_DOWN:
             autopilot.withdraw()  # a Hold that was asked for before would end it
         else:
             self._request = autopilot.land()
@@ -66,7 +67,7 @@ class Landing:
             self._said_slow = True
             self._say(f"not down after {_SLOW_S:.0f} s: still waiting")
         if vehicle.mode in COMING_DOWN:
-            self._comes_down = True
+            self._is_flown = self._is_flown or vehicle.intended_mode is vehicle.mode
             return LandingState.COMING_DOWN
         if not self._is_changed(vehicle):
             self._ask(vehicle, t_s)
@@ -79,16 +80,14 @@ class Landing:
         """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too.
 
         Who chooses the very mode to which it had fallen back changes what is asked for alone. Out
-        of one PX4 goes back to Offboard by itself.
+        of a failsafe PX4 goes back by itself to what was asked for.
         """
-        if vehicle.mode is FlightMode.OFFBOARD:
-            return False
         is_ours = vehicle.intended_mode in self._ours
         if vehicle.is_fallback and is_ours:
             return False
         is_chosen = not is_ours and vehicle.intended_mode is not FlightMode.UNKNOWN
         is_pilots = vehicle.mode is FlightMode.MANUAL or is_chosen
-        return is_pilots or self._comes_down or vehicle.mode not in self._modes_before
+        return is_pilots or self._is_flown or vehicle.mode not in self._modes_before
 
     @staticmethod
     def _may_be_fallback(vehicle: VehicleState) -> bool:
