@@ -224,7 +224,7 @@ def test_after_the_touch_the_wind_does_not_blow_the_estimate_away(touching_speed
     assert (apart_m < 0.8) != blown_away
 
 
-@pytest.mark.parametrize(("touching_s", "is_right"), [(6.0, True), (600.0, False)])
+@pytest.mark.parametrize(("touching_s", "is_right"), [(10.0, True), (600.0, False)])
 def test_one_that_hovers_just_above_the_ground_may_drift(touching_s, is_right):
     """A pilot's hands, at 0.2 m: it gathers 1.2 m/s, and no landing is told."""
     ekf = Ekf(EkfConfig(touching_s=touching_s))

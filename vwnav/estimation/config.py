@@ -95,7 +95,7 @@ class EkfConfig(Settings):
     blow_noise_m_s2: NotNegative = 1.0  # per root hertz, horizontal, instead of less
     touching_agl_m: NotNegative = 0.3  # lower than this it touches the ground, or is about to
     touching_speed_m_s: Positive = 1.5  # and no faster than this sideways
-    touching_s: Positive = 6.0  # after which one that was not told to have landed flies so low
+    touching_s: Positive = 10.0  # after which one that was not told to have landed flies so low
     touching_sigma_m_s: Positive = 0.5  # of its horizontal speed then, per barometric height
     slope_share: Share = 0.2  # of a way, times the slope of the ground
     relief_share: Share = 0.5  # of a way, times the relief's share of the height: of each image
