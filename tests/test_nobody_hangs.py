@@ -3,6 +3,7 @@
 import copy
 
 import pytest
+import test_pilot_keeps_it
 from hypothesis import example, given
 from hypothesis import strategies as st
 from test_flight import Scene, gap
@@ -40,24 +41,15 @@ def takeoff_ends(scene: Scene) -> None:
         scene.vehicle.be(mode=FlightMode.HOLD)
 
 
-HAPPENINGS = {
-    "a gap of the link": lambda scene: gap(scene, 2.5),
-    "a longer gap": lambda scene: gap(scene, 6.0),
-    "no estimate": lambda scene: setattr(scene, "lost", "the estimate is lost"),
-    "an estimate again": lambda scene: setattr(scene, "lost", ""),
-    "the autopilot agrees": lambda scene: scene.vehicle.be(
-        own_position_ned_m=scene.vehicle.position.copy()
-    ),
-    "it is elsewhere": lambda scene: scene.vehicle.be(
-        own_position_ned_m=scene.vehicle.position + 40.0
-    ),
+ALSO_THERE = (
+    "a gap of the link", "a longer gap", "no estimate", "an estimate again", "the autopilot agrees",
+    "it is elsewhere", "it answers late", "blind", "interrupted",
+)  # fmt: skip
+HAPPENINGS = {name: test_pilot_keeps_it.HAPPENINGS[name] for name in ALSO_THERE} | {
     "it refuses": lambda scene: scene.vehicle.refuse.update(
         {name: ["not now"] * 5 for name in ("hold", "land", "offboard")}
     ),
-    "it answers late": lambda scene: setattr(scene.vehicle, "answers_after", 15),
-    "blind": lambda scene: setattr(scene, "sees", False),
     "it sees again": lambda scene: setattr(scene, "sees", True),
-    "interrupted": lambda scene: scene.flight.abort("interrupted"),
     "no fix": lambda scene: setattr(scene, "fixes", False),
     "fixes again": lambda scene: setattr(scene, "fixes", True),
     "the watchdog brakes": lambda scene: setattr(
