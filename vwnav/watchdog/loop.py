@@ -50,6 +50,15 @@ class WatchdogConfig:
     took_over_t_s: float = -math.inf
     goes_on: HandedOn | None = None
 
+    @property
+    def heard_t_s(self) -> float:
+        """When that one heard the autopilot last, as far as it has told: until then it handed on.
+
+        Where it handed on nothing any more, too long ago to know what is flown now.
+        """
+        told_t_s = self.took_over_t_s - 2.0 * CUT_S if self.goes_on is None else self.goes_on.t_s
+        return min(told_t_s, self.took_over_t_s)
+
 
 @dataclass(frozen=True, slots=True)
 class WatchdogLinks:
@@ -91,7 +100,7 @@ class Watchdog:
         self._navigator = navigator
         self._useless = UselessNavigator(config.useless)
         self._from_navigator, self._from_observer = Framer(), Framer()
-        self._ear = AutopilotEar(heard_t_s=config.took_over_t_s)
+        self._ear = AutopilotEar(heard_t_s=config.heard_t_s)
         self._voice, self._outbox = Voice(), Outbox()
         self._guard = DeadMan(config.dead_man)
         self._estimates = RelayGuard(goes_on=config.goes_on)
@@ -262,7 +271,7 @@ class Watchdog:
     def _follow_autopilot(self, system_id: int) -> None:
         """The navigator's, where another one was heard first: by one that takes over in flight."""
         if system_id not in (0, self._ear.system_id):
-            self._ear = AutopilotEar(system_id, self._config.took_over_t_s)
+            self._ear = AutopilotEar(system_id, self._config.heard_t_s)
 
     def _call(self, t_s: float) -> None:
         """Show ourselves to an autopilot that waits to be spoken to."""

@@ -123,10 +123,11 @@ class World:
         peer = Peer(NotedLink(link, self.clock, self.track, north), Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
-    def _watchdog(self) -> Watchdog:
+    def _watchdog(self, took_over_t_s: float = -math.inf) -> Watchdog:
         ways = self.autopilot_link.b, self._navigator_link.a, self._observer_link.a
         links = WatchdogLinks(*ways, self._beats.a)
-        config = WatchdogConfig(goes_on=self.navigator.keep_alive.handed_on)
+        goes_on = self.navigator.keep_alive.handed_on
+        config = WatchdogConfig(goes_on=goes_on, took_over_t_s=took_over_t_s)
         return Watchdog(links, config, self.successor, self.navigator)
 
     def _camera(self, place: Place) -> LockstepCamera:
@@ -308,7 +309,7 @@ class World:
         self.clock.now_s = t_s = self._steps * STEP_S
         self.core.step_to_now(2)
         if t_s >= self._spare_due_s:
-            self._spare_due_s, self.watchdog = math.inf, self._watchdog()
+            self._spare_due_s, self.watchdog = math.inf, self._watchdog(t_s)
         if self.watchdog is not None:
             self.watchdog.step(t_s)
         self.camera.step(t_s, self.core.vehicle.body)
