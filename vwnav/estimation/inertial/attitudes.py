@@ -258,10 +258,12 @@ class AttitudeHistory:
         forward, right, down = down_axis(quat_wxyz)
         lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
         turn = self.gyro.between(t_s - _TILTS_OVER_S, t_s)
-        if turn is None:  # as the attitudes have it
-            before = self.held(t_s - _TILTS_OVER_S).quat_wxyz
-            turn = quat_multiply(quat_conjugate(before), quat_wxyz)
-        turned = math.hypot(*turn[1:3].tolist())
+        if turn is None:  # by the attitudes: x and y of the quaternion from the one to the other
+            w, x, y, z = self.held(t_s - _TILTS_OVER_S).quat_wxyz.tolist()
+            about = np.array([[-x, w, z, -y], [-y, -z, w, x]]) @ quat_wxyz
+        else:
+            about = turn[1:3]
+        turned = math.hypot(*about.tolist())
         tilts_rad_s = 2.0 * turned / _TILTS_OVER_S
         return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, told=self.at(t_s) is not None)
 
