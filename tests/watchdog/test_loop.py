@@ -509,7 +509,7 @@ def test_a_spare_one_knows_no_cut_while_the_autopilot_says_anything():
 
 def test_in_the_place_of_one_that_hung_nobody_steers_before_the_mode_is_heard():
     """For two seconds the navigator heard nothing: a pilot may have taken the aircraft."""
-    stand = Stand(config=WatchdogConfig(took_over_t_s=100.0))
+    stand = Stand(config=WatchdogConfig(took_over_t_s=100.0, silent_s=2.3))
     stand.speaks, stand.keepalive.system_id = False, 7
     attitude = mavlink.MAVLink_attitude_message(0, *[0.0] * 6)
     heard = names(stand.run(0.4, lambda s: [s.say(attitude), fly(s)]))

@@ -40,6 +40,7 @@ class WatchdogConfig:
         limit_s: longest time it goes on without the navigator.
         useless: when the navigator is ended.
         took_over_t_s: in flight, the place of one that has died; -inf: it is the first one.
+        silent_s: for so long that one had not answered: what is flown may be another mode.
         goes_on: what the autopilot was told by that one.
     """
 
@@ -48,16 +49,13 @@ class WatchdogConfig:
     useless: UselessConfig = field(default_factory=UselessConfig)
     dead_man: DeadManConfig = field(default_factory=DeadManConfig)
     took_over_t_s: float = -math.inf
+    silent_s: float = 0.0
     goes_on: HandedOn | None = None
 
     @property
     def heard_t_s(self) -> float:
-        """When that one heard the autopilot last, as far as it has told: until then it handed on.
-
-        Where it handed on nothing any more, too long ago to know what is flown now.
-        """
-        told_t_s = self.took_over_t_s - 2.0 * CUT_S if self.goes_on is None else self.goes_on.t_s
-        return min(told_t_s, self.took_over_t_s)
+        """Until when that one heard the autopilot, as far as anybody knows."""
+        return self.took_over_t_s - self.silent_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,6 +40,7 @@ class WatchdogOptions:
         limit_s: longest time it goes on without the navigator.
         clock_file: of a simulated time; empty for the wall's.
         takes_over: in the place of one that has died in flight. It comes up whatever the link does.
+        silent_s: for so long that one had not answered.
         goes_on: what that one handed on last (`HandedOn`, as hexadecimal digits).
     """
 
@@ -52,6 +53,7 @@ class WatchdogOptions:
     limit_s: float = 900.0
     clock_file: str = ""
     takes_over: bool = False
+    silent_s: float = 0.0
     goes_on: str = ""
 
 
@@ -149,6 +151,7 @@ class WatchdogPorts:
             calls_first=address.kind != "udpin",
             limit_s=options.limit_s,
             took_over_t_s=self._clock() if options.takes_over else -math.inf,
+            silent_s=options.silent_s,
             goes_on=HandedOn.unpack(bytes.fromhex(options.goes_on)),
         )
         successor = None

@@ -126,8 +126,9 @@ class World:
     def _watchdog(self, took_over_t_s: float = -math.inf) -> Watchdog:
         ways = self.autopilot_link.b, self._navigator_link.a, self._observer_link.a
         links = WatchdogLinks(*ways, self._beats.a)
-        goes_on = self.navigator.keep_alive.handed_on
-        config = WatchdogConfig(goes_on=goes_on, took_over_t_s=took_over_t_s)
+        told = self.navigator.keep_alive
+        config = WatchdogConfig(goes_on=told.handed_on, took_over_t_s=took_over_t_s,
+                                silent_s=told.unanswered_s)  # fmt: skip
         return Watchdog(links, config, self.successor, self.navigator)
 
     def _camera(self, place: Place) -> LockstepCamera:
