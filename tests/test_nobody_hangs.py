@@ -7,7 +7,7 @@ import test_pilot_keeps_it
 from hypothesis import example, given
 from hypothesis import strategies as st
 from test_flight import Scene, gap
-from test_pilot_keeps_it import STARTS, begun
+from test_pilot_keeps_it import STARTS, begun, is_up_after
 
 from vwnav.vehicle import FlightMode, Order
 from vwnav.watchdog.keepalive import GuardState, WatchdogReport
@@ -97,11 +97,8 @@ FORGOTTEN = [("falls to hold, told after 0.0 s", 5.5), ("an estimate again", 5.5
 @given(day=DAY)
 def test_an_aircraft_that_nobody_has_taken_comes_down_or_flies_on(start, day):
     scene = copy.deepcopy(begun(start))
-    for happens, seconds in day:
-        HAPPENINGS[happens](scene)
-        scene.go_on(seconds)
-        if not scene.vehicle.vehicle.armed:
-            return
+    if not is_up_after(scene, day, HAPPENINGS):
+        return
     # All is well again, and the autopilot stays in what it flies.
     scene.lost, scene.sees, scene.fixes, scene.vehicle.answers_after = "", True, True, 1
     scene.handle.report = None

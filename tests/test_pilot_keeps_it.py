@@ -92,6 +92,16 @@ def begun(start: str) -> Scene:
     return STARTS[start]()
 
 
+def is_up_after(scene: Scene, day, happenings) -> bool:
+    """Whether its motors still run when all of the day has happened."""
+    for happens, seconds in day:
+        happenings[happens](scene)
+        scene.go_on(seconds)
+        if not scene.vehicle.vehicle.armed:
+            return False
+    return True
+
+
 REFUSED_IN_RETURN = [
     ("a gap of the link", 0.1), ("falls to return", 0.1), ("it refuses", 0.1),
     ("the autopilot agrees", 0.1), ("a gap of the link", 0.6),
@@ -108,11 +118,8 @@ REFUSED_IN_RETURN = [
 )
 def test_who_has_taken_over_keeps_the_aircraft(start, day, mode, sticks, told_after_s):
     scene = copy.deepcopy(begun(start))
-    for happens, seconds in day:
-        HAPPENINGS[happens](scene)
-        scene.go_on(seconds)
-        if not scene.vehicle.vehicle.armed:
-            return
+    if not is_up_after(scene, day, HAPPENINGS):
+        return
     assume(mode is not FlightMode.HOLD or "hold" not in scene.vehicle.asked)  # else it may be ours
     seen = {"failsafe": False, "rc_available": sticks}
     scene.vehicle.be(mode=mode, intended_mode=FlightMode.UNKNOWN, **seen)

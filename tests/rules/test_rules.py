@@ -205,6 +205,16 @@ def test_a_pilot_who_hands_it_back_is_obeyed() -> None:
     assert verdict_of(RULES[0], log) == "held"
 
 
+@pytest.mark.parametrize(("back_s", "verdict"), [(18.0, "held"), (18.001, "broken")])
+def test_a_setpoint_of_the_moment_in_which_a_phase_begins_is_of_that_one(back_s, verdict) -> None:
+    """Handed back, the mission streams zero velocity from the very tick on."""
+    rule = next(rule for rule in RULES if rule.name == "setpoint out of control")
+    log = silent(good_flight(), "setpoints", 15.0, 18.001)
+    log = with_setpoint(log, 18.0, 0.0, 0.0, 0.0)
+    stages = ((0.0, Phase.ROUTE), (15.0, Phase.RELEASED), (back_s, Phase.RESUME))
+    assert verdict_of(rule, with_phases(log, *stages)) == verdict
+
+
 def test_a_landing_that_a_pilot_took_over_may_be_handed_back_and_flown_on() -> None:
     """The watchdog's landing, say."""
     rule = next(rule for rule in RULES if rule.name == "Offboard after Land")

@@ -44,10 +44,12 @@ def test_after_a_cut_in_a_climb_it_lands_on_its_velocity_where_the_map_shows_not
 
 
 # A pilot landed against, a rule that forgot the line's own time, an aircraft that hovers at 0.2 m,
-# one that swings without a gyro. A table that changes makes others of them, which hold as well.
+# one that swings without a gyro, a spare watchdog that let a setpoint through to a pilot. A table
+# that changes makes others of them, which hold as well.
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("number", "manners"), [(6009, "px4"), (6354, "px4"), (7117, "px4"), (7013, "copter")]
+    ("number", "manners"),
+    [(6009, "px4"), (6354, "px4"), (7117, "px4"), (7013, "copter"), (7139, "px4-1.16")],
 )
 def test_drawn_flights_that_once_broke_a_rule_break_none(number: int, manners: Manners) -> None:
     row = in_manners(drawn_rows(1, number)[0], manners)

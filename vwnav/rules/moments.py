@@ -52,9 +52,10 @@ def handed_back(log: FlightLog) -> list[float]:
 
 
 def in_phases(log: FlightLog, *phases: Phase) -> list[Span]:
-    """While the mission stands in one of them; the last phase goes on."""
+    """While the mission stands in one of them: until the next begins; the last phase goes on."""
     rows = log.phases
-    spans = spans_where(rows, lambda row: row.phase in phases)
+    found = spans_where(rows, lambda row: row.phase in phases)
+    spans = [(since_s, math.nextafter(until_s, since_s)) for since_s, until_s in found]
     if rows and rows[-1].phase in phases:
         spans[-1] = (spans[-1][0], math.inf)
     return spans

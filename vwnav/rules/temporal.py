@@ -50,8 +50,8 @@ def always_pairs(
 def never_while(
     spans: Sequence[Span], rows: Iterable[RowT], what: Callable[[RowT], str]
 ) -> Breach | None:
-    """No row falls into a span, whose end belongs to what follows."""
-    return always(rows, lambda row: not any(lo <= row.t_s < hi for lo, hi in spans), what)
+    """No row falls into a span."""
+    return always(rows, lambda row: not inside(row.t_s, spans), what)
 
 
 def within(

@@ -146,14 +146,8 @@ class WatchdogProcess:
         """The line with which the spare one takes over: `WatchdogOptions` that it has not got."""
         told = self.keepalive.handed_on
         goes_on = "" if told is None else told.pack().hex()
-        return json.dumps(
-            {
-                **self._ports,
-                "takes_over": True,
-                "goes_on": goes_on,
-                "silent_s": self.keepalive.unanswered_s,
-            }
-        )
+        known = {"goes_on": goes_on, "silent_s": self.keepalive.unanswered_s}
+        return json.dumps({**self._ports, "takes_over": True, **known})
 
     def _wait_for_its_end(self) -> int:
         """Its exit status. One that lives and does not answer guards nobody: it is killed."""
