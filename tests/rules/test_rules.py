@@ -227,6 +227,14 @@ def test_a_landing_that_a_pilot_took_over_may_be_handed_back_and_flown_on() -> N
     assert verdict_of(rule, again) == "broken"
 
 
+def test_who_stops_the_motors_in_the_air_has_it_fall() -> None:
+    rule = next(rule for rule in RULES if rule.name == "soft touch-down")
+    fallen = RED[rule.name](good_flight())
+    assert verdict_of(rule, fallen) == "broken"
+    stopped = [replace(row, armed=row.t_s < 12.0) for row in fallen.vehicle]
+    assert verdict_of(rule, replace(fallen, vehicle=stopped)) == "held"
+
+
 def test_an_estimate_of_the_good_flight_is_a_fraction_of_a_metre_wrong() -> None:
     assert sent_at(12.0).sigma_m == pytest.approx(0.5)
 

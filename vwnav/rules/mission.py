@@ -199,7 +199,10 @@ def _asks_after_touch_down(log: FlightLog) -> Breach | None:
 
 
 def _hard_touch_down(log: FlightLog) -> Breach | None:
+    """Of motors that run: who has stopped them in the air, a person, has it fall."""
     down_s = touch_down_s(log)
+    if any(row.t_s == down_s and not row.armed for row in log.vehicle):
+        return None
     last = [row for row in log.truth if down_s - _TOUCHES_S <= row.t_s <= down_s]
     return always(
         last,
@@ -303,7 +306,7 @@ MISSION = (
     ),
     Rule(
         "soft touch-down",
-        "It touches down at 2.5 m/s at most.",
+        "It touches down at 2.5 m/s at most, where nobody stopped its motors before.",
         ("vehicle", "truth"),
         _hard_touch_down,
     ),
