@@ -79,6 +79,19 @@ STARTS = {
 }
 
 
+@pytest.mark.parametrize("mode", [each for each in PERSONS if each is not FlightMode.LAND])
+def test_who_takes_over_an_aircraft_that_has_landed_may_lift_off_again(mode):
+    """No motors are stopped then that a pilot wants to run."""
+    scene = on_route()
+    scene.vehicle.stays_armed = True
+    scene.flight.abort("interrupted")
+    scene.run(lambda s: not s.vehicle.vehicle.in_air).go_on(2.0)
+    scene.vehicle.be(mode=mode)
+    scene.go_on(30.0)
+    assert "disarm" not in scene.vehicle.asked
+    assert scene.flight.phase is Phase.RELEASED
+
+
 def _landing_refused() -> Scene:
     scene = on_route()
     scene.vehicle.refuse = {"land": ["not now"] * 100}

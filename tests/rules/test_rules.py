@@ -26,7 +26,15 @@ from good_flight import (
 )
 
 from vwnav.mission.mission import Phase
-from vwnav.rules.flight_log import At, CommandAck, FlightLog, Heartbeat, ParameterSet, Said
+from vwnav.rules.flight_log import (
+    NAVIGATOR_ENDED,
+    At,
+    CommandAck,
+    FlightLog,
+    Heartbeat,
+    ParameterSet,
+    Said,
+)
 from vwnav.rules.rule import Rule, check
 from vwnav.rules.table import RULES
 from vwnav.vehicle import FlightMode
@@ -225,6 +233,14 @@ def test_a_landing_that_a_pilot_took_over_may_be_handed_back_and_flown_on() -> N
     assert verdict_of(rule, with_command(back, 17.0, SET_MODE, 1.0, 6.0, 0.0)) == "held"
     again = with_command(with_command(back, 20.0, LAND), 25.0, SET_MODE, 1.0, 6.0, 0.0)
     assert verdict_of(rule, again) == "broken"
+
+
+def test_a_mission_travels_no_more_whose_navigator_has_ended() -> None:
+    rule = next(rule for rule in RULES if rule.name == "blind lands")
+    blind = RED[rule.name](good_flight())
+    assert verdict_of(rule, blind) == "broken"
+    ended = replace(blind, events=[*blind.events, Said(14.0, NAVIGATOR_ENDED)])
+    assert verdict_of(rule, ended) == "held"
 
 
 def test_who_stops_the_motors_in_the_air_has_it_fall() -> None:

@@ -28,6 +28,17 @@ def test_a_packet_arrives_whole_and_after_the_latency():
     assert link.a.read() == b""
 
 
+def test_a_line_that_becomes_faster_overtakes_nothing():
+    clock, link = link_of(0.25)
+    link.a.write(b"one")
+    link.a_to_b.latency_s = 0.1
+    link.a.write(b"two")
+    clock.now_s = 0.24
+    assert link.b.read() == b""
+    clock.now_s = 0.25
+    assert [link.b.read() for _ in range(3)] == [b"one", b"two", b""]
+
+
 def test_what_is_written_while_it_is_cut_never_arrives():
     _, link = link_of()
     link.cut(True)

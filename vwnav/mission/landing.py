@@ -61,7 +61,7 @@ class Landing:
         if not vehicle.armed:
             return LandingState.DOWN
         if not vehicle.in_air:
-            return self._stands(t_s)
+            return self._stands(vehicle, t_s)
         self._stands_since_s = None
         if t_s - self._began_s > _SLOW_S and not self._said_slow:
             self._said_slow = True
@@ -71,9 +71,8 @@ class Landing:
             return LandingState.COMING_DOWN
         if not self._is_changed(vehicle):
             self._ask(vehicle, t_s)
-        elif t_s - self._began_s > _TAKEN_AFTER_S and not self._may_be_fallback(vehicle):
-            self._autopilot.withdraw()
-            return LandingState.TAKEN
+        elif self._is_told(vehicle, t_s):
+            return self._taken()
         return LandingState.ASKED
 
     def _is_changed(self, vehicle: VehicleState) -> bool:
@@ -82,17 +81,27 @@ class Landing:
         Who chooses the very mode to which it had fallen back changes what is asked for alone. Out
         of a failsafe PX4 goes back by itself to what was asked for.
         """
-        is_ours = vehicle.intended_mode in self._ours
-        if vehicle.is_fallback and is_ours:
+        if self._fell_back(vehicle):
             return False
-        is_chosen = not is_ours and vehicle.intended_mode is not FlightMode.UNKNOWN
-        is_pilots = vehicle.mode is FlightMode.MANUAL or is_chosen
-        return is_pilots or self._is_flown or vehicle.mode not in self._modes_before
+        is_ours = not self._is_flown and vehicle.mode in self._modes_before
+        return not is_ours or self._is_persons(vehicle)
 
-    @staticmethod
-    def _may_be_fallback(vehicle: VehicleState) -> bool:
-        """For the moment until it is told who chose the mode."""
-        return vehicle.intended_mode is FlightMode.UNKNOWN is not vehicle.mode
+    def _is_persons(self, vehicle: VehicleState) -> bool:
+        """A mode of the sticks, or one that was asked for by somebody else."""
+        is_chosen = vehicle.intended_mode not in self._ours | {FlightMode.UNKNOWN}
+        return not self._fell_back(vehicle) and (vehicle.mode is FlightMode.MANUAL or is_chosen)
+
+    def _fell_back(self, vehicle: VehicleState) -> bool:
+        return vehicle.is_fallback and vehicle.intended_mode in self._ours
+
+    def _is_told(self, vehicle: VehicleState, t_s: float) -> bool:
+        """Modes come late; for a moment it may not be told who chose one."""
+        may_be_fallback = vehicle.intended_mode is FlightMode.UNKNOWN is not vehicle.mode
+        return t_s - self._began_s > _TAKEN_AFTER_S and not may_be_fallback
+
+    def _taken(self) -> LandingState:
+        self._autopilot.withdraw()
+        return LandingState.TAKEN
 
     def _ask(self, vehicle: VehicleState, t_s: float) -> None:
         """The mode is still the one that we want to leave: not heard, refused, or under way."""
@@ -111,8 +120,10 @@ class Landing:
             self._asked_s, self._request = t_s, self._autopilot.land()
             self._was_silent = False
 
-    def _stands(self, t_s: float) -> LandingState:
-        """On the ground with running motors."""
+    def _stands(self, vehicle: VehicleState, t_s: float) -> LandingState:
+        """On the ground with running motors, which a pilot may want."""
+        if self._is_persons(vehicle) and self._is_told(vehicle, t_s):
+            return self._taken()
         self._stands_since_s = t_s if self._stands_since_s is None else self._stands_since_s
         if t_s - self._stands_since_s >= _DISARM_AFTER_S:
             self._say("the aircraft stands and is still armed: disarming")

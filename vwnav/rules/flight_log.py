@@ -14,6 +14,7 @@ from vwnav.vehicle import FlightMode
 
 Vector = tuple[float, float, float]  # north, east, down
 Level = tuple[float, float]  # north, east
+NAVIGATOR_ENDED = "the navigator has ended"  # by who sees its process: the mission ends with it
 
 
 @dataclass(frozen=True, slots=True)

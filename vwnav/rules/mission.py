@@ -5,6 +5,7 @@ from itertools import pairwise
 
 from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import (
+    NAVIGATOR_ENDED,
     At,
     FlightLog,
     LoggedCommand,
@@ -160,13 +161,19 @@ def _first_fix_s(log: FlightLog) -> float:
 
 
 def _blind(log: FlightLog) -> Breach | None:
-    """Travelling, without an image that tells anything for too long: it lands."""
+    """Travelling, without an image that tells anything for too long: it lands.
+
+    A mission whose navigator has ended travels no more: that one is the watchdog's.
+    """
+    ended_s = min((e.t_s for e in log.events if e.text == NAVIGATOR_ENDED), default=math.inf)
     limit_s = log.bounds.safety.blind_land_s
     times = [each.t_s for each in log.sights]
     pauses = list(pairwise([*times, log.end_s]))
     ours = steered(log)
     triggers = [
-        lo for lo, _ in after(limit_s, pauses) if log.phase_at(lo) in _TRAVELS and inside(lo, ours)
+        lo
+        for lo, _ in after(limit_s, pauses)
+        if log.phase_at(lo) in _TRAVELS and inside(lo, ours) and lo < ended_s
     ]
     answers = [*phase_begins(log, *_OUT), *in_modes(log, NOT_OURS)]
     return within(_REACTS_S, triggers, answers, log.end_s, "blind, a landing")
@@ -283,7 +290,7 @@ MISSION = (
     Rule(
         "blind lands",
         "Travelling without a picture that tells anything for 4 s, it lands within 1.5 s.",
-        ("vehicle", "sights", "phases"),
+        ("vehicle", "events", "phases", "sights"),
         _blind,
     ),
     Rule(

@@ -47,7 +47,11 @@ class LineState:
 
 
 class Line:
-    """One direction: packets in the order of their arrival."""
+    """One direction: packets in the order of their arrival.
+
+    Those that no tap delays arrive in the order in which they were sent, also where the line
+    becomes faster meanwhile.
+    """
 
     def __init__(self, clock: Clock, state: LineState, rng: random.Random) -> None:
         self._clock = clock
@@ -56,6 +60,7 @@ class Line:
         self._flying: list[tuple[float, int, bytes]] = []  # (arrival, number, packet)
         self._order = 0
         self._free_s = 0.0  # when the last bit written so far has left
+        self._arrives_s = 0.0  # the last packet that no tap delays
 
     def put(self, packet: bytes) -> None:
         """Send one packet."""
@@ -73,7 +78,8 @@ class Line:
             self._free_s = now_s + waiting_s + _BITS_PER_BYTE * len(packet) / state.baud
             now_s = self._free_s
         self._order += 1
-        heapq.heappush(self._flying, (now_s + state.latency_s + delay_s, self._order, packet))
+        self._arrives_s = arrives_s = max(self._arrives_s, now_s + state.latency_s)
+        heapq.heappush(self._flying, (arrives_s + delay_s, self._order, packet))
 
     def has_room(self) -> bool:
         """Whether what is put now leaves soon, and does not wait behind what was before."""

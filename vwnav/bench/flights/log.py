@@ -47,7 +47,11 @@ def flight_log(flown: Flown) -> FlightLog:
             )
             for row in track.truth
         ],
-        estimates=[each for each in heard.estimates if not inside(each.stamp_s, stood)],
+        estimates=[
+            each
+            for each in heard.estimates
+            if not (inside(each.stamp_s, stood) or inside(each.t_s, stood))
+        ],
         setpoints=heard.setpoints,
         commands=heard.commands,
         answers=heard.answers,

@@ -38,7 +38,7 @@ from vwnav.watchdog.successor import Resume
 
 _CAMERA_AGAIN_S = 1.0
 _FIXES_BEFORE = 2  # of a mission that begins in the air
-_LINK_S = 0.8  # from the watchdog's word until the link is up and the vehicle's state is known
+_LINK_S = 0.8  # from the watchdog's word until the link is up, where the autopilot is heard
 
 
 @dataclass(slots=True)
@@ -172,6 +172,12 @@ class Navigator:
         self.autopilot.step(t_s)
         for measurement in self.autopilot.take_measurements():
             self.pipeline.feed(measurement)
+
+    @property
+    def hears_vehicle(self) -> bool:
+        """Its heartbeat and its attitude: the process waits for them before anything begins."""
+        vehicle = self.autopilot.state()
+        return vehicle.connected and vehicle.attitude is not None
 
     def pretend(self, estimate: Estimate, armed: bool) -> None:
         """Send an estimate that no filter has made, as it would have been sent until now."""
@@ -311,7 +317,7 @@ class LockstepSuccessor:
         assert self._woken_s is not None
         if self._flies:
             navigator.step(t_s)
-        elif t_s - self._woken_s < _LINK_S:
+        elif t_s - self._woken_s < _LINK_S or not navigator.hears_vehicle:
             navigator.hear(t_s)
         else:
             self._begin(navigator, t_s)

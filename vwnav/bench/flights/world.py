@@ -23,7 +23,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import Phase
-from vwnav.rules.flight_log import At
+from vwnav.rules.flight_log import NAVIGATOR_ENDED, At
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
@@ -102,8 +102,7 @@ class World:
         self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self.local_frame)
         self.watchdog: Watchdog | None = self._watchdog()
         self._spare_due_s = math.inf
-        self._steps = 0
-        self._end_seen = False
+        self._steps, self._end_seen = 0, False
         self.begun_s = 0.0
 
     def _vehicle(self, place: Place) -> VehicleCore:
@@ -301,6 +300,7 @@ class World:
         self.navigator.step(self.clock.now_s)
         if self.navigator.ended and not self._end_seen and self.watchdog is not None:
             self._end_seen = True
+            self.note(NAVIGATOR_ENDED)
             self.watchdog.handle_navigator_end(self.clock.now_s)
         if self._steps % _NOTED_EVERY == 0:
             self._note_truth()
