@@ -22,7 +22,7 @@ from vwnav.bench.flights.scenario import Scenario
 from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.track import Heard
 from vwnav.bench.flights.world import World
-from vwnav.onboard.heap import give_back_free_memory
+from vwnav.onboard.heap import fill_array_cache, give_back_free_memory
 
 MINUTE_S = 60.0
 LAP_NED_M = ((60.0, -60.0, -50.0), (130.0, 0.0, -50.0), (50.0, 70.0, -50.0), (0.0, 0.0, -50.0))
@@ -107,6 +107,7 @@ def draw_all(world: World) -> None:
 
 def main() -> None:
     """See the module."""
+    fill_array_cache()  # as `vwnav fly` does
     recording = Path(sys.argv[1])
     seconds = float(sys.argv[2]) if len(sys.argv) > 2 else 3600.0
     setup = Setup(route_ned_m=LAP_NED_M * LAPS, battery_drain_s=20_000.0)

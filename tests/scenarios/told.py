@@ -6,19 +6,19 @@ mission, watchdog, its spare one and the autopilot, so days are flown by the hun
 
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Executor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.bench.flights import fly as flying
+from vwnav.bench.flights.fly import fly
 from vwnav.bench.flights.navigator import Equipped
 from vwnav.bench.flights.noted_link import LockstepWatcher
 from vwnav.bench.flights.scenario import Flown, Scenario
 from vwnav.bench.flights.world import Place, World
-from vwnav.config import Config
 from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import LocalFrame
+from vwnav.recording.input_log import About
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.seams import StepResult
 from vwnav.sim.lockstep_camera import LockstepCamera
@@ -192,12 +192,13 @@ class ToldWorld(World):
 
     def _equipped(self, place: Place) -> Equipped:
         camera, config = place.camera, self.setup.config
-        told = ToldPipeline(self.clock, self._truth_now, self.local_frame, self.setup.seed)
+        told: Any = ToldPipeline(self.clock, self._truth_now, self.local_frame, self.setup.seed)
         executor = LateExecutor(self.clock, self.processor, lambda: self.costs.match)
         watch = CameraWatch(camera.width_px, camera.height_px)
         record = LockstepWatcher(self.note, self.clock)
+        about = About("learned", "", "nadir", self.local_frame, None)
         return Equipped(self.setup.mission, self.local_frame, config, watch, told, told, executor,
-                        record, deque(), None)  # type: ignore[arg-type]  # fmt: skip
+                        record, deque(), about)  # fmt: skip
 
     def _truth_now(self) -> tuple[Array, Array, Array]:
         body = self.core.vehicle.body
@@ -210,8 +211,4 @@ class ToldWorld(World):
 
 def fly_told(scenario: Scenario, place: Place) -> Flown:
     """Fly it to its end, without eyes."""
-    flying.World, before = ToldWorld, flying.World
-    try:
-        return flying.fly(scenario, place)
-    finally:
-        flying.World = before
+    return fly(scenario, place, make=ToldWorld)

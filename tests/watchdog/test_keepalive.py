@@ -165,6 +165,18 @@ def test_what_is_no_report_is_none(alive):
     assert keepalive.report == report
 
 
+def test_an_answer_is_of_its_time(alive):
+    """A mission that breaks beats no more; its last answer was held to be of now for good."""
+    keepalive, channel, now = alive
+    keepalive.beat(True)
+    channel.answers.append(WatchdogReport(GuardState.RELAY, 1, 0.5, False).pack())
+    assert keepalive.report is not None
+    now[0] += 1.1
+    assert keepalive.report is None
+    channel.answers.append(WatchdogReport(GuardState.RELAY, 2, 0.5).pack())
+    assert keepalive.report is not None
+
+
 def test_a_watchdog_is_blamed_for_many_beats_without_an_answer(alive):
     keepalive, channel, now = alive
     assert keepalive.unanswered_s == 0.0

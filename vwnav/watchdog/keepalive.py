@@ -267,6 +267,7 @@ class KeepAlive:
         self._sequence = 0
         self._epoch = 0
         self._report: WatchdogReport | None = None
+        self._reported_s = -math.inf
         self._unanswered_since_s: float | None = None
         self._unanswered = 0
         self.rejoin()
@@ -294,9 +295,13 @@ class KeepAlive:
 
     @property
     def report(self) -> WatchdogReport | None:
-        """The watchdog's newest answer, None before the first."""
+        """The watchdog's newest answer; None before the first, and once it is old.
+
+        It answers beats: who beats no more, because the mission broke, is told nothing more. That
+        the estimates were held back then says nothing of now.
+        """
         self._read_reports()
-        return self._report
+        return None if self._clock() - self._reported_s > _OLD_S else self._report
 
     @property
     def unanswered_s(self) -> float:
@@ -309,7 +314,8 @@ class KeepAlive:
     @property
     def handed_on(self) -> HandedOn | None:
         """What a spare watchdog goes on from; None where the last one has been silent for long."""
-        report = self.report
+        self._read_reports()
+        report = self._report
         return None if report is None or self.unanswered_s > HANGS_S else report.handed_on
 
     def leave(self) -> None:
@@ -326,8 +332,9 @@ class KeepAlive:
         while data := self._channel.receive():
             report = WatchdogReport.unpack(data)
             if report is not None:
-                self._report = report
+                self._report, self._reported_s = report, self._clock()
                 self._unanswered_since_s, self._unanswered = None, 0
 
 
 HANGS_S = 2.0  # of beats without an answer
+_OLD_S = 1.0  # of an answer: beats come at 20 Hz

@@ -14,6 +14,7 @@ from vwnav.bench.flights.faults.aircraft import (
 from vwnav.bench.flights.faults.camera import CameraTrouble
 from vwnav.bench.flights.faults.computer import DiskFull, ModelRaises
 from vwnav.bench.flights.scenario import Break, Flown, Scenario
+from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.world import Place, World
 from vwnav.rules.temporal import Span
 
@@ -84,6 +85,7 @@ def fly(
     place: Place,
     recording: Path | None = None,
     see: Callable[[World], None] = lambda _: None,
+    make: Callable[[Setup, Place], World] = World,
 ) -> Flown:
     """Fly it to its end.
 
@@ -92,8 +94,9 @@ def fly(
         place: where.
         recording: where to keep what it records.
         see: called after every step.
+        make: the world that it is flown in.
     """
-    world = World(scenario.setup, place)
+    world = make(scenario.setup, place)
     if recording is not None:
         world.navigator.keep_at(recording)
     world.begin()

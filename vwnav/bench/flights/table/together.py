@@ -14,6 +14,7 @@ from vwnav.bench.flights.scenario import (
     down,
     phase,
     setup,
+    unsaid,
 )
 from vwnav.bench.flights.stage import Fault
 from vwnav.bench.flights.table.link import STAY_UP, with_action
@@ -144,6 +145,19 @@ TURNED = [
         lands_within_m=70.0,
     ),
 ]
+STALE = [
+    Scenario(
+        name="link cut for 3 s, and the mission raises before it is there again",
+        setup=setup(),
+        breaks=(
+            Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0),
+            Break(fault=computer.StepRaises("mission"), at_s=BREAKS_AT_S + 2.5),
+        ),
+        limit_s=90.0,
+        follows=(unsaid(80.0, "the watchdog does not hand it on"), down(80.0)),
+        lands_within_m=30.0,
+    ),
+]
 _CUT = Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0)
 # PX4 has fallen back to a mode that stays up by the time that the link is there again.
 FALLEN_BACK = [
@@ -178,4 +192,4 @@ FALLEN_BACK = [
         0,
     ),
 ]
-TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *FALLEN_BACK]
+TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *STALE, *FALLEN_BACK]

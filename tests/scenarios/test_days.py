@@ -1,0 +1,17 @@
+"""Days on which nothing goes right, flown by the whole program but for its eyes (`told`)."""
+
+import pytest
+from days import against_stations, day
+from told import fly_told
+
+from vwnav.bench.flights.judge import judge
+from vwnav.bench.flights.lockstep_place import lockstep_place
+
+
+@pytest.mark.parametrize(
+    "number",
+    [*range(6), *(pytest.param(number, marks=pytest.mark.long) for number in range(6, 120))],
+)
+def test_a_day_on_which_several_things_break_ends_well(number: int) -> None:
+    flown = fly_told(day(number), lockstep_place())
+    assert not (judge(flown).wrong + tuple(against_stations(flown)))
