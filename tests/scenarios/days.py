@@ -37,6 +37,7 @@ _OTHERWISE_SET = 0.4  # of the PX4s
 _TAKES = "a second station asks for "
 _GIVES_BACK = ("pilot hands back", "the ground station orders")
 _HEARD_S, _AT_ONCE_S = 0.5, 0.5
+_LOST, _SETTLES_S = "the estimate is not sent any more", 8.0
 _FLIES = frozenset({*_COMMANDS, 20, 400})
 _ORDERS = tuple(each for each in Order if each is not Order.START)
 
@@ -190,3 +191,11 @@ def against_stations(flown: Flown) -> list[str]:
             if since_s < at_s < until_s
         ]
     return found
+
+
+def restless(flown: Flown) -> list[str]:
+    """Estimates that are lost again and again, when all that broke is whole again or settled."""
+    ends = (b.at_s + (_SETTLES_S if b.for_s is None else b.for_s) for b in flown.scenario.breaks)
+    calm_s = max(ends) + _SETTLES_S
+    lost = [e.t_s for e in flown.track.events if e.text.startswith(_LOST) and e.t_s > calm_s]
+    return [f"estimates are lost at {lost} s"] if len(lost) > 1 else []

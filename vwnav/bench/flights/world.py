@@ -101,8 +101,7 @@ class World:
         self.navigator = self._navigator(place, 0)
         self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self.local_frame)
         self.watchdog: Watchdog | None = self._watchdog()
-        self._spare_due_s = math.inf
-        self._steps, self._end_seen = 0, False
+        self._steps, self._spare_due_s, self._end_seen = 0, math.inf, False
         self.begun_s = 0.0
 
     def _vehicle(self, place: Place) -> VehicleCore:
@@ -187,9 +186,10 @@ class World:
         return self.clock.now_s - self.begun_s
 
     def lose_watchdog(self, silent_s: float = 0.0) -> None:
-        """Its process is gone, for so long unnoticed; the spare one follows (`watchdog.launch`)."""
-        self.watchdog, self._spare_due_s = None, self.clock.now_s + silent_s + _SPARE_S
-        self.note("the watchdog is gone: another one takes its place")
+        """Its process is gone, for so long unnoticed; the navigator has a spare one, if it lives."""
+        takes_s = math.inf if self.navigator.ended else silent_s + _SPARE_S
+        self.watchdog, self._spare_due_s = None, self.clock.now_s + takes_s
+        self.note("the watchdog is gone")
 
     def note(self, text: str) -> None:
         """A line for the judge and the reader."""
