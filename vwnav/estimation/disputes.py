@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import level_axes
@@ -210,15 +211,34 @@ def relocated(state: FilterState, measurement: Measurement) -> FilterState:
 
 
 def learned_of_map(state: FilterState, config: EkfConfig) -> FilterState:
-    """With what a fused fix shows of the map's size of error.
-
-    By as much more as that is than was believed, the place that fixes have told is open, too: the
-    other way, because together they were seen right.
-    """
+    """With what a fused fix shows of the map's size of error."""
     known, variance_m2 = state.map_error, np.diag(state.P)[States.MAP]
     here = state.x[States.POSITION_NE], state.x[States.MAP], variance_m2
-    found = known.seen(*here, config.map_sigma_m, config.map_length_m)
-    more_m2 = found.opened_m**2 - known.opened_m**2
+    return _with_map_error(state, known.seen(*here, config.map_sigma_m, config.map_length_m))
+
+
+def map_stepped(state: FilterState, by_m: float) -> FilterState:
+    """At the seam between two pieces of a map, each off by an error of its own.
+
+    Of that of the piece that begins nothing is known yet, and the one before was off by as much:
+    the two differ by sqrt(2) times the size of one.
+    """
+    after = _with_map_error(state, state.map_error.stepped(by_m / math.sqrt(2.0)))
+    P, x = after.P.copy(), after.x.copy()
+    x[States.MAP] = 0.0
+    P[States.MAP] = 0.0
+    P[:, States.MAP] = 0.0
+    P[States.MAP, States.MAP] = after.map_error.sigma_m**2 * np.eye(2)
+    return replace(after, x=x, P=P, rejected_fixes=())
+
+
+def _with_map_error(state: FilterState, found: LearnedMapError) -> FilterState:
+    """With another size of the map's error.
+
+    By as much as that is more than it was ever taken for, the place that fixes have told is open,
+    too: the other way, because together they were seen right.
+    """
+    more_m2 = found.opened_m**2 - state.map_error.opened_m**2
     G = np.zeros((States.SIZE, 2))
     G[States.POSITION_NE] = G[States.ANCHOR_NE] = G[States.EXPOSED_POSITION] = np.eye(2)
     G[States.MAP] = -np.eye(2)

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vwnav.estimation.beginning.explanations import explained
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground, patch_below
@@ -43,9 +44,8 @@ _ATTITUDE_MARGIN_S = 1.0
 _SAID_S = 5.0
 _RANGE_DOUBTED = "the rangefinder contradicts map and barometer: it is not believed"
 _RANGE_AGAIN = "the rangefinder agrees with map and barometer again: it is believed"
-_TILTED = "the camera hangs otherwise than its mount_rpy_deg says: the map tells how"
 _MISLED_S = 10.0  # for so long at most wrong ways are believed
-_DOUBTED_AGAIN_S = 10.0  # after a mount was doubted
+_EXPLAINED_AGAIN_S = 10.0  # refused fixes, at the earliest
 _ATTITUDE_LATE_S = 0.1  # by which it is behind the gyro, when it is late
 
 
@@ -76,7 +76,7 @@ class Ekf:
         self._attitude_gate = AttitudeGate(self.attitudes, self._imu)
         self._imu_gate = ImuGate(self.attitudes, self._imu)
         self._odometry_gate = OdometryGate(self.attitudes, config)
-        self._mount_doubted_s = -math.inf
+        self._explained_s = -math.inf
         self._context = Context(config, self.attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
@@ -235,21 +235,21 @@ class Ekf:
         oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
         if not innovation.accepted:
-            return self._doubt_mount(self._timeline) or innovation
+            return self._explain(self._timeline) or innovation
         self._odometry_gate.fixes += fix.agl_m is not None or fix.yaw_rad is None  # in scale
         self._imu_gate.fixes_s.append(fix.t_s)
         return innovation
 
-    def _doubt_mount(self, timeline: Timeline) -> Innovation | None:
-        """Go on as if the camera hung otherwise, where fixes that are refused are right then."""
-        again = timeline.newest.t_s < self._mount_doubted_s + _DOUBTED_AGAIN_S
+    def _explain(self, timeline: Timeline) -> Innovation | None:
+        """Go on with what makes fixes right that were refused in a row, where something does."""
+        again = timeline.newest.t_s < self._explained_s + _EXPLAINED_AGAIN_S
         if again or self._odometry_gate.lost or self.counts_heading:
             return None
-        other = timeline.with_mount_doubted()
-        if other is None:
+        if (found := explained(timeline, self.attitudes)) is None:
             return None
-        self._timeline, self._mount_doubted_s = other, other.newest.t_s
-        self._say(_TILTED)
+        self._timeline, words = found
+        self._explained_s = self._timeline.newest.t_s
+        self._say(words)
         return Innovation(Verdict.FUSED)
 
     def _handle_odometry(self, motion: OdometryMotion) -> Innovation:

@@ -124,6 +124,14 @@ class MountDoubted:
 
 
 @dataclass(frozen=True, slots=True)
+class MapStepped:
+    """Another piece of the map begins, which is off otherwise: by so much from the one before."""
+
+    t_s: float
+    by_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class RangeDoubted:
     """From then on the rangefinder is not believed, nor is what it told in the history.
 
@@ -136,5 +144,13 @@ class RangeDoubted:
 
 Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked | Recalibrated
 Event = (
-    Told | NewKeyframe | LateFix | Drag | Misled | LensDoubted | MountDoubted | RangeDoubted
+    Told
+    | NewKeyframe
+    | LateFix
+    | Drag
+    | Misled
+    | LensDoubted
+    | MountDoubted
+    | MapStepped
+    | RangeDoubted
 )  # the others are the filter's own

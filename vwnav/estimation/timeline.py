@@ -13,7 +13,6 @@ from itertools import compress
 import numpy as np
 
 from vwnav.estimation.beginning.map_error import LOOK_M
-from vwnav.estimation.beginning.mount import LEAST_TILT_RAD
 from vwnav.estimation.beginning.other_camera import (
     apply_lens_doubted,
     apply_mount_doubted,
@@ -21,7 +20,7 @@ from vwnav.estimation.beginning.other_camera import (
 )
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
-from vwnav.estimation.disputes import learned_of_map, range_doubted
+from vwnav.estimation.disputes import learned_of_map, map_stepped, range_doubted
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -29,6 +28,7 @@ from vwnav.estimation.events import (
     Exposed,
     LateFix,
     LensDoubted,
+    MapStepped,
     Misled,
     MountDoubted,
     NedFix,
@@ -53,15 +53,12 @@ from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, Attitude, Height, ImuSample, Range, Stationary
 
-_REFUSED, _EXPLAINED = 3, 2  # fixes in a row, and those in the history, that doubt a mount
-_REFUSED_DATED = 6  # where these lie as far behind as the aircraft flies in such a time ...
-_LATE_S, _ALONG = (0.2, 0.7), 0.3  # ... and beside by less than that share
 _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left, and what
 # was seen then was seen by the camera of before.
 _ORDER: tuple[type[Event], ...] = (
-    Misled, LensDoubted, MountDoubted, RangeDoubted, Untracked, LateFix, Stationary, Height, Range,
-    NedFix, Displacement, Drag, NewKeyframe, Exposed, Recalibrated,
+    Misled, LensDoubted, MountDoubted, MapStepped, RangeDoubted, Untracked, LateFix, Stationary,
+    Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed, Recalibrated,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
@@ -154,31 +151,19 @@ class Timeline:
         self.oldest, self.newest = self._states[0], self._states[-1]
         return out
 
-    def with_mount_doubted(self) -> "Timeline | None":
-        """What it were had the mount been doubted before the fixes that it refuses.
+    def followed_since(self, t_s: float) -> bool:
+        """Whether images told ways from then on, none of them without, and all were believed."""
+        later = [event for event in self._events if event.t_s > t_s]
+        told = any(isinstance(event, Displacement) for event in later)
+        lost = any(isinstance(event, Untracked) for event in later)
+        refused = any(each.t_s > t_s for each in self.newest.rejected_ways)
+        return told and not (lost or refused) and t_s >= self.oldest.t_s
 
-        None where these would not all be right then, or are few, or where the camera would not
-        hang by much: on a starved machine some are refused for other reasons. Where they lie behind
-        as those of pictures that are dated wrongly do, it takes longer: ways tell that meanwhile.
-        """
-        rejected, velocity_m_s = self.newest.rejected_fixes, self.newest.x[States.VELOCITY_NE]
-        if len(rejected) < _REFUSED:
-            return None
-        off_m = np.mean([each.residual for each in rejected], axis=0)
-        late_s = -float(off_m @ velocity_m_s) / max(float(velocity_m_s @ velocity_m_s), 1.0)
-        beside_m = math.hypot(*(off_m + late_s * velocity_m_s))
-        dated = _LATE_S[0] < late_s < _LATE_S[1] and beside_m < _ALONG * math.hypot(*off_m)
-        if dated and len(rejected) < _REFUSED_DATED:
-            return None
-        event = MountDoubted(max(rejected[0].t_s, self.oldest.t_s))
+    def branch(self) -> "Timeline":
+        """Another one that begins as this one is, and leaves this one as it is."""
         other = copy(self)
         other._orders, other._events = self._orders.copy(), self._events.copy()
-        fixes = other.leave_out(NedFix, since_s=event.t_s)
-        other.insert(event)
-        fused = [other.insert(fix).verdict is Verdict.FUSED for fix in fixes]
-        tilt_rad = float(np.linalg.norm(other.newest.x[States.CAMERA_TILT]))
-        explained = len(fused) >= _EXPLAINED and all(fused) and tilt_rad > LEAST_TILT_RAD
-        return other if explained else None
+        return other
 
     def _knocked(self, event: Recalibrated) -> Recalibrated:
         """What was seen since by a camera that hung otherwise goes, and what it has taught."""
@@ -246,6 +231,8 @@ def _corrected(
         case MountDoubted(t_s):
             yaw_rad = attitudes.exposure(t_s).yaw_rad - float(state.x[States.HEADING_BIAS])
             return apply_mount_doubted(state, yaw_rad), Innovation(Verdict.FUSED)
+        case MapStepped(_, by_m):
+            return map_stepped(state, by_m), Innovation(Verdict.FUSED)
         case LensDoubted():
             return apply_lens_doubted(state), Innovation(Verdict.FUSED)
         case NewKeyframe():

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from vwnav.bench.flights.faults import aircraft, camera, telemetry
 from vwnav.bench.flights.scenario import Scenario
+from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
 
 _COMPASS_DEG = 10.0  # off by less than that a compass is as good as they are
@@ -73,7 +74,16 @@ def _heights(scenario: Scenario) -> bool:
     )
 
 
+def _map(scenario: Scenario) -> bool:
+    """Its faults are named by their module: who imports that one draws."""
+    is_off = scenario.setup.map_warp != MapWarp() or scenario.map_off_m > 0.0
+    return is_off or any(
+        type(b.fault).__module__.endswith("faults.ground") for b in scenario.breaks
+    )
+
+
 _BLAMES = (
+    _Blame("map", "the map steps", _map),
     _Blame("mount", "mount_rpy_deg", _mount),
     _Blame("lens", "as wide as its calibration", _lens),
     _Blame("compass", "calibrate its compass", _compass),

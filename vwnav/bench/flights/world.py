@@ -186,7 +186,7 @@ class World:
         return self.clock.now_s - self.begun_s
 
     def lose_watchdog(self, silent_s: float = 0.0) -> None:
-        """Its process is gone, for so long unnoticed; the navigator has a spare one, if it lives."""
+        """Its process is gone, for so long unnoticed; a navigator that lives has a spare one."""
         takes_s = math.inf if self.navigator.ended else silent_s + _SPARE_S
         self.watchdog, self._spare_due_s = None, self.clock.now_s + takes_s
         self.note("the watchdog is gone")

@@ -33,6 +33,7 @@ class LearnedMapError:
         log_likelihood: (n,) of each of the sizes, by all looks.
         opened_m: the largest that it was ever taken for.
         told_m: what the operator knows that it is at least.
+        least_m: never less, since two pieces of the map were off from each other by that.
     """
 
     sigma_m: float = 0.0
@@ -41,6 +42,7 @@ class LearnedMapError:
     log_likelihood: NDArray[np.float64] | None = None
     opened_m: float = 0.0
     told_m: float = 0.0
+    least_m: float = 0.0
 
     def seen(
         self,
@@ -71,16 +73,18 @@ class LearnedMapError:
                 told -= 0.5 * f * share * (np.log(variances) + (m / f) ** 2 / variances)
         log_likelihood = self.log_likelihood + told
         prior = -0.5 * np.log(sizes_m / self.stated_m) ** 2  # a factor of e is one sigma
-        sigma_m = float(sizes_m[np.argmax(prior + log_likelihood)])
+        sigma_m = max(float(sizes_m[np.argmax(prior + log_likelihood)]), self.least_m)
+        return replace(self._of(sigma_m), seen_ne_m=place, log_likelihood=log_likelihood)
+
+    def stepped(self, sigma_m: float) -> "LearnedMapError":
+        """Two pieces were found to be off by so much each: neither shows it by itself."""
+        size_m = max(self.sigma_m, sigma_m)
+        return replace(self._of(size_m), least_m=size_m)
+
+    def _of(self, sigma_m: float) -> "LearnedMapError":
         told_m = max([self.told_m, *(size for size in _TOLD_M if size <= sigma_m)])
-        return replace(
-            self,
-            sigma_m=sigma_m,
-            seen_ne_m=place,
-            log_likelihood=log_likelihood,
-            opened_m=max(self.opened_m, sigma_m),
-            told_m=told_m,
-        )
+        opened_m = max(self.opened_m, sigma_m)
+        return replace(self, sigma_m=sigma_m, opened_m=opened_m, told_m=told_m)
 
     @classmethod
     def stated(cls, sigma_m: float) -> "LearnedMapError":

@@ -58,12 +58,29 @@ class OneFixWrong(Lasting):
             if isinstance(found, Rejected) or found.yaw_rad is None:
                 return found
             executor.mistake = None
-            ned_m = np.array([*self.ne_m, 0.0])
-            lat_deg, lon_deg, _ = LocalFrame(found.lat_deg, found.lon_deg, 0.0).to_geodetic(ned_m)
             yaw_rad = wrap_pi(found.yaw_rad + math.radians(self.turned_deg))
-            return replace(found, lat_deg=float(lat_deg), lon_deg=float(lon_deg), yaw_rad=yaw_rad)
+            return replace(_moved(found, self.ne_m), yaw_rad=yaw_rad)
 
         executor.mistake = mistaken
+
+
+@dataclass(frozen=True)
+class MapSteps(Lasting):
+    """Another piece of the map begins, which was laid so far beside the one before."""
+
+    ne_m: tuple[float, float]
+
+    def begin(self, world: FlightStage) -> None:
+        """All that is found from now on lies on it."""
+        world.navigator.executor.mistake = lambda found: (
+            found if isinstance(found, Rejected) else _moved(found, self.ne_m)
+        )
+
+
+def _moved(fix: MapFix, ne_m: tuple[float, float]) -> MapFix:
+    ned_m = np.array([*ne_m, 0.0])
+    lat_deg, lon_deg, _ = LocalFrame(fix.lat_deg, fix.lon_deg, 0.0).to_geodetic(ned_m)
+    return replace(fix, lat_deg=float(lat_deg), lon_deg=float(lon_deg))
 
 
 @dataclass(frozen=True)

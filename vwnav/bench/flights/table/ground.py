@@ -1,5 +1,8 @@
 """The map is not of this place, not of this year, or not whole; the model does not work."""
 
+import math
+from dataclasses import replace
+
 from vwnav.bench.flights.faults import computer, ground
 from vwnav.bench.flights.scenario import (
     Break,
@@ -70,6 +73,13 @@ MAP = [
     _first_fix("8 m off", ground.OneFixWrong(ne_m=(6.4, -4.8))),
     flies_on("one fix turned by 14 degrees", ground.OneFixWrong(turned_deg=14.0)),
     flies_on("one fix 8 m off", ground.OneFixWrong(ne_m=(6.4, 4.8))),
+    *(
+        replace(
+            flies_on(f"map steps by {math.hypot(*ne_m):g} m", ground.MapSteps(ne_m), after_s=25.0),
+            follows=(said(8.0, "the map steps"),),
+        )
+        for ne_m in ((2.4, 1.8), (-3.0, 4.0))
+    ),
     flies_on("map of another season", ground.OtherSeason("winter"), after_s=25.0),
     flies_on("map's tiles damaged on disk", computer.MapTilesDamaged(), copies_map=True),
     flies_on("map deleted in flight", computer.MapDeleted(), copies_map=True),
