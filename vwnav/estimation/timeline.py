@@ -152,12 +152,12 @@ class Timeline:
         return out
 
     def followed_since(self, t_s: float) -> bool:
-        """Whether images told ways from then on, none of them without, and all were believed."""
+        """Whether images told ways from then on, in the history, and all were believed."""
         later = [event for event in self._events if event.t_s > t_s]
         told = any(isinstance(event, Displacement) for event in later)
         lost = any(isinstance(event, Untracked) for event in later)
         refused = any(each.t_s > t_s for each in self.newest.rejected_ways)
-        return told and not (lost or refused) and t_s >= self.oldest.t_s
+        return told and not (lost or refused)
 
     def branch(self) -> "Timeline":
         """Another one that begins as this one is, and leaves this one as it is."""

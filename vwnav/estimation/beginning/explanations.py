@@ -19,7 +19,8 @@ _STEPPED, _TILTED = 2, 3  # refused fixes in a row that show the one or the othe
 _TURNED_RAD = math.radians(10.0)  # within the history
 _EXPLAINED = 2  # fixes in the history, at least
 _REFUSED_DATED = 6  # where these lie as far behind as the aircraft flies in such a time ...
-_LATE_S, _ALONG = (0.2, 0.7), 0.3  # ... and beside by less than that share
+_TILTED_LATE_S, _STEPPED_LATE_S = (0.2, 0.7), (0.1, 1.0)
+_TILTED_BESIDE, _STEPPED_BESIDE = 0.3, 0.7  # ... and beside its way by less than that share
 _MOST_STEP_M = 6.0  # between two pieces of a map: by more it is another place
 _JUST_BEFORE_S = 2.0  # the last fix that was believed: a place that has drifted since is no step
 
@@ -31,7 +32,7 @@ class FixHistory(Protocol):
     newest: FilterState
 
     def followed_since(self, t_s: float) -> bool:
-        """Whether images told ways from then on, and all were believed."""
+        """Whether images told ways from then on, in the history, and all were believed."""
         ...
 
     def branch(self) -> Self:
@@ -62,16 +63,16 @@ def explained(history: _H, attitudes: AttitudeHistory) -> tuple[_H, str] | None:
     if len(rejected) < _STEPPED:
         return None
     off_m = np.mean([each.residual for each in rejected], axis=0)
-    is_late = _is_behind(off_m, history.newest.x[States.VELOCITY_NE])
-    if is_late and len(rejected) < _REFUSED_DATED:
-        return None
+    velocity_m_s, is_told = history.newest.x[States.VELOCITY_NE], len(rejected) >= _REFUSED_DATED
+    no_tilt = _is_behind(off_m, velocity_m_s, _TILTED_LATE_S, _TILTED_BESIDE) and not is_told
+    no_step = _is_behind(off_m, velocity_m_s, _STEPPED_LATE_S, _STEPPED_BESIDE) and not is_told
     since_s, by_m = max(rejected[0].t_s, history.oldest.t_s), math.hypot(*off_m)
     may_be_tilt = _may_be_tilt(history, by_m, attitudes)
-    if may_be_tilt and len(rejected) >= _TILTED:
+    if may_be_tilt and len(rejected) >= _TILTED and not no_tilt:
         tilted = _told_anew(history, MountDoubted(since_s))
         if tilted is not None and np.hypot(*tilted.newest.x[States.CAMERA_TILT]) > LEAST_TILT_RAD:
             return tilted, _TILTED_WORDS
-    waits = may_be_tilt and len(rejected) <= _TILTED
+    waits = no_step or (may_be_tilt and len(rejected) <= _TILTED)
     if waits or by_m > _MOST_STEP_M or not _is_sudden(history.newest):
         return None
     stepped = _told_anew(history, MapStepped(since_s, by_m))
@@ -109,8 +110,10 @@ def _told_anew(history: _H, event: MountDoubted | MapStepped) -> _H | None:
     return other if len(fused) >= _EXPLAINED and all(fused) else None
 
 
-def _is_behind(off_m: Array, velocity_m_s: Array) -> bool:
+def _is_behind(
+    off_m: Array, velocity_m_s: Array, late_s: tuple[float, float], most_beside: float
+) -> bool:
     """Whether (2,) is behind the aircraft by as much as it flies while a late picture comes."""
-    late_s = -float(off_m @ velocity_m_s) / max(float(velocity_m_s @ velocity_m_s), 1.0)
-    beside_m = math.hypot(*(off_m + late_s * velocity_m_s))
-    return _LATE_S[0] < late_s < _LATE_S[1] and beside_m < _ALONG * math.hypot(*off_m)
+    behind_s = -float(off_m @ velocity_m_s) / max(float(velocity_m_s @ velocity_m_s), 1.0)
+    beside_m = math.hypot(*(off_m + behind_s * velocity_m_s))
+    return late_s[0] < behind_s < late_s[1] and beside_m < most_beside * math.hypot(*off_m)
