@@ -37,8 +37,12 @@ def test_a_lens_that_nobody_measured_is_learned_and_the_place_stays_within_its_s
 
 
 def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
-    """What a filter without this state did with every lens."""
-    assert worst_sigmas(flown(1, 1e-4, 0.12)) > 5.0
+    """What a filter without this state did with every lens: 4.8 m off, 0.5 where it is learned.
+
+    It was 8.5 sigmas, until fixes that jump about were seen to have a map that steps for a reason.
+    """
+    error_m = np.hypot(*flown(1, 1e-4, 0.12).rows.error_ne_m.T)
+    assert float(error_m.mean()) > 4.0
 
 
 def test_one_that_is_as_told_costs_little():
