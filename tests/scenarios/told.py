@@ -1,6 +1,6 @@
 """Whole flights that see nothing: what a filter would believe is told, all else is as it flies.
 
-Nine tenths of a flight in lockstep are images and the filter. What is looked for here lies between
+Six sevenths of the cost of a flight in lockstep are images and the filter. What is looked for here lies between
 mission, watchdog, its spare one and the autopilot, so days are flown by the hundred without them.
 """
 
@@ -74,7 +74,6 @@ class ToldPipeline:
         self._before: Frame | None = None
         self._sought, self._counter = 0, 0
         self.attempts = self.accepted = 0
-        self.counts_heading = False
 
     # ---- as the filter
 

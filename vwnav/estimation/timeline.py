@@ -159,11 +159,17 @@ class Timeline:
         refused = any(each.t_s > t_s for each in self.newest.rejected_ways)
         return told and not (lost or refused)
 
-    def branch(self) -> "Timeline":
-        """Another one that begins as this one is, and leaves this one as it is."""
-        other = copy(self)
-        other._orders, other._events = self._orders.copy(), self._events.copy()
-        return other
+    def told_anew(self, event: Event) -> tuple["Timeline", list[Verdict]]:
+        """Another one, in which an event was too, and what becomes of the fixes after it then."""
+        other, order = copy(self), (event.t_s, _RANKS[type(event)])
+        i = bisect.bisect_left(self._orders, order)
+        other._orders = [*self._orders[:i], order, *self._orders[i:]]
+        other._events = [*self._events[:i], event, *self._events[i:]]
+        answers = other._apply_again(i)
+        other.newest = other._states[-1]
+        other.outside = outside(other.newest, self._context.config)
+        later = zip(other._events[i:], answers, strict=True)
+        return other, [answer.verdict for seen, answer in later if isinstance(seen, NedFix)]
 
     def _knocked(self, event: Recalibrated) -> Recalibrated:
         """What was seen since by a camera that hung otherwise goes, and what it has taught."""
@@ -173,13 +179,14 @@ class Timeline:
         self.insert(Misled(self.oldest.t_s, event.t_s))
         return replace(event, t_s=self.oldest.t_s)
 
-    def _apply_again(self, first: int) -> None:
-        """The events from `first` on, now that the past is another."""
+    def _apply_again(self, first: int) -> list[Innovation]:
+        """The events from `first` on, now that the past is another, and what became of each."""
         told, state = self.newest, self._states[first]
-        states = self._states[: first + 1]
+        states, answers = self._states[: first + 1], []
         for event in self._events[first:]:
-            state, _ = apply(state, event, self._context)
+            state, answer = apply(state, event, self._context)
             states.append(state)
+            answers.append(answer)
         # Of the two newest positions one may be of an earlier moment.
         flown_m = (state.t_s - told.t_s) * told.x[States.VELOCITY]
         apart_m = float(np.linalg.norm((state.x - told.x)[States.POSITION] - flown_m))
@@ -189,6 +196,7 @@ class Timeline:
         if missing > 0:  # as if so many more had been before the history
             states = [replace(each, reset_counter=each.reset_counter + missing) for each in states]
         self._states = states
+        return answers
 
 
 def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterState, Innovation]:

@@ -7,9 +7,9 @@ import numpy as np
 
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD
 from vwnav.estimation.disputes import agreeing
-from vwnav.estimation.events import Event, MapStepped, MountDoubted, NedFix
+from vwnav.estimation.events import Event, MapStepped, MountDoubted
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.states import FilterState, Innovation, States, Verdict
+from vwnav.estimation.states import FilterState, States, Verdict
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
@@ -35,16 +35,8 @@ class FixHistory(Protocol):
         """Whether images told ways from then on, in the history, and all were believed."""
         ...
 
-    def branch(self) -> Self:
-        """Another one that begins as this one is."""
-        ...
-
-    def insert(self, event: Event) -> Innovation:
-        """Apply an event at its time, and everything after it again."""
-        ...
-
-    def leave_out(self, *kinds: type[Event], since_s: float = ...) -> list[Event]:
-        """As if no event of these kinds had come; those there were."""
+    def told_anew(self, event: Event) -> tuple[Self, list[Verdict]]:
+        """Another one, in which an event was too, and what becomes of the fixes after it then."""
         ...
 
 
@@ -103,11 +95,9 @@ def _is_sudden(state: FilterState) -> bool:
 
 def _told_anew(history: _H, event: MountDoubted | MapStepped) -> _H | None:
     """As if the event had been before the fixes; None where one of them is refused yet."""
-    other = history.branch()
-    fixes = other.leave_out(NedFix, since_s=event.t_s)
-    other.insert(event)
-    fused = [other.insert(fix).verdict is Verdict.FUSED for fix in fixes]
-    return other if len(fused) >= _EXPLAINED and all(fused) else None
+    other, verdicts = history.told_anew(event)
+    is_right = all(verdict is Verdict.FUSED for verdict in verdicts)
+    return other if len(verdicts) >= _EXPLAINED and is_right else None
 
 
 def _is_behind(
