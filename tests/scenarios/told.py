@@ -1,7 +1,7 @@
 """Whole flights that see nothing: what a filter would believe is told, all else is as it flies.
 
-Six sevenths of the cost of a flight in lockstep are images and the filter. What is looked for here lies between
-mission, watchdog, its spare one and the autopilot, so days are flown by the hundred without them.
+Six sevenths of the cost of a flight in lockstep are images and the filter. What is looked for here
+lies between mission, watchdog, its spare one and the autopilot: so days are flown by the hundred.
 """
 
 from collections import deque

@@ -29,6 +29,8 @@ _REPORT_MAGIC = b"VWR3"
 _HANDED_ON = struct.Struct("<7dB")
 _ENGAGED, _ENDED = 0x01, 0x02
 _RELAYS_ESTIMATES = 0x01
+HANGS_S = 2.0  # of beats without an answer
+_OLD_S = 1.0  # of an answer: beats come at 20 Hz
 _MANY_BEATS = 15  # unanswered: fewer may be those of a loop that slept
 _DATAGRAM_LIMIT_BYTES = 2048
 
@@ -334,7 +336,3 @@ class KeepAlive:
             if report is not None:
                 self._report, self._reported_s = report, self._clock()
                 self._unanswered_since_s, self._unanswered = None, 0
-
-
-HANGS_S = 2.0  # of beats without an answer
-_OLD_S = 1.0  # of an answer: beats come at 20 Hz

@@ -7,7 +7,7 @@ part may be named that is as it should be.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from vwnav.bench.flights.faults import aircraft, camera, telemetry
+from vwnav.bench.flights.faults import aircraft, camera, fixes, telemetry
 from vwnav.bench.flights.scenario import Scenario
 from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
@@ -75,11 +75,8 @@ def _heights(scenario: Scenario) -> bool:
 
 
 def _map(scenario: Scenario) -> bool:
-    """Its faults are named by their module: who imports that one draws."""
     is_off = scenario.setup.map_warp != MapWarp() or scenario.map_off_m > 0.0
-    return is_off or any(
-        type(b.fault).__module__.endswith("faults.ground") for b in scenario.breaks
-    )
+    return is_off or _breaks(scenario, fixes.MapSteps)
 
 
 _BLAMES = (

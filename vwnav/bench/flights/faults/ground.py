@@ -1,17 +1,13 @@
 """Faults of the map, as the camera sees them: the ground below is not what the map shows."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vwnav.bench.flights.stage import FlightStage, Lasting
-from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import wrap_pi
 from vwnav.sim.named_sites import UNRELATED_HOME_NE_M, parse_site, tiles_folder
 from vwnav.sim.scenery.looks import Season
 from vwnav.sim.site import Site
-from vwnav.types import MapFix, Rejected
 
 _LOW_SUN_RAD = 0.3
 
@@ -41,46 +37,6 @@ class MapOfElsewhere(Lasting):
         world.show(site, tiles_folder(site))
         away = np.array([*UNRELATED_HOME_NE_M, 0.0])
         world.camera.home_ned_m = world.camera.home_ned_m - away
-
-
-@dataclass(frozen=True)
-class OneFixWrong(Lasting):
-    """The next fix is of ground that looks alike: turned, aside, and as sure of itself as ever."""
-
-    turned_deg: float = 0.0
-    ne_m: tuple[float, float] = (0.0, 0.0)
-
-    def begin(self, world: FlightStage) -> None:
-        """The next one, that is."""
-        executor = world.navigator.executor
-
-        def mistaken(found: MapFix | Rejected) -> MapFix | Rejected:
-            if isinstance(found, Rejected) or found.yaw_rad is None:
-                return found
-            executor.mistake = None
-            yaw_rad = wrap_pi(found.yaw_rad + math.radians(self.turned_deg))
-            return replace(_moved(found, self.ne_m), yaw_rad=yaw_rad)
-
-        executor.mistake = mistaken
-
-
-@dataclass(frozen=True)
-class MapSteps(Lasting):
-    """Another piece of the map begins, which was laid so far beside the one before."""
-
-    ne_m: tuple[float, float]
-
-    def begin(self, world: FlightStage) -> None:
-        """All that is found from now on lies on it."""
-        world.navigator.executor.mistake = lambda found: (
-            found if isinstance(found, Rejected) else _moved(found, self.ne_m)
-        )
-
-
-def _moved(fix: MapFix, ne_m: tuple[float, float]) -> MapFix:
-    ned_m = np.array([*ne_m, 0.0])
-    lat_deg, lon_deg, _ = LocalFrame(fix.lat_deg, fix.lon_deg, 0.0).to_geodetic(ned_m)
-    return replace(fix, lat_deg=float(lat_deg), lon_deg=float(lon_deg))
 
 
 @dataclass(frozen=True)

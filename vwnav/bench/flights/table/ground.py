@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from vwnav.bench.flights.faults import computer, ground
+from vwnav.bench.flights.faults import computer, fixes, ground
 from vwnav.bench.flights.scenario import (
     Break,
     Ending,
@@ -68,14 +68,14 @@ MAP = [
         map_off_m=10.0,
     ),
     flies_route("map off by 1.5 m from place to place", map_warp=MapWarp(sigma_m=2.0, seed=2)),
-    _first_fix("turned by 14 degrees", ground.OneFixWrong(turned_deg=-14.0)),
-    _first_fix("turned by 30 degrees", ground.OneFixWrong(turned_deg=30.0)),
-    _first_fix("8 m off", ground.OneFixWrong(ne_m=(6.4, -4.8))),
-    flies_on("one fix turned by 14 degrees", ground.OneFixWrong(turned_deg=14.0)),
-    flies_on("one fix 8 m off", ground.OneFixWrong(ne_m=(6.4, 4.8))),
+    _first_fix("turned by 14 degrees", fixes.OneFixWrong(turned_deg=-14.0)),
+    _first_fix("turned by 30 degrees", fixes.OneFixWrong(turned_deg=30.0)),
+    _first_fix("8 m off", fixes.OneFixWrong(ne_m=(6.4, -4.8))),
+    flies_on("one fix turned by 14 degrees", fixes.OneFixWrong(turned_deg=14.0)),
+    flies_on("one fix 8 m off", fixes.OneFixWrong(ne_m=(6.4, 4.8))),
     *(
         replace(
-            flies_on(f"map steps by {math.hypot(*ne_m):g} m", ground.MapSteps(ne_m), after_s=25.0),
+            flies_on(f"map steps by {math.hypot(*ne_m):g} m", fixes.MapSteps(ne_m), after_s=25.0),
             follows=(said(8.0, "the map steps"),),
         )
         for ne_m in ((2.4, 1.8), (-3.0, 4.0))
