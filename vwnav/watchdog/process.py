@@ -1,29 +1,26 @@
 """The watchdog's process around `Watchdog`: ports, the navigator's process, signals, the clock."""
 
-import contextlib
 import logging
 import math
-import os
 import selectors
 import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 
 from vwnav.errors import LinkError
+from vwnav.machine.process_watch import ProcessWatch
 from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.pace import clock_of
 from vwnav.watchdog.keepalive import HandedOn, UdpChannel
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
-from vwnav.watchdog.successor import UNWINDS_S, SuccessorProcess
+from vwnav.watchdog.successor import SuccessorProcess
 from vwnav.watchdog.visitors import Reception
 
 _log = logging.getLogger(__name__)
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
-_PARENT_CHECK_S = 0.1
 _LATE_S = 0.01  # of its tick: simulated time waits for it then
 
 
@@ -57,80 +54,6 @@ class WatchdogOptions:
     goes_on: str = ""
 
 
-class ParentWatch:
-    """Whether a process has ended; readable at once when it does, where the system can tell.
-
-    Also a `watchdog.loop.NavigatorProcess`.
-
-    Args:
-        pid: of any process, parent or not.
-    """
-
-    def __init__(self, pid: int) -> None:
-        self._pid = pid
-        self._is_parent = os.getppid() == pid
-        self._fd: int | None = None
-        self._check_t_s = 0.0
-        self._given_up_t_s = math.inf
-        self._has_ended = False
-        with contextlib.suppress(AttributeError, OSError):  # not Linux, an old one, or gone
-            self._fd = os.pidfd_open(pid)
-
-    @property
-    def fd(self) -> int | None:
-        """To be waited for; None where only asking helps."""
-        return self._fd
-
-    def has_ended(self, t_s: float) -> bool:
-        """Whether it has; asks the system ten times a second."""
-        if not self._has_ended and t_s - self._check_t_s >= _PARENT_CHECK_S:
-            self._check_t_s = t_s
-            self._has_ended = not self._lives() or t_s >= self._given_up_t_s
-        return self._has_ended
-
-    def handle_readable(self) -> None:
-        """Its descriptor became readable: it has ended."""
-        self._has_ended = True
-
-    def end(self) -> None:
-        """Kill it, stopped or not; by its number alone, which may be another's by now, never."""
-        with contextlib.suppress(OSError):  # it has just ended
-            if self._fd is not None:
-                signal.pidfd_send_signal(self._fd, signal.SIGKILL)
-            elif self._is_parent and os.getppid() == self._pid:
-                os.kill(self._pid, signal.SIGKILL)
-            else:
-                return
-            self._given_up_t_s = self._check_t_s + UNWINDS_S
-
-    def close(self) -> None:
-        """Give the descriptor back."""
-        if self._fd is not None:
-            os.close(self._fd)
-            self._fd = None
-
-    def _lives(self) -> bool:
-        if _is_left_over(self._pid):
-            return False
-        if self._is_parent:
-            return os.getppid() == self._pid
-        try:
-            os.kill(self._pid, 0)
-        except ProcessLookupError:
-            return False
-        except PermissionError:
-            return True
-        return True
-
-
-def _is_left_over(pid: int) -> bool:
-    """Its first thread has ended: another one that waits for a disk keeps it from being gone."""
-    with contextlib.suppress(OSError):  # gone, or not Linux
-        # A name is cut within a letter: it is no text.
-        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] == b"Z"
-    return False
-
-
 class WatchdogPorts:
     """A `Watchdog` on real ports.
 
@@ -162,7 +85,7 @@ class WatchdogPorts:
                 f"udpout://127.0.0.1:{self._observer.port}",
                 self._beats.port,
             )
-        self._parent = ParentWatch(options.parent) if options.parent is not None else None
+        self._parent = ProcessWatch(options.parent) if options.parent is not None else None
         self._watchdog = Watchdog(links, config, successor, self._parent)
         self._told_to_end = False
         self._link_fd = -1

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
+from vwnav.machine.process_watch import UNWINDS_S
 from vwnav.vehicle import Learned
 from vwnav.watchdog.dead_man import Silence
 from vwnav.watchdog.relay_guard import RelayedPosition
@@ -26,7 +27,6 @@ _MOST_STARTS = 5
 _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
-UNWINDS_S = 1.0  # of a killed one; it runs no more, whatever the system still holds of it
 _SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
 _NICER = 5  # one that loads goes behind one that serves
 
