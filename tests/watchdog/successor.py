@@ -2,7 +2,7 @@
 
     python successor.py NOTES [dies | stops | loads]
 
-NOTES gets a line at the start, one when it is woken, one when its stdin ends. The first one that
+NOTES gets a line at the start, one when it is woken, one when it is told to end. The first one that
 `stops` does so once it has sent some estimates. One that `loads` takes as long as that takes, and
 notes its number when it is woken.
 """
@@ -43,7 +43,7 @@ def main() -> None:
     if sys.argv[2:] == ["dies"]:
         sys.exit(1)
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    signal.signal(signal.SIGTERM, lambda *_: ended.set())
     resume = json.loads(line)
     link, counter = connect(resume["connection"]), resume["position"]["reset_counter"] + 1
     keepalive = KeepAlive(UdpChannel(resume["keepalive_port"], listens=False), time.monotonic)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from link_peer import PX4_HOLD, PX4_LAND, free_port, is_still, wait_for
-from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight, stalled_log
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight, lives, stalled_log
 
 from vwnav.errors import LinkError
 from vwnav.watchdog.launch import start_watchdog
@@ -101,10 +102,14 @@ def test_when_the_whole_machine_slept_the_navigator_is_not_ended_for_it(tmp_path
     with flight([sys.executable, str(HERE / "successor.py"), str(notes)]) as flying:
         wait_for(lambda: notes.exists())
         flying.signal(signal.SIGSTOP)
-        os.kill(flying.watchdog, signal.SIGSTOP)
+        watchdogs = flying.all_watchdogs()
+        for each in watchdogs:
+            os.kill(each, signal.SIGSTOP)
         time.sleep(6.0)
-        os.kill(flying.watchdog, signal.SIGCONT)
+        for each in sorted(watchdogs, reverse=True):  # the spare one first
+            os.kill(each, signal.SIGCONT)
         time.sleep(1.5)
+        assert flying.guards() == flying.watchdog
         assert flying.process.poll() is None
         flying.signal(signal.SIGCONT)
         time.sleep(4.0)
@@ -135,6 +140,43 @@ def test_while_one_successor_serves_the_next_has_loaded_and_takes_over_at_once(t
         silent_s = 0.0 if number == signal.SIGKILL else 3.0  # before it is ended
         wait_for(lambda: len(served_by(notes)) == 2, silent_s + 1.0 + SLACK_S)
         wait_for(lambda: flying.peer.of(ESTIMATE, ended_s + silent_s + 0.1))
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("after_s", [0.0, 1.2, 4.5])  # it has yet to brake; it holds; it lands
+def test_a_watchdog_that_dies_after_its_navigator_is_followed_by_one_that_lands_it(number, after_s):
+    with flight() as flying:
+        flying.wait_for_a_spare()
+        flying.signal(signal.SIGKILL)
+        time.sleep(after_s)
+        os.kill(flying.watchdog, number)
+        wait_for(lambda: flying.guards() != flying.watchdog, 8.0)
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+        asked = [int(m.param3) for m in flying.peer.commands(mavlink.MAV_CMD_DO_SET_MODE)]
+        assert asked.count(6) <= 2  # Land, not again and again: it knows that it has landed it
+    wait_for(lambda: not flying.all_watchdogs(), 10.0)
+
+
+def test_a_successor_that_serves_goes_on_under_the_watchdog_that_follows(tmp_path):
+    """Nobody has to find the place anew; the next one waits behind it again, and all end."""
+    notes = tmp_path / "notes"
+    with flight([sys.executable, str(HERE / "successor.py"), str(notes), "loads"]) as flying:
+        flying.wait_for_a_spare()
+        wait_for(lambda: notes.exists() and notes.read_text() == "started\n", 8.0)
+        flying.signal(signal.SIGKILL)
+        (first,) = wait_for(lambda: served_by(notes), 8.0)
+        wait_for(lambda: [m for m in flying.peer.of(ESTIMATE) if m.reset_counter == 1])
+        os.kill(flying.watchdog, signal.SIGKILL)
+        killed_s = time.monotonic()
+        wait_for(lambda: len(flying.peer.of(ESTIMATE, killed_s + 1.0)) > 10)
+        assert served_by(notes) == [first]
+        started = notes.read_text().count("started")
+        wait_for(lambda: notes.read_text().count("started") > started, 15.0)
+        os.kill(first, signal.SIGSTOP)
+        wait_for(lambda: len(served_by(notes)) == 2, 8.0)
+        assert not lives(first)
+    wait_for(lambda: not flying.all_watchdogs(), 10.0)
+    wait_for(lambda: not any(map(lives, served_by(notes))), 10.0)
 
 
 def served_by(notes: Path) -> list[int]:

@@ -4,7 +4,7 @@ import pytest
 from link_peer import PX4_POSITION
 from test_loop import TICK_S, Memory, Second, Stand, estimate, names, setpoint
 
-from vwnav.watchdog.dead_man import Silence
+from vwnav.machine.silence import Silence
 from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
 
 

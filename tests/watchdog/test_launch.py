@@ -1,7 +1,6 @@
 """The watchdog as a process: real UDP on both sides, a peer that answers like an autopilot."""
 
 import contextlib
-import json
 import os
 import shutil
 import signal
@@ -9,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,10 +26,10 @@ from link_peer import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from vwnav.clock import WallClock
 from vwnav.errors import LinkError
 from vwnav.watchdog.keepalive import GuardState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
+from vwnav.watchdog.spare import MOST_STARTS
 
 MAV = mavlink.MAVLink(None, srcSystem=7, srcComponent=191)
 
@@ -221,38 +221,43 @@ def test_a_killed_navigator_leaves_a_watchdog_that_lands_and_ends_by_itself():
         wait_for(lambda: not Path(f"/proc/{watchdog}").exists(), 4.0)
 
 
-def loaded_spares() -> int:
-    """Waiting watchdogs of ours that have loaded what they need: idle for half a second."""
+def spares() -> dict[int, str]:
+    """Watchdogs of ours that wait behind one, and the processor time that each has used."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+            behind = int(words[words.index(b"--spare") + 1]) if b"--spare" in words else 0
+            if behind and b"--parent" in words and str(os.getpid()).encode() in words:
+                stat = (folder / "stat").read_text().rsplit(")", 1)[1].split()
+                if int(stat[1]) == behind:  # one that has taken over has lost its parent
+                    found[int(folder.name)] = f"{stat[11]} {stat[12]}"
+    return found
 
-    def used() -> dict[str, str]:
-        found = {}
-        for folder in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                if b"--spare" in (folder / "cmdline").read_bytes().split(b"\0"):
-                    stat = (folder / "stat").read_text().rsplit(")", 1)[1].split()
-                    if int(stat[1]) == os.getpid():
-                        found[folder.name] = f"{stat[11]} {stat[12]}"
-        return found
 
-    before = used()
-    time.sleep(0.5)
-    after = used()
-    return sum(before.get(pid) == ticks != "0 0" for pid, ticks in after.items())
+def loaded_spares(wait: Callable[[float], None] = time.sleep) -> list[int]:
+    """Those that have loaded what they need: idle for half a second, or nearly."""
+    before = spares()
+    wait(0.5)
+    after = spares()
+
+    def used(ticks: str) -> int:
+        return sum(map(int, ticks.split()))
+
+    both = [pid for pid in before if pid in after and used(before[pid]) > 0]
+    return [pid for pid in both if used(after[pid]) - used(before[pid]) <= 1]
 
 
 def test_a_watchdog_that_died_is_replaced_within_a_second_and_it_flies_on(flown):
     wait_for(loaded_spares, 20.0)
     flown.engage()
-    dead = flown.watchdog.process
-    dead.kill()
+    dead = flown.watchdog.pid
+    flown.watchdog.process.kill()
     began_s = time.monotonic()
-    dead.wait()
-    last_of_the_dead = flown.keepalive.report
 
     def guarded() -> bool:
         flown.keepalive.beat(True, "on route")
-        answered = flown.keepalive.report is not last_of_the_dead
-        return flown.watchdog.process is not dead and answered
+        return flown.watchdog.pid != dead
 
     wait_for(guarded)
     assert time.monotonic() - began_s < 1.0
@@ -299,18 +304,22 @@ def test_a_spare_one_is_started_though_the_log_cannot_be_opened_again(tmp_path):
         shutil.rmtree(folder)
         wait_for(loaded_spares, 20.0)
         watchdog.process.kill()
-        wait_for(lambda: said)
+
+        def told() -> bool:
+            watchdog.keepalive.beat(False)
+            return bool(said)
+
+        wait_for(told)
         wait_for(loaded_spares, 20.0)
-    assert said == ["the watchdog has died (code -9): another one takes its place"]
+    died = f"the watchdog (process {watchdog.process.pid}) has died"
+    assert said == [f"{died}: another one has taken its place"]
 
 
 def test_a_spare_one_that_was_ended_while_it_waited_is_followed_by_another(flown):
     """For want of memory, say; it is needed when the first one dies."""
-    wait_for(loaded_spares, 20.0)
-    ended = flown.watchdog._spare
-    ended.kill()
-    ended.wait()
-    wait_for(loaded_spares, 20.0)
+    (ended,) = wait_for(loaded_spares, 20.0)
+    os.kill(ended, signal.SIGKILL)
+    wait_for(lambda: [each for each in loaded_spares() if each != ended], 20.0)
     flown.engage()
     flown.watchdog.process.kill()
     killed_s = time.monotonic()
@@ -319,32 +328,44 @@ def test_a_spare_one_that_was_ended_while_it_waited_is_followed_by_another(flown
     assert len(flown.setpoints(killed_s + 1.0)) > 10
 
 
-def test_spare_ones_that_die_again_and_again_are_no_longer_waited_for_and_it_is_said():
+def test_one_after_the_other_may_die_while_it_flies_on(flown):
+    for number in range(3):
+        if not number:
+            flown.engage()
+        wait_for(lambda: loaded_spares(flown.fly), 20.0)
+        os.kill(flown.watchdog.pid, signal.SIGKILL)
+        flown.fly(1.5)
+    assert flown.state() is GuardState.RELAY
+    assert len(flown.setpoints(time.monotonic() - 0.5)) > 10
+
+
+def test_spare_ones_that_die_again_and_again_are_no_longer_started_and_it_is_said():
     """Whoever flies knows then that the present one has nobody behind it."""
-    names = "navigator_port", "observer_port", "keepalive_port"
-    ready = json.dumps({"ready": dict.fromkeys(names, free_port())})
-    script = f"""import sys, time
-if "--spare" in sys.argv: sys.exit(1)
-print({ready!r}, flush=True)
-time.sleep(60.0)
-"""
     said = []
-    watchdog = WatchdogProcess([sys.executable, "-c", script], None, WallClock(), said.append)
-    wait_for(lambda: "none waits any more" in said[-1] if said else False, 20.0)
-    time.sleep(1.0)
-    assert len(said) == 5
-    watchdog.process.kill()
-    watchdog.close()
+    with start_watchdog(f"udpin://127.0.0.1:{free_port()}", say=said.append) as watchdog:
+        killed = set()
+
+        def none_waits() -> bool:
+            watchdog.keepalive.beat(False)
+            for each in spares():
+                killed.add(each)
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(each, signal.SIGKILL)
+            return bool(said)
+
+        wait_for(none_waits, 30.0)
+        assert len(killed) == MOST_STARTS
+    assert said == ["spare watchdogs die again and again: none waits any more"]
 
 
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):
     wait_for(loaded_spares, 20.0)
     flown.engage()
-    hung = flown.watchdog.process
-    hung.send_signal(signal.SIGSTOP)
-    flown.fly(9.0)
-    assert hung.returncode == -signal.SIGKILL
-    assert flown.watchdog.process is not hung
+    hung = flown.watchdog.pid
+    flown.watchdog.process.send_signal(signal.SIGSTOP)
+    flown.fly(5.0)
+    assert flown.watchdog.process.poll() == -signal.SIGKILL
+    assert flown.watchdog.pid != hung
     assert flown.state() is GuardState.RELAY
     assert len(flown.setpoints(time.monotonic() - 1.0)) > 10
 
@@ -352,10 +373,10 @@ def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):
 def test_a_loop_that_slept_has_not_been_left_without_an_answer(flown):
     wait_for(loaded_spares, 20.0)
     flown.engage()
-    process = flown.watchdog.process
+    process = flown.watchdog.pid
     time.sleep(6.0)
     flown.fly(1.0)
-    assert flown.watchdog.process is process
+    assert flown.watchdog.pid == process
 
 
 def test_a_watchdog_that_was_told_to_end_and_has_left_is_not_replaced(flown):
@@ -363,9 +384,8 @@ def test_a_watchdog_that_was_told_to_end_and_has_left_is_not_replaced(flown):
     told = flown.watchdog.process
     told.send_signal(signal.SIGTERM)
     wait_for(lambda: told.poll() is not None, 10.0)
-    time.sleep(0.5)
     assert told.returncode == 0
-    assert flown.watchdog.process is told
+    assert not spares()
 
 
 def test_a_link_that_cannot_be_opened_is_one_clear_line():

@@ -1,6 +1,7 @@
 """The watchdog over links in memory, step by step, with a clock that the test owns."""
 
 import math
+import pickle
 from collections import deque
 
 import pytest
@@ -9,8 +10,8 @@ from hypothesis import strategies as st
 from link_peer import COPTER_GUIDED, COPTER_LAND, IN_AIR, PX4_LAND, PX4_OFFBOARD, PX4_POSITION
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from vwnav.watchdog.keepalive import GuardState, HandedOn, KeepAlive
-from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.keepalive import GuardState, KeepAlive
+from vwnav.watchdog.loop import Known, Watchdog, WatchdogConfig, WatchdogLinks
 from vwnav.watchdog.successor import Resume
 
 AUTOPILOT = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
@@ -55,12 +56,20 @@ class Stand:
         self.loop.arriving, self.loop.written = self.beats.written, self.beats.arriving
         self.beats.written = self.loop.arriving = deque()
         self.keepalive = KeepAlive(self.loop, lambda: self.t_s)
-        links = WatchdogLinks(self.autopilot, self.navigator, self.observer, self.beats)
-        self.watchdog = Watchdog(links, config or WatchdogConfig(), successor)
+        self._config, self._successor = config or WatchdogConfig(), successor
+        self.watchdog = self._watchdog(None)
         self.mode = PX4_OFFBOARD if kind == PX4 else COPTER_GUIDED
         self.armed, self.landed, self.beating, self.engaged = True, False, True, True
         self._heard = 0
         self.speaks = True
+
+    def _watchdog(self, known: Known | None) -> Watchdog:
+        links = WatchdogLinks(self.autopilot, self.navigator, self.observer, self.beats)
+        return Watchdog(links, self._config, self._successor, known=known)
+
+    def replace(self) -> None:
+        """By a spare one, as a process is told what the one before knew."""
+        self.watchdog = self._watchdog(pickle.loads(pickle.dumps(self.watchdog.known)))
 
     def say(self, message) -> None:
         self.autopilot.arriving.append(bytes(message.pack(AUTOPILOT)))
@@ -133,10 +142,10 @@ def engaged(kind: int = PX4, successor=None) -> Stand:
 
 
 def spare() -> Stand:
-    """In the place of one that died in flight; the autopilot is not heard yet."""
-    last = HandedOn(100.0, (800.0, 0.0, -50.0), 0.5, (8.0, 0.0), 0)
-    stand = Stand(config=WatchdogConfig(took_over_t_s=100.0, goes_on=last))
-    stand.speaks, stand.keepalive.system_id = False, 7
+    """In the place of one that died in flight; the autopilot is silent."""
+    stand = engaged()
+    stand.speaks = False
+    stand.replace()
     return stand
 
 
@@ -479,7 +488,8 @@ def test_a_spare_one_stays_when_the_navigator_ends_before_the_autopilot_is_heard
     assert not stand.watchdog.finished
     stand.speaks = True
     stand.run(2.0)
-    assert stand.watchdog.state is GuardState.HOLDING
+    assert stand.watchdog.state is GuardState.LANDING
+    assert stand.mode == PX4_LAND
 
 
 def test_a_spare_one_that_never_hears_an_autopilot_leaves_after_a_minute():
@@ -509,11 +519,54 @@ def test_a_spare_one_knows_no_cut_while_the_autopilot_says_anything():
 
 def test_in_the_place_of_one_that_hung_nobody_steers_before_the_mode_is_heard():
     """For two seconds the navigator heard nothing: a pilot may have taken the aircraft."""
-    stand = Stand(config=WatchdogConfig(took_over_t_s=100.0, silent_s=2.3))
-    stand.speaks, stand.keepalive.system_id = False, 7
+    stand = engaged()
+    stand.t_s += 2.3
+    stand.replace()
+    stand.speaks = False
     attitude = mavlink.MAVLink_attitude_message(0, *[0.0] * 6)
     heard = names(stand.run(0.4, lambda s: [s.say(attitude), fly(s)]))
-    stand.speaks = True
-    heard += names(stand.run(0.4, fly))  # and half a second, in which the navigator hears it too
+    assert "SET_POSITION_TARGET_LOCAL_NED" not in heard
+    stand.speaks, stand.mode = True, PX4_POSITION
+    heard = names(stand.run(0.4, fly))  # and half a second, in which the navigator hears it too
     assert "SET_POSITION_TARGET_LOCAL_NED" not in heard
     assert "SET_POSITION_TARGET_LOCAL_NED" in names(stand.run(0.4, fly))
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.floats(0.1, 3.0),
+        st.sampled_from(["silent", "beats", "ends", "pilot", "deaf", "heard", "estimates", "down"]),
+    ),
+    max_size=6,
+)
+
+
+def after(stand: Stand, event: str) -> None:
+    match event:
+        case "silent" | "beats":
+            stand.beating = event == "beats"
+        case "ends":
+            stand.beating = False
+            stand.watchdog.handle_navigator_end(stand.t_s)
+        case "pilot":
+            stand.mode = PX4_POSITION
+        case "deaf" | "heard":
+            stand.speaks = event == "heard"
+        case "down":
+            stand.landed = True
+
+
+@given(EVENTS, st.integers(0, 5))
+def test_a_spare_one_does_what_the_one_before_would_have_done(events, replaced_at):
+    """Whatever has happened until then: to the message, and to the state."""
+    lives, replaced = engaged(), engaged()
+    for number, (seconds, event) in enumerate(events):
+        if number == replaced_at and replaced.speaks:  # what a cut has hidden has to sink in
+            replaced.replace()
+        told = []
+        for stand in lives, replaced:
+            after(stand, event)
+            each = fly if event == "estimates" else lambda stand: None
+            told.append([m.to_dict() for m in stand.run(seconds, each)])
+            told.append([stand.watchdog.state, stand.mode, stand.watchdog.finished])
+        assert told[:2] == told[2:]

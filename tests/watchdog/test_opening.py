@@ -25,7 +25,8 @@ ANSWERS_S = 0.2  # a busy machine's slack included
 def slow(url: str, free: int = 1, seconds: float = 3.0) -> Iterator[KeepAlive]:
     """A watchdog on `url`, and its navigator's sign of life; later openings take `seconds`."""
     script = [sys.executable, str(HERE / "slow_opening.py"), str(free), str(seconds)]
-    with subprocess.Popen([*script, "--connection", url], stdout=subprocess.PIPE) as process:
+    arguments = ["--connection", url, "--starts-left", "0"]  # nobody follows who is killed
+    with subprocess.Popen([*script, *arguments], stdout=subprocess.PIPE) as process:
         ports = json.loads(process.stdout.readline())["ready"]
         keepalive = KeepAlive(UdpChannel(ports["keepalive_port"], False), time.monotonic)
         try:
@@ -121,18 +122,19 @@ def test_a_spare_one_comes_up_while_its_link_cannot_be_opened_and_opens_it_later
     bridge, said = Bridge(), []
     with start_watchdog(f"tcpout://127.0.0.1:{bridge.port}", say=said.append) as watchdog:
         bridge.let_in()
+        beats_until(watchdog, lambda: watchdog.keepalive.report is not None)
         time.sleep(3.0)  # the spare one has loaded
-        first = watchdog.process
+        first = watchdog.pid
         bridge.go_away()
-        first.kill()
-        beats_until(watchdog, lambda: watchdog.process is not first)
-        last = watchdog.keepalive.report
-        beats_until(watchdog, lambda: watchdog.keepalive.report is not last)
-        second = watchdog.process
+        watchdog.process.kill()
+        beats_until(watchdog, lambda: watchdog.pid != first)
+        second = watchdog.pid
         bridge.come_back()
         bridge.let_in()
         bridge.speak()
         bridge.client.settimeout(5.0)
         assert bridge.client.recv(4096)
-        assert watchdog.process is second
+        beats_until(watchdog, lambda: watchdog.keepalive.report is not None)
+        assert watchdog.pid == second
+        wait_for(lambda: said)
     assert len(said) == 1

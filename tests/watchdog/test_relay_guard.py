@@ -34,23 +34,6 @@ def feed(guard: RelayGuard, start_s: float, end_s: float, make=at) -> list[bool]
     return [guard.admit_position(make(i * DT_S), i * DT_S, armed=True) for i in steps]
 
 
-def test_another_guard_goes_on_in_its_place_however_unsure_and_not_by_a_jump():
-    first = RelayGuard()
-    assert first.admit_position(at(0.0), 0.0, armed=False)
-    assert all(feed(first, DT_S, 1.0, lambda t: at(t, 8.0 * t, sigma_m=20.0)))
-    second, third, late = (RelayGuard(goes_on=first.handed_on) for _ in range(3))
-    assert any(feed(second, 2.0, 2.5, lambda t: at(t, 8.0 * t, sigma_m=20.0)))
-    assert not any(feed(third, 2.0, 3.0, lambda t: at(t, 8.0 * t + 30.0, sigma_m=20.0)))
-    assert not any(feed(late, 3.5, 4.5, lambda t: at(t, 8.0 * t, sigma_m=20.0)))
-
-
-def test_what_is_held_back_is_nothing_that_another_guard_goes_on_from():
-    guard = flying()
-    assert guard.handed_on is not None
-    guard.lose("the autopilot was not heard", 1.0)
-    assert guard.handed_on is None
-
-
 @pytest.mark.parametrize("bad", [at(1.0, math.nan), at(1.0, 8.0), at(1.0, 0.0, 1, 30.0)])
 def test_a_position_that_cannot_be_is_held_back_and_all_after_it(bad):
     guard = flying()

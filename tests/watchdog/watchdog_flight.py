@@ -42,6 +42,31 @@ class Flight:
     def watchdog_lives(self) -> bool:
         return lives(self.watchdog)
 
+    def all_watchdogs(self) -> dict[int, list[str]]:
+        """Those on this link, with the words of their command lines."""
+        found = {}
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                words = (folder / "cmdline").read_bytes().decode().split("\0")
+                if "vwnav.watchdog" in words and self.url in words and lives(int(folder.name)):
+                    found[int(folder.name)] = words
+        return found
+
+    def guards(self) -> int:
+        """The one that has the link: behind no other one that lives."""
+        found = self.all_watchdogs()
+        (pid,) = (pid for pid, words in found.items() if _behind(words) not in found)
+        return pid
+
+    def wait_for_a_spare(self) -> None:
+        """It has loaded what it needs, and waits."""
+        wait_for(lambda: len(self.all_watchdogs()) == 2, 10.0)
+        time.sleep(2.0)
+
+
+def _behind(words: list[str]) -> int:
+    return int(words[words.index("--spare") + 1]) if "--spare" in words else 0
+
 
 def is_zero(message) -> bool:
     return message.get_type() == SETPOINT and is_still(message)
@@ -100,4 +125,4 @@ def flight(standby: list[str] | None = None, log: int | None = None) -> Iterator
                 process.send_signal(signal.SIGCONT)
                 process.kill()
             peer.armed = False
-            wait_for(lambda: not flying.watchdog_lives(), 10.0)
+            wait_for(lambda: not flying.all_watchdogs(), 10.0)

@@ -46,21 +46,31 @@ class ProcessWatch:
         self._has_ended = True
 
     def end(self) -> None:
-        """Kill it, stopped or not; by its number alone, which may be another's by now, never."""
-        with contextlib.suppress(OSError):  # it has just ended
-            if self._fd is not None:
-                signal.pidfd_send_signal(self._fd, signal.SIGKILL)
-            elif self._is_parent and os.getppid() == self._pid:
-                os.kill(self._pid, signal.SIGKILL)
-            else:
-                return
+        """Kill it, stopped or not."""
+        if self._send(signal.SIGKILL):
             self._given_up_t_s = self._check_t_s + UNWINDS_S
+
+    def ask_to_end(self) -> None:
+        """Tell it to end, as a service is told."""
+        self._send(signal.SIGTERM)
 
     def close(self) -> None:
         """Give the descriptor back."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None
+
+    def _send(self, number: signal.Signals) -> bool:
+        """By its number alone, which may be another's by now, never."""
+        with contextlib.suppress(OSError):  # it has just ended
+            if self._fd is not None:
+                signal.pidfd_send_signal(self._fd, number)
+            elif self._is_parent and os.getppid() == self._pid:
+                os.kill(self._pid, number)
+            else:
+                return False
+            return True
+        return False
 
     def _lives(self) -> bool:
         if _is_left_over(self._pid):

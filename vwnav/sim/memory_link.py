@@ -107,6 +107,11 @@ class MemoryEnd:
         """One packet that has arrived; empty when none has."""
         return self._incoming.take()
 
+    def drop(self) -> None:
+        """Lose all that has arrived, as with a port that was opened by another process."""
+        while self._incoming.take():
+            pass
+
     def has_room(self) -> bool:
         """Whether what is written now leaves soon."""
         return self._outgoing.has_room()

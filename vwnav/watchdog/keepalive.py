@@ -23,13 +23,10 @@ from vwnav.vehicle import Learned
 _BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
 _BEAT_MAGIC = b"VWB4"
 _LEARNED_HEAD = struct.Struct("<dHH")  # when, how many of means and of covariances
-# Magic, state, flags, sequence of the beat, heartbeat age; then what was handed on.
-_REPORT = struct.Struct("<4sBBIf")
-_REPORT_MAGIC = b"VWR3"
-_HANDED_ON = struct.Struct("<7dB")
+_REPORT = struct.Struct("<4sBBIfI")  # magic, state, flags, of which beat, heartbeat age, process
+_REPORT_MAGIC = b"VWR4"
 _ENGAGED, _ENDED = 0x01, 0x02
-_RELAYS_ESTIMATES = 0x01
-HANGS_S = 2.0  # of beats without an answer
+_RELAYS_ESTIMATES, _HAS_SPARE = 0x01, 0x02
 _OLD_S = 1.0  # of an answer: beats come at 20 Hz
 _MANY_BEATS = 15  # unanswered: fewer may be those of a loop that slept
 _DATAGRAM_LIMIT_BYTES = 2048
@@ -114,38 +111,6 @@ def _unpacked(data: bytes) -> Learned | None:
 
 
 @dataclass(frozen=True, slots=True)
-class HandedOn:
-    """The estimate that the autopilot was given last: a spare watchdog goes on from it.
-
-    Attributes:
-        position_ned_m: about the autopilot's origin, one sigma of it `sigma_m`.
-        velocity_ne_m_s: of the positions of the last second.
-    """
-
-    t_s: float
-    position_ned_m: tuple[float, float, float]
-    sigma_m: float
-    velocity_ne_m_s: tuple[float, float]
-    reset_counter: int
-
-    def pack(self) -> bytes:
-        """As bytes."""
-        numbers = (self.t_s, *self.position_ned_m, self.sigma_m, *self.velocity_ne_m_s)
-        return _HANDED_ON.pack(*numbers, self.reset_counter)
-
-    @staticmethod
-    def unpack(data: bytes) -> "HandedOn | None":
-        """Of bytes, None of what is none: of no number nothing would ever go on."""
-        if len(data) != _HANDED_ON.size:
-            return None
-        *numbers, counter = _HANDED_ON.unpack(data)
-        if not all(map(math.isfinite, numbers)):
-            return None
-        t_s, north_m, east_m, down_m, sigma_m, vn_m_s, ve_m_s = numbers
-        return HandedOn(t_s, (north_m, east_m, down_m), sigma_m, (vn_m_s, ve_m_s), counter)
-
-
-@dataclass(frozen=True, slots=True)
 class WatchdogReport:
     """The watchdog's answer to a beat.
 
@@ -155,34 +120,34 @@ class WatchdogReport:
         heartbeat_age_s: since the autopilot was last heard by the watchdog.
         relays_estimates: the last estimate was handed on. False: they are held back until they
             come as new ones, with another reset counter.
-        handed_on: what the autopilot was told last; None while it is not.
+        process: of the watchdog that answers; 0 where it has none.
+        has_spare: another one would take its place.
     """
 
     state: GuardState
     sequence: int
     heartbeat_age_s: float
     relays_estimates: bool = True
-    handed_on: HandedOn | None = None
+    process: int = 0
+    has_spare: bool = True
 
     def pack(self) -> bytes:
         """As a datagram."""
         flags = _RELAYS_ESTIMATES if self.relays_estimates else 0
-        report = _REPORT.pack(
-            _REPORT_MAGIC, self.state.value, flags, self.sequence, self.heartbeat_age_s
-        )
-        return report + (b"" if self.handed_on is None else self.handed_on.pack())
+        flags |= _HAS_SPARE if self.has_spare else 0
+        told = self.sequence, self.heartbeat_age_s, self.process
+        return _REPORT.pack(_REPORT_MAGIC, self.state.value, flags, *told)
 
     @staticmethod
     def unpack(data: bytes) -> "WatchdogReport | None":
         """Of a datagram, None if it is no report."""
-        if len(data) < _REPORT.size or data[:4] != _REPORT_MAGIC:
+        if len(data) != _REPORT.size or data[:4] != _REPORT_MAGIC:
             return None
-        _, state, flags, sequence, age_s = _REPORT.unpack_from(data)
-        rest = data[_REPORT.size :]
-        if state not in _STATES or len(rest) not in (0, _HANDED_ON.size):
+        _, state, flags, sequence, age_s, process = _REPORT.unpack(data)
+        if state not in _STATES:
             return None
-        relays, handed_on = bool(flags & _RELAYS_ESTIMATES), HandedOn.unpack(rest)
-        return WatchdogReport(GuardState(state), sequence, age_s, relays, handed_on)
+        relays, has_spare = bool(flags & _RELAYS_ESTIMATES), bool(flags & _HAS_SPARE)
+        return WatchdogReport(GuardState(state), sequence, age_s, relays, process, has_spare)
 
 
 class Channel(Protocol):
@@ -314,11 +279,9 @@ class KeepAlive:
         return self._clock() - since_s
 
     @property
-    def handed_on(self) -> HandedOn | None:
-        """What a spare watchdog goes on from; None where the last one has been silent for long."""
-        self._read_reports()
-        report = self._report
-        return None if report is None or self.unanswered_s > HANGS_S else report.handed_on
+    def last_report(self) -> WatchdogReport | None:
+        """The watchdog's newest answer, however old."""
+        return self._report
 
     def leave(self) -> None:
         """Say that the navigator ends. A watchdog that hears the aircraft fly acts at once."""

@@ -21,36 +21,38 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from vwnav.clock import Clock, WallClock
 from vwnav.errors import LinkError
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
-from vwnav.watchdog.keepalive import HANGS_S, KeepAlive, UdpChannel
+from vwnav.machine.process_watch import ProcessWatch
+from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
+from vwnav.watchdog.spare import MOST_STARTS, LastWord, wait_behind
+
+if TYPE_CHECKING:
+    from vwnav.watchdog.process import WatchdogPorts
 
 _log = logging.getLogger(__name__)
 _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at once
 _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
-_MOST_DEATHS = 5
-_COMES_UP_S = 5.0  # until then it is not expected to answer
-_LOOKS_EVERY_S = 0.25
+_SILENT_S = 5.0  # without an answer: a spare one has been there by then, if there was one
+_LOOKS_EVERY_S = 0.1
+_HELD_S, _HELD_AGAIN_S = 10.0, 0.02
 
 
 class WatchdogProcess:
-    """A running watchdog, and a spare one that takes its place at once should it die or hang.
-
-    A second of silence on the link is what an autopilot flies its failsafe for, and a process takes
-    that long to start: so the spare has loaded what it needs and waits.
+    """A running watchdog, and whichever takes its place should it die or hang (`watchdog.spare`).
 
     Args:
         command: its command line.
         log: file for what it has to say; None leaves it on this process' stderr.
         clock: of the control loop.
-        say: takes a line when it had to be replaced.
+        say: takes a line when it was replaced, or guards no more.
 
     Attributes:
-        process: the present one.
+        process: the first one.
         navigator_url: what the navigator's MAVSDK connects to instead of the autopilot.
         observer_url: where a second reader may listen along, a simulator's truth for one: a serial
             port, a TCP port and a UDP port that listens have one owner each.
@@ -63,26 +65,32 @@ class WatchdogProcess:
     def __init__(
         self, command: Sequence[str], log: Path | None, clock: Clock, say: Callable[[str], None]
     ) -> None:
-        self._command = list(command)
-        # Once: while the disk stalls, opening it again would keep the next spare one from starting.
-        self._log = log.open("ab") if log is not None else None
-        self._say = say
-        self._closing = False
-        self.process = self._start([])
+        with log.open("ab") if log is not None else contextlib.nullcontext() as stderr:
+            # A session of its own: signals of the navigator's terminal are not for the watchdog.
+            self.process = subprocess.Popen(
+                list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=stderr, start_new_session=True,
+            )  # fmt: skip
         assert self.process.stdout is not None
-        self._ports = _wait_for_ports(self.process, self.process.stdout)
-        self.navigator_url = f"udpout://127.0.0.1:{self._ports['navigator_port']}"
-        self.observer_url = f"udpout://127.0.0.1:{self._ports['observer_port']}"
-        channel = UdpChannel(self._ports["keepalive_port"], listens=False)
+        ports = _wait_for_ports(self.process, self.process.stdout)
+        self.navigator_url = f"udpout://127.0.0.1:{ports['navigator_port']}"
+        self.observer_url = f"udpout://127.0.0.1:{ports['observer_port']}"
+        channel = UdpChannel(ports["keepalive_port"], listens=False)
         self.keepalive = KeepAlive(channel, clock)
-        self._spare, self._spares_left = self._start(["--spare"]), _MOST_DEATHS
-        threading.Thread(target=self._replace_the_dead, name="watchdog", daemon=True).start()
+        self._say, self._closing = say, False
+        threading.Thread(target=self._tell_of_changes, name="watchdog", daemon=True).start()
 
     def __enter__(self) -> "WatchdogProcess":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def pid(self) -> int:
+        """Of the one that answered last."""
+        report = self.keepalive.last_report
+        return self.process.pid if report is None else report.process
 
     def close(self) -> None:
         """Say that the navigator ends, and wait a moment.
@@ -92,76 +100,30 @@ class WatchdogProcess:
         """
         self._closing = True
         self.keepalive.close()
-        _end_spare(self._spare)
-        if self._log is not None:
-            self._log.close()
-        try:
-            self.process.wait(_LEAVE_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            _log.warning("the watchdog (process %d) has the aircraft, it goes on", self.process.pid)
+        watch, until_s = ProcessWatch(self.pid), time.monotonic() + _LEAVE_TIMEOUT_S
+        while not watch.has_ended(now_s := time.monotonic()):
+            if now_s > until_s:
+                _log.warning("the watchdog (process %d) has the aircraft, it goes on", self.pid)
+                break
+            time.sleep(_LOOKS_EVERY_S)
+        watch.close()
+        self.process.poll()
 
-    def _start(self, more: Sequence[str]) -> subprocess.Popen[bytes]:
-        # A session of its own: signals of the navigator's terminal are not for the watchdog.
-        return subprocess.Popen(
-            [*self._command, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=self._log, start_new_session=True,
-        )  # fmt: skip
-
-    def _replace_the_dead(self) -> None:
-        for _ in range(_MOST_DEATHS):
-            code = self._wait_for_its_end()
-            if self._closing or code == 0:  # it was told to end, has landed what flew, and left
-                return
-            self._say(f"the watchdog has died (code {code}): another one takes its place")
-            self.process, spare = self._spare, self._spare
-            assert spare.stdin is not None
-            with contextlib.suppress(OSError):  # it has died too: the next turn sees it
-                spare.stdin.write(self._handover().encode() + b"\n")
-                spare.stdin.flush()
-            if not self._start_spare():
-                return
-        self._say("watchdogs die again and again: nobody guards the aircraft any more")
-
-    def _start_spare(self) -> bool:
-        try:
-            self._spare = self._start(["--spare"])
-        except OSError as error:
-            self._say(f"no spare watchdog can be started, the present one is the last: {error}")
-            return False
-        return True
-
-    def _keep_a_spare(self) -> None:
-        """One may be ended while it waits, where memory is short."""
-        if self._spare.poll() is None or self._closing or not self._spares_left:
-            return
-        self._spares_left -= 1
-        if not self._spares_left:
-            self._say("spare watchdogs die again and again: none waits any more")
-            return
-        self._say("the spare watchdog has died: another one is started")
-        if not self._start_spare():
-            self._spares_left = 0
-
-    def _handover(self) -> str:
-        """The line with which the spare one takes over: `WatchdogOptions` that it has not got."""
-        told = self.keepalive.handed_on
-        goes_on = "" if told is None else told.pack().hex()
-        known = {"goes_on": goes_on, "silent_s": self.keepalive.unanswered_s}
-        return json.dumps({**self._ports, "takes_over": True, **known})
-
-    def _wait_for_its_end(self) -> int:
-        """Its exit status. One that lives and does not answer guards nobody: it is killed."""
-        due_s = time.monotonic() + _COMES_UP_S
-        while True:
-            try:
-                return self.process.wait(_LOOKS_EVERY_S)
-            except subprocess.TimeoutExpired:
-                self._keep_a_spare()
-                hangs = self.keepalive.unanswered_s > HANGS_S and time.monotonic() > due_s
-                if hangs and not self._closing:
-                    self._say(f"the watchdog has not answered for {HANGS_S:.0f} s: it is ended")
-                    self.process.kill()
-                    return self.process.wait()
+    def _tell_of_changes(self) -> None:
+        """To whoever is at the screen, which the control loop does not wait for."""
+        pid, is_silent, has_spare = self.pid, False, True
+        while not self._closing:
+            time.sleep(_LOOKS_EVERY_S)
+            if self.pid != pid:
+                self._say(f"the watchdog (process {pid}) has died: another one has taken its place")
+                pid = self.pid
+            report, was_silent = self.keepalive.last_report, is_silent
+            is_silent = self.keepalive.unanswered_s > _SILENT_S
+            if is_silent and not was_silent:
+                self._say("the watchdog does not answer: nobody guards the aircraft")
+            if report is not None and report.has_spare is not has_spare:
+                has_spare = report.has_spare
+                self._say("spare watchdogs die again and again: none waits any more")
 
 
 def start_watchdog(
@@ -218,14 +180,6 @@ def _first_line(stdout: IO[bytes]) -> bytes:
     return line
 
 
-def _end_spare(spare: subprocess.Popen[bytes]) -> None:
-    assert spare.stdin is not None
-    with contextlib.suppress(OSError):
-        spare.stdin.close()
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        spare.wait(_LEAVE_TIMEOUT_S)
-
-
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m vwnav.watchdog", description=__doc__)
     parser.add_argument("--connection", required=True, help="link to the autopilot")
@@ -238,13 +192,15 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--limit-s", type=float, default=900.0)
     parser.add_argument("--clock-file", default="", help="of a simulated time (vwnav.pace)")
-    parser.add_argument("--spare", action="store_true", help="waits for its ports on stdin")
+    parser.add_argument("--spare", type=int, help="wait behind the one with this process id")
+    parser.add_argument("--last-word", type=int, help="descriptor that it writes to what it knows")
+    parser.add_argument("--starts-left", type=int, default=MOST_STARTS, help="of spare ones")
     return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the process; the exit code is 1 when the link cannot be opened."""
-    from vwnav.watchdog import process as watchdog_process
+    from vwnav.watchdog.process import WatchdogOptions, WatchdogPorts
 
     # Ctrl-C in the navigator's terminal is for the navigator: this process has to outlive it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -255,19 +211,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not goes_first:
             _log.info("no right to go before other processes: a busy machine holds the flight up")
         found = vars(_parse_arguments(sys.argv[1:] if arguments is None else arguments))
-        if found.pop("spare"):
-            line = sys.stdin.readline()
-            if not line:
-                return 0  # the navigator has ended and the first one is still there
-            found |= json.loads(line)
+        spare, descriptor = found.pop("spare"), found.pop("last_word")
+        if spare is not None:
+            found["took_over"] = wait_behind(spare, LastWord(descriptor))
         try:
-            watchdog = watchdog_process.WatchdogPorts(watchdog_process.WatchdogOptions(**found))
+            watchdog = _opened(lambda: WatchdogPorts(WatchdogOptions(**found)), spare is not None)
         except LinkError as error:
+            _log.error("%s", error)
             print(json.dumps({"error": str(error)}), flush=True)
             return 1
         print(json.dumps({"ready": watchdog.ports}), flush=True)
         try:
             watchdog.run()
+            watchdog.leave()
         finally:
             watchdog.close()
         return 0
+
+
+def _opened(opening: Callable[[], "WatchdogPorts"], again: bool) -> "WatchdogPorts":
+    """One that has died may hold its ports for a moment longer, for a disk that it waits for.
+
+    Raises:
+        LinkError: the link or a port cannot be opened.
+    """
+    until_s = time.monotonic() + (_HELD_S if again else 0.0)
+    while True:
+        try:
+            return opening()
+        except LinkError:
+            if time.monotonic() >= until_s:
+                raise
+            time.sleep(_HELD_AGAIN_S)

@@ -7,19 +7,18 @@ something arrives, a simulation whenever its time advances.
 import logging
 import math
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
-from vwnav.watchdog.dead_man import DeadMan, DeadManConfig
+from vwnav.watchdog.dead_man import DeadMan, NavigatorProcess, UselessNavigator
 from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
-from vwnav.watchdog.keepalive import Beat, Channel, GuardState, HandedOn, WatchdogReport
+from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
 from vwnav.watchdog.successor import Resume, Successor
-from vwnav.watchdog.useless import UselessConfig, UselessNavigator
 from vwnav.watchdog.visitors import Guarding
 from vwnav.watchdog.voice import CUT_S, AutopilotEar, Voice
 
@@ -38,24 +37,12 @@ class WatchdogConfig:
     Attributes:
         calls_first: the autopilot waits to be spoken to.
         limit_s: longest time it goes on without the navigator.
-        useless: when the navigator is ended.
-        took_over_t_s: in flight, the place of one that has died; -inf: it is the first one.
-        silent_s: for so long that one had not answered: what is flown may be another mode.
-        goes_on: what the autopilot was told by that one.
+        process: its own, for the navigator.
     """
 
     calls_first: bool = False
     limit_s: float = 900.0
-    useless: UselessConfig = field(default_factory=UselessConfig)
-    dead_man: DeadManConfig = field(default_factory=DeadManConfig)
-    took_over_t_s: float = -math.inf
-    silent_s: float = 0.0
-    goes_on: HandedOn | None = None
-
-    @property
-    def heard_t_s(self) -> float:
-        """Until when that one heard the autopilot, as far as anybody knows."""
-        return self.took_over_t_s - self.silent_s
+    process: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,21 +55,29 @@ class WatchdogLinks:
     beats: Channel
 
 
-class NavigatorProcess(Protocol):
-    """What the navigator runs in."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """All that a watchdog goes by: a spare one in its place goes on from it."""
 
-    def end(self) -> None:
-        """End it at once, hanging or stopped."""
-        ...
+    ear: AutopilotEar = field(default_factory=AutopilotEar)
+    guard: DeadMan = field(default_factory=DeadMan)
+    estimates: RelayGuard = field(default_factory=RelayGuard)
+    useless: UselessNavigator = field(default_factory=UselessNavigator)
+    ended_t_s: float = -math.inf
 
 
 class Watchdog:
     """One owner of leaving the aircraft: it stays until that is down or in other hands.
 
+    Attributes:
+        finished: it is, and nothing is left to do.
+        has_spare: another one waits to take its place; the navigator is told.
+
     Args:
         successor: takes the navigator's place for estimates alone.
         navigator: ended when it hangs in flight and a successor stands by; it has the camera, and
             would tell on waking what it believed before.
+        known: by the one in whose place this one is.
     """
 
     def __init__(
@@ -91,24 +86,32 @@ class Watchdog:
         config: WatchdogConfig,
         successor: Successor | None = None,
         navigator: NavigatorProcess | None = None,
+        known: Known | None = None,
     ) -> None:
-        self._links = links
-        self._config = config
-        self._successor = successor
-        self._navigator = navigator
-        self._useless = UselessNavigator(config.useless)
+        self._links, self._config = links, config
+        self._successor, self._navigator = successor, navigator
+        if known is None:
+            known = Known()
+        else:
+            known.ear.pass_on()
+        self._ear, self._guard, self._estimates = known.ear, known.guard, known.estimates
+        self._useless, self._ended_t_s = known.useless, known.ended_t_s
         self._from_navigator, self._from_observer = Framer(), Framer()
-        self._ear = AutopilotEar(heard_t_s=config.heard_t_s)
         self._voice, self._outbox = Voice(), Outbox()
-        self._guard = DeadMan(config.dead_man)
-        self._estimates = RelayGuard(goes_on=config.goes_on)
-        self._call_t_s = self._origin_t_s = self._ended_t_s = -math.inf
+        self._call_t_s = self._origin_t_s = -math.inf
+        self.has_spare = True
         self.finished = False
 
     @property
     def state(self) -> GuardState:
         """What it does."""
         return self._guard.state
+
+    @property
+    def known(self) -> Known:
+        """What it goes by at present; it goes on changing, so copy it."""
+        guards = self._guard, self._estimates, self._useless
+        return Known(self._ear, *guards, self._ended_t_s)
 
     @property
     def is_acting(self) -> bool:
@@ -262,14 +265,14 @@ class Watchdog:
                 self._successor.handle_beat()
             self._guard.handle_beat(beat, t_s)
             age_s = self._ear.heartbeat_age_s(t_s)
-            is_good, told = self._estimates.lost_since_s is None, self._estimates.handed_on
-            report = WatchdogReport(self._guard.state, beat.sequence, age_s, is_good, told)
-            self._links.beats.send(report.pack())
+            is_good, who = self._estimates.lost_since_s is None, self._config.process
+            told = beat.sequence, age_s, is_good, who, self.has_spare
+            self._links.beats.send(WatchdogReport(self._guard.state, *told).pack())
 
     def _follow_autopilot(self, system_id: int) -> None:
         """The navigator's, where another one was heard first: by one that takes over in flight."""
         if system_id not in (0, self._ear.system_id):
-            self._ear = AutopilotEar(system_id, self._config.heard_t_s)
+            self._ear = AutopilotEar(system_id)
 
     def _call(self, t_s: float) -> None:
         """Show ourselves to an autopilot that waits to be spoken to."""
@@ -322,10 +325,7 @@ class Watchdog:
         was_heard = self._ear.heartbeat_t_s > -math.inf
         if was_heard and not heard_since and alone_s < _LAST_WORD_S:
             return False  # it may have been armed since it was last heard
-        if not vehicle.armed:
-            is_first = self._config.took_over_t_s == -math.inf
-            return is_first or not self._may_be_armed(t_s)
-        return self._successor is None and self._guard.is_handed_over
+        return not vehicle.armed or (self._successor is None and self._guard.is_handed_over)
 
     def _resume(self) -> Resume:
         guard, ear = self._estimates, self._ear
@@ -335,11 +335,8 @@ class Watchdog:
     def _log_change(self, before: GuardState, t_s: float) -> None:
         state, beat = self._guard.state, self._guard.last_beat
         if state is not before:
+            what = before.name, state.name, self._guard.vehicle.mode.name
+            silent_s, phase = self._guard.silence_s(t_s), "" if beat is None else beat.phase
             _log.warning(
-                "%s -> %s, mode %s, navigator silent for %.2f s (%s)",
-                before.name,
-                state.name,
-                self._guard.vehicle.mode.name,
-                self._guard.silence_s(t_s),
-                beat.phase if beat is not None else "",
+                "%s -> %s, mode %s, navigator silent for %.2f s (%s)", *what, silent_s, phase
             )

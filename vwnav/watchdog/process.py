@@ -1,9 +1,12 @@
 """The watchdog's process around `Watchdog`: ports, the navigator's process, signals, the clock."""
 
+import json
 import logging
-import math
+import os
+import pickle
 import selectors
 import signal
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,12 +16,14 @@ from vwnav.errors import LinkError
 from vwnav.machine.process_watch import ProcessWatch
 from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.pace import clock_of
-from vwnav.watchdog.keepalive import HandedOn, UdpChannel
-from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.keepalive import UdpChannel
+from vwnav.watchdog.loop import Known, Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.spare import MOST_STARTS, Spare
 from vwnav.watchdog.successor import SuccessorProcess
 from vwnav.watchdog.visitors import Reception
 
 _log = logging.getLogger(__name__)
+_PROGRAM = sys.executable, "-m", "vwnav.watchdog"
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _LATE_S = 0.01  # of its tick: simulated time waits for it then
@@ -36,9 +41,9 @@ class WatchdogOptions:
         standby: command line of the successor; none when empty.
         limit_s: longest time it goes on without the navigator.
         clock_file: of a simulated time; empty for the wall's.
-        takes_over: in the place of one that has died in flight. It comes up whatever the link does.
-        silent_s: for so long that one had not answered.
-        goes_on: what that one handed on last (`HandedOn`, as hexadecimal digits).
+        starts_left: of spare ones, by this one and those that follow it.
+        took_over: what one knew that has died in flight, in whose place this one is; b"" where it
+            is the first. It comes up whatever the link does.
     """
 
     connection: str
@@ -49,9 +54,18 @@ class WatchdogOptions:
     standby: Sequence[str] = ()
     limit_s: float = 900.0
     clock_file: str = ""
-    takes_over: bool = False
-    silent_s: float = 0.0
-    goes_on: str = ""
+    starts_left: int = MOST_STARTS
+    took_over: bytes = b""
+
+    def command_line(self, ports: dict[str, int]) -> list[str]:
+        """Of another one in the place of this one, which has those `ports`."""
+        told = {
+            "connection": self.connection, "parent": self.parent, "clock-file": self.clock_file,
+            "standby": json.dumps(list(self.standby)), "limit-s": self.limit_s,
+        }  # fmt: skip
+        told |= {name.replace("_", "-"): port for name, port in ports.items()}
+        words = [(f"--{name}", str(value)) for name, value in told.items() if value is not None]
+        return [*_PROGRAM, *(word for pair in words for word in pair)]
 
 
 class WatchdogPorts:
@@ -68,25 +82,28 @@ class WatchdogPorts:
         self._navigator = _local_link(options.navigator_port)
         self._observer = _local_link(options.observer_port)
         self._beats = UdpChannel(options.keepalive_port, listens=True)
-        self._link = open_link(address, at_once=not options.takes_over)
+        self._link = open_link(address, at_once=not options.took_over)
         links = WatchdogLinks(self._link, self._navigator, self._observer, self._beats)
         config = WatchdogConfig(
             calls_first=address.kind != "udpin",
             limit_s=options.limit_s,
-            took_over_t_s=self._clock() if options.takes_over else -math.inf,
-            silent_s=options.silent_s,
-            goes_on=HandedOn.unpack(bytes.fromhex(options.goes_on)),
+            process=os.getpid(),
         )
-        successor = None
+        known, serving = _unpacked(options.took_over)
+        self._successor = None
         if options.standby:
-            successor = SuccessorProcess(
+            self._successor = SuccessorProcess(
                 options.standby,
                 f"udpout://127.0.0.1:{self._navigator.port}",
                 f"udpout://127.0.0.1:{self._observer.port}",
                 self._beats.port,
+                serving,
             )
-        self._parent = ProcessWatch(options.parent) if options.parent is not None else None
-        self._watchdog = Watchdog(links, config, successor, self._parent)
+        self._parent = None
+        if options.parent is not None and not (known is not None and known.useless.gone):
+            self._parent = ProcessWatch(options.parent)
+        self._watchdog = Watchdog(links, config, self._successor, self._parent, known)
+        self._spare = Spare(options.command_line(self.ports), options.starts_left)
         self._told_to_end = False
         self._link_fd = -1
         self._selector = selectors.DefaultSelector()
@@ -123,6 +140,10 @@ class WatchdogPorts:
             self._step(now_s)
         participant.leave()
 
+    def leave(self) -> None:
+        """Nothing is left to do, for a spare one neither."""
+        self._spare.close()
+
     def close(self) -> None:
         """Give the link and the ports back."""
         self._selector.close()
@@ -135,10 +156,22 @@ class WatchdogPorts:
         """One that fails is said, and the guard goes on: nobody else would land the aircraft."""
         try:
             self._watchdog.step(now_s)
-            self._reception.step(self._watchdog.guarding(now_s), now_s)
+            guarding = self._watchdog.guarding(now_s)
+            self._reception.step(guarding, now_s)
+            self._spare.step(self._known, (guarding, self._serving), time.monotonic())
+            self._watchdog.has_spare = self._spare.is_there
         except Exception:
             _log.exception("a step of the watchdog failed")
             time.sleep(_TICK_S)
+
+    def _known(self) -> bytes:
+        """For the spare one."""
+        return pickle.dumps((self._watchdog.known, self._serving), pickle.HIGHEST_PROTOCOL)
+
+    @property
+    def _serving(self) -> int | None:
+        """Number of the process that serves in the navigator's place."""
+        return None if self._successor is None else self._successor.serving
 
     def _wait(self) -> None:
         """Until something arrives, or the next tick."""
@@ -161,6 +194,18 @@ class WatchdogPorts:
         if fd >= 0:
             self._selector.register(fd, selectors.EVENT_READ)
         self._link_fd = fd
+
+
+def _unpacked(took_over: bytes) -> tuple[Known | None, int | None]:
+    """What was known, and the number of the successor that serves. A broken word is none."""
+    if not took_over:
+        return None, None
+    try:
+        known, serving = pickle.loads(took_over)  # of our own code, by our own parent
+    except Exception:
+        _log.exception("what the watchdog knew that died cannot be read: begun anew")
+        return None, None
+    return known, serving
 
 
 def _local_link(port: int) -> UdpLink:

@@ -9,9 +9,6 @@ import math
 from dataclasses import dataclass
 
 from vwnav.safety.estimate_track import Track, Trial
-from vwnav.watchdog.keepalive import HandedOn
-
-_TRACKED_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +67,6 @@ class RelayGuard:
 
     Args:
         limits: what may pass.
-        goes_on: what was handed on last by the guard in whose place this one is.
 
     Attributes:
         last: the position handed on last.
@@ -78,7 +74,7 @@ class RelayGuard:
         reason: why.
     """
 
-    def __init__(self, limits: RelayLimits | None = None, goes_on: HandedOn | None = None) -> None:
+    def __init__(self, limits: RelayLimits | None = None) -> None:
         self._limits = limits if limits is not None else RelayLimits()
         self._track = self._new_track()
         self._trial: Trial | None = None
@@ -88,23 +84,6 @@ class RelayGuard:
         self.last: RelayedPosition | None = None
         self.lost_since_s: float | None = None
         self.reason = ""
-        if goes_on is not None:
-            self.last = RelayedPosition(
-                goes_on.t_s, goes_on.position_ned_m, goes_on.sigma_m, goes_on.reset_counter
-            )
-            t_s, north_m, east_m = _place(self.last)
-            vn_m_s, ve_m_s = (_TRACKED_S * v for v in goes_on.velocity_ne_m_s)
-            self._track.add(t_s - _TRACKED_S, north_m - vn_m_s, east_m - ve_m_s)
-            self._track.add(t_s, north_m, east_m)
-
-    @property
-    def handed_on(self) -> HandedOn | None:
-        """What the autopilot was told last, while it is told."""
-        last = self.last
-        if last is None or self.lost_since_s is not None:
-            return None
-        place = last.t_s, last.position_ned_m, last.sigma_m
-        return HandedOn(*place, self.velocity_ne_m_s, last.reset_counter)
 
     @property
     def velocity_ne_m_s(self) -> tuple[float, float]:

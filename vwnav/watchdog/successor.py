@@ -12,13 +12,14 @@ import logging
 import math
 import os
 import subprocess
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Protocol
+from typing import IO, Protocol
 
-from vwnav.machine.process_watch import UNWINDS_S
+from vwnav.machine.process_watch import UNWINDS_S, ProcessWatch
+from vwnav.machine.silence import Silence
 from vwnav.vehicle import Learned
-from vwnav.watchdog.dead_man import Silence
 from vwnav.watchdog.relay_guard import RelayedPosition
 from vwnav.watchdog.voice import Origin
 
@@ -26,6 +27,7 @@ _log = logging.getLogger(__name__)
 _MOST_STARTS = 5
 _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
+_LOOKS_EVERY_S = 0.05
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
 _SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
 _NICER = 5  # one that loads goes behind one that serves
@@ -78,11 +80,13 @@ class SuccessorProcess:
         navigator_url: what it connects to.
         observer_url: where it may listen along; see `WatchdogProcess`.
         keepalive_port: where it beats.
+        serving: number of the process that serves already, begun by a watchdog that has died.
     """
 
     def __init__(
-        self, command: Sequence[str], navigator_url: str, observer_url: str, keepalive_port: int
-    ) -> None:
+        self, command: Sequence[str], navigator_url: str, observer_url: str, keepalive_port: int,
+        serving: int | None = None,
+    ) -> None:  # fmt: skip
         self._command = list(command)
         self._ways = {
             "connection": navigator_url,
@@ -90,7 +94,9 @@ class SuccessorProcess:
             "keepalive_port": keepalive_port,
         }
         self._ready: subprocess.Popen[bytes] | None = None
-        self._serving: subprocess.Popen[bytes] | None = None
+        self._serving: subprocess.Popen[bytes] | _Adopted | None = None
+        if serving is not None:
+            self._serving = _Adopted(serving)
         self._starts = 0
         self._start_at_s = 0.0
         self._has_beaten = False
@@ -101,6 +107,11 @@ class SuccessorProcess:
     def stands_by(self) -> bool:
         """There is one that could be woken."""
         return self._ready is not None
+
+    @property
+    def serving(self) -> int | None:
+        """Number of the process that serves."""
+        return None if self._serving is None else self._serving.pid
 
     def handle_beat(self) -> None:
         """The one that serves lives."""
@@ -136,7 +147,7 @@ class SuccessorProcess:
         comes_up = self._serving is not None and not self._has_beaten
         return self._ready is None and not comes_up and self._starts < _MOST_STARTS
 
-    def _has_ended(self, process: subprocess.Popen[bytes] | None, t_s: float) -> bool:
+    def _has_ended(self, process: "subprocess.Popen[bytes] | _Adopted | None", t_s: float) -> bool:
         if process is None or process.poll() is None:
             return False
         _log.warning("the successor ended with code %d", process.returncode)
@@ -161,7 +172,7 @@ class SuccessorProcess:
         """The next one is started after a while, a longer one each time."""
         self._start_at_s = t_s + _FIRST_BACK_OFF_S * 2.0 ** (self._starts - 1)
 
-    def _end_if_silent(self, process: subprocess.Popen[bytes], t_s: float) -> None:
+    def _end_if_silent(self, process: "subprocess.Popen[bytes] | _Adopted", t_s: float) -> None:
         limit_s = _SILENT_S if self._has_beaten else _COMES_UP_S
         if self._silence.waking_s > limit_s:
             self._silence.end()
@@ -180,13 +191,50 @@ class SuccessorProcess:
             process.stdin.flush()
 
 
-def _close_stdin(process: subprocess.Popen[bytes]) -> None:
-    assert process.stdin is not None
+class _Adopted:
+    """A process that is no child of ours, as far as it is used as one."""
+
+    stdin: IO[bytes] | None = None
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self.returncode = -1  # nobody is told it
+        self._watch = ProcessWatch(pid)
+
+    def poll(self) -> int | None:
+        """None while it lives."""
+        return self.returncode if self._watch.has_ended(time.monotonic()) else None
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._watch.end()
+
+    def terminate(self) -> None:
+        """Tell it to end."""
+        self._watch.ask_to_end()
+
+    def wait(self, timeout: float) -> int:
+        """Until it has ended.
+
+        Raises:
+            subprocess.TimeoutExpired: it has not.
+        """
+        until_s = time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if time.monotonic() > until_s:
+                raise subprocess.TimeoutExpired(str(self.pid), timeout)
+            time.sleep(_LOOKS_EVERY_S)
+        return code
+
+
+def _close_stdin(process: subprocess.Popen[bytes] | _Adopted) -> None:
+    if process.stdin is None:
+        return
     with contextlib.suppress(OSError):
         process.stdin.close()
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process: subprocess.Popen[bytes] | _Adopted) -> None:
     for end in (process.terminate, process.kill):
         try:
             process.wait(_END_TIMEOUT_S)

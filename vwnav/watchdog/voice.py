@@ -41,6 +41,7 @@ _POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_
 _VELOCITY_ONLY = 0b110111000111
 _SILENT_HEARTBEAT_AGE_S = 1e6
 CUT_S = 1.2  # silence of the autopilot after which nothing simply goes on
+_DECODER = mavlink.MAVLink(None)
 _SINKS_IN_S = 0.5  # until the navigator has seen that another mode is flown than before a cut
 
 
@@ -61,14 +62,13 @@ class AutopilotEar:
 
     Args:
         system_id: of the one that is followed; 0 for the first that is heard.
-        heard_t_s: when it was last heard by another one, in whose place this one is.
     """
 
-    def __init__(self, system_id: int = 0, heard_t_s: float = -math.inf) -> None:
+    def __init__(self, system_id: int = 0) -> None:
         self.kind: AutopilotKind | None = None
         self.system_id = system_id
         self.mavlink1 = False
-        self.heard_t_s = heard_t_s
+        self.heard_t_s = -math.inf
         self.heartbeat_t_s = -math.inf
         self.origin: Origin | None = None
         self._vehicle = VehicleView()
@@ -76,8 +76,8 @@ class AutopilotEar:
         self._has_radio = True  # until it is told that it has none
         self._landed_t_s = -math.inf
         self._mode_awaited, self._mode_since_s = False, -math.inf
+        self._is_anothers = False  # who heard the mode, and what else was told then, is gone
         self._framer = Framer()
-        self._decoder = mavlink.MAVLink(None)
 
     def vehicle(self, t_s: float) -> VehicleView:
         """What is known of the autopilot."""
@@ -101,6 +101,10 @@ class AutopilotEar:
     def _knows_mode(self, t_s: float) -> bool:
         is_silent = t_s - self.heard_t_s > CUT_S
         return not is_silent and not self._mode_awaited and t_s >= self._mode_since_s
+
+    def pass_on(self) -> None:
+        """Another watchdog listens from here on, which has missed what was told meanwhile."""
+        self._is_anothers = True
 
     def heartbeat_age_s(self, t_s: float) -> float:
         """Time since the autopilot's last heartbeat."""
@@ -146,7 +150,7 @@ class AutopilotEar:
         if packet.message_id not in _HEARD:
             return None
         try:
-            return self._decoder.decode(bytearray(packet.data))
+            return _DECODER.decode(bytearray(packet.data))
         except mavlink.MAVError:
             return None  # damaged on the way: the autopilot says it again soon
 
@@ -163,7 +167,9 @@ class AutopilotEar:
         self._modes.handle_heartbeat(self.kind, message.to_dict(), t_s)
         if self._mode_awaited:
             self._mode_awaited = False
-            self._mode_since_s = t_s + (_SINKS_IN_S if mode is not self._vehicle.mode else 0.0)
+            is_another = mode is not self._vehicle.mode or self._is_anothers
+            self._mode_since_s = t_s + (_SINKS_IN_S if is_another else 0.0)
+        self._is_anothers = False
         self._vehicle = replace(self._vehicle, mode=mode, armed=armed)
 
     def _handle_current_mode(self, packet: Packet, t_s: float) -> None:
@@ -190,7 +196,7 @@ class AutopilotEar:
         """An origin on its way to the autopilot: the next best where it never tells its own."""
         if self.origin is None:
             with contextlib.suppress(mavlink.MAVError):
-                self._handle_origin(self._decoder.decode(bytearray(packet.data)))
+                self._handle_origin(_DECODER.decode(bytearray(packet.data)))
 
     def _handle_origin(self, message: Any) -> None:
         lat_deg, lon_deg = message.latitude / 1e7, message.longitude / 1e7

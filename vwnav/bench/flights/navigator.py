@@ -313,7 +313,13 @@ class LockstepSuccessor:
             self._woken_s, self._resume = t_s, resume
             counter = 0 if resume.position is None else resume.position.reset_counter
             self.navigator = self._make(counter)
+        self.go_on(t_s)
+
+    def go_on(self, t_s: float) -> None:
+        """What it does by itself, whether a watchdog is there or not."""
         navigator = self.navigator
+        if navigator is None:
+            return
         assert self._woken_s is not None
         if self._flies:
             navigator.step(t_s)

@@ -6,6 +6,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,7 +39,7 @@ from vwnav.sim.renderer import CameraRenderer
 from vwnav.sim.site import Site
 from vwnav.sim.tiles import DrawnGround
 from vwnav.types import Array, Estimate, FeatureExtractor, Frame, Prior
-from vwnav.watchdog.loop import Watchdog, WatchdogConfig, WatchdogLinks
+from vwnav.watchdog.loop import Known, Watchdog, WatchdogConfig, WatchdogLinks
 
 _NOTED_EVERY = 5  # steps: 50 Hz
 _LINK_UP_S = 4.0  # on the ground, before a flight that begins in the air
@@ -84,8 +85,7 @@ class World:
             place = replace(place, pack=Path(shutil.copy(place.pack, self._folder.name)))
         self.place = place = replace(place, camera=setup.told_camera(place.camera))
         self.wall_clock = time.time
-        self.clock = SimulatedClock()
-        self.track = FlightTrace()
+        self.clock, self.track = SimulatedClock(), FlightTrace()
         rng = random.Random(setup.seed)
         self._stands_ned_m = np.array([*setup.stands_ne_m, 0.0])
         self.autopilot_link = MemoryLink(self.clock, rng, LINK_LATENCY_S)
@@ -102,6 +102,7 @@ class World:
         self.successor = LockstepSuccessor(lambda n: self._navigator(place, n), self.local_frame)
         self.watchdog: Watchdog | None = self._watchdog()
         self._steps, self._spare_due_s, self._end_seen = 0, math.inf, False
+        self._known: Known | None = None
         self.begun_s = 0.0
 
     def _vehicle(self, place: Place) -> VehicleCore:
@@ -121,18 +122,14 @@ class World:
         peer = Peer(NotedLink(link, self.clock, self.track, north), Role.COMPANION)
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
-    def _watchdog(self, took_over_t_s: float = -math.inf) -> Watchdog:
+    def _watchdog(self, known: Known | None = None) -> Watchdog:
         ways = self.autopilot_link.b, self._navigator_link.a, self._observer_link.a
         links = WatchdogLinks(*ways, self._beats.a)
-        told = self.navigator.keep_alive
-        config = WatchdogConfig(goes_on=told.handed_on, took_over_t_s=took_over_t_s,
-                                silent_s=told.unanswered_s)  # fmt: skip
-        return Watchdog(links, config, self.successor, self.navigator)
+        return Watchdog(links, WatchdogConfig(), self.successor, self.navigator, known)
 
     def _camera(self, place: Place) -> LockstepCamera:
-        renderer = draw(self.setup, place)
-        period_s = 1.0 / self.setup.image_hz
-        return LockstepCamera(renderer, self._stands_ned_m, period_s, _CAMERA_LATENCY_S)
+        timing_s = 1.0 / self.setup.image_hz, _CAMERA_LATENCY_S
+        return LockstepCamera(draw(self.setup, place), self._stands_ned_m, *timing_s)
 
     def _navigator(self, place: Place, first_counter: int) -> Navigator:
         return Navigator(
@@ -186,9 +183,10 @@ class World:
         return self.clock.now_s - self.begun_s
 
     def lose_watchdog(self, silent_s: float = 0.0) -> None:
-        """Its process is gone, for so long unnoticed; a navigator that lives has a spare one."""
-        takes_s = math.inf if self.navigator.ended else silent_s + _SPARE_S
-        self.watchdog, self._spare_due_s = None, self.clock.now_s + takes_s
+        """Its process is gone, for so long unnoticed; the spare one has what it knew."""
+        if self.watchdog is not None:  # else the spare one was killed as it came up
+            self._known, self.watchdog = deepcopy(self.watchdog.known), None
+        self._spare_due_s = self.clock.now_s + silent_s + _SPARE_S
         self.note("the watchdog is gone")
 
     def note(self, text: str) -> None:
@@ -220,9 +218,9 @@ class World:
             self.navigator.listen(self.clock.now_s)
             self._pretend(step, began, np.zeros(3), False)
         self._lift(start)
+        body = self.core.vehicle.body
         for step in self._steps_of(_SETTLED_S):
             self.navigator.hear(self.clock.now_s)
-            body = self.core.vehicle.body
             here = np.array([body.n, body.e, body.d])
             self._pretend(step, here, np.array([body.vn, body.ve, body.vd]), True)
         self.navigator.start(self._known_in_the_air())
@@ -257,13 +255,12 @@ class World:
         """
         if step % _NOTED_EVERY:
             return
-        variances = [0.25, 0.25, 0.05, 0.05, 0.05, 0.05]
         now_s = self.clock.now_s
         estimate = Estimate(
             t_s=now_s,
             position_ned_m=self._stands_ned_m + place_ned_m,
             velocity_ned_m_s=velocity_ned_m_s,
-            covariance=np.diag(variances),
+            covariance=np.diag([0.25, 0.25, 0.05, 0.05, 0.05, 0.05]),
             quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
             sigma_yaw_rad=0.1,
             agl_m=-float(place_ned_m[2]),
@@ -278,10 +275,9 @@ class World:
         body = self.core.vehicle.body
         rng = np.random.default_rng([self.setup.seed, 7])
         error_m = np.array([*rng.normal(0.0, 0.5 * _AIR_SIGMA_M, 2), 0.0])
-        place = self._stands_ned_m + np.array([body.n, body.e, body.d])
         return Start(
             t_s=self.clock.now_s,
-            position_ned_m=place + error_m,
+            position_ned_m=self._stands_ned_m + np.array([body.n, body.e, body.d]) + error_m,
             sigma_m=_AIR_SIGMA_M,
             agl_m=-body.d,
             sigma_agl_m=0.5,
@@ -310,9 +306,13 @@ class World:
         self.clock.now_s = t_s = self._steps * STEP_S
         self.core.step_to_now(2)
         if t_s >= self._spare_due_s:
-            self._spare_due_s, self.watchdog = math.inf, self._watchdog(t_s)
+            self._spare_due_s, self.watchdog = math.inf, self._watchdog(self._known)
+            for port in (self.autopilot_link.b, self._navigator_link.a, self._beats.a):
+                port.drop()  # nobody had it open
         if self.watchdog is not None:
             self.watchdog.step(t_s)
+        else:
+            self.successor.go_on(t_s)
         self.camera.step(t_s, self.core.vehicle.body)
 
     def _note_truth(self) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from vwnav.bench.flights.stage import FlightStage, Lasting, Loop
 from vwnav.recording.recorder import Recorder
-from vwnav.watchdog.keepalive import HANGS_S
+from vwnav.watchdog.spare import HANGS_S
 
 _SQLITE_PAGE_BYTES = 4096
 
@@ -100,7 +100,7 @@ class WatchdogKilled(Lasting):
 
 @dataclass(frozen=True)
 class WatchdogHangs(Lasting):
-    """The watchdog's process is stopped; the navigator ends it when it does not answer."""
+    """The watchdog's process is stopped; the spare one ends it when it says nothing."""
 
     def begin(self, world: FlightStage) -> None:
         """Silent."""

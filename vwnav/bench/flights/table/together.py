@@ -192,4 +192,46 @@ FALLEN_BACK = [
         0,
     ),
 ]
-TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *STALE, *FALLEN_BACK]
+# A navigator that is gone starts no watchdog: whoever guards the aircraft then is the last but for
+# the spare one behind it.
+NOBODY_LEFT = [
+    Scenario(
+        name=name,
+        setup=setup(wind_m_s=5.0),
+        breaks=(Break(fault=ends, at_s=BREAKS_AT_S), *guards),
+        limit_s=100.0,
+        follows=(down(75.0),),
+        lands_within_m=70.0,
+    )
+    for name, ends, guards in (
+        (
+            "navigator and watchdog killed",
+            computer.NavigatorKilled(),
+            (Break(fault=computer.WatchdogKilled(), at_s=BREAKS_AT_S),),
+        ),
+        (
+            "navigator killed, and the watchdog while it holds",
+            computer.NavigatorKilled(),
+            (Break(fault=computer.WatchdogKilled(), at_s=BREAKS_AT_S + 2.5),),
+        ),
+        (
+            "navigator killed, and then the watchdog hangs",
+            computer.NavigatorKilled(),
+            (Break(fault=computer.WatchdogHangs(), at_s=BREAKS_AT_S + 2.5),),
+        ),
+        (
+            "navigator stopped, and the watchdog killed while it brakes",
+            computer.NavigatorStopped(20.0),
+            (Break(fault=computer.WatchdogKilled(), at_s=BREAKS_AT_S + 1.0),),
+        ),
+        (
+            "navigator killed, and then the watchdog three times",
+            computer.NavigatorKilled(),
+            tuple(
+                Break(fault=computer.WatchdogKilled(), at_s=BREAKS_AT_S + after_s)
+                for after_s in (2.0, 8.0, 14.0)
+            ),
+        ),
+    )
+]
+TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *STALE, *FALLEN_BACK, *NOBODY_LEFT]
