@@ -285,7 +285,7 @@ def test_a_watchdog_that_is_killed_is_replaced_and_it_flies_on(tmp_path):
         os.kill(flight.watchdog_pid(), signal.SIGKILL)
         code = flight.process.wait(180.0)
         assert code == 0 or flight.said("the camera shows nothing"), flight.log.read_text()[-2000:]
-        assert flight.said("another one takes its place")
+        assert flight.said("another one has taken its place")
         assert not flight.said("failsafe")
     run = json.loads((flight.folder / "run.json").read_text())
     assert run["score"]["error_at_landing_m"] < 5.0
@@ -299,9 +299,33 @@ def test_a_watchdog_that_hangs_is_replaced_and_the_aircraft_lands_near_by(tmp_pa
         os.kill(flight.watchdog_pid(), signal.SIGSTOP)
         stopped_at = flight.place_ned_m()
         flight.wait_until_down(90.0)
-        assert flight.said("has not answered")
+        assert flight.said("another one has taken its place")
         assert flight.fastest_m_s() < 15.0
         assert np.hypot(*(flight.place_ned_m() - stopped_at)[:2]) < 30.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_watchdog_that_ends_or_hangs_after_its_navigator_is_followed_by_one_that_lands(
+    tmp_path, number
+):
+    """And whoever gives the estimates by then goes on."""
+    with real_flight(tmp_path, route_text="1,45,0,60\n2,45,-40,60\n") as flight:
+
+        def watchdog_said(text: str) -> int:
+            return (flight.folder / "watchdog.log").read_text(errors="replace").count(text)
+
+        flight.wait_until_on_route()
+        flight.wait(lambda: watchdog_said(LOADED) == 1, 60.0)
+        watchdog = flight.watchdog_pid()
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        flight.wait(lambda: watchdog_said("estimates are handed on again") == 1, 20.0)
+        os.kill(watchdog, number)
+        flight.wait_until_down(120.0)
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 40.0
+        assert flight.fastest_m_s() < 15.0
+        assert len(list((flight.folder).glob("successor*"))) == 1
 
 
 def _hear_at_once() -> None:

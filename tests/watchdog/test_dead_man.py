@@ -251,10 +251,25 @@ def test_a_descend_of_the_autopilots_own_that_ends_is_landed_again():
 
 def test_a_hold_that_was_asked_for_but_not_seen_yet_is_the_navigators_own():
     guard = beating()
-    guard.handle_hold_asked(0.0)
+    guard.handle_mode_asked(FlightMode.HOLD, 0.0)
     guard.handle_end()
     in_mode(guard, FlightMode.HOLD)
     assert DeadManAction.LAND in [action for _, action in run(guard, 0.0, 10.0)]
+
+
+def test_what_the_navigator_asks_for_as_well_is_not_asked_for_twice():
+    """One that wakes up while it is landed asks for Land by itself, four times a second."""
+    guard = beating()
+    run(guard, 0.0, 4.0)
+    asked = []
+    for i in range(200, 400):
+        guard.handle_vehicle(OFFBOARD)
+        if i < 300 and i % 12 == 0:
+            guard.handle_mode_asked(FlightMode.LAND, i / 50)
+        if guard.step(i / 50) is DeadManAction.LAND:
+            asked.append(i / 50)
+    assert [t_s for t_s in asked if t_s < 6.2] == [4.04]
+    assert len(asked) >= 4  # and goes on where the other one has stopped
 
 
 FELL_BACK = VehicleView(FlightMode.HOLD, True, True, fell_back=True)

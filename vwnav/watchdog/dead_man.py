@@ -8,9 +8,7 @@ when setpoints come back, so falling silent too would not be enough: a mode must
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
 
-from vwnav.machine.silence import Silence
 from vwnav.vehicle import FlightMode, Learned
 from vwnav.watchdog.keepalive import Beat, GuardState
 
@@ -79,6 +77,13 @@ _STILL_OURS = {
 }
 # Once it was seen in Land: a Hold after that is a person's, or that of a vehicle that is down.
 _STILL_LANDING = _COMES_DOWN | {FlightMode.OFFBOARD}
+
+
+# What is asked for in a state, and the modes that are as good.
+_WANTED = {
+    GuardState.HOLDING: (DeadManAction.HOLD, frozenset({FlightMode.HOLD})),
+    GuardState.LANDING: (DeadManAction.LAND, _COMES_DOWN),
+}
 
 
 @dataclass
@@ -158,9 +163,16 @@ class DeadMan:
         """The navigator has ended, in whatever way."""
         self._ended = True
 
-    def handle_hold_asked(self, t_s: float) -> None:
-        """The navigator asks for Hold: that mode will be its own, though not seen yet."""
-        self._hold_asked_t_s = t_s
+    def handle_mode_asked(self, mode: FlightMode, t_s: float) -> None:
+        """The navigator asks for a mode: Hold will be its own, though not seen yet.
+
+        What is wanted here too need not be asked for twice.
+        """
+        if mode is FlightMode.HOLD:
+            self._hold_asked_t_s = t_s
+        _, modes = _WANTED.get(self.state, (None, ()))
+        if mode in modes:
+            self._command_t_s = t_s
 
     def handle_vehicle(self, vehicle: VehicleView) -> None:
         """News of the autopilot."""
@@ -256,10 +268,7 @@ class DeadMan:
         self._command_t_s = t_s - self.config.command_period_s
 
     def _action(self, t_s: float) -> DeadManAction | None:
-        wanted = {
-            GuardState.HOLDING: (DeadManAction.HOLD, (FlightMode.HOLD,)),
-            GuardState.LANDING: (DeadManAction.LAND, _COMES_DOWN),
-        }.get(self.state)
+        wanted = _WANTED.get(self.state)
         if wanted is not None:
             action, modes = wanted
             done = self.vehicle.mode in modes
@@ -276,69 +285,3 @@ class DeadMan:
             return None
         self._setpoint_t_s = t_s
         return DeadManAction.ZERO_VELOCITY
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UselessConfig:
-    """For how long it may be of no use, in flight.
-
-    Attributes:
-        silent_s: neither a beat nor an estimate to hand on. It gets the aircraft back no more
-            then, and 5 s later the successor tells the place: before ArduCopter gives its own up,
-            8 s after the last estimate (measured).
-        leaves_within_s: after its word that it ends: it has the camera, and its files are synced
-            once a second.
-    """
-
-    silent_s: float = 3.0
-    leaves_within_s: float = 1.0
-
-
-class UselessNavigator:
-    """Counts for how long it has been of no use, while we listened.
-
-    Attributes:
-        gone: there is nobody to be ended.
-    """
-
-    def __init__(self, config: UselessConfig | None = None) -> None:
-        self._config = config if config is not None else UselessConfig()
-        self._silence = Silence()
-        self._ends_s: float | None = None
-        self.gone = False
-
-    def listen(self, t_s: float) -> None:
-        """Time passes."""
-        self._silence.listen(t_s)
-
-    def heard(self) -> None:
-        """It has beaten, or told a place that was handed on."""
-        self._silence.end()
-
-    def says_it_ends(self, t_s: float) -> None:
-        """Nothing comes from it any more."""
-        self._ends_s = t_s
-
-    def has_ended(self) -> None:
-        """There is nobody to be ended."""
-        self.gone = True
-
-    def reason_to_end(self, t_s: float) -> str:
-        """Why it is to be ended now, "" when it is not; after the word that it ends, once."""
-        if self.gone:
-            return ""
-        if self._ends_s is not None:
-            self.gone = t_s - self._ends_s >= self._config.leaves_within_s
-            return "has not come to its end" if self.gone else ""
-        if self._silence.waking_s < self._config.silent_s:
-            return ""
-        self._silence.end()
-        return f"has neither beaten nor told a place for {self._config.silent_s:.0f} s"
-
-
-class NavigatorProcess(Protocol):
-    """What the navigator runs in."""
-
-    def end(self) -> None:
-        """End it at once, hanging or stopped."""
-        ...

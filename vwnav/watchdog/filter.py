@@ -94,14 +94,14 @@ def may_pass(packet: Packet, rights: Rights, kind: AutopilotKind | None) -> bool
     return command.command in _QUESTION_COMMANDS
 
 
-def asks_for_hold(packet: Packet, kind: AutopilotKind | None) -> bool:
-    """Whether it is a request for the autopilot's Hold."""
+def mode_asked(packet: Packet, kind: AutopilotKind | None) -> FlightMode | None:
+    """The mode that a packet asks for, None of one that asks for none."""
     if packet.message_id not in _COMMANDS:
-        return False
+        return None
     command = decode(packet)
     if command is None or command.command != mavlink.MAV_CMD_DO_SET_MODE:
-        return False
-    return _mode_of_command(command, kind) is FlightMode.HOLD
+        return None
+    return _mode_of_command(command, kind)
 
 
 def decode(packet: Packet) -> Any | None:

@@ -13,12 +13,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.mavlink.framing import Framer, Packet
 from vwnav.mavlink.links import Link
-from vwnav.watchdog.dead_man import DeadMan, NavigatorProcess, UselessNavigator
-from vwnav.watchdog.filter import ESTIMATES, Rights, asks_for_hold, decode, may_pass, told_by
+from vwnav.watchdog.dead_man import DeadMan
+from vwnav.watchdog.filter import ESTIMATES, Rights, decode, may_pass, mode_asked, told_by
 from vwnav.watchdog.keepalive import Beat, Channel, GuardState, WatchdogReport
 from vwnav.watchdog.outbox import Outbox
 from vwnav.watchdog.relay_guard import RelayedPosition, RelayedVelocity, RelayGuard
-from vwnav.watchdog.successor import Resume, Successor
+from vwnav.watchdog.successor import NavigatorProcess, Resume, Successor, UselessNavigator
 from vwnav.watchdog.visitors import Guarding
 from vwnav.watchdog.voice import CUT_S, AutopilotEar, Voice
 
@@ -200,8 +200,8 @@ class Watchdog:
             return False
         if packet.message_id == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             self._ear.handle_origin_sent(packet)
-        if asks_for_hold(packet, self._ear.kind):
-            self._guard.handle_hold_asked(t_s)
+        if (mode := mode_asked(packet, self._ear.kind)) is not None:
+            self._guard.handle_mode_asked(mode, t_s)
         return packet.message_id not in ESTIMATES or self._is_good_estimate(packet, t_s)
 
     def _rights(self, t_s: float) -> Rights:
