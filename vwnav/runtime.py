@@ -6,7 +6,6 @@ each step has a thread; a simulation in lockstep calls them one after the other.
 """
 
 import logging
-import math
 import threading
 import time
 from collections import deque
@@ -29,7 +28,6 @@ log = logging.getLogger(__name__)
 
 LINK_HZ = 50.0
 TICK_HZ = 20.0
-HELD_BACK_S = 1.5  # by the watchdog, which wants to see a new estimate for half a second first
 _LINK_FAILS_S = 1.0
 _HANGS_S = 2.0  # of one loop's turns while another one does not come round
 _LEAVES_S = 2.0  # for a loop to end its turn
@@ -80,7 +78,6 @@ class FlightRuntime:
         self._seen_s: float | None = None
         self._contradicted = False
         self._heard_s: float | None = None
-        self._held_back_since_s = -math.inf
         self._link_fails_since_s: float | None = None
         self.link_broke, self._turns, self._ticks = False, 0, 0
         self._link_stall = Stall(round(_HANGS_S * TICK_HZ))
@@ -162,10 +159,8 @@ class FlightRuntime:
         report = self._keep_alive.report
         if vehicle.armed and vehicle.silence_s > SILENT_S:
             self._guard.miss("the autopilot is not heard", t_s)
-        if report is None or report.relays_estimates or self._guard.lost_since_s is not None:
-            self._held_back_since_s = t_s
-        elif vehicle.armed and t_s - self._held_back_since_s > HELD_BACK_S:
-            self._guard.lose("the watchdog does not hand it on", t_s)
+        hands_on = report is None or report.relays_estimates or not vehicle.armed
+        self._guard.follow_relay(hands_on, t_s)
 
     def _break_link(self, error: Exception) -> None:
         """Nobody is told a place from here on: whoever takes over shall begin now."""

@@ -224,7 +224,7 @@ def test_an_aircraft_that_nobody_flies_is_seen(mode, said, has_radio, alone):
         scenario=replace(row, setup=replace(row.setup, rc_on=has_radio)),
         track=track, begun_s=100.0, flown_s=50.0,
         local_frame=LocalFrame(41.0, 29.0, 0.0), phase=Phase.RELEASED, steps=(), second_steps=(),
-        broke_s=None, broken=(), end=None,
+        broke_s=None, broken=(), stood=(), end=None,
     )  # fmt: skip
     assert any("nobody flies it" in each for each in judge(flown).wrong) is alone
 

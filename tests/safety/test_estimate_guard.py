@@ -186,12 +186,22 @@ def wide(t_s: float, sigma_m: float = 40.0, sigma_m_s: float = 0.5) -> Estimate:
 
 
 def feed_seeing(
-    guard: EstimateGuard, start_s: float, end_s: float, make, late_s: float = 0.1
+    guard: EstimateGuard,
+    start_s: float,
+    end_s: float,
+    make,
+    late_s: float = 0.1,
+    looked_at_s: float = 0.5,
 ) -> list[Estimate]:
-    """Every image tells a motion, 0.1 s later."""
-    steps = [i * DT_S for i in range(round(start_s / DT_S), round(end_s / DT_S))]
-    sent = (guard.admit(make(t_s), t_s, True, t_s - late_s) for t_s in steps)
-    return [e for e in sent if e is not None]
+    """Every image tells a motion, 0.1 s later; the watchdog looks at a new one for a while."""
+    sent: list[Estimate] = []
+    for i in range(round(start_s / DT_S), round(end_s / DT_S)):
+        t_s = i * DT_S
+        guard.follow_relay(bool(sent) and t_s - sent[0].t_s > looked_at_s, t_s)
+        estimate = guard.admit(make(t_s), t_s, True, t_s - late_s)
+        if estimate is not None:
+            sent.append(estimate)
+    return sent
 
 
 def after_a_gap() -> EstimateGuard:
@@ -225,14 +235,17 @@ def test_fixes_that_come_later_make_it_a_sure_one_which_is_new_again():
     assert {e.reset_counter for e in sent} == {1, 2}
 
 
-def test_the_watchdog_has_had_a_second_of_it_before_it_is_new_again():
+@pytest.mark.parametrize("looked_at_s", [0.1, 0.5, 0.9])
+def test_the_autopilot_has_had_a_second_of_it_before_it_is_new_again(looked_at_s):
+    """However long the watchdog looks at it first: half a second was assumed, and it was 0.74."""
+
     def make(t_s: float) -> Estimate:
         seen_s = 11.2 + 0.4 * math.floor((t_s - 11.2) / 0.4) if t_s >= 11.2 else 0.0
         return replace(wide(t_s, 2.0), reset_counter=1, t_last_fix_s=seen_s)
 
-    sent = feed_seeing(after_a_gap(), 10.0, 15.0, make)
+    sent = feed_seeing(after_a_gap(), 10.0, 15.0, make, looked_at_s=looked_at_s)
     (again,) = [b for a, b in pairwise(sent) if a.reset_counter != b.reset_counter]
-    least_s = LIMITS.handed_on_s + LIMITS.steady_s
+    least_s = looked_at_s + LIMITS.steady_s
     assert again.t_s - sent[0].t_s == pytest.approx(least_s, abs=0.03)
 
 
@@ -462,3 +475,13 @@ def test_after_a_brief_stall_one_that_says_that_it_jumped_is_no_longer_the_same(
     guard = flying()
     assert feed(guard, DT_S, 0.2)
     assert not feed(guard, 1.0, 6.0, lambda t: at(t, reset_counter=1))
+
+
+def test_what_the_watchdog_does_not_hand_on_for_long_is_lost():
+    guard = flying(8.0)
+    for i in range(200):
+        guard.follow_relay(i < 50, i * DT_S)
+        if guard.lost_since_s is not None:
+            break
+    assert guard.lost_since_s == pytest.approx(50 * DT_S + LIMITS.held_back_s, abs=0.05)
+    assert guard.reason == "the watchdog does not hand it on"

@@ -29,7 +29,7 @@ def flown_day() -> Flown:
     return Flown(
         scenario=scenario, track=track, begun_s=BEGUN_S, flown_s=60.0,
         local_frame=LocalFrame(50.0, 8.0, 0.0), phase=Phase.RELEASED, steps=(), second_steps=(),
-        broke_s=3.0, broken=(), end=None,
+        broke_s=3.0, broken=(), stood=(), end=None,
     )  # fmt: skip
 
 

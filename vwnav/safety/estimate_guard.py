@@ -40,6 +40,7 @@ class EstimateGuard:
         self._renewals = first_counter
         self._last: Estimate | None = None
         self._jumped_t_s = -math.inf
+        self._held_back_since_s = math.inf
         self._track = self._new_track()
         self._trial: Trial | None = None
         self._unproven: Trial | None = None
@@ -88,6 +89,16 @@ class EstimateGuard:
         if self.lost_since_s is None:
             self.lost_since_s, self._only_missed, self._had_no_velocity = t_s, False, False
         self.reason, self._trial, self._may_resume = reason, None, False
+
+    def follow_relay(self, hands_on: bool, t_s: float) -> None:
+        """A new one counts from when the watchdog hands it on, which looks at it for a while."""
+        if hands_on or self.lost_since_s is not None:
+            self._held_back_since_s = math.inf
+            return
+        self._jumped_t_s = max(self._jumped_t_s, t_s)
+        self._held_back_since_s = min(self._held_back_since_s, t_s)
+        if t_s - self._held_back_since_s > self._limits.held_back_s:
+            self.lose("the watchdog does not hand it on", t_s)
 
     def miss(self, reason: str, t_s: float) -> None:
         """Likewise for a gap, which is all that is wrong: its velocity brings it back sooner."""
@@ -215,7 +226,6 @@ class EstimateGuard:
         is_proven = self._unsure(estimate) is None and self._is_proven(trial, t_s)
         if is_proven or self._has_velocity(trial, estimate):
             self._renew(estimate)
-            self._jumped_t_s += self._limits.handed_on_s
             self._unproven = None if is_proven else trial
             return self._sent(self._with_proof(estimate, t_s))
         return None

@@ -116,7 +116,7 @@ class EstimateLimits(Settings):
         settle_s: for how long it has to be steady then.
         settle_drift_m_s: off the course before the gap, per second of it, besides the jump.
         steady_s: between two jumps that are announced; one that jumps on and on tells nothing.
-        handed_on_s: a new one reaches the autopilot so much later: the watchdog looks at it first.
+        held_back_s: by the watchdog, which looks at a new one for half a second or so.
         new_fixes, new_fixes_s: how many fixes, over how long, make a lost estimate a new one.
         unproven_s: for how long one without those fixes has had a sure velocity, by images or, once
             it had none, by the air that is felt, when it comes back. An autopilot that is told
@@ -145,7 +145,7 @@ class EstimateLimits(Settings):
     settle_s: Annotated[float, Within(0.0, 60.0, above=True)] = 0.5
     settle_drift_m_s: Annotated[float, Within(0.0, 100.0, above=True)] = 2.0
     steady_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.0
-    handed_on_s: Annotated[float, Within(0.0, 60.0, above=True)] = 0.5
+    held_back_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.5
     new_fixes: Count = 3
     new_fixes_s: Annotated[float, Within(0.0, 600.0, above=True)] = 1.0
     unproven_s: Annotated[float, Within(0.0, 600.0, above=True)] = 1.5

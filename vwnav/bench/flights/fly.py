@@ -10,6 +10,7 @@ from vwnav.bench.flights.faults.aircraft import (
     BatteryAt,
     CommandRefused,
     PilotSwitches,
+    SimulatorStands,
 )
 from vwnav.bench.flights.faults.camera import CameraTrouble
 from vwnav.bench.flights.faults.computer import DiskFull, ModelRaises
@@ -48,6 +49,11 @@ class _Planned:
     def disturbs(self) -> bool:
         """Whether what is sent may pause for it."""
         return not isinstance(self.plan.fault, _STEADY_THROUGH)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the simulator gets no processor meanwhile."""
+        return isinstance(self.plan.fault, SimulatorStands)
 
     @property
     def span(self) -> Span | None:
@@ -135,5 +141,6 @@ def fly(
         second_steps=[] if second is None else second.record.steps,
         broke_s=planned[0].begun_s if planned else None,
         broken=tuple(e.span for e in planned if e.span is not None and e.disturbs),
+        stood=tuple(e.span for e in planned if e.span is not None and e.stands),
         end=navigator.flight.end,
     )

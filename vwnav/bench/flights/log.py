@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 
-from vwnav.bench.flights.faults.aircraft import SimulatorStands
 from vwnav.bench.flights.faults.link import RoundTrip
 from vwnav.bench.flights.scenario import Flown
 from vwnav.config import Config
@@ -31,8 +30,7 @@ def flight_log(flown: Flown) -> FlightLog:
     steps = [*flown.steps, *flown.second_steps]
     broken = [(lo + begun_s, hi + begun_s) for lo, hi in flown.broken]
     # Of a time that a simulator did not have, and until a TIMESYNC answer can tell of it.
-    stands = any(isinstance(each.fault, SimulatorStands) for each in flown.scenario.breaks)
-    stood = [(lo, hi + _ANSWERED_S) for lo, hi in broken] if stands else []
+    stood = [(lo + begun_s, hi + begun_s + _ANSWERED_S) for lo, hi in flown.stood]
     faults = [each.fault for each in flown.scenario.breaks]
     trips = [each.seconds for each in faults if isinstance(each, RoundTrip)]
     return FlightLog(

@@ -131,6 +131,7 @@ class Flown:
         steps: what each image brought; `second_steps` to the navigator that stood in, if one did.
         broke_s: when the first fault began, since the mission began; None: it never did.
         broken: from when to when each fault lasted that may disturb what is sent, likewise.
+        stood: from when to when the simulator had no time, likewise.
         end: what the mission said; None while it went on.
     """
 
@@ -144,6 +145,7 @@ class Flown:
     second_steps: Sequence[StepResult]
     broke_s: float | None
     broken: tuple[Span, ...]
+    stood: tuple[Span, ...]
     end: FlightEnd | None
 
 
