@@ -60,6 +60,23 @@ def test_a_sample_after_a_silence_carries_no_attitude_on():
     assert attitudes.at(1.09) is None
 
 
+def test_where_the_clock_has_slipped_no_image_is_told_an_attitude():
+    """A simulator stood for 0.6 s: what came before the slip was seen may be anywhere in it.
+
+    An image in it was told one that was 10 degrees off; one as a keyframe was 3 sigmas, for 4 s.
+    """
+    attitudes, stood_s = turning(1.0, 1.0), 0.6
+    for i in range(51, 100):
+        attitudes.gyro.turn(0.02 * i + stood_s, 0.02 * RATE, 0.02)
+        attitudes.add(Attitude(0.02 * i + stood_s, quat_from_vector(0.02 * i * RATE)))
+    assert [attitudes.at(t_s) for t_s in (1.01, 1.3, 1.61)] == [None] * 3
+    assert attitudes.at(0.99) is not None
+    assert attitudes.at(1.63).quat_wxyz == pytest.approx(quat_from_vector(1.03 * RATE), abs=1e-3)
+    # What was felt was felt: the body has turned by what the gyro counted, across the slip too.
+    turned = attitudes.gyro.between(1.0, 1.7)
+    assert turned == pytest.approx(quat_from_vector(0.1 * RATE), abs=1e-6)
+
+
 def test_it_is_not_carried_on_for_ever():
     assert not turning(1.0, 7.0).held(6.5).known
 

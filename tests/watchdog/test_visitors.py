@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from link_peer import PX4_LAND, free_port
+from link_peer import PX4_LAND, free_port, wait_for
 from watchdog_flight import flight
 
 from vwnav.errors import LinkError
@@ -112,3 +112,25 @@ def test_started_again_in_flight_it_waits_and_says_so_until_the_aircraft_is_disa
     assert "this one commands nothing" in said[-2]
     assert said[-1] == "its watchdog has left: getting ready, and a person arms"
     Reception(parse_link(flying.url)).close()
+
+
+def test_a_visitor_stays_when_the_watchdog_dies_and_the_spare_one_follows(monkeypatch):
+    """Else it would want the link for itself, while the aircraft flies."""
+    monkeypatch.setattr(rejoining, "say", lambda _: None)
+    waited: list[bool] = []
+    with flight() as flying:
+        flying.wait_for_a_spare()
+        flying.signal(signal.SIGKILL)
+        manager = ServiceManager({})
+        visitor = threading.Thread(
+            target=lambda: waited.append(wait_for_the_aircraft(flying.url, manager))
+        )
+        visitor.start()
+        time.sleep(2.0)
+        os.kill(flying.watchdog, signal.SIGKILL)
+        wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+        visitor.join(3.0)
+        assert visitor.is_alive()
+        flying.peer.armed = False
+        visitor.join(10.0)
+    assert waited == [True]

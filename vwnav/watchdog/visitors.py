@@ -6,9 +6,11 @@ second what the watchdog does, one JSON object a datagram, until the watchdog ha
 
 import contextlib
 import json
+import math
 import socket
 import struct
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -21,6 +23,7 @@ _MOST_VISITORS = 4
 _WORD_BYTES = 4096
 _CREDENTIALS = struct.Struct("3i")  # process, user, group
 _UNHEARD_S = 10.0  # a watchdog that says nothing for so long hangs
+_FOLLOWED_S, _ASKS_EVERY_S = 2.0, 0.05  # by the spare one, of a watchdog that died
 _DOES = {
     GuardState.RELAY: "guards it",
     GuardState.BRAKING: "brakes it",
@@ -129,6 +132,8 @@ def _told(visitor: socket.socket, guarding: Guarding) -> bool:
 def visit(connection: str) -> Iterator[Guarding]:
     """What the watchdog says that has the link, once a second, until it leaves; else nothing.
 
+    One that dies is followed by its spare one, which is asked in turn.
+
     Args:
         connection: URL of the autopilot's link.
 
@@ -137,14 +142,28 @@ def visit(connection: str) -> Iterator[Guarding]:
     """
     if sys.platform != "linux":
         return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
+    until_s = -math.inf  # a first one is there at once, or not at all
+    while (door := _entered(connection, until_s)) is not None:
+        with door:
+            while data := _heard(door):
+                yield Guarding.unpack(data)
+        until_s = time.monotonic() + _FOLLOWED_S
+
+
+def _entered(connection: str, until_s: float) -> socket.socket | None:
+    """The door of whoever has the link by then, None where nobody has."""
+    while True:
+        door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         door.settimeout(_UNHEARD_S)
         try:
             door.connect(_name(parse_link(connection)))
         except OSError:
-            return  # nobody has it
-        while data := _heard(door):
-            yield Guarding.unpack(data)
+            door.close()
+            if time.monotonic() >= until_s:
+                return None
+            time.sleep(_ASKS_EVERY_S)
+        else:
+            return door
 
 
 def _heard(door: socket.socket) -> bytes:

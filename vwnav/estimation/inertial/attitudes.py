@@ -83,6 +83,13 @@ class GyroHistory:
             return None
         return quat_multiply(quat_conjugate(zero[1]), one[1])
 
+    def slips(self, t_s: float) -> bool:
+        """Whether dates jump there beyond what the sensor's clock counted: nobody knows which."""
+        i = bisect.bisect_right(self._times_s, t_s)
+        if not 0 < i < len(self._times_s) or self._series[i] != self._series[i - 1]:
+            return False
+        return self._times_s[i] - self._times_s[i - 1] > LONGEST_GAP_S
+
     def _append(self, t_s: float, series: int, turned: Array) -> None:
         self.newest_s = t_s
         self._times_s.append(t_s)
@@ -171,7 +178,7 @@ class AttitudeHistory:
             return Attitude(t_s, self._quats[i])
         ahead_s = _KNOWN_AHEAD_S if math.isfinite(self._max_gap_s) else math.inf
         is_late = i == len(self._times_s) and t_s > self.newest_s + ahead_s
-        if i == 0 or (is_late and self._carried(i - 1, t_s) is None):
+        if i == 0 or (is_late and self._carried(i - 1, t_s) is None) or self.gyro.slips(t_s):
             return None
         held = self.held(t_s)
         return Attitude(t_s, held.quat_wxyz) if held.known else None
