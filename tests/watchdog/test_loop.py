@@ -69,7 +69,8 @@ class Stand:
 
     def replace(self) -> None:
         """By a spare one, as a process is told what the one before knew."""
-        self.watchdog = self._watchdog(pickle.loads(pickle.dumps(self.watchdog.known)))
+        known = pickle.loads(pickle.dumps(self.watchdog.known))
+        self.watchdog = self._watchdog(known.pass_on(self.t_s))
 
     def say(self, message) -> None:
         self.autopilot.arriving.append(bytes(message.pack(AUTOPILOT)))
@@ -532,6 +533,20 @@ def test_in_the_place_of_one_that_hung_nobody_steers_before_the_mode_is_heard():
     assert "SET_POSITION_TARGET_LOCAL_NED" in names(stand.run(0.4, fly))
 
 
+def test_that_nobody_listened_for_long_is_no_silence_of_the_navigators():
+    """A watchdog hung for 2 s: the one after it landed an aircraft whose navigator was alive."""
+    stand = engaged()
+    stand.t_s += 2.3
+    stand.replace()
+    stand.watchdog.step(stand.t_s)
+    assert stand.watchdog.state is GuardState.RELAY
+    stand.beating = False
+    stand.run(0.4)
+    assert stand.watchdog.state is GuardState.RELAY
+    stand.run(0.2)
+    assert stand.watchdog.state is GuardState.BRAKING
+
+
 EVENTS = st.lists(
     st.tuples(
         st.floats(0.1, 3.0),
@@ -561,7 +576,10 @@ def test_a_spare_one_does_what_the_one_before_would_have_done(events, replaced_a
     """Whatever has happened until then: to the message, and to the state."""
     lives, replaced = engaged(), engaged()
     for number, (seconds, event) in enumerate(events):
-        if number == replaced_at and replaced.speaks:  # what a cut has hidden has to sink in
+        # What a cut has hidden has to sink in, and a silence begins anew.
+        is_heard = replaced.speaks and event != "deaf"
+        is_heard = is_heard and (replaced.beating or replaced.watchdog.is_acting)
+        if number == replaced_at and is_heard:
             replaced.replace()
         told = []
         for stand in lives, replaced:

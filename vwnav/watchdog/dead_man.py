@@ -99,6 +99,7 @@ class DeadMan:
     vehicle: VehicleView = field(default_factory=VehicleView)
     _beat: Beat | None = None
     _beat_t_s: float = 0.0
+    _listens_since_s: float = -math.inf
     _mode_at_beat: FlightMode = FlightMode.UNKNOWN
     _hold_asked_t_s: float = -math.inf
     _claimed: bool = False
@@ -140,8 +141,8 @@ class DeadMan:
         return None if self._beat is None else self._beat.learned
 
     def silence_s(self, t_s: float) -> float:
-        """Time since the newest beat."""
-        return t_s - self._beat_t_s
+        """Time since the newest beat, as far as anybody listened."""
+        return t_s - max(self._beat_t_s, self._listens_since_s)
 
     def handle_beat(self, beat: Beat, t_s: float) -> None:
         """A sign of life; it ends a takeover only with a claim newer than the takeover."""
@@ -162,6 +163,10 @@ class DeadMan:
     def handle_end(self) -> None:
         """The navigator has ended, in whatever way."""
         self._ended = True
+
+    def pass_on(self, t_s: float) -> None:
+        """Another watchdog goes on from here, and has yet to hear the navigator."""
+        self._listens_since_s = t_s
 
     def handle_mode_asked(self, mode: FlightMode, t_s: float) -> None:
         """The navigator asks for a mode: Hold will be its own, though not seen yet.

@@ -65,6 +65,12 @@ class Known:
     useless: UselessNavigator = field(default_factory=UselessNavigator)
     ended_t_s: float = -math.inf
 
+    def pass_on(self, t_s: float) -> "Known":
+        """To the one that begins now: while nobody listened, silence was nobody's but our own."""
+        self.ear.pass_on()
+        self.guard.pass_on(t_s)
+        return self
+
 
 class Watchdog:
     """One owner of leaving the aircraft: it stays until that is down or in other hands.
@@ -77,7 +83,7 @@ class Watchdog:
         successor: takes the navigator's place for estimates alone.
         navigator: ended when it hangs in flight and a successor stands by; it has the camera, and
             would tell on waking what it believed before.
-        known: by the one in whose place this one is.
+        known: by the one in whose place this one is, passed on.
     """
 
     def __init__(
@@ -90,10 +96,7 @@ class Watchdog:
     ) -> None:
         self._links, self._config = links, config
         self._successor, self._navigator = successor, navigator
-        if known is None:
-            known = Known()
-        else:
-            known.ear.pass_on()
+        known = Known() if known is None else known
         self._ear, self._guard, self._estimates = known.ear, known.guard, known.estimates
         self._useless, self._ended_t_s = known.useless, known.ended_t_s
         self._from_navigator, self._from_observer = Framer(), Framer()

@@ -102,6 +102,7 @@ class WatchdogPorts:
         self._parent = None
         if options.parent is not None and not (known is not None and known.useless.gone):
             self._parent = ProcessWatch(options.parent)
+        known = None if known is None else known.pass_on(self._clock())
         self._watchdog = Watchdog(links, config, self._successor, self._parent, known)
         self._spare = Spare(options.command_line(self.ports), options.starts_left)
         self._told_to_end = False

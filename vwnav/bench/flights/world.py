@@ -123,9 +123,9 @@ class World:
         return VehicleCore(config, [peer], lambda: setup.vehicle_s(self.clock()))
 
     def _watchdog(self, known: Known | None = None) -> Watchdog:
-        ways = self.autopilot_link.b, self._navigator_link.a, self._observer_link.a
-        links = WatchdogLinks(*ways, self._beats.a)
-        return Watchdog(links, WatchdogConfig(), self.successor, self.navigator, known)
+        ways = self.autopilot_link.b, self._navigator_link.a, self._observer_link.a, self._beats.a
+        parts = WatchdogLinks(*ways), WatchdogConfig(), self.successor, self.navigator
+        return Watchdog(*parts, known and known.pass_on(self.clock.now_s))
 
     def _camera(self, place: Place) -> LockstepCamera:
         timing_s = 1.0 / self.setup.image_hz, _CAMERA_LATENCY_S
