@@ -77,6 +77,15 @@ def test_where_the_clock_has_slipped_no_image_is_told_an_attitude():
     assert turned == pytest.approx(quat_from_vector(0.1 * RATE), abs=1e-6)
 
 
+def test_a_slow_sensor_and_a_clock_that_is_a_third_slow_are_no_slip():
+    """Samples of 10 Hz, dated 0.143 s apart: an ArduCopter's images had no attitude any more."""
+    attitudes = turning(1.0, 1.0)
+    for i in range(1, 10):
+        attitudes.gyro.turn(1.0 + 0.143 * i, 0.1 * RATE, 0.1)
+        attitudes.add(Attitude(1.0 + 0.143 * i, quat_from_vector((1.0 + 0.1 * i) * RATE)))
+    assert attitudes.at(1.5) is not None
+
+
 def test_it_is_not_carried_on_for_ever():
     assert not turning(1.0, 7.0).held(6.5).known
 

@@ -2,6 +2,7 @@
 
 import bisect
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about ac
 LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
 _TILTS_OVER_S = 0.04  # before an image, to tell how fast it tilted
 _FORGET_AT_ONCE = 1000  # samples
+_MOST_SLIPS = 8  # of the clock, the newest
 
 
 class GyroHistory:
@@ -44,6 +46,7 @@ class GyroHistory:
         self._series: list[int] = []  # samples between silences share a number
         self._first_series = 0
         self._span_s = 0.0  # from the sample before to the newest
+        self._slips = deque[tuple[float, float]](maxlen=_MOST_SLIPS)
 
     @property
     def newest(self) -> Array:
@@ -57,6 +60,7 @@ class GyroHistory:
         self._times_s.clear()
         self._turned.clear()
         self._series.clear()
+        self._slips.clear()
 
     def begin(self, t_s: float) -> None:
         """Take a sample after a silence: how the body turned in that, nobody knows."""
@@ -70,6 +74,8 @@ class GyroHistory:
         `span_s` since the one before is by the sensor's own clock: dates may lie together or apart.
         """
         self._span_s = span_s
+        if t_s - self.newest_s - span_s > LONGEST_GAP_S:
+            self._slips.append((self.newest_s, t_s))
         turned = quat_multiply(self._turned[-1], quat_from_vector(rotation_rad))
         self._append(t_s, self._series[-1], turned / math.sqrt(turned @ turned))
 
@@ -85,10 +91,7 @@ class GyroHistory:
 
     def slips(self, t_s: float) -> bool:
         """Whether dates jump there beyond what the sensor's clock counted: nobody knows which."""
-        i = bisect.bisect_right(self._times_s, t_s)
-        if not 0 < i < len(self._times_s) or self._series[i] != self._series[i - 1]:
-            return False
-        return self._times_s[i] - self._times_s[i - 1] > LONGEST_GAP_S
+        return any(before_s < t_s < after_s for before_s, after_s in self._slips)
 
     def _append(self, t_s: float, series: int, turned: Array) -> None:
         self.newest_s = t_s
