@@ -57,6 +57,7 @@ def test_doctor_leaves_a_port_alone_that_a_watchdog_has():
     far, slave = os.openpty()
     url = f"serial://{os.ttyname(slave)}:57600"
     command = [sys.executable, "-m", "vwnav.watchdog", "--connection", url]
+    command += ["--starts-left", "0"]  # nobody follows who is killed
     watchdog = subprocess.Popen(command, stdout=subprocess.PIPE)
     try:
         assert b"ready" in watchdog.stdout.readline()

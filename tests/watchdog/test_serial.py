@@ -28,6 +28,7 @@ class Stand:
         self.name = name
         self.plug_in()
         command = [sys.executable, "-m", "vwnav.watchdog", "--connection", f"serial://{name}:57600"]
+        command += ["--starts-left", "0"]  # nobody follows who is killed
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         port = json.loads(self.process.stdout.readline())["ready"]["navigator_port"]
