@@ -16,6 +16,7 @@ from vwnav.bench.flights.blame import blamed_wrongly
 from vwnav.bench.flights.faults import camera, link, telemetry
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.live.campaign import live_rows
+from vwnav.bench.flights.log import flight_log as log_of
 from vwnav.bench.flights.rows import draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Flown, Scenario
 from vwnav.bench.flights.stage import LINK_LATENCY_S
@@ -323,3 +324,15 @@ def test_a_row_that_names_its_autopilot_is_flown_with_that_one(asked):
     assert {row.setup.manners for row in own} == {"px4", "px4-1.16"}
     assert [in_manners(row, asked) for row in own] == own
     assert in_manners(row_of("battery low"), asked).setup.manners == asked
+
+
+def test_only_the_time_in_which_a_simulator_stood_is_left_out_of_sight():
+    """Another fault of that flight hid what was sent for as long as it lasted."""
+    row = drawn_rows(1, 0)[0]
+    flown = Flown(
+        scenario=row, track=a_track(), begun_s=100.0, flown_s=20.0,
+        local_frame=LocalFrame(41.0, 29.0, 0.0), phase=Phase.LAND, steps=(), second_steps=(),
+        broke_s=3.0, broken=((2.9, 4.1), (8.0, 15.0)), stood=((2.9, 4.1),), end=None,
+    )  # fmt: skip
+    left_s = [each.t_s for each in log_of(flown).estimates]
+    assert left_s == [100.0 + i for i in range(20) if i not in (3, 4)]

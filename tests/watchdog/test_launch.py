@@ -355,7 +355,17 @@ def test_spare_ones_that_die_again_and_again_are_no_longer_started_and_it_is_sai
 
         wait_for(none_waits, 30.0)
         assert len(killed) == MOST_STARTS
-    assert said == ["spare watchdogs die again and again: none waits any more"]
+        assert said == [
+            "spare watchdogs die again and again: the present watchdog is the last, land soon"
+        ]
+        watchdog.process.kill()
+
+        def nobody_answers() -> bool:
+            watchdog.keepalive.beat(False)
+            return len(said) == 2
+
+        wait_for(nobody_answers, 10.0)
+    assert said[1].endswith("nobody guards the aircraft, be ready to take it over")
 
 
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):

@@ -13,7 +13,7 @@ _CHECK_S = 0.1
 class ProcessWatch:
     """Whether a process has ended; readable at once when it does, where the system can tell.
 
-    Also a `watchdog.loop.NavigatorProcess`.
+    Also a `watchdog.successor.NavigatorProcess`.
 
     Args:
         pid: of any process, parent or not.

@@ -29,7 +29,7 @@ from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
 from vwnav.machine.process_watch import ProcessWatch
 from vwnav.watchdog.keepalive import KeepAlive, UdpChannel
-from vwnav.watchdog.spare import MOST_STARTS, LastWord, wait_behind
+from vwnav.watchdog.spare import MOST_STARTS, PROGRAM, LastWord, wait_behind
 
 if TYPE_CHECKING:
     from vwnav.watchdog.process import WatchdogPorts
@@ -39,7 +39,10 @@ _READY_TIMEOUT_S = 60.0  # a busy machine takes 20; one that ends is noticed at 
 _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
 _SILENT_S = 5.0  # without an answer: a spare one has been there by then, if there was one
 _LOOKS_EVERY_S = 0.1
-_HELD_S, _HELD_AGAIN_S = 10.0, 0.02
+_HELD_S, _HELD_AGAIN_S = 10.0, 0.02  # by one that has died
+
+_UNGUARDED = "the watchdog does not answer: nobody guards the aircraft, be ready to take it over"
+_THE_LAST = "spare watchdogs die again and again: the present watchdog is the last, land soon"
 
 
 class WatchdogProcess:
@@ -120,10 +123,10 @@ class WatchdogProcess:
             report, was_silent = self.keepalive.last_report, is_silent
             is_silent = self.keepalive.unanswered_s > _SILENT_S
             if is_silent and not was_silent:
-                self._say("the watchdog does not answer: nobody guards the aircraft")
+                self._say(_UNGUARDED)
             if report is not None and report.has_spare is not has_spare:
                 has_spare = report.has_spare
-                self._say("spare watchdogs die again and again: none waits any more")
+                self._say(_THE_LAST)
 
 
 def start_watchdog(
@@ -146,7 +149,7 @@ def start_watchdog(
     Raises:
         LinkError: the link cannot be opened, or the process does not come up.
     """
-    arguments = [sys.executable, "-m", "vwnav.watchdog", "--connection", connection]
+    arguments = [*PROGRAM, "--connection", connection]
     arguments += ["--parent", str(os.getpid()), "--standby", json.dumps(list(standby))]
     clock = clock if clock is not None else WallClock()
     if clock.file is not None:
@@ -221,11 +224,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(json.dumps({"error": str(error)}), flush=True)
             return 1
         print(json.dumps({"ready": watchdog.ports}), flush=True)
-        try:
-            watchdog.run()
-            watchdog.leave()
-        finally:
-            watchdog.close()
+        watchdog.run()
+        watchdog.close()  # not by one that raises: its spare one goes on with all that it had
         return 0
 
 

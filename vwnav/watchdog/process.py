@@ -6,7 +6,6 @@ import os
 import pickle
 import selectors
 import signal
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +17,11 @@ from vwnav.mavlink.links import LinkAddress, UdpLink, open_link, parse_link
 from vwnav.pace import clock_of
 from vwnav.watchdog.keepalive import UdpChannel
 from vwnav.watchdog.loop import Known, Watchdog, WatchdogConfig, WatchdogLinks
-from vwnav.watchdog.spare import MOST_STARTS, Spare
+from vwnav.watchdog.spare import MOST_STARTS, PROGRAM, Spare
 from vwnav.watchdog.successor import SuccessorProcess
 from vwnav.watchdog.visitors import Reception
 
 _log = logging.getLogger(__name__)
-_PROGRAM = sys.executable, "-m", "vwnav.watchdog"
 _TICK_S = 0.02
 _ACTING_TICK_S = 0.005
 _LATE_S = 0.01  # of its tick: simulated time waits for it then
@@ -65,7 +63,7 @@ class WatchdogOptions:
         }  # fmt: skip
         told |= {name.replace("_", "-"): port for name, port in ports.items()}
         words = [(f"--{name}", str(value)) for name, value in told.items() if value is not None]
-        return [*_PROGRAM, *(word for pair in words for word in pair)]
+        return [*PROGRAM, *(word for pair in words for word in pair)]
 
 
 class WatchdogPorts:
@@ -141,12 +139,9 @@ class WatchdogPorts:
             self._step(now_s)
         participant.leave()
 
-    def leave(self) -> None:
-        """Nothing is left to do, for a spare one neither."""
-        self._spare.close()
-
     def close(self) -> None:
-        """Give the link and the ports back."""
+        """Nothing is left to do, for a spare one neither: give the link and the ports back."""
+        self._spare.close()
         self._selector.close()
         self._watchdog.close()
         if self._parent is not None:

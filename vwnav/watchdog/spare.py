@@ -23,6 +23,7 @@ from vwnav.machine.process_watch import ProcessWatch
 from vwnav.machine.silence import Silence
 
 _log = logging.getLogger(__name__)
+PROGRAM = sys.executable, "-m", "vwnav.watchdog"
 HANGS_S = 2.0  # without a word written
 MOST_STARTS = 5
 _PERIOD_S = 0.1
@@ -174,4 +175,6 @@ def wait_behind(pid: int, word: LastWord) -> bytes:
             silence.end()
             guarding.end()
     guarding.close()
-    return word.read()[1]
+    _, known = word.read()
+    word.close()
+    return known

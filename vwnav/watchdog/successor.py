@@ -4,6 +4,7 @@ It loads what it needs and then waits for a line on its stdin. The line is one J
 to connect and to beat, and the last good estimate (`Resume`). An end of stdin tells it to end: the
 watchdog has gone, or needs it no more. One that hangs is ended. As soon as one serves, the next is
 prepared: an autopilot keeps its position for 5 s without estimates, and loading takes longer.
+A first navigator that lives and is of no use is ended for them (`UselessNavigator`).
 """
 
 import contextlib
@@ -29,7 +30,11 @@ _FIRST_BACK_OFF_S = 1.0
 _END_TIMEOUT_S = 2.0
 _LOOKS_EVERY_S = 0.05
 _COMES_UP_S = 20.0  # from its waking to its first beat: it may be loading still
-_SILENT_S = 3.0  # as long as a navigator may be (`UselessConfig.silent_s`)
+# Neither a beat nor an estimate to hand on, of the first one or of one after it. It gets the
+# aircraft back no more then, and 5 s later the next one tells the place: before ArduCopter gives
+# its own up, 8 s after the last estimate (measured).
+_SILENT_S = 3.0
+_LEAVES_WITHIN_S = 1.0  # after its word that it ends: it has the camera, its files are synced
 _NICER = 5  # one that loads goes behind one that serves
 
 
@@ -72,31 +77,16 @@ class Successor(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UselessConfig:
-    """For how long it may be of no use, in flight.
-
-    Attributes:
-        silent_s: neither a beat nor an estimate to hand on. It gets the aircraft back no more
-            then, and 5 s later the successor tells the place: before ArduCopter gives its own up,
-            8 s after the last estimate (measured).
-        leaves_within_s: after its word that it ends: it has the camera, and its files are synced
-            once a second.
-    """
-
-    silent_s: float = 3.0
-    leaves_within_s: float = 1.0
-
-
 class UselessNavigator:
-    """Counts for how long it has been of no use, while we listened.
+    """When the first one's process is to be ended: for how long it has been of no use, in flight.
+
+    Only time counts in which we listened.
 
     Attributes:
         gone: there is nobody to be ended.
     """
 
-    def __init__(self, config: UselessConfig | None = None) -> None:
-        self._config = config if config is not None else UselessConfig()
+    def __init__(self) -> None:
         self._silence = Silence()
         self._ends_s: float | None = None
         self.gone = False
@@ -122,12 +112,12 @@ class UselessNavigator:
         if self.gone:
             return ""
         if self._ends_s is not None:
-            self.gone = t_s - self._ends_s >= self._config.leaves_within_s
+            self.gone = t_s - self._ends_s >= _LEAVES_WITHIN_S
             return "has not come to its end" if self.gone else ""
-        if self._silence.waking_s < self._config.silent_s:
+        if self._silence.waking_s < _SILENT_S:
             return ""
         self._silence.end()
-        return f"has neither beaten nor told a place for {self._config.silent_s:.0f} s"
+        return f"has neither beaten nor told a place for {_SILENT_S:.0f} s"
 
 
 class NavigatorProcess(Protocol):

@@ -47,6 +47,7 @@ QUICK = {
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",
     "camera gone for good, and then the navigator killed",
+    "navigator killed, and the watchdog while it holds",
     "disk full on the way home",
     "navigator stopped for 20 s",
     "processor starved for 1 s",
