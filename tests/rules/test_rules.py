@@ -235,6 +235,17 @@ def test_a_landing_that_a_pilot_took_over_may_be_handed_back_and_flown_on() -> N
     assert verdict_of(rule, again) == "broken"
 
 
+@pytest.mark.parametrize(
+    ("number", "after_s", "verdict"),
+    [(LAND, 0.1, "held"), (SET_MODE, 2.9, "held"), (LAND, 3.1, "broken"), (ARM, 0.1, "broken")],
+)
+def test_a_landing_that_the_autopilot_refuses_is_answered(number, after_s, verdict) -> None:
+    rule = next(rule for rule in RULES if rule.name == "landing is flown")
+    unflown = RED[rule.name](good_flight())
+    refused = replace(unflown, answers=[CommandAck(LAND_S + after_s, number, False)])
+    assert verdict_of(rule, refused) == verdict
+
+
 def test_a_mission_travels_no_more_whose_navigator_has_ended() -> None:
     rule = next(rule for rule in RULES if rule.name == "blind lands")
     blind = RED[rule.name](good_flight())

@@ -103,6 +103,38 @@ def test_release_ends_with_the_word_of_the_pilot_alone() -> None:
     assert flight.fly(mode=FlightMode.HOLD).action is Action.RELEASE
 
 
+@pytest.mark.parametrize(("silence_s", "stays"), [(0.9, False), (1.1, True)])
+def test_who_asks_back_an_aircraft_and_is_not_answered_leaves_it_to_the_pilot(silence_s, stays):
+    """Behind the cut he may have taken it again, and what is asked for now comes through late."""
+    flight = Flight()
+    flight.fly()
+    flight.fly(mode=FlightMode.MANUAL)
+    flight.monitor.resume()
+    flight.fly(mode=FlightMode.MANUAL, rc_available=True)
+    for tick in range(round(silence_s / STEP_S)):
+        late = flight.fly(mode=FlightMode.MANUAL, rc_available=True, silence_s=tick * STEP_S + 0.1)
+    assert (late.action is Action.RELEASE) == stays
+    assert ("not heard while it was asked for Offboard" in late.reason) == stays
+    assert (flight.fly(5.0).action is Action.RELEASE) == stays
+
+
+def test_what_would_land_leaves_an_aircraft_with_the_pilot_until_offboard_is_accepted() -> None:
+    flight = Flight()
+    flight.fly()
+    flight.fly(mode=FlightMode.MANUAL)
+    for accepted, action in ((False, Action.RELEASE), (True, Action.LAND)):
+        flight.monitor.resume()
+        flight.fly(mode=FlightMode.OFFBOARD if accepted else FlightMode.MANUAL)
+        lost = Navigation(None, "the filter diverged", flight.t_s)
+        for _ in range(round(CONFIG.lost_land_s / STEP_S) + 2):
+            flight.t_s += STEP_S
+            mode = FlightMode.OFFBOARD if accepted else FlightMode.MANUAL
+            vehicle = replace(VEHICLE, mode=mode, intended_mode=mode)
+            decision = flight.monitor.step(lost, vehicle, flight.t_s, steers=accepted)
+        assert decision.action is action, decision
+        assert "the filter diverged" in decision.reason
+
+
 def test_low_battery_returns_and_critical_lands_for_good() -> None:
     flight = Flight()
     assert flight.fly(60.0, battery_ratio=0.26).action is Action.NAVIGATE

@@ -38,6 +38,15 @@ def test_hold_is_asked_for_once_a_new_estimate_agrees_for_a_second_then_land():
     assert asked[30:] == [Wish.LAND] * 20
 
 
+@pytest.mark.parametrize("explained", [True, False])
+@pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.RETURN, FlightMode.HOLD])
+def test_nothing_is_asked_of_an_aircraft_that_the_autopilot_has_brought_down(mode, explained):
+    recovery = Recovery(CONFIG, explained=explained)
+    wishes(recovery, 1.1)
+    landed = replace(LANDS, mode=mode, in_air=False)
+    assert set(wishes(recovery, 5.0, landed)) == {Wish.WAIT}
+
+
 def test_land_follows_at_once_when_the_hold_shows():
     recovery = Recovery(CONFIG, explained=True)
     assert wishes(recovery, 1.1)[-1] is Wish.HOLD

@@ -37,6 +37,7 @@ _OTHERWISE_SET = 0.4  # of the PX4s
 _TAKES = "a second station asks for "
 _GIVES_BACK = ("pilot hands back", "the ground station orders")
 _HEARD_S, _AT_ONCE_S = 0.5, 0.5
+_DEAF_S = 1.3  # who is told nothing asks for nothing from 1.2 s on
 _LOST, _SETTLES_S = "the estimate is not sent any more", 8.0
 _FLIES = frozenset({*_COMMANDS, 20, 400})
 _ORDERS = tuple(each for each in Order if each is not Order.START)
@@ -182,7 +183,10 @@ def against_stations(flown: Flown) -> list[str]:
             continue
         until_s = next((row.t_s for row in held if row.mode is not mode or not row.armed), math.inf)
         until_s = min([until_s, *(g + flown.begun_s for g in given_back if g >= t_s)])
-        since_s = taken + _HEARD_S + trips_s
+        deaf = any(b.at_s <= taken - flown.begun_s + _HEARD_S and not b.fault.up
+                   and taken - flown.begun_s <= b.at_s + (b.for_s or math.inf)
+                   for b in flown.scenario.breaks if isinstance(b.fault, OneWayCut))  # fmt: skip
+        since_s = taken + (_DEAF_S if deaf else _HEARD_S) + trips_s
         sent = [(e.t_s, "a setpoint") for e in track.heard.setpoints]
         sent += [(e.t_s, f"command {e.number}") for e in track.heard.commands if e.number in _FLIES]
         found += [

@@ -49,10 +49,12 @@ _TRAVELS = (Phase.ROUTE, Phase.RETURN)
 _HOMEWARD = (Phase.RETURN, Phase.DESCEND)
 _DOWN_MODES = frozenset({FlightMode.LAND, FlightMode.DESCEND, FlightMode.RETURN})
 _DISARM = 400
+_LAND, _SET_MODE = 21, 176
+_CONTROLS = (_LAND, 22, _SET_MODE)
 _REACTS_S = 1.5  # from a limit to what follows in the autopilot's mode
 _MODE_S = 3.0  # from a landing to its mode, asked for again each second
 _LANDS_S = 150.0
-_DOWN_S = 1.0  # from touch-down until the autopilot tells it
+_DOWN_S = 1.3  # PX4's land detector (LNDMC_TRIG_TIME, 1 s), told at 5 Hz, over the line
 _SOFT_M_S = 2.5
 _TOUCHES_S = 0.3
 _MOVES_M_S = 0.5
@@ -184,6 +186,8 @@ def _landing_mode(log: FlightLog) -> Breach | None:
     spans = [(stage.t_s, stage.t_s + _MODE_S) for stage in _entered(log, Phase.LAND)]
     whole = [lo for lo, hi in spans if without([(lo, hi)], log.broken, _RECOVERY_S) == [(lo, hi)]]
     answers = [*in_modes(log, answered), *phase_begins(log, Phase.RELEASED, Phase.DONE)]
+    refused = [each for each in log.answers if not each.accepted]
+    answers += [each.t_s for each in refused if each.number in (_LAND, _SET_MODE)]
     return within(_MODE_S, whole, answers, log.end_s, "the mode of a landing")
 
 
@@ -201,7 +205,7 @@ def _asks_after_touch_down(log: FlightLog) -> Breach | None:
         key=lambda row: row.t_s,
     )
     spans = without([(touch_down_s(log) + _DOWN_S, math.inf)], log.broken, _RECOVERY_S)
-    controls = [r for r in asked if isinstance(r, LoggedSetpoint) or r.number in (21, 22, 176)]
+    controls = [r for r in asked if isinstance(r, LoggedSetpoint) or r.number in _CONTROLS]
     return never_while(spans, controls, lambda row: f"asked for: {row}")
 
 
@@ -295,7 +299,7 @@ MISSION = (
     ),
     Rule(
         "landing is flown",
-        "A landing that is wanted is the mode within 3 s.",
+        "A landing that is wanted is the mode within 3 s, or refused.",
         ("vehicle", "phases"),
         _landing_mode,
     ),

@@ -5,6 +5,7 @@ Only a pilot takes control away for good, and only a pilot gives it back (`Safet
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from vwnav.safety.bounds import RouteBounds
 from vwnav.safety.conditions import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
@@ -13,7 +14,7 @@ from vwnav.safety.hierarchy import Action, Decision, Hierarchy, Rank
 from vwnav.safety.safety_config import SafetyConfig
 from vwnav.safety.situation import BatteryLevel, Situation
 from vwnav.types import Array, Estimate
-from vwnav.vehicle import Navigation, Order, VehicleState
+from vwnav.vehicle import FlightMode, Navigation, Order, VehicleState
 
 _DONE_BY = {
     Order.PAUSE: {Action.HOLD},
@@ -22,6 +23,7 @@ _DONE_BY = {
     Order.LAND: {Action.LAND},
 }
 _ASKS = "the ground station asks for"
+_UNHEARD = "the autopilot was not heard while it was asked for Offboard"
 
 
 class SafetyMonitor:
@@ -41,7 +43,7 @@ class SafetyMonitor:
         self._bounds: RouteBounds | None = None
         self._order: Order | None = None
         self._is_new_order = self._ends_pause = False
-        self._lands = False
+        self._lands = self._is_asked_back = False
 
     def _begin_watching(self) -> None:
         self._link = LinkWatch(self._config)
@@ -66,6 +68,7 @@ class SafetyMonitor:
         The flight mode alone is not that word: PX4 goes back to Offboard by itself when setpoints
         return. What was silent or poor in the pilot's hands begins anew; a battery does not.
         """
+        self._is_asked_back = True
         self._pilot.resume()
         self._begin_watching()
 
@@ -98,14 +101,27 @@ class SafetyMonitor:
     ) -> Decision:
         """The decision for this moment; to be called at every tick, in order of time.
 
-        `steers`: the autopilot has accepted Offboard, or GUIDED, whatever it has told since.
+        `steers`: the autopilot has accepted Offboard, or GUIDED, whatever it has told since. Until
+        then an aircraft that is asked back is the pilot's, who may have taken it again.
         """
         has_sticks, intended = vehicle.has_sticks, vehicle.intended_mode
+        given_back = steers or vehicle.mode is FlightMode.OFFBOARD
+        self._is_asked_back = self._is_asked_back and not given_back
         self._pilot.step(vehicle.mode, self._lands, t_s, intended, has_sticks, steers)
         self.watch(navigation, vehicle, t_s)
-        decision = self._hierarchy.step(self._situation(navigation, vehicle, t_s))
+        now = self._situation(navigation, vehicle, t_s)
+        if self._is_asked_back and now.released is None:
+            self._pilot.released = self._left_with_pilot(now)
+            now = replace(now, released=self._pilot.released)
+        decision = self._hierarchy.step(now)
         self._lands = self._lands or decision.action is Action.LAND
         return decision
+
+    def _left_with_pilot(self, now: Situation) -> str | None:
+        """Why an aircraft that is asked back, without an answer yet, is not waited for any more."""
+        was_silent = self._link.gap_s > self._config.resume_gap_s
+        reason = _UNHEARD if was_silent else self._hierarchy.lands_for(now)
+        return None if reason is None else f"{reason}: the aircraft stays the pilot's"
 
     def watch(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> None:
         """Look on, at every tick in which somebody else has the aircraft; `step` does it too."""

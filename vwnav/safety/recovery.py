@@ -72,8 +72,14 @@ class Recovery:
     def step(
         self, vehicle: VehicleState, estimate: Estimate | None, gap_s: float, t_s: float
     ) -> Wish:
-        """The wish of this tick; `gap_s` is how long link or estimates were missing lately."""
+        """The wish of this tick; `gap_s` is how long link or estimates were missing lately.
+
+        An aircraft that the autopilot has brought down is asked for nothing more: back in our mode,
+        which PX4 falls back to once nothing is wrong, it would take off again.
+        """
         self._gap_s = gap_s = max(self._gap_s, gap_s)
+        if not vehicle.in_air:
+            return Wish.WAIT
         if self._held_s is not None:
             if vehicle.mode is FlightMode.HOLD:
                 return Wish.LAND

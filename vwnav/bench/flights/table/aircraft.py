@@ -9,6 +9,7 @@ from vwnav.bench.flights.faults.aircraft import (
     Reboots,
     SimulatorStands,
 )
+from vwnav.bench.flights.faults.link import LinkCut
 from vwnav.bench.flights.faults.telemetry import BootClockJumps, battery_unknown
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
@@ -98,6 +99,19 @@ GIVES_BACK = [
         ),
         limit_s=30.0,
         ending=Ending.FLIES_ON,
+        follows=(phase(3.0, "pilot flies"),),
+    ),
+    Scenario(
+        name="pilot hands back, and takes over again while the link is cut",
+        setup=setup(rc_on=True),
+        breaks=(
+            Break(fault=PilotSwitches(), at_s=9.0),
+            Break(fault=PilotHandsBack(), at_s=15.0),
+            Break(fault=LinkCut(), at_s=15.05, for_s=2.0),
+            Break(fault=PilotSwitches(), at_s=16.0),
+        ),
+        limit_s=30.0,
+        ending=Ending.PILOT,
         follows=(phase(3.0, "pilot flies"),),
     ),
 ]
