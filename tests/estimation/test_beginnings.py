@@ -1,7 +1,6 @@
 """Beginnings in the air and at places nobody knows: what the filter may not take for known."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,7 +112,7 @@ def test_a_successor_whose_filter_begins_anew_keeps_height_and_bias_of_its_barom
     H[States.DOWN], H[States.BARO] = -1.0, 1.0
     assert math.sqrt(H @ anew.P @ H) < 3.0
     assert math.sqrt(anew.P[States.DOWN, States.DOWN]) > 20.0
-    zeroed = begun_anew(replace(state, baro_zeroed=True), EkfConfig())
+    zeroed = begun_anew(state._replace(baro_zeroed=True), EkfConfig())
     assert abs(zeroed.x[States.BARO]) <= 2.0
 
 

@@ -1,7 +1,5 @@
 """What a wrong date of an image may have done to its way, and to its fix."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -82,7 +80,7 @@ def test_doubtful_fixes_tell_as_much_as_an_error_they_share_leaves(spacing_s):
             position_ne_m=np.zeros(2),
             covariance_ne_m2=1e-6 * np.eye(2),
         )
-        doubted = of_doubtful_date(fix, replace(state, t_last_fix_s=last_s))
+        doubted = of_doubtful_date(fix, state._replace(t_last_fix_s=last_s))
         told += 1.0 / doubted.covariance_ne_m2[0, 0]
         last_s = fix.t_s
     # The least-squares mean of correlated samples: 1 / (1' C^-1 1).

@@ -105,7 +105,7 @@ def broken(ekf: Ekf, index: int, value: float):
     state = ekf.state
     x = state.x.copy()
     x[index] = value
-    return replace(state, x=x)
+    return state._replace(x=x)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_who_stands_comes_to_rest_whatever_was_believed_in_the_landing():
     state = broken(ekf, States.VELOCITY.start, 4.0)
     P = state.P.copy()
     P[3:6, 3:6] = 0.04 * np.eye(3)
-    ekf._timeline = Timeline(replace(state, P=P), ekf._context)
+    ekf._timeline = Timeline(state._replace(P=P), ekf._context)
     for i in range(1, 20):
         ekf.handle(Attitude(2.0 + 0.05 * i, LEVEL))
         ekf.handle(Stationary(2.0 + 0.05 * i))

@@ -1,7 +1,5 @@
 """What a filter leaves to the one that goes on in its place."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -28,7 +26,7 @@ def flown(seed: int, t_s: float = 100.0):
     x = state.x.copy()
     x[LEFT] = rng.normal(0.0, 0.1, len(LEFT))
     x[States.DRAG], x[States.WIND_FORCE] = rng.uniform(0.2, 1.0), rng.normal(0.0, 2.0, 2)
-    return replace(state, x=x, P=scale[:, None] * root * scale, heading_known=True)
+    return state._replace(x=x, P=scale[:, None] * root * scale, heading_known=True)
 
 
 def begun(left, since_s: float):
@@ -78,8 +76,8 @@ def test_who_knows_neither_heading_nor_drag_leaves_nothing():
     P = state.P.copy()
     P[States.DRAG, States.DRAG] = 1.0
     assert left_by(None) is None
-    assert left_by(replace(state, heading_known=False)) is None
-    assert left_by(replace(state, P=P)) is None
+    assert left_by(state._replace(heading_known=False)) is None
+    assert left_by(state._replace(P=P)) is None
 
 
 def test_a_start_is_recorded_with_it_bit_for_bit():

@@ -228,9 +228,9 @@ def test_a_filter_that_is_told_of_a_turned_mount_takes_it_out_of_the_compass():
     x[States.POSITION_NE], x[States.VELOCITY_NE], x[States.TILT] = (10.0, 0.0), (8.0, 0.0), 0.02
     x[HEADINGS] = -0.3
     trusted = TrustedPosition(0.0, np.zeros(2), 1.0)
-    before = replace(state, x=x, P=1e-4 * state.P, trusted=trusted)
+    before = state._replace(x=x, P=1e-4 * state.P, trusted=trusted)
     config = EkfConfig()
-    fixed = apply_recalibrated(replace(before, t_last_fix_s=-1.0), TURNED, config)
+    fixed = apply_recalibrated(before._replace(t_last_fix_s=-1.0), TURNED, config)
     assert fixed.x[HEADINGS] == pytest.approx(np.zeros(3))
     assert math.sqrt(fixed.P[States.HEADING_BIAS, States.HEADING_BIAS]) > 0.05
     east = States.POSITION_NE.start + 1
@@ -242,7 +242,7 @@ def test_a_filter_that_is_told_of_a_turned_mount_takes_it_out_of_the_compass():
 
 
 def test_a_mount_that_was_knocked_just_now_was_not_the_compass_error():
-    state = replace(of_filter(), t_last_fix_s=-1.0)
+    state = of_filter()._replace(t_last_fix_s=-1.0)
     after = apply_recalibrated(state, replace(TURNED, knocked=True), EkfConfig())
     assert np.all(after.x == state.x)
     assert after.P[States.VELOCITY, States.VELOCITY] == pytest.approx(np.eye(3))
@@ -354,14 +354,14 @@ def test_a_mount_that_is_tilted_as_the_filter_had_it_is_not_tilted_any_more():
     state = of_filter()
     x = state.x.copy()
     x[States.CAMERA_TILT] = -0.1, 0.05
-    before = replace(state, x=x, P=1e-5 * state.P)
+    before = state._replace(x=x, P=1e-5 * state.P)
     event = tilted(before)
     assert event is not None
     assert tilt_of(event) == pytest.approx([0.1, -0.05])
     after = apply_recalibrated(before, event, EkfConfig())
     assert after.x[States.CAMERA_TILT] == pytest.approx(np.zeros(2))
     assert tilted(after) is None
-    assert tilted(replace(before, P=state.P)) is None  # that is not sure
+    assert tilted(before._replace(P=state.P)) is None  # that is not sure
 
 
 @given(st.floats(-3.1, 3.1))
@@ -370,7 +370,7 @@ def test_a_mount_that_is_doubted_leaves_the_level_velocity_as_sure_as_it_was(yaw
     state = of_filter()
     x = state.x.copy()
     x[States.VELOCITY_NE], x[States.DOWN] = (8.0, 0.0), -AGL_M
-    before = replace(state, x=x, P=1e-2 * state.P)
+    before = state._replace(x=x, P=1e-2 * state.P)
     after = apply_mount_doubted(before, yaw_rad)
     level = States.VELOCITY_NE
     assert after.P[level, level] == pytest.approx(before.P[level, level])
@@ -395,7 +395,7 @@ def test_a_height_by_the_map_is_as_unsure_as_the_square_of_a_tilt_makes_it():
     for tilt_rad in (0.0, 0.155):
         tilted_x = x.copy()
         tilted_x[States.CAMERA_TILT] = tilt_rad, 0.0
-        state = replace(of_filter(), x=tilted_x, P=P)
+        state = of_filter()._replace(x=tilted_x, P=P)
         for by_map in (False, True):
             fused, _ = apply_agl(state, AGL_M + 1.2, 0.5, EkfConfig(), by_map)
             told[by_map, tilt_rad] = fused.agl_m - AGL_M

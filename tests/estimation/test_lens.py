@@ -1,7 +1,6 @@
 """A lens that is wrong by a share is told from ground that is wrong by as many metres."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,7 +139,7 @@ def test_a_rangefinder_that_fix_and_barometer_contradict_alike_is_no_lens(bias_m
     state = of_filter(ranged=True)
     x = state.x.copy()
     x[States.BARO] = bias_m  # of what the barometer says, 30 m and this
-    found = LensCheck(is_open=True).is_off(fix(27.0), believed(30.0), replace(state, x=x))
+    found = LensCheck(is_open=True).is_off(fix(27.0), believed(30.0), state._replace(x=x))
     assert found is is_lens
 
 
@@ -148,7 +147,7 @@ def with_focal(off: float, sigma: float) -> FilterState:
     state = of_filter(ranged=True)
     x, P = state.x.copy(), state.P.copy()
     x[States.FOCAL], P[States.FOCAL, States.FOCAL] = off, sigma**2
-    return replace(state, x=x, P=P)
+    return state._replace(x=x, P=P)
 
 
 def test_what_the_filter_has_learned_of_ways_makes_another_camera_and_fixes_tell_the_rest():
@@ -175,7 +174,7 @@ def test_a_lens_that_is_doubted_opens_what_its_ways_have_told():
     x = state.x.copy()
     x[States.POSITION_NE], x[States.VELOCITY_NE] = (10.0, -4.0), (2.0, 0.0)
     trusted = TrustedPosition(0.0, np.zeros(2), 1.0)
-    before = replace(state, x=x, P=1e-4 * state.P, trusted=trusted)
+    before = state._replace(x=x, P=1e-4 * state.P, trusted=trusted)
     after = apply_lens_doubted(before)
     north, focal = States.POSITION_NE.start, States.FOCAL
     assert after.P[focal, focal] == pytest.approx(LENS_DOUBT**2, rel=0.01)

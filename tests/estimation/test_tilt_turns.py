@@ -1,6 +1,5 @@
 """Whether a tilt error of the autopilot's turns with the body or stays in NED, the gyro tells."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def test_after_a_turn_by_90_degrees_the_tilt_is_where_the_gyro_has_it(stays):
     start.x[States.TILT] = TILT_RAD, 0.0
     start.P[States.TILT, States.TILT] = np.radians(0.1) ** 2 * np.eye(2)
     start.P[States.GYRO_BIAS, States.GYRO_BIAS] = np.radians(0.05) ** 2 * np.eye(3)
-    known = replace(start, heading_known=True)
+    known = start._replace(heading_known=True)
     state = predict(known, SPAN_S, Context(config, attitudes, imu))
     expected = (0.0, -TILT_RAD) if stays else (TILT_RAD, 0.0)
     assert state.x[States.TILT] == pytest.approx(expected, abs=np.radians(0.3))
@@ -54,7 +53,7 @@ def test_a_turn_in_a_silence_opens_the_tilt_in_however_many_steps_it_is_told(ste
     config = EkfConfig()
     start = first_state(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0])), config)
     start.P[States.TILT, States.TILT] = np.radians(0.3) ** 2 * np.eye(2)
-    state, context = replace(start, heading_known=True), Context(config, attitudes, imu)
+    state, context = start._replace(heading_known=True), Context(config, attitudes, imu)
     for n in range(steps):
         state = predict(state, (n + 1) / steps, context)
     sigma_deg = np.degrees(np.sqrt(np.diag(state.P[States.TILT, States.TILT])))

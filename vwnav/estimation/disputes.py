@@ -43,7 +43,7 @@ def freed(state: FilterState, index: int, sigma: float) -> FilterState:
     P[index, :] = 0.0
     P[:, index] = 0.0
     P[index, index] = sigma**2
-    return replace(state, P=P)
+    return state._replace(P=P)
 
 
 def turned(state: FilterState, by_rad: float) -> FilterState:
@@ -57,7 +57,7 @@ def turned(state: FilterState, by_rad: float) -> FilterState:
         G[each, each] = turn
     for each in _PLACES_BEFORE:
         G[each, States.POSITION_NE] = np.eye(2) - turn
-    return replace(state, x=G @ state.x, P=G @ state.P @ G.T)
+    return state._replace(x=G @ state.x, P=G @ state.P @ G.T)
 
 
 def height_opened(state: FilterState, off_m: float) -> FilterState:
@@ -65,7 +65,7 @@ def height_opened(state: FilterState, off_m: float) -> FilterState:
     G = np.zeros(States.SIZE)
     G[[States.DOWN, States.ANCHOR_DOWN, States.BARO]] = off_m
     G[States.EXPOSED_AGL] = -off_m
-    return replace(state, P=state.P + np.outer(G, G))
+    return state._replace(P=state.P + np.outer(G, G))
 
 
 def range_doubted(state: FilterState, drawn_m: float = 0.0) -> FilterState:
@@ -75,7 +75,7 @@ def range_doubted(state: FilterState, drawn_m: float = 0.0) -> FilterState:
     """
     drawn_m = min(drawn_m, BAROMETER_OFF_M)
     trust = state.range_trust.lost(state.t_s, drawn_m)
-    return replace(height_opened(state, drawn_m), range_trust=trust)
+    return height_opened(state, drawn_m)._replace(range_trust=trust)
 
 
 def remember(
@@ -196,7 +196,7 @@ def moved_along(state: FilterState, measurement: Measurement, jump: Array) -> Fi
     """
     G = np.eye(States.SIZE) - jump @ measurement.H
     P = G @ state.P @ G.T + jump @ measurement.R @ jump.T
-    return replace(state, x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
+    return state._replace(x=state.x + jump @ measurement.residual, P=0.5 * (P + P.T))
 
 
 def relocated(state: FilterState, measurement: Measurement) -> FilterState:
@@ -207,7 +207,7 @@ def relocated(state: FilterState, measurement: Measurement) -> FilterState:
     jump = np.zeros((States.SIZE, 2))
     jump[States.POSITION_NE] = jump[States.ANCHOR_NE] = jump[States.EXPOSED_POSITION] = np.eye(2)
     after, counter = moved_along(state, measurement, jump), state.reset_counter + 1
-    return replace(after, position_known=True, reset_counter=counter, rejected_fixes=())
+    return after._replace(position_known=True, reset_counter=counter, rejected_fixes=())
 
 
 def learned_of_map(state: FilterState, config: EkfConfig) -> FilterState:
@@ -229,7 +229,7 @@ def map_stepped(state: FilterState, by_m: float) -> FilterState:
     P[States.MAP] = 0.0
     P[:, States.MAP] = 0.0
     P[States.MAP, States.MAP] = after.map_error.sigma_m**2 * np.eye(2)
-    return replace(after, x=x, P=P, rejected_fixes=())
+    return after._replace(x=x, P=P, rejected_fixes=())
 
 
 def _with_map_error(state: FilterState, found: LearnedMapError) -> FilterState:
@@ -242,4 +242,4 @@ def _with_map_error(state: FilterState, found: LearnedMapError) -> FilterState:
     G = np.zeros((States.SIZE, 2))
     G[States.POSITION_NE] = G[States.ANCHOR_NE] = G[States.EXPOSED_POSITION] = np.eye(2)
     G[States.MAP] = -np.eye(2)
-    return replace(state, P=state.P + more_m2 * G @ G.T, map_error=found)
+    return state._replace(P=state.P + more_m2 * G @ G.T, map_error=found)

@@ -7,7 +7,6 @@ says), `timeline.py` (which of them it is, and late ones).
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -140,7 +139,7 @@ class Ekf:
         """
         first = first_state(start, self._config)
         if self._timeline is not None:  # others have seen its counter
-            first = replace(first, reset_counter=self._timeline.newest.reset_counter + 1)
+            first = first._replace(reset_counter=self._timeline.newest.reset_counter + 1)
         self._timeline = Timeline(first, self._context)
         self._input_log(start)
         # A start may be long ago: a first search took its time.

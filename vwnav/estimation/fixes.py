@@ -110,7 +110,7 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     """Copy what a fix of this moment's image will tell: place, attitude error, height."""
     exposure = attitudes.exposure(state.t_s)
     if not exposure.told:
-        return replace(state, exposure=None)  # nobody knows how it was turned
+        return state._replace(exposure=None)  # nobody knows how it was turned
     G = np.eye(States.SIZE)
     G[States.EXPOSED_POSITION] = G[States.POSITION_NE]
     G[States.EXPOSED_HEADING_BIAS] = G[States.HEADING_BIAS]
@@ -118,7 +118,7 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
     P = G @ state.P @ G.T
     P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
-    return replace(state, x=G @ state.x, P=P, exposure=exposure)
+    return state._replace(x=G @ state.x, P=P, exposure=exposure)
 
 
 def apply_late_fix(
@@ -209,7 +209,7 @@ def _apply_position(
     # A long pull, however wide the gate has become: one wrong fix must not do it.
     short = measurement.R + config.sudden_sigma_m**2 * np.eye(2)
     sudden = float(r @ np.linalg.solve(short, r)) > CHI_SQUARE_GATE[2]
-    after = replace(fused, rejected_fixes=())
+    after = fused._replace(rejected_fixes=())
     if not state.position_known or innovation.verdict is not Verdict.FUSED or sudden:
         after, innovation = _disputed(state, fix, measurement, innovation, context)
         if not innovation.accepted:
@@ -217,13 +217,13 @@ def _apply_position(
     elif lone is not measurement:
         once, drift = state.rejected_fixes, config.relocation_drift_m_s
         after, once = by_half(state, fused, measurement, once, fix.t_s, drift)
-        after = replace(after, rejected_fixes=once)
+        after = after._replace(rejected_fixes=once)
     before_s = after.t_last_fix_s
     if before_s is not None and 0.0 < fix.t_s - before_s < _AGREEING_S:
         # It agrees with one shortly before it: to begin anew from, should that be.
         place_ne_m, sigma_m = after.x[States.POSITION_NE], math.sqrt(max(np.diag(after.P)[_NOW.ne]))
-        after = replace(after, trusted=TrustedPosition(after.t_s, place_ne_m.copy(), sigma_m))
-    return replace(after, t_last_fix_s=fix.t_s), innovation
+        after = after._replace(trusted=TrustedPosition(after.t_s, place_ne_m.copy(), sigma_m))
+    return after._replace(t_last_fix_s=fix.t_s), innovation
 
 
 def _disputed(
@@ -235,12 +235,12 @@ def _disputed(
         window_s, least = config.dispute_window_s, 3 * config.relocation_fixes // 2
         rejected = remember(state.rejected_fixes, fix.t_s, measurement, window_s, least)
         if told.accepted and len(agreeing(rejected, drift, window_s)) >= config.sudden_fixes:
-            return replace(correct(state, measurement), rejected_fixes=()), told
+            return correct(state, measurement)._replace(rejected_fixes=()), told
         if told.accepted:
             after = leaning(state, measurement, config.lone_fix_sigma_m)
             kept = seen_from(rejected, state, after, measurement)
-            return replace(after, rejected_fixes=kept), replace(told, verdict=Verdict.UNCONFIRMED)
-        state = replace(state, rejected_fixes=rejected)
+            return after._replace(rejected_fixes=kept), replace(told, verdict=Verdict.UNCONFIRMED)
+        state = state._replace(rejected_fixes=rejected)
         if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
             return state, told
     after = relocated(state, measurement)
@@ -280,18 +280,18 @@ def _apply_heading(
         R = measurement.R + _LONE_HEADING_RAD**2
         found = moved_along(state, replace(measurement, R=R), jump)
         # That of an image of long ago leaves the heading of now as open as it has been since.
-        found = replace(found, heading_known=tells_heading(found.P))
+        found = found._replace(heading_known=tells_heading(found.P))
         return found, replace(fuse(found, measurement)[1], verdict=Verdict.RELOCATED)
     lone = _alone(state, measurement, _OPEN_RAD)
     fused, innovation = fuse(state, lone, config.visual_weight)
     agrees, drift = innovation.verdict is Verdict.FUSED, config.heading_drift_rad_s
     if agrees and lone is measurement:
-        return replace(fused, rejected_headings=()), innovation
+        return fused._replace(rejected_headings=()), innovation
     if agrees:
         after, one = by_half(state, fused, measurement, state.rejected_headings, state.t_s, drift)
-        return replace(after, rejected_headings=one), innovation
+        return after._replace(rejected_headings=one), innovation
     rejected = remember(state.rejected_headings, state.t_s, measurement, config.dispute_window_s)
-    state = replace(state, rejected_headings=rejected)
+    state = state._replace(rejected_headings=rejected)
     if not convinces(rejected, drift, config.offset_count, config.offset_span_s):
         return state, innovation
     if state.t_last_fix_s is None:  # it was off from the start, and so was all that is level
@@ -299,7 +299,7 @@ def _apply_heading(
     found = moved_along(state, measurement, jump)
     # Whether the step came before the keyframe or after it is not known: its own bias is open.
     found = freed(found, States.ANCHOR_HEADING_BIAS, 2.0 * abs(float(residual[0])))
-    return replace(found, rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
+    return found._replace(rejected_headings=()), replace(innovation, verdict=Verdict.RELOCATED)
 
 
 def apply_agl(
@@ -328,17 +328,17 @@ def apply_agl(
     most = _MOST_SCALE * config.map_scale * state.map_error.sigma_m / config.map_sigma_m
     drawn = heard and abs(float(fused.x[States.MAP_SCALE])) > most  # of a warped map, more
     if innovation.verdict is Verdict.FUSED and not drawn:
-        return replace(fused, rejected_agls=()), innovation
+        return fused._replace(rejected_agls=()), innovation
     hovers = float(np.linalg.norm(state.x[States.VELOCITY])) < _HOVERS_M_S
     if heard and hovers and abs(float(measurement.residual[0])) < _OF_SCALE * state.agl_m:
         return state, replace(innovation, verdict=Verdict.GATED)  # one place, seen on and on
     if drawn:  # inside its gate a height gives way each time, and the map's scale takes it
         unscaled = state.x * (np.arange(States.SIZE) != States.MAP_SCALE)
-        state = freed(replace(state, x=unscaled), States.MAP_SCALE, config.map_scale)
+        state = freed(state._replace(x=unscaled), States.MAP_SCALE, config.map_scale)
         measurement = replace(measurement, residual=agl_m - H @ state.x)
     else:
         rejected = remember(state.rejected_agls, state.t_s, measurement, config.dispute_window_s)
-        state = replace(state, rejected_agls=rejected)
+        state = state._replace(rejected_agls=rejected)
         if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
             return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
@@ -347,4 +347,4 @@ def apply_agl(
     if heard:
         state = range_doubted(state, abs(float(measurement.residual[0])))
     fused = correct(state, measurement)
-    return replace(fused, rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)
+    return fused._replace(rejected_agls=()), replace(innovation, verdict=Verdict.RELOCATED)

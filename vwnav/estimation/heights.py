@@ -65,19 +65,19 @@ def apply_height(
     are freed: a filter that refused its barometer for good flew at 90 m and took it for 60.
     """
     stepped = _stepped(state, event, config)
-    state = replace(state, newest_height=(event.t_s, event.height_m))
+    state = state._replace(newest_height=(event.t_s, event.height_m))
     H = np.zeros((1, States.SIZE))
     H[0, States.DOWN], H[0, States.BARO] = -1.0, 1.0
     R = np.array([[config.height_sigma_m**2 + _lag_m2(state, config.height_lag_s)]])
     measurement = Measurement(event.height_m - H @ state.x, H, R)
     fused, innovation = fuse(state, measurement)
     if innovation.verdict is Verdict.FUSED:
-        fused = replace(fused, rejected_heights=(), height_stepped=False)
+        fused = fused._replace(rejected_heights=(), height_stepped=False)
         return _touch(fused, config), innovation
     first = not state.rejected_heights
-    state = replace(state, height_stepped=stepped if first else state.height_stepped or stepped)
+    state = state._replace(height_stepped=stepped if first else state.height_stepped or stepped)
     rejected = remember(state.rejected_heights, state.t_s, measurement, config.dispute_window_s)
-    state = replace(state, rejected_heights=rejected)
+    state = state._replace(rejected_heights=rejected)
     if not convinces(rejected, _CLIMB_DRIFT_M_S, config.offset_count, config.offset_span_s):
         return state, innovation
     open_m = 2.0 * abs(float(measurement.residual[0]))
@@ -87,7 +87,7 @@ def apply_height(
         # Whether the keyframe's height was believed wrong too is not known.
         state = freed(freed(state, States.DOWN, open_m), States.ANCHOR_DOWN, open_m)
         state = freed(state, States.VELOCITY_DOWN, _CLIMB_SIGMA_M_S)
-    fused = replace(correct(state, measurement), rejected_heights=(), height_stepped=False)
+    fused = correct(state, measurement)._replace(rejected_heights=(), height_stepped=False)
     return fused, replace(innovation, verdict=Verdict.RELOCATED)
 
 
@@ -117,8 +117,8 @@ def _touch(state: FilterState, config: EkfConfig) -> FilterState:
     of which no landing is told for seconds hovers, and drifts as it likes.
     """
     if state.agl_m > config.touching_agl_m:
-        return replace(state, above_s=state.t_s)
-    state = replace(state, above_s=min(state.above_s, state.t_s))
+        return state._replace(above_s=state.t_s)
+    state = state._replace(above_s=min(state.above_s, state.t_s))
     speed_m_s = float(np.hypot(*state.x[States.VELOCITY_NE]))
     is_long = state.t_s - state.above_s > config.touching_s
     if is_long or speed_m_s > config.touching_speed_m_s:
@@ -172,23 +172,23 @@ def _weighed(
     if trust.doubted_s is not None:
         agrees = agrees and _borne(state, measurement, innovation)
         since_s = trust.doubted_s if agrees else state.t_s
-        state = replace(state, range_trust=replace(trust, doubted_s=since_s))
+        state = state._replace(range_trust=replace(trust, doubted_s=since_s))
         if state.t_s - since_s < _AGREES_S:
             return _torn(state, measurement), replace(innovation, verdict=Verdict.DOUBTED)
         trust = state.range_trust
     if agrees:
         north_m, east_m = state.x[States.POSITION_NE].tolist()
         trust = RangeTrust((north_m, east_m), barometer=_barometer(state))
-        return replace(fused, range_trust=trust), innovation
+        return fused._replace(range_trust=trust), innovation
     rejected = remember(trust.rejected, state.t_s, measurement, config.dispute_window_s)
     if not convinces(rejected, 1.0, config.offset_count, config.offset_span_s):
-        return replace(state, range_trust=replace(trust, rejected=rejected)), innovation
+        return state._replace(range_trust=replace(trust, rejected=rejected)), innovation
     off_m = abs(float(measurement.residual[0]))
     if off_m > _most_step_m(state):
         return range_doubted(state), replace(innovation, verdict=Verdict.DOUBTED)
     # Whether the keyframe's ground was believed wrong too is not known.
     state = freed(freed(state, States.TERRAIN, 2.0 * off_m), States.ANCHOR_TERRAIN, 2.0 * off_m)
-    state = replace(correct(state, measurement), range_trust=replace(trust, rejected=()))
+    state = correct(state, measurement)._replace(range_trust=replace(trust, rejected=()))
     return state, replace(innovation, verdict=Verdict.RELOCATED)
 
 
@@ -211,7 +211,7 @@ def _torn(state: FilterState, measurement: Measurement) -> FilterState:
     if trust.drawn_m == 0.0 or off_m <= trust.drawn_m or _fix_tells(state):
         return state
     more_m = math.sqrt(off_m**2 - trust.drawn_m**2)
-    return replace(height_opened(state, more_m), range_trust=replace(trust, drawn_m=off_m))
+    return height_opened(state, more_m)._replace(range_trust=replace(trust, drawn_m=off_m))
 
 
 def _barometer(state: FilterState) -> tuple[float, float, float]:
@@ -253,7 +253,7 @@ def _most_step_m(state: FilterState) -> float:
 def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
     """It does not move, and the ground is right below; what the gyro still says is its bias."""
     config = context.config
-    state = replace(state, stood_s=state.t_s, above_s=state.t_s)
+    state = state._replace(stood_s=state.t_s, above_s=state.t_s)
     H = np.zeros((3, States.SIZE))
     H[:, States.VELOCITY] = np.eye(3)
     R = config.stationary_sigma_m_s**2 * np.eye(3)
@@ -263,7 +263,7 @@ def apply_stationary(state: FilterState, context: Context) -> tuple[FilterState,
         # Who stands does not move, whatever was believed in the landing: it is open to that.
         P = state.P.copy()
         P[States.VELOCITY, States.VELOCITY] += np.diag((_REST_SHARE * velocity) ** 2)
-        return replace(state, P=P), innovation
+        return state._replace(P=P), innovation
     imu = context.imu
     felt = preintegrated(imu.until(state.t_s - _STILL_S), imu.until(state.t_s))
     if felt is not None:

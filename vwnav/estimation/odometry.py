@@ -78,7 +78,7 @@ def apply_keyframe(
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2 + state.relief_m**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
-    return replace(state, x=G @ state.x, P=P, anchor=attitudes.exposure(event.t_s))
+    return state._replace(x=G @ state.x, P=P, anchor=attitudes.exposure(event.t_s))
 
 
 def apply_displacement(
@@ -87,12 +87,12 @@ def apply_displacement(
     """Fuse the way from the keyframe; its heading first, which the displacement is turned by."""
     attitudes, config = context.attitudes, context.config
     anchor, before_s = state.anchor, state.exposed_s
-    state = replace(state, tracked_s=motion.t1_s, exposed_s=motion.t1_s)
+    state = state._replace(tracked_s=motion.t1_s, exposed_s=motion.t1_s)
     if anchor is None or anchor.t_s != motion.t0_s:
         return state, Innovation(Verdict.NO_ANCHOR)
     if not state.heading_known:
         P = state.P + _unseen_motion(motion.t1_s - before_s, config)
-        return replace(state, P=P), Innovation(Verdict.HEADING_UNKNOWN)
+        return state._replace(P=P), Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
     exposure = attitudes.exposure(motion.t1_s)
     if not config.odometry_turns_attitude:
@@ -104,11 +104,11 @@ def apply_displacement(
     relief = motion.relief if agl_m > _GRASS_BELOW_M else 0.0
     if relief is not None:
         change_m2 = (relief * agl_m) ** 2 - state.relief_m**2
-        state = replace(state, relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
+        state = state._replace(relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
     fused, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
-        fused = replace(_in_scale(state, fused, agl_m), rejected_ways=())
+        fused = _in_scale(state, fused, agl_m)._replace(rejected_ways=())
         fused = _apply_slope(fused, motion, anchor.yaw_rad, context)
     else:
         fused = _rejected(state, displacement, config)
@@ -136,7 +136,7 @@ def _apply_slope(
     P = state.P.copy()
     fed = config.slope**2 * (1.0 - math.exp(-2.0 * way_m / config.slope_length_m))
     P[States.SLOPE, States.SLOPE] += fed * np.eye(2)
-    state = replace(state, P=P)
+    state = state._replace(P=P)
     H = np.zeros((2, States.SIZE))
     H[:, States.SLOPE] = np.eye(2)
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -158,7 +158,7 @@ def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
     P = state.P + _unseen_motion(now_s - before_s, config)
     P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
     known = state.heading_known and tells_heading(P)
-    return replace(state, P=P, heading_known=known, exposed_s=state.t_s)
+    return state._replace(P=P, heading_known=known, exposed_s=state.t_s)
 
 
 def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:
@@ -177,7 +177,7 @@ def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> Filter
     G = np.zeros((States.SIZE, 2))
     G[States.VELOCITY_NE] = _MISLED_M_S * np.eye(2)
     G[States.POSITION_NE] = 0.5 * span_s * _MISLED_M_S * np.eye(2)
-    return replace(state, x=x, P=P + G @ G.T)
+    return state._replace(x=x, P=P + G @ G.T)
 
 
 def _unseen_motion(span_s: float, config: EkfConfig) -> Array:
@@ -202,7 +202,7 @@ def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> Filter
     """
     rejected = remember(state.rejected_ways, state.t_s, way, config.dispute_window_s)
     if not convinces(rejected, _APART_M_S, _WAYS_AGREE, config.offset_span_s):
-        return replace(state, rejected_ways=rejected)
+        return state._replace(rejected_ways=rejected)
     assert state.anchor is not None
     zero_s, zero_m = state.anchor.t_s, np.zeros(3)
     since = [each for each in rejected if each.t_s > state.anchor.t_s]
@@ -216,7 +216,7 @@ def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> Filter
     P = state.P.copy()
     P[States.ANCHOR_POSITION, States.ANCHOR_POSITION] += np.diag(way.residual**2)
     P[States.VELOCITY, States.VELOCITY] += np.diag(grew_m_s**2)
-    return replace(state, P=P, rejected_ways=())
+    return state._replace(P=P, rejected_ways=())
 
 
 def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterState:
@@ -237,7 +237,7 @@ def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterSt
     variance = agl_m * by_agl[States.FOCAL]
     variance -= by_agl[States.ANCHOR_DOWN] + by_agl[States.ANCHOR_TERRAIN]
     tied = np.outer(per_m, by_agl + 0.5 * variance * per_m)
-    return replace(after, P=P + (tied + tied.T))
+    return after._replace(P=P + (tied + tied.T))
 
 
 def _turn(

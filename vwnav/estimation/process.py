@@ -5,7 +5,6 @@ the one or the other: x' = f(x), P' = F P F^T + Q, in steps of at most some tent
 """
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,11 @@ from vwnav.estimation.inertial.attitudes import (
     true_from_autopilot,
     yaw_of,
 )
-from vwnav.estimation.inertial.gyro_aiding import correlated_noise_update, gyro_measurement
+from vwnav.estimation.inertial.gyro_aiding import (
+    Transition,
+    correlated_noise_update,
+    gyro_measurement,
+)
 from vwnav.estimation.inertial.integrals import Measured, white_acceleration
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
 from vwnav.estimation.states import FilterState, States
@@ -35,14 +38,6 @@ _STORM_M_S = 20.0  # no wind that is flown in is stronger
 _CALM_BELOW_M = 1.0  # height above ground: nothing is told of the air below
 _LEVEL, _SPACE, _IDENTITY = np.eye(2), np.eye(3), np.eye(States.SIZE)
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
-
-
-class Transition(NamedTuple):
-    """One step: the state after it (n,), F = dx'/dx (n, n) and the process noise Q (n, n)."""
-
-    x: Array
-    F: Array
-    Q: Array
 
 
 class TimeStep(NamedTuple):
@@ -110,7 +105,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
             map_sigma_m=state.map_error.sigma_m,
         )
         x, P = _propagate(x, P, step, context)
-    return replace(state, t_s=t_s, x=x, P=P, measured=one)
+    return state._replace(t_s=t_s, x=x, P=P, measured=one)
 
 
 def _measured(held: Held, t_s: float, context: Context) -> Measured:
@@ -121,13 +116,13 @@ def _measured(held: Held, t_s: float, context: Context) -> Measured:
 def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Array, Array]:
     """One step; with an IMU its gyro is heard in the same breath (`gyro_aiding.py`)."""
     if step.imu is None:
-        x, F, Q = thrust_model(x, step, context)
-        P = F @ P @ F.T + Q
-        return x, 0.5 * (P + P.T)
-    predicted, F, Q = imu_model(x, step, step.imu, context)
-    quats, F_tilt = (step.quat0_wxyz, step.quat1_wxyz), F[States.TILT, States.TILT]
+        moved = thrust_model(x, step, context)
+        P = moved.F @ P @ moved.F.T + moved.Q
+        return moved.x, 0.5 * (P + P.T)
+    moved = imu_model(x, step, step.imu, context)
+    quats, F_tilt = (step.quat0_wxyz, step.quat1_wxyz), moved.F[States.TILT, States.TILT]
     change = gyro_measurement(x, step.imu, quats, step.dt_s, F_tilt, context.config)
-    x, P = correlated_noise_update(predicted, P, F, Q, change)
+    x, P = correlated_noise_update(moved, P, change)
     x[States.HEADING_BIAS] = wrap_pi(float(x[States.HEADING_BIAS]))
     return x, 0.5 * (P + P.T)
 
@@ -222,7 +217,7 @@ def _air(x: Array, dt_s: float, config: EkfConfig) -> _Air:
     share of W and which passes in L / W seconds (Dryden's model at low altitude).
     """
     drag_per_s = float(x[States.DRAG])
-    force_m_s2 = min(float(np.hypot(*x[States.WIND_FORCE])), drag_per_s * _STORM_M_S)
+    force_m_s2 = min(math.hypot(*x[States.WIND_FORCE].tolist()), drag_per_s * _STORM_M_S)
     agl_m = max(-float(x[States.DOWN] + x[States.TERRAIN]), _CALM_BELOW_M)
     climbed = max(min(-dt_s * float(x[States.VELOCITY_DOWN]) / agl_m, 0.5), -0.5)
     ratio = agl_m / config.roughness_m
@@ -253,7 +248,7 @@ def _white_acceleration(
     x: Array, level: float, vertical: float, dt_s: float, config: EkfConfig
 ) -> Array:
     """(6, 6) of Q; near the ground it may be struck."""
-    agl_m, blow = -x[States.DOWN] - x[States.TERRAIN], config.blow_noise_m_s2**2
+    agl_m, blow = -float(x[States.DOWN] + x[States.TERRAIN]), config.blow_noise_m_s2**2
     if agl_m < config.blow_agl_m:
         level = max(level, blow)
     if agl_m < config.touching_agl_m:
@@ -270,29 +265,22 @@ def _transition(
     turns with a wrong heading.
     """
     config, dt_s = context.config, step.dt_s
-    keep = math.exp(-dt_s / config.acceleration_time_s)
-    flown_m = math.hypot(*x[States.VELOCITY_NE]) * flown_s
-    keep_map = math.exp(-flown_m / config.map_length_m)
+    flown_m = math.hypot(*x[States.VELOCITY_NE].tolist()) * flown_s
     # Where an IMU was heard a tilt error stays in NED but for what that says; else it turns with
     # the body. Against such a model the gyro could not hold it: 2.5 degrees were 1.1 after a turn.
     F_tilt = math.exp(-dt_s / config.tilt_time_s) * level_axes(step.turned_rad).T
-    moved = x.copy()
+    F = _IDENTITY.copy()
+    keeps = _diagonal(F)
+    keeps[States.ACCELERATION] = math.exp(-dt_s / config.acceleration_time_s)
+    keeps[States.MAP] = keeps[_MAP_TURN_AND_SCALE] = math.exp(-flown_m / config.map_length_m)
+    keeps[States.SLOPE] = math.exp(-flown_m / config.slope_length_m)
+    moved = keeps * x
     moved[States.POSITION] += flown_s * x[States.VELOCITY] + (0.5 * flown_s) * gained
     moved[States.VELOCITY] += gained
-    moved[States.ACCELERATION] *= keep
     moved[States.TILT] = F_tilt @ x[States.TILT]
-    moved[States.MAP] *= keep_map
-    moved[_MAP_TURN_AND_SCALE] *= keep_map
-    keep_slope = math.exp(-flown_m / config.slope_length_m)
-    moved[States.SLOPE] *= keep_slope
     way_m = moved[States.POSITION_NE] - x[States.POSITION_NE]
     moved[States.TERRAIN] += x[States.SLOPE] @ way_m
 
-    F = _IDENTITY.copy()
-    keeps = _diagonal(F)
-    keeps[States.ACCELERATION] = keep
-    keeps[States.MAP] = keeps[_MAP_TURN_AND_SCALE] = keep_map
-    keeps[States.SLOPE] = keep_slope
     F[States.POSITION, States.VELOCITY] = flown_s * _SPACE
     F[States.VELOCITY_NE, States.HEADING_BIAS] = turned[1], -turned[0]
     F[States.TILT, States.TILT] = F_tilt
@@ -342,7 +330,7 @@ def _walks(
     baro_m2 = config.baro_walk_m**2 + config.baro_climb_walk_m**2 * climb_m_s
     walks[States.BARO] = baro_m2 * dt_s
     walk_m = config.terrain_walk_known_m if ground_known else config.terrain_walk_m
-    bent_m = config.terrain_bend_m * math.hypot(*x[States.SLOPE])
+    bent_m = config.terrain_bend_m * math.hypot(*x[States.SLOPE].tolist())
     stands_m2 = step.relief_m**2 / config.relief_length_m
     walks[States.TERRAIN] = (walk_m**2 + bent_m**2 + stands_m2) * flown_m
     return Q

@@ -1,14 +1,15 @@
 """The filter as a table, what it believes, and its Kalman update: one for every measurement."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
 from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.inertial.integrals import Exposure, Measured
-from vwnav.geometry.rotations import without_errors
+from vwnav.geometry.rotations import without_errors, wrap_pi
 from vwnav.types import Array, Estimate
 
 # 99.9 % of chi-square by degrees of freedom (scipy.stats.chi2.ppf(0.999, dof)).
@@ -67,7 +68,6 @@ class States:
 
 
 HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]
-_IDENTITY = np.eye(States.SIZE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +120,8 @@ class RangeTrust:
         return RangeTrust(self.agreed_ne_m, t_s, drawn_m=drawn_m)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterState:
-    """Everything the filter believes at `t_s`. Never changed in place.
+class FilterState(NamedTuple):
+    """Everything the filter believes at `t_s`; its arrays are never changed in place.
 
     Attributes:
         x: (n,) see `States`, n its size. P: (n, n) its covariance.
@@ -162,7 +161,7 @@ class FilterState:
     above_s: float = math.inf
     baro_zeroed: bool = True
     height_stepped: bool = False
-    map_error: LearnedMapError = field(default_factory=LearnedMapError)
+    map_error: LearnedMapError = LearnedMapError()
     reset_counter: int = 0
     rejected_fixes: RejectedInnovations = ()
     rejected_headings: RejectedInnovations = ()
@@ -245,22 +244,24 @@ def fuse(
     still missing. That part goes along the least change of the measured states that explains it:
     K' = K + lambda H^+ (I - H K).
     """
-    innovation, K = _compare(state, measurement)
+    innovation, K, PHt, S = _compare(state, measurement)
     if innovation.verdict is Verdict.GATED:
         return state, innovation
     if visual_weight > 0.0:
         H = measurement.H
         K = K + visual_weight * np.linalg.pinv(H) @ (np.eye(len(H)) - H @ K)
-    return _corrected(state, measurement, K), innovation
+    return _corrected(state, measurement.residual, K, PHt, S), innovation
 
 
 def correct(state: FilterState, measurement: Measurement) -> FilterState:
     """Correct by a measurement, whatever its gate says."""
-    return _corrected(state, measurement, _compare(state, measurement)[1])
+    return _corrected(state, measurement.residual, *_compare(state, measurement)[1:])
 
 
-def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, Array]:
-    """The innovation, and the gain K (n, m) for it: optimal but for consider states."""
+def _compare(
+    state: FilterState, measurement: Measurement
+) -> tuple[Innovation, Array, Array, Array]:
+    """The innovation, the gain K (n, m), best but for consider states, P H^T and S (m, m)."""
     r, H = measurement.residual, measurement.H
     PHt = state.P @ H.T
     S = H @ PHt + measurement.R
@@ -273,7 +274,7 @@ def _compare(state: FilterState, measurement: Measurement) -> tuple[Innovation, 
         solved = np.linalg.solve(S, np.column_stack([r, PHt.T]))
         K, nis = solved[:, 1:].T, float(r @ solved[:, 0])
     verdict = Verdict.FUSED if nis <= CHI_SQUARE_GATE[len(r)] else Verdict.GATED
-    return Innovation(verdict, nis, len(r), r), K
+    return Innovation(verdict, nis, len(r), r), K, PHt, S
 
 
 def _schmidt_gain(P: Array, PHt: Array, measurement: Measurement) -> Array:
@@ -294,13 +295,17 @@ def _schmidt_gain(P: Array, PHt: Array, measurement: Measurement) -> Array:
     return K
 
 
-def _corrected(state: FilterState, measurement: Measurement, K: Array) -> FilterState:
-    """Joseph's form keeps P symmetric and positive for any gain; headings stay in [-pi, pi)."""
-    A = _IDENTITY - K @ measurement.H
-    P = A @ state.P @ A.T + (K @ measurement.R) @ K.T
-    x = state.x + K @ measurement.residual
-    x[HEADINGS] = (x[HEADINGS] + np.pi) % (2.0 * np.pi) - np.pi
-    return replace(state, x=x, P=0.5 * (P + P.T))
+def _corrected(state: FilterState, residual: Array, K: Array, PHt: Array, S: Array) -> FilterState:
+    """By Joseph's form, which holds for any gain; headings stay in [-pi, pi).
+
+    Multiplied out, (I - K H) P (I - K H)^T + K R K^T = P + T + T^T, T = (K S / 2 - P H^T) K^T.
+    """
+    T = (0.5 * (K @ S) - PHt) @ K.T
+    x = state.x + K @ residual
+    for heading in HEADINGS:
+        if abs(x[heading]) >= math.pi:
+            x[heading] = wrap_pi(float(x[heading]))
+    return state._replace(x=x, P=state.P + (T + T.T))
 
 
 def tells_heading(P: Array) -> bool:
@@ -311,16 +316,11 @@ def tells_heading(P: Array) -> bool:
 def estimate_of(
     state: FilterState, quat_measured_wxyz: Array, turned_rad: float, slope_ne: Array
 ) -> Estimate:
-    """What a state says of the aircraft.
+    """What a state says, by the attitude (4,) that is known, and turned since by so much at most.
 
-    Args:
-        state: the filter's.
-        quat_measured_wxyz: (4,) the attitude that it knows of that moment.
-        turned_rad: how far the aircraft may have turned since that was known.
-        slope_ne: (2,) of the ground, as the terrain table has it.
+    `slope_ne` (2,) is the terrain table's.
     """
-    x, P = state.x, state.P
-    down, terrain = States.DOWN, States.TERRAIN
+    x, P, down, terrain = state.x, state.P, States.DOWN, States.TERRAIN
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]
     # A tilt error turns the heading of a nose that points up or down: by tan(pitch).
     qw, qx, qy, qz = quat_measured_wxyz.tolist()

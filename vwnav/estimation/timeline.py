@@ -130,7 +130,7 @@ class Timeline:
         self.newest = self._states[-1]
         jumped = float(np.linalg.norm(flown_m)) > self._context.config.jump_m
         if jumped and self.newest.reset_counter == counter:
-            self._states[-1] = self.newest = replace(self.newest, reset_counter=counter + 1)
+            self._states[-1] = self.newest = self.newest._replace(reset_counter=counter + 1)
         return True
 
     def test(self, event: Event) -> Innovation:
@@ -194,7 +194,7 @@ class Timeline:
         if missing >= 0 and apart_m > self._context.config.jump_m:
             missing += 1
         if missing > 0:  # as if so many more had been before the history
-            states = [replace(each, reset_counter=each.reset_counter + missing) for each in states]
+            states = [each._replace(reset_counter=each.reset_counter + missing) for each in states]
         self._states = states
         return answers
 
@@ -208,9 +208,9 @@ def apply(state: FilterState, event: Event, context: Context) -> tuple[FilterSta
     way_m = math.dist(after.x[States.POSITION_NE], after.map_error.seen_ne_m) if one_fix else 0.0
     if way_m > LOOK_M and not after.rejected_fixes:
         after = learned_of_map(after, context.config)
-    apart_m = float(np.linalg.norm((after.x - state.x)[States.POSITION]))
+    apart_m = math.dist(after.x[States.POSITION].tolist(), state.x[States.POSITION].tolist())
     if apart_m > context.config.jump_m and after.reset_counter == state.reset_counter:
-        after = replace(after, reset_counter=state.reset_counter + 1)
+        after = after._replace(reset_counter=state.reset_counter + 1)
     return after, innovation
 
 
@@ -301,15 +301,16 @@ def sensible(event: Told | Attitude | ImuSample) -> bool:
 
 def outside(state: FilterState, config: EkfConfig) -> str | None:
     """Why a state cannot be that of an aircraft; None while it can."""
-    x, variances = state.x, np.diag(state.P)
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(state.P)) and np.all(variances >= 0.0)):
+    x, P = state.x, state.P
+    is_finite = math.isfinite(float(x.sum())) and math.isfinite(float(P.sum()))
+    if not is_finite or P.diagonal().min() < 0.0:
         return "it is not finite"
     north, east, down = x[States.VELOCITY].tolist()
     if math.hypot(north, east) > config.most_speed_m_s:
         return f"{math.hypot(north, east):.0f} m/s"
     if abs(down) > config.most_climb_m_s:
         return f"{-down:.0f} m/s of climb"
-    tilt_rad = float(np.linalg.norm(x[States.TILT]))
+    tilt_rad = math.hypot(*x[States.TILT].tolist())
     if tilt_rad > config.most_tilt_rad:
         return f"the attitude off by {math.degrees(tilt_rad):.0f} degrees of tilt"
     return None

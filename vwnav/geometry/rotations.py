@@ -75,10 +75,11 @@ def rotation_from_quat(quat_wxyz: Array) -> Array:
     Raises:
         ValueError: its length is zero or not finite.
     """
-    norm = float(np.linalg.norm(quat_wxyz))
+    quat = np.asarray(quat_wxyz, dtype=np.float64)
+    norm = math.sqrt(quat @ quat)
     if not (math.isfinite(norm) and norm > 0.0):
         raise ValueError(f"expected a quaternion of finite length, got {quat_wxyz}")
-    w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64) / norm
+    w, x, y, z = (quat / norm).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -146,13 +147,14 @@ def without_errors(quat_wxyz: Array, heading_rad: float, tilt_rad: Array) -> Arr
         heading_rad: by how much its heading is off, clockwise.
         tilt_rad: (2,) by how much it leans wrongly about its level forward and right.
     """
-    R_measured = rotation_from_quat(quat_wxyz)
-    yaw_rad = math.atan2(R_measured[1, 0], R_measured[0, 0])
+    w, x, y, z = quat_wxyz.tolist()
+    yaw_rad = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    forward, right = tilt_rad
-    untilt = rotation_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
-    unturn = rotation_from_vector([0.0, 0.0, -heading_rad])
-    return quat_from_rotation(unturn @ untilt @ R_measured)
+    forward, right = tilt_rad.tolist()
+    untilt = quat_from_vector([-c * forward + s * right, -s * forward - c * right, 0.0])
+    unturn = quat_from_vector([0.0, 0.0, -heading_rad])
+    quat = quat_multiply(quat_multiply(unturn, untilt), quat_wxyz)
+    return quat / math.copysign(math.sqrt(quat @ quat), quat[0])
 
 
 def slerp(quat0_wxyz: Array, quat1_wxyz: Array, fraction: float) -> Array:

@@ -1,7 +1,6 @@
 """The camera turns out to be another than it was taken for: its lens, or how it hangs."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +28,7 @@ def apply_lens_doubted(state: FilterState) -> FilterState:
     doubted = _refocused(state)
     G = _told_by_ways(state, np.eye(2))
     G[States.FOCAL] = 1.0
-    return replace(doubted, P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
+    return doubted._replace(P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
 
 
 def apply_recalibrated(state: FilterState, event: Recalibrated, config: EkfConfig) -> FilterState:
@@ -43,7 +42,7 @@ def apply_recalibrated(state: FilterState, event: Recalibrated, config: EkfConfi
         return _refocused(state)
     x = state.x.copy()
     x[States.CAMERA_TILT] += event.forward_rad, event.right_rad
-    return replace(state, x=x)
+    return state._replace(x=x)
 
 
 def _refocused(state: FilterState) -> FilterState:
@@ -51,7 +50,7 @@ def _refocused(state: FilterState) -> FilterState:
     x = state.x.copy()
     x[States.FOCAL] = 0.0
     sigma = math.sqrt(float(state.P[States.FOCAL, States.FOCAL]))
-    state = replace(state, x=x)
+    state = state._replace(x=x)
     if sigma > UNMEASURED_FOCAL_RATIO:
         return state  # as the ways have told it
     return freed(state, States.FOCAL, UNMEASURED_FOCAL_RATIO)
@@ -82,7 +81,7 @@ def _turned(state: FilterState, event: Recalibrated, config: EkfConfig) -> Filte
     x, P = G @ x, G @ P @ G.T + np.outer(unsure, unsure)
     if shown:
         x[HEADINGS] = [wrap_pi(each + event.turned_rad) for each in x[HEADINGS].tolist()]
-    return replace(state, x=x, P=P, anchor=None if event.knocked else state.anchor)
+    return state._replace(x=x, P=P, anchor=None if event.knocked else state.anchor)
 
 
 def apply_mount_doubted(state: FilterState, yaw_rad: float) -> FilterState:
@@ -100,7 +99,7 @@ def apply_mount_doubted(state: FilterState, yaw_rad: float) -> FilterState:
     always[States.VELOCITY] = -np.array([[0.0, down], [-down, 0.0], [east, -north]]) @ level
     lever_m = _TILT_DOUBT_RAD * max(state.agl_m, 0.0) * QUARTER_TURN @ level
     always[States.POSITION_NE] = always[States.EXPOSED_POSITION] = -lever_m
-    return replace(state, P=state.P + now @ now.T + always @ always.T, anchor=None)
+    return state._replace(P=state.P + now @ now.T + always @ always.T, anchor=None)
 
 
 def _told_by_ways(state: FilterState, change: Array) -> Array:

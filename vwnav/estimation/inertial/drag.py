@@ -9,7 +9,6 @@ velocity, k and what the wind adds, c = k w, are learned; without images they te
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -56,10 +55,10 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     if innovation.verdict is Verdict.GATED:
         P = state.P.copy()
         P[States.WIND_FORCE, States.WIND_FORCE] += _REFUSED_M_S2**2 * np.eye(2)
-        return replace(state, P=P), innovation
+        return state._replace(P=P), innovation
     x = fused.x.copy()
     x[States.DRAG] = np.clip(x[States.DRAG], *config.drag_range_per_s)
-    return replace(fused, x=x), innovation
+    return fused._replace(x=x), innovation
 
 
 def explained_m_s2(state: FilterState, quat_wxyz: Array) -> tuple[Array, float]:

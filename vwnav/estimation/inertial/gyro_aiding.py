@@ -23,6 +23,14 @@ from vwnav.types import Array
 _JUMP_UNSURE = 0.1  # of a jump's size: how well the gyro tells it
 
 
+class Transition(NamedTuple):
+    """One step: the state after it (n,), F = dx'/dx (n, n) and the process noise Q (n, n)."""
+
+    x: Array
+    F: Array
+    Q: Array
+
+
 class DelayedStateMeasurement(NamedTuple):
     """About both ends of a step x1 = F x0 + w: z = A x1 - B x0 + n, which is C x0 + A w + n.
 
@@ -56,9 +64,8 @@ def gyro_measurement(
         config: noises.
     """
     quat0, quat1 = quats
-    seen = vector_from_quat(
-        quat_multiply(quat_multiply(quat1, quat_conjugate(imu.turn_wxyz)), quat_conjugate(quat0))
-    )
+    turned_wxyz = quat_multiply(quat0, imu.turn_wxyz)
+    seen = vector_from_quat(quat_multiply(quat1, quat_conjugate(turned_wxyz)))
     yaw0_rad = yaw_of(quat0) + float(seen[2])  # a jump of the heading turns the level axes
     level0, level1 = level_axes(yaw0_rad), level_axes(yaw_of(quat1))
     A = np.zeros((3, States.SIZE))
@@ -74,32 +81,35 @@ def gyro_measurement(
 
 
 def correlated_noise_update(
-    x: Array, P: Array, F: Array, Q: Array, z: DelayedStateMeasurement
+    step: Transition, P: Array, z: DelayedStateMeasurement
 ) -> tuple[Array, Array]:
     """Kalman filter with correlated process and measurement noise: (x, P) after a step.
 
     The step's noise w is also in what is measured, by E[w v^T] = Q A^T (Simon 2006, "Optimal State
     Estimation", section 7.1; of two ends of a step it is the delayed-state filter of Brown and
-    Hwang, "Introduction to Random Signals and Applied Kalman Filtering"): the gain is
-    K = (F P C^T + Q A^T) S^-1. The covariance is in Joseph's form, of the error
-    (F - K C) x0 + (I - K A) w - K n. `x` (n,) is predicted already, `P` (n, n) is not.
+    Hwang, "Introduction to Random Signals and Applied Kalman Filtering"): the gain is K = W S^-1,
+    with W = F P C^T + Q A^T and S = C P C^T + A Q A^T + R, and P' = F P F^T + Q - W K^T.
 
     Gyros do not jump, attitude filters do: a change that the noises do not explain is one of the
-    attitude's error, and opens Q.
+    attitude's error, and opens Q. `P` (n, n) is that of before.
     """
+    x, F, Q = step
     A, C, R, r = z.A, z.C, z.R, z.residual
     PCt = P @ C.T
-    CPCt = C @ PCt
+    S, W = C @ PCt + R, F @ PCt
     AQAt, QAt = _noise(A, Q)
-    solved = np.linalg.solve(CPCt + AQAt + R, np.column_stack([r, (F @ PCt + QAt).T]))
-    if r @ solved[:, 0] > CHI_SQUARE_GATE[3]:
-        Q, R = _opened(Q, r), R + np.diag((_JUMP_UNSURE * r) ** 2)
+    weighed, K = _weighed(S + AQAt, W + QAt, r)
+    if r @ weighed > CHI_SQUARE_GATE[3]:
+        Q = _opened(Q, r)
         AQAt, QAt = _noise(A, Q)
-        solved = np.linalg.solve(CPCt + AQAt + R, np.column_stack([r, (F @ PCt + QAt).T]))
-    K = solved[:, 1:].T
-    M = F - K @ C
-    crossed = K @ QAt.T
-    return x + K @ r, M @ P @ M.T + Q - crossed - crossed.T + K @ (AQAt + R) @ K.T
+        K = _weighed(S + AQAt + np.diag((_JUMP_UNSURE * r) ** 2), W + QAt, r)[1]
+    return x + K @ r, F @ P @ F.T + Q - (W + QAt) @ K.T
+
+
+def _weighed(S: Array, W: Array, r: Array) -> tuple[Array, Array]:
+    """S^-1 r (3,) and W S^-1 (n, 3)."""
+    solved = np.asarray(np.linalg.solve(S, np.column_stack([r, W.T])))
+    return solved[:, 0], solved[:, 1:].T
 
 
 def _noise(A: Array, Q: Array) -> tuple[Array, Array]:
