@@ -51,7 +51,7 @@ class Stream:
 _IMU = Stream("HIGHRES_IMU", 105, 63, 50.0, 0.0)
 _COMMON = (
     Stream("ATTITUDE", 30, 28, 50.0, 20.0),
-    Stream("SCALED_PRESSURE", 29, 16, 20.0, 10.0),
+    Stream("SCALED_PRESSURE", 29, 16, 10.0, 10.0),
     Stream("HEARTBEAT", 0, 9, 5.0, 5.0),
     Stream("SYS_STATUS", 1, 43, 5.0, 2.0),
     Stream("EXTENDED_SYS_STATE", 245, 2, 5.0, 2.0),
