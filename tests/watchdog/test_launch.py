@@ -50,7 +50,8 @@ class Flown:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.connect(("127.0.0.1", port))
         self.socket.settimeout(2.0)
-        self.estimates, self.jump_m, self.begun_s = False, 0.0, time.monotonic()
+        self.estimates, self.jump_m, self.sigma_m = False, 0.0, 20.0
+        self.begun_s = time.monotonic()
 
     def engage(self) -> None:
         self.peer.armed, self.peer.custom_mode, self.peer.landed_state = True, PX4_OFFBOARD, IN_AIR
@@ -63,15 +64,15 @@ class Flown:
             with contextlib.suppress(ConnectionRefusedError):  # while one takes another's place
                 self.socket.send(setpoint(3.0))
                 if self.estimates:
-                    self.socket.send(self.unsure_estimate())
+                    self.socket.send(self.estimate())
             time.sleep(0.02)
 
-    def unsure_estimate(self) -> bytes:
-        """At 8 m/s north, by 20 m."""
+    def estimate(self) -> bytes:
+        """At 8 m/s north."""
         now_s = time.monotonic()
         place = (8.0 * (now_s - self.begun_s) + self.jump_m, 0.0, -50.0, 0.0, 0.0, 0.0)
         message = mavlink.MAVLink_vision_position_estimate_message(
-            int(now_s * 1e6), *place, [400.0] * 21, 0
+            int(now_s * 1e6), *place, [self.sigma_m**2] * 21, 0
         )
         return bytes(message.pack(MAV))
 
@@ -339,6 +340,28 @@ def test_one_after_the_other_may_die_while_it_flies_on(flown):
     assert len(flown.setpoints(time.monotonic() - 0.5)) > 10
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_where_guard_and_spare_one_fail_together_the_navigator_starts_another(flown, number):
+    """With estimates too, and with a spare one again."""
+    flown.estimates, flown.sigma_m = True, 1.0
+    waiting = wait_for(lambda: loaded_spares(flown.fly), 20.0)
+    flown.engage()
+    dead, failed_s = flown.watchdog.pid, time.monotonic()
+    for each in (*waiting, dead):
+        os.kill(each, number)
+    while flown.watchdog.pid == dead and time.monotonic() < failed_s + 20.0:
+        flown.fly(0.1)
+    assert time.monotonic() - failed_s < 12.0
+    flown.fly(2.0)
+    assert flown.state() is GuardState.RELAY
+    assert flown.keepalive.report.relays_estimates
+    assert len(flown.setpoints(time.monotonic() - 0.5)) > 10
+    assert wait_for(lambda: loaded_spares(flown.fly), 20.0)
+    for each in waiting:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(each, signal.SIGKILL)
+
+
 def test_spare_ones_that_die_again_and_again_are_no_longer_started_and_it_is_said():
     """Whoever flies knows then that the present one has nobody behind it."""
     said = []
@@ -365,7 +388,14 @@ def test_spare_ones_that_die_again_and_again_are_no_longer_started_and_it_is_sai
             return len(said) == 2
 
         wait_for(nobody_answers, 10.0)
-    assert said[1].endswith("nobody guards the aircraft, be ready to take it over")
+        assert said[1].endswith("nobody guards the aircraft, be ready to take it over")
+
+        def another_answers() -> bool:
+            watchdog.keepalive.beat(False)
+            return len(said) == 3
+
+        wait_for(another_answers, 20.0)
+    assert said[2].endswith("another one has taken its place")
 
 
 def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):

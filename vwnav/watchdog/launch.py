@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import json
 import logging
+import math
 import os
 import selectors
 import signal
@@ -55,7 +56,7 @@ class WatchdogProcess:
         say: takes a line when it was replaced, or guards no more.
 
     Attributes:
-        process: the first one.
+        process: the one that was started last from here.
         navigator_url: what the navigator's MAVSDK connects to instead of the autopilot.
         observer_url: where a second reader may listen along, a simulator's truth for one: a serial
             port, a TCP port and a UDP port that listens have one owner each.
@@ -68,14 +69,11 @@ class WatchdogProcess:
     def __init__(
         self, command: Sequence[str], log: Path | None, clock: Clock, say: Callable[[str], None]
     ) -> None:
-        with log.open("ab") if log is not None else contextlib.nullcontext() as stderr:
-            # A session of its own: signals of the navigator's terminal are not for the watchdog.
-            self.process = subprocess.Popen(
-                list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                stderr=stderr, start_new_session=True,
-            )  # fmt: skip
-        assert self.process.stdout is not None
-        ports = _wait_for_ports(self.process, self.process.stdout)
+        self._command, self._log = list(command), log
+        self.process = self._start()
+        ports = _wait_for_ports(self.process)
+        for name, port in ports.items():  # for one that is started in its place
+            self._command += [f"--{name.replace('_', '-')}", str(port)]
         self.navigator_url = f"udpout://127.0.0.1:{ports['navigator_port']}"
         self.observer_url = f"udpout://127.0.0.1:{ports['observer_port']}"
         channel = UdpChannel(ports["keepalive_port"], listens=False)
@@ -112,21 +110,49 @@ class WatchdogProcess:
         watch.close()
         self.process.poll()
 
+    def _start(self) -> subprocess.Popen[bytes]:
+        with self._log.open("ab") if self._log is not None else contextlib.nullcontext() as stderr:
+            # A session of its own: signals of the navigator's terminal are not for the watchdog.
+            return subprocess.Popen(
+                self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=stderr, start_new_session=True,
+            )  # fmt: skip
+
+    def _start_again(self, before: ProcessWatch) -> None:
+        """None is left, not even a spare one: the next knows no more than it will be sent."""
+        before.end()
+        self.process.poll()
+        try:
+            self.process = self._start()
+            _wait_for_ports(self.process)
+        except (LinkError, OSError) as error:
+            _log.error("no watchdog can be started: %s", error)
+
     def _tell_of_changes(self) -> None:
-        """To whoever is at the screen, which the control loop does not wait for."""
-        pid, is_silent, has_spare = self.pid, False, True
+        """To whoever is at the screen, which the control loop does not wait for.
+
+        Where nobody answers any more, another one is started.
+        """
+        pid, is_silent, has_spare, again_s = self.pid, False, True, -math.inf
+        guarding = ProcessWatch(pid)
         while not self._closing:
             time.sleep(_LOOKS_EVERY_S)
             if self.pid != pid:
                 self._say(f"the watchdog (process {pid}) has died: another one has taken its place")
+                guarding.close()
                 pid = self.pid
+                guarding = ProcessWatch(pid)
             report, was_silent = self.keepalive.last_report, is_silent
             is_silent = self.keepalive.unanswered_s > _SILENT_S
             if is_silent and not was_silent:
                 self._say(_UNGUARDED)
+            if is_silent and time.monotonic() >= again_s:
+                self._start_again(guarding)
+                again_s = time.monotonic() + _SILENT_S
             if report is not None and report.has_spare is not has_spare:
                 has_spare = report.has_spare
-                self._say(_THE_LAST)
+                if not has_spare:
+                    self._say(_THE_LAST)
 
 
 def start_watchdog(
@@ -157,8 +183,9 @@ def start_watchdog(
     return WatchdogProcess(arguments, log, clock, say)
 
 
-def _wait_for_ports(process: subprocess.Popen[bytes], stdout: IO[bytes]) -> dict[str, int]:
-    line = _first_line(stdout)
+def _wait_for_ports(process: subprocess.Popen[bytes]) -> dict[str, int]:
+    assert process.stdout is not None
+    line = _first_line(process.stdout)
     try:
         answer = json.loads(line)
     except json.JSONDecodeError as error:
