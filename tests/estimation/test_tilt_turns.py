@@ -1,6 +1,5 @@
 """Whether a tilt error of the autopilot's turns with the body or stays in NED, the gyro tells."""
 
-
 import numpy as np
 import pytest
 
