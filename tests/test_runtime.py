@@ -14,6 +14,7 @@ from vehicles import FLYING
 from vwnav.clock import WallClock
 from vwnav.errors import LinkError, VwnavError
 from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.rules.flight_log import MISSION_HANGS
 from vwnav.runtime import FlightRuntime
 from vwnav.safety.camera_watch import CameraWatch
 from vwnav.safety.estimate_guard import EstimateGuard
@@ -314,7 +315,7 @@ def test_a_mission_that_hangs_is_one_that_broke():
     record = Record()
     with pytest.raises(VwnavError, match="the loop of the mission hangs"):
         fly(mission=Mission(hangs=True), link=link, record=record)
-    assert "the mission hangs: the watchdog lands the aircraft" in record.events
+    assert MISSION_HANGS in record.events
     assert link.steps > 120  # estimates went on
 
 

@@ -27,6 +27,7 @@ from good_flight import (
 
 from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import (
+    MISSION_HANGS,
     NAVIGATOR_ENDED,
     At,
     CommandAck,
@@ -250,8 +251,9 @@ def test_a_mission_travels_no_more_whose_navigator_has_ended() -> None:
     rule = next(rule for rule in RULES if rule.name == "blind lands")
     blind = RED[rule.name](good_flight())
     assert verdict_of(rule, blind) == "broken"
-    ended = replace(blind, events=[*blind.events, Said(14.0, NAVIGATOR_ENDED)])
-    assert verdict_of(rule, ended) == "held"
+    for text in (NAVIGATOR_ENDED, MISSION_HANGS):
+        ended = replace(blind, events=[*blind.events, Said(14.0, text)])
+        assert verdict_of(rule, ended) == "held"
 
 
 def test_who_stops_the_motors_in_the_air_has_it_fall() -> None:

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 from vwnav.mission.mission import Phase
 from vwnav.rules.flight_log import (
+    MISSION_HANGS,
     NAVIGATOR_ENDED,
     At,
     FlightLog,
@@ -165,9 +166,10 @@ def _first_fix_s(log: FlightLog) -> float:
 def _blind(log: FlightLog) -> Breach | None:
     """Travelling, without an image that tells anything for too long: it lands.
 
-    A mission whose navigator has ended travels no more: that one is the watchdog's.
+    A mission whose navigator has ended, or that hangs, travels no more: that one is the watchdog's.
     """
-    ended_s = min((e.t_s for e in log.events if e.text == NAVIGATOR_ENDED), default=math.inf)
+    ends = (NAVIGATOR_ENDED, MISSION_HANGS)
+    ended_s = min((e.t_s for e in log.events if e.text in ends), default=math.inf)
     limit_s = log.bounds.safety.blind_land_s
     times = [each.t_s for each in log.sights]
     pauses = list(pairwise([*times, log.end_s]))
