@@ -53,10 +53,17 @@ class Flight:
         return found
 
     def guards(self) -> int:
-        """The one that has the link: behind no other one that lives."""
-        found = self.all_watchdogs()
-        (pid,) = (pid for pid, words in found.items() if _behind(words) not in found)
-        return pid
+        """The one that has the link: behind no other one that lives.
+
+        One that is being started looks like the one that starts it, for a moment.
+        """
+
+        def behind_none() -> list[int]:
+            found = self.all_watchdogs()
+            pids = [pid for pid, words in found.items() if _behind(words) not in found]
+            return pids if len(pids) == 1 else []
+
+        return wait_for(behind_none)[0]
 
     def wait_for_a_spare(self) -> None:
         """It has loaded what it needs, and waits."""

@@ -9,7 +9,6 @@ ports it took. This module is the navigator's side of it, and the command line.
 """
 
 import argparse
-import contextlib
 import json
 import logging
 import math
@@ -41,6 +40,7 @@ _LEAVE_TIMEOUT_S = 4.0  # it waits for a heartbeat that says disarmed
 _SILENT_S = 5.0  # without an answer: a spare one has been there by then, if there was one
 _LOOKS_EVERY_S = 0.1
 _HELD_S, _HELD_AGAIN_S = 10.0, 0.02  # by one that has died
+_APPENDS = os.O_WRONLY | os.O_APPEND | os.O_CREAT
 
 _UNGUARDED = "the watchdog does not answer: nobody guards the aircraft, be ready to take it over"
 _THE_LAST = "spare watchdogs die again and again: the present watchdog is the last, land soon"
@@ -69,7 +69,9 @@ class WatchdogProcess:
     def __init__(
         self, command: Sequence[str], log: Path | None, clock: Clock, say: Callable[[str], None]
     ) -> None:
-        self._command, self._log = list(command), log
+        self._command = list(command)
+        # Opened once: whoever is started in its place waits for no disk.
+        self._log = None if log is None else os.open(log, _APPENDS, 0o666)
         self.process = self._start()
         ports = _wait_for_ports(self.process)
         for name, port in ports.items():  # for one that is started in its place
@@ -109,14 +111,16 @@ class WatchdogProcess:
             time.sleep(_LOOKS_EVERY_S)
         watch.close()
         self.process.poll()
+        if self._log is not None:
+            os.close(self._log)
+            self._log = None
 
     def _start(self) -> subprocess.Popen[bytes]:
-        with self._log.open("ab") if self._log is not None else contextlib.nullcontext() as stderr:
-            # A session of its own: signals of the navigator's terminal are not for the watchdog.
-            return subprocess.Popen(
-                self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                stderr=stderr, start_new_session=True,
-            )  # fmt: skip
+        # A session of its own: signals of the navigator's terminal are not for the watchdog.
+        return subprocess.Popen(
+            self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=self._log, start_new_session=True,
+        )  # fmt: skip
 
     def _start_again(self, before: ProcessWatch) -> None:
         """None is left, not even a spare one: the next knows no more than it will be sent."""
