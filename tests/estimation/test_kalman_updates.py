@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from vwnav.estimation.inertial.gyro_aiding import (
     DelayedStateMeasurement,
-    Transition,
     correlated_noise_update,
 )
 from vwnav.estimation.states import FilterState, Measurement, States, correct, fuse
@@ -61,9 +60,8 @@ def test_a_measurement_of_both_ends_of_a_step_is_joint_conditioning(seed: int) -
     F = np.eye(N) + 0.1 * rng.normal(size=(N, N))
     A, C = rng.normal(size=(3, N)), rng.normal(size=(3, N))
     r = 0.01 * np.sqrt(np.diag(C @ P @ C.T)) * rng.normal(size=3)  # within the gate
-    x, after = correlated_noise_update(
-        Transition(np.zeros(N), F, Q), P, DelayedStateMeasurement(r, A, C, R)
-    )
+    z = DelayedStateMeasurement(r, A, C, R)
+    x, after = correlated_noise_update(np.zeros(N), P, F, Q, z)
     joint = np.block([
         [P, np.zeros((N, N + 3))],
         [np.zeros((N, N)), Q, np.zeros((N, 3))],

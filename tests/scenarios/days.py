@@ -183,9 +183,7 @@ def against_stations(flown: Flown) -> list[str]:
             continue
         until_s = next((row.t_s for row in held if row.mode is not mode or not row.armed), math.inf)
         until_s = min([until_s, *(g + flown.begun_s for g in given_back if g >= t_s)])
-        deaf = any(b.at_s <= taken - flown.begun_s + _HEARD_S and not b.fault.up
-                   and taken - flown.begun_s <= b.at_s + (b.for_s or math.inf)
-                   for b in flown.scenario.breaks if isinstance(b.fault, OneWayCut))  # fmt: skip
+        deaf = _is_deaf(flown, taken - flown.begun_s)
         since_s = taken + (_DEAF_S if deaf else _HEARD_S) + trips_s
         sent = [(e.t_s, "a setpoint") for e in track.heard.setpoints]
         sent += [(e.t_s, f"command {e.number}") for e in track.heard.commands if e.number in _FLIES]
@@ -195,6 +193,12 @@ def against_stations(flown: Flown) -> list[str]:
             if since_s < at_s < until_s
         ]
     return found
+
+
+def _is_deaf(flown: Flown, at_s: float) -> bool:
+    """Whether the autopilot cannot be heard then, or from a moment later on, and itself hears."""
+    cuts = [b for b in flown.scenario.breaks if isinstance(b.fault, OneWayCut) and not b.fault.up]
+    return any(b.at_s - _HEARD_S <= at_s <= b.at_s + (b.for_s or math.inf) for b in cuts)
 
 
 def restless(flown: Flown) -> list[str]:

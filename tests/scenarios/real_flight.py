@@ -102,14 +102,20 @@ class RealFlight:
 
     def watchdog_pid(self) -> int:
         """Of the one that has the link: the spare one waits with `--spare`."""
+        found = [pid for pid, waits in self.watchdogs().items() if not waits]
+        assert found, "there is no watchdog"
+        return found[0]
+
+    def watchdogs(self) -> dict[int, bool]:
+        """Process ids of all, and whether each waits as a spare one."""
+        found = {}
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
                 words = (folder / "cmdline").read_bytes().split(b"\0")
                 parent = str(self.process.pid).encode()
-                ours = b"vwnav.watchdog" in words and parent in words
-                if ours and b"--spare" not in words:
-                    return int(folder.name)
-        raise AssertionError("there is no watchdog")
+                if b"vwnav.watchdog" in words and parent in words:
+                    found[int(folder.name)] = b"--spare" in words
+        return found
 
     def successor_pids(self) -> list[int]:
         """Of the navigators that serve after the first, or wait to: the oldest first."""

@@ -305,6 +305,21 @@ def test_a_watchdog_that_hangs_is_replaced_and_the_aircraft_lands_near_by(tmp_pa
 
 
 @pytest.mark.long
+def test_where_all_watchdogs_are_killed_the_aircraft_lands_near_by(tmp_path):
+    """The navigator starts another: until then the autopilot flies its failsafe, blind."""
+    with real_flight(tmp_path) as flight:
+        flight.wait_until_on_route()
+        killed_at = flight.place_ned_m()
+        for each in flight.watchdogs():
+            os.kill(each, signal.SIGKILL)
+        flight.wait_until_down(120.0)
+        assert flight.said("nobody guards the aircraft")
+        assert flight.said("another one has taken its place")
+        assert flight.fastest_m_s() < 15.0
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 40.0
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_watchdog_that_ends_or_hangs_after_its_navigator_is_followed_by_one_that_lands(
     tmp_path, number

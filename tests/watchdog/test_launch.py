@@ -419,7 +419,7 @@ def test_a_loop_that_slept_has_not_been_left_without_an_answer(flown):
     assert flown.watchdog.pid == process
 
 
-def test_a_watchdog_that_was_told_to_end_and_has_left_is_not_replaced(flown):
+def test_a_watchdog_that_was_told_to_end_and_has_left_leaves_no_spare_one(flown):
     wait_for(lambda: flown.socket.recv(4096))  # the aircraft has been heard, on the ground
     told = flown.watchdog.process
     told.send_signal(signal.SIGTERM)

@@ -19,11 +19,7 @@ from vwnav.estimation.inertial.attitudes import (
     true_from_autopilot,
     yaw_of,
 )
-from vwnav.estimation.inertial.gyro_aiding import (
-    Transition,
-    correlated_noise_update,
-    gyro_measurement,
-)
+from vwnav.estimation.inertial.gyro_aiding import correlated_noise_update, gyro_measurement
 from vwnav.estimation.inertial.integrals import Measured, white_acceleration
 from vwnav.estimation.inertial.preintegration import PreintegratedImu, preintegrated
 from vwnav.estimation.states import FilterState, States
@@ -38,6 +34,14 @@ _STORM_M_S = 20.0  # no wind that is flown in is stronger
 _CALM_BELOW_M = 1.0  # height above ground: nothing is told of the air below
 _LEVEL, _SPACE, _IDENTITY = np.eye(2), np.eye(3), np.eye(States.SIZE)
 _GRAVITY = np.array([0.0, 0.0, GRAVITY_M_S2])
+
+
+class Transition(NamedTuple):
+    """One step: the state after it (n,), F = dx'/dx (n, n) and the process noise Q (n, n)."""
+
+    x: Array
+    F: Array
+    Q: Array
 
 
 class TimeStep(NamedTuple):
@@ -116,13 +120,13 @@ def _measured(held: Held, t_s: float, context: Context) -> Measured:
 def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Array, Array]:
     """One step; with an IMU its gyro is heard in the same breath (`gyro_aiding.py`)."""
     if step.imu is None:
-        moved = thrust_model(x, step, context)
-        P = moved.F @ P @ moved.F.T + moved.Q
-        return moved.x, 0.5 * (P + P.T)
-    moved = imu_model(x, step, step.imu, context)
-    quats, F_tilt = (step.quat0_wxyz, step.quat1_wxyz), moved.F[States.TILT, States.TILT]
+        x, F, Q = thrust_model(x, step, context)
+        P = F @ P @ F.T + Q
+        return x, 0.5 * (P + P.T)
+    predicted, F, Q = imu_model(x, step, step.imu, context)
+    quats, F_tilt = (step.quat0_wxyz, step.quat1_wxyz), F[States.TILT, States.TILT]
     change = gyro_measurement(x, step.imu, quats, step.dt_s, F_tilt, context.config)
-    x, P = correlated_noise_update(moved, P, change)
+    x, P = correlated_noise_update(predicted, P, F, Q, change)
     x[States.HEADING_BIAS] = wrap_pi(float(x[States.HEADING_BIAS]))
     return x, 0.5 * (P + P.T)
 

@@ -316,9 +316,9 @@ def tells_heading(P: Array) -> bool:
 def estimate_of(
     state: FilterState, quat_measured_wxyz: Array, turned_rad: float, slope_ne: Array
 ) -> Estimate:
-    """What a state says, by the attitude (4,) that is known, and turned since by so much at most.
+    """What a state says of the aircraft, by the attitude (4,) that is known of it.
 
-    `slope_ne` (2,) is the terrain table's.
+    It may have turned by `turned_rad` since then; `slope_ne` (2,) is the terrain table's.
     """
     x, P, down, terrain = state.x, state.P, States.DOWN, States.TERRAIN
     variance_agl = P[down, down] + P[terrain, terrain] + 2.0 * P[down, terrain]

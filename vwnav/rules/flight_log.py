@@ -15,7 +15,7 @@ from vwnav.vehicle import FlightMode
 Vector = tuple[float, float, float]  # north, east, down
 Level = tuple[float, float]  # north, east
 NAVIGATOR_ENDED = "the navigator has ended"  # by who sees its process: the mission ends with it
-MISSION_HANGS = "the mission hangs: the watchdog lands the aircraft"
+MISSION_HANGS = "the mission hangs: the watchdog lands the aircraft"  # as the runtime says it
 
 
 @dataclass(frozen=True, slots=True)

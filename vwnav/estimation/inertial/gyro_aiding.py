@@ -23,14 +23,6 @@ from vwnav.types import Array
 _JUMP_UNSURE = 0.1  # of a jump's size: how well the gyro tells it
 
 
-class Transition(NamedTuple):
-    """One step: the state after it (n,), F = dx'/dx (n, n) and the process noise Q (n, n)."""
-
-    x: Array
-    F: Array
-    Q: Array
-
-
 class DelayedStateMeasurement(NamedTuple):
     """About both ends of a step x1 = F x0 + w: z = A x1 - B x0 + n, which is C x0 + A w + n.
 
@@ -81,7 +73,7 @@ def gyro_measurement(
 
 
 def correlated_noise_update(
-    step: Transition, P: Array, z: DelayedStateMeasurement
+    x: Array, P: Array, F: Array, Q: Array, z: DelayedStateMeasurement
 ) -> tuple[Array, Array]:
     """Kalman filter with correlated process and measurement noise: (x, P) after a step.
 
@@ -91,9 +83,8 @@ def correlated_noise_update(
     with W = F P C^T + Q A^T and S = C P C^T + A Q A^T + R, and P' = F P F^T + Q - W K^T.
 
     Gyros do not jump, attitude filters do: a change that the noises do not explain is one of the
-    attitude's error, and opens Q. `P` (n, n) is that of before.
+    attitude's error, and opens Q. `x` (n,) is predicted already, `P` (n, n) is not.
     """
-    x, F, Q = step
     A, C, R, r = z.A, z.C, z.R, z.residual
     PCt = P @ C.T
     S, W = C @ PCt + R, F @ PCt

@@ -48,6 +48,7 @@ QUICK = {
     "link cut for 5 s on the route",
     "camera gone for good, and then the navigator killed",
     "navigator killed, and the watchdog while it holds",
+    "pilot hands back, and takes over again while the link is cut",
     "disk full on the way home",
     "navigator stopped for 20 s",
     "processor starved for 1 s",
