@@ -1,5 +1,7 @@
 """The one path: what is tried when, what is fused, and which features stand in."""
 
+import threading
+import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -608,3 +610,24 @@ def test_a_mount_that_images_show_to_be_turned_is_taken_for_that(degrees, worth)
         pipeline.step(Frame(0.1 * i, IMAGE, i))
     assert bool(asked) is worth
     assert np.degrees(odometry.known_rad) == pytest.approx(degrees if worth else 0.0, abs=6.0)
+
+
+def test_an_image_waits_for_the_turn_of_the_link_and_not_for_good():
+    pipeline = make_pipeline(FakeLocalizer([]))
+    pipeline.link_rests.clear()
+    done = threading.Event()
+
+    def step() -> None:
+        pipeline.step(Frame(1.0, IMAGE, 0))
+        done.set()
+
+    thread = threading.Thread(target=step)
+    begun_s = time.monotonic()
+    thread.start()
+    assert not done.wait(0.05)
+    pipeline.link_rests.set()
+    assert done.wait(5.0)
+    pipeline.link_rests.clear()
+    pipeline.step(Frame(1.1, IMAGE, 1))  # a link that hangs keeps no image
+    thread.join()
+    assert time.monotonic() - begun_s < 5.0

@@ -84,6 +84,8 @@ class Path:
     broken: bool = False
     covered: bool = True
     feed_s: float = 0.0
+    link_rests: threading.Event = field(default_factory=threading.Event)
+    rested: list = field(default_factory=list)
     fed: list = field(default_factory=list)
     seen: list = field(default_factory=list)
 
@@ -92,6 +94,7 @@ class Path:
 
     def feed(self, measurement):
         self.fed.append(measurement)
+        self.rested.append(self.link_rests.is_set())
         time.sleep(self.feed_s)
 
     def learned(self):
@@ -205,6 +208,13 @@ def test_estimates_and_telemetry_go_on_while_an_image_stalls():
     assert len(flown.path.seen) == 1
     assert len(flown.link.sent) >= 5
     assert len(flown.path.fed) == flown.link.steps  # each measurement once
+
+
+def test_who_computes_an_image_is_told_that_the_link_takes_its_turn():
+    flown = fly()
+    assert flown.path.rested
+    assert not any(flown.path.rested)
+    assert flown.path.link_rests.is_set()
 
 
 def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix():

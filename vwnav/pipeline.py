@@ -24,7 +24,7 @@ from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
 from vwnav.estimation.odometry_gate import MountCheck
-from vwnav.estimation.states import FilterState, States, Verdict
+from vwnav.estimation.states import States, Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
@@ -49,6 +49,7 @@ MIN_PRIOR_SIGMA_M = 3.0
 MAX_DOUBT = 8.0
 MAX_DOUBTED_AGL_RATIO = 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
+_GIVES_WAY_S = 0.1  # at most, each time
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched ...
 UNSURE_AGL_M = 5.0  # ... unless the height is less sure than any landing leaves it
@@ -56,10 +57,7 @@ UNSURE_AGL_M = 5.0  # ... unless the height is less sure than any landing leaves
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """An image that is being matched; it `begins` where nothing that is believed says its place.
-
-    `then` is what was believed at its exposure.
-    """
+    """An image being matched; it `begins` where nothing believed `then` says its place."""
 
     t_s: float
     localizer: Localizing
@@ -72,6 +70,8 @@ class Pipeline:
     """From images and measurements to the estimate of position, velocity and heading.
 
     `feed` and `estimate` may be called from other threads at any time; `step` from one only.
+    Python runs one thread at a time: a step waits where the link takes its turn (`link_rests` is
+    clear then). Without that estimates were late by half a second on a slow board.
     """
 
     def __init__(
@@ -104,7 +104,8 @@ class Pipeline:
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
         self._config, self._executor, self._rolling = config, executor, rolling
-        self._lock = threading.Lock()
+        self._lock, self.link_rests = threading.Lock(), threading.Event()
+        self.link_rests.set()
         self._pending: _Attempt | None = None
         self._next_attempt_s, self._misses = -np.inf, 0  # attempts since the last fix
         self._first_fix = FirstFix()
@@ -151,6 +152,7 @@ class Pipeline:
         of a gap to the same side, which no covariance of a fix can say.
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
+        self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:
             attitude = None if self._ekf.counts_heading else self._ekf.attitudes.at(frame.t_s)
             if self._rolling and attitude is not None:
@@ -173,6 +175,7 @@ class Pipeline:
             self._sequences.follow(motion, attitude or self._odometry.counted_attitude(frame.t_s))
         if now is None:
             motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground unknown")
+        self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:
             if self._ekf.counts_heading:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
@@ -209,7 +212,7 @@ class Pipeline:
         if state is not None and self._lens.is_open and self._lens.told_by_ways(state):
             self._recalibrate(Recalibrated(state.t_s))
         elif state is not None and np.hypot(*state.x[States.CAMERA_TILT]) > LEAST_TILT_RAD:
-            self._straighten(state)
+            self._recalibrate(tilted(state))
         prior = self._prior(now, R_ned_body)
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:
@@ -233,6 +236,7 @@ class Pipeline:
             overdue = t_s - attempt.t_s > self._config.give_up_after_s
             return self._give_up(attempt, t_s) if overdue else None
         self._pending = None
+        self.link_rests.wait(_GIVES_WAY_S)
         try:
             outcome: MapFix | Rejected = attempt.future.result()
         except Exception as error:
@@ -330,17 +334,12 @@ class Pipeline:
         reason = f"{innovation.verdict.value} (NIS {innovation.nis or 0.0:.0f})"
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
 
-    def _straighten(self, state: FilterState) -> None:
-        """Go on with the camera hung as the filter has it, where it is sure of that."""
-        if (event := tilted(state)) is not None:
-            self._recalibrate(event)
-
-    def _recalibrate(self, event: Recalibrated) -> None:
-        """Go on with the camera that map or ways have shown: its calibration cannot be right.
+    def _recalibrate(self, event: Recalibrated | None) -> None:
+        """Go on with the camera that map or ways have shown, where they have: it was another.
 
         The filter first: were it not told, it would take the new camera's error for the old one's.
         """
-        if self._recalibrated is None:
+        if self._recalibrated is None or event is None:
             return
         with self._lock:
             if not self._ekf.handle(event).accepted:

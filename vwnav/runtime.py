@@ -278,14 +278,17 @@ class FlightRuntime:
             self._flight.abort("interrupted by the operator: landing")
 
     def _is_down_after_failure(self) -> bool:
+        if self.failure is None:
+            return False
         vehicle = self._autopilot.state()
-        over = not vehicle.armed or vehicle.silence_s > GONE_S
-        return self.failure is not None and over
+        return not vehicle.armed or vehicle.silence_s > GONE_S
 
     def _link_loop(self, clock: Clock) -> None:
         telemetry, heard_s = clock.join("telemetry"), self._heard_s
         for t_s in self._beats(clock, "link", LINK_HZ):
+            self._pipeline.link_rests.clear()
             self.step_link(t_s)
+            self._pipeline.link_rests.set()
             if self.link_broke:
                 break
             if self._heard_s is not None and self._heard_s != heard_s:
