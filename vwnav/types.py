@@ -345,4 +345,5 @@ class Estimate:
     @property
     def sigma_horizontal_m(self) -> float:
         """The larger semi-axis of the one-sigma ellipse."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
+        (nn, _), (ne, ee) = self.covariance[:2, :2].tolist()
+        return float(np.sqrt(0.5 * (nn + ee) + np.hypot(0.5 * (nn - ee), ne)))

@@ -189,7 +189,7 @@ class Timeline:
             answers.append(answer)
         # Of the two newest positions one may be of an earlier moment.
         flown_m = (state.t_s - told.t_s) * told.x[States.VELOCITY]
-        apart_m = float(np.linalg.norm((state.x - told.x)[States.POSITION] - flown_m))
+        apart_m = math.hypot(*((state.x - told.x)[States.POSITION] - flown_m).tolist())
         missing = told.reset_counter - state.reset_counter
         if missing >= 0 and apart_m > self._context.config.jump_m:
             missing += 1

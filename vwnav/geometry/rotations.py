@@ -94,21 +94,18 @@ def quat_from_rotation(R: Array) -> Array:
 
     Divides by the largest of the four components (Shepperd 1978), so no rotation is special.
     """
-    squares = np.array([np.trace(R), R[0, 0], R[1, 1], R[2, 2]])
-    largest = int(np.argmax(squares))
-    quat = np.empty(4)
-    if largest == 0:
-        quat[0] = 1.0 + squares[0]
-        quat[1:] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+    trace = xx + yy + zz
+    if trace >= max(xx, yy, zz):
+        w, x, y, z = 1.0 + trace, zy - yz, xz - zx, yx - xy
+    elif xx >= max(yy, zz):
+        w, x, y, z = zy - yz, 1.0 + xx - yy - zz, yx + xy, zx + xz
+    elif yy >= zz:
+        w, x, y, z = xz - zx, xy + yx, 1.0 + yy - zz - xx, zy + yz
     else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        quat[0] = R[k, j] - R[j, k]
-        quat[1 + i] = 1.0 + R[i, i] - R[j, j] - R[k, k]
-        quat[1 + j] = R[j, i] + R[i, j]
-        quat[1 + k] = R[k, i] + R[i, k]
-    quat /= np.linalg.norm(quat)
-    return -quat if quat[0] < 0.0 else quat
+        w, x, y, z = yx - xy, xz + zx, yz + zy, 1.0 + zz - xx - yy
+    length = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
+    return np.array([w / length, x / length, y / length, z / length])
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Array:

@@ -236,5 +236,5 @@ def _is_usable(estimate: Estimate) -> bool:
 
 
 def _shortened(vector: Array, longest: float) -> Array:
-    length = float(np.linalg.norm(vector))
+    length = math.hypot(*vector.tolist())
     return vector if length <= longest else np.asarray(vector * (longest / length))

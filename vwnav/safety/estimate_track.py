@@ -89,7 +89,7 @@ def is_finite(estimate: Estimate) -> bool:
         estimate.covariance,
         estimate.quat_wxyz,
     )
-    return math.isfinite(estimate.t_s) and all(bool(np.all(np.isfinite(a))) for a in arrays)
+    return math.isfinite(estimate.t_s) and all(math.isfinite(a.sum()) for a in arrays)
 
 
 def at_least(estimate: Estimate, sigma_m: float) -> Estimate:
@@ -106,16 +106,15 @@ def sigma(estimate: Estimate, first: int) -> float:
 
     NaN, which no bound admits, where the covariance is none.
     """
-    variance = float(
-        np.linalg.eigvalsh(estimate.covariance[first : first + 2, first : first + 2])[-1]
-    )
+    (nn, _), (en, ee) = estimate.covariance[first : first + 2, first : first + 2].tolist()
+    variance = 0.5 * (nn + ee) + math.hypot(0.5 * (nn - ee), en)
     return math.sqrt(variance) if variance >= 0.0 else math.nan
 
 
 def tilt_rad(quat_wxyz: Array) -> float:
     """Angle between the body's down axis and the world's: its cosine is 1 - 2 (x^2 + y^2)."""
-    length = float(np.linalg.norm(quat_wxyz))
-    if length < 0.1:
+    w, x, y, z = quat_wxyz.tolist()
+    square = w * w + x * x + y * y + z * z
+    if square < 0.01:
         return math.nan  # no rotation; no bound admits it
-    _, x, y, _ = (float(v) / length for v in quat_wxyz)
-    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
+    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y) / square)))

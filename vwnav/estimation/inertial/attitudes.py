@@ -323,4 +323,4 @@ def true_from_autopilot(heading_bias_rad: float) -> Array:
 def is_rotation(quat_wxyz: Array) -> bool:
     """Whether it is a finite quaternion of about unit length."""
     quat = np.asarray(quat_wxyz)
-    return quat.shape == (4,) and 0.5 < float(np.linalg.norm(quat)) < 2.0
+    return quat.shape == (4,) and 0.5 < math.hypot(*quat.tolist()) < 2.0

@@ -101,7 +101,8 @@ class ImuHistory:
         held = self._attitudes.held(sample.t_s)
         R = rotation_from_quat(held.quat_wxyz)
         force = sample.specific_force_m_s2
-        now = np.column_stack([R, R @ force, force])
+        now = np.empty((3, 5))
+        now[:, :3], now[:, 3], now[:, 4] = R, R @ force, force
         self._felt.append(self._next(span_s, held.known, now, values))
         self._times_s.append(sample.t_s)
         self._newest = now, values
@@ -199,4 +200,4 @@ def is_felt(sample: ImuSample) -> bool:
         return False
     if sample.span_s is not None and not sample.span_s > 0.0:
         return False
-    return bool(np.all(np.isfinite(force)) and np.all(np.isfinite(rates)))
+    return math.isfinite(float(force.sum())) and math.isfinite(float(rates.sum()))

@@ -127,7 +127,7 @@ class ImuGate:
         """Whether a sample, felt in an attitude (4,), has made a change of `lost`."""
         span_s = min(max(sample.t_s - self._newest_s, 0.0), _LONGEST_S)
         self._newest_s = sample.t_s
-        force = np.clip(sample.specific_force_m_s2, -_MOST_M_S2, _MOST_M_S2)
+        force = np.minimum(np.maximum(sample.specific_force_m_s2, -_MOST_M_S2), _MOST_M_S2)
         force_ned = rotation_from_quat(quat_wxyz) @ force
         self._body.add(force, span_s)
         self._ned.add(force_ned, span_s)
@@ -154,7 +154,7 @@ class _Average:
 
     @property
     def from_rest_m_s2(self) -> float:
-        return float(np.linalg.norm(self.value - _AT_REST_M_S2))
+        return math.hypot(*(self.value - _AT_REST_M_S2).tolist())
 
 
 def _from_thrust_m_s2(force_body: Array) -> float:

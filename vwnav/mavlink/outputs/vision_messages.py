@@ -3,8 +3,6 @@
 import math
 from typing import Any
 
-import numpy as np
-
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.types import Array, Estimate
 from vwnav.vehicle import VelocitySetpoint
@@ -24,7 +22,7 @@ def vision_position(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
         estimate: about the run's origin; `t_s` on the clock that answers the autopilot's TIMESYNC.
         offset_ned_m: (3,) where the run's origin lies about the autopilot's.
     """
-    x, y, z = (float(v) for v in estimate.position_ned_m + offset_ned_m)
+    x, y, z = (estimate.position_ned_m + offset_ned_m).tolist()
     roll, pitch, yaw = euler_from_rotation(rotation_from_quat(estimate.quat_wxyz))
     return {
         "usec": int(estimate.t_s * 1e6),
@@ -46,8 +44,8 @@ def odometry(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
         estimate: as for `vision_position`.
         offset_ned_m: likewise.
     """
-    x, y, z = (float(v) for v in estimate.position_ned_m + offset_ned_m)
-    vx, vy, vz = (float(v) for v in estimate.velocity_ned_m_s)
+    x, y, z = (estimate.position_ned_m + offset_ned_m).tolist()
+    vx, vy, vz = estimate.velocity_ned_m_s.tolist()
     return {
         "time_usec": int(estimate.t_s * 1e6),
         "frame_id": _FRAME_LOCAL_NED,
@@ -55,7 +53,7 @@ def odometry(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
         "x": x,
         "y": y,
         "z": z,
-        "q": [float(v) for v in estimate.quat_wxyz],
+        "q": estimate.quat_wxyz.tolist(),
         "vx": vx,
         "vy": vy,
         "vz": vz,
@@ -70,21 +68,21 @@ def odometry(estimate: Estimate, offset_ned_m: Array) -> dict[str, Any]:
 
 def _with_attitude(covariance: Array) -> list[float]:
     """(3, 3) and what is known of the attitude: the 21 of a row-major upper triangle (6, 6)."""
-    whole = np.zeros((6, 6))
-    whole[:3, :3] = covariance
-    whole[3:, 3:] = np.eye(3) * _NO_ATTITUDE_VARIANCE_RAD2
-    return [float(v) for v in whole[np.triu_indices(6)]]
+    (nn, ne, nd), (_, ee, ed), (_, _, dd) = covariance.tolist()
+    with_place = [nn, ne, nd, 0.0, 0.0, 0.0, ee, ed, 0.0, 0.0, 0.0, dd, 0.0, 0.0, 0.0]
+    unknown = _NO_ATTITUDE_VARIANCE_RAD2
+    return [*with_place, unknown, 0.0, 0.0, unknown, 0.0, unknown]
 
 
 def vision_speed(estimate: Estimate) -> dict[str, Any]:
     """Fields of VISION_SPEED_ESTIMATE: NED velocity with its (3, 3) covariance, row-major."""
-    x, y, z = (float(v) for v in estimate.velocity_ned_m_s)
+    x, y, z = estimate.velocity_ned_m_s.tolist()
     return {
         "usec": int(estimate.t_s * 1e6),
         "x": x,
         "y": y,
         "z": z,
-        "covariance": [float(v) for v in estimate.covariance[3:, 3:].ravel()],
+        "covariance": estimate.covariance[3:, 3:].ravel().tolist(),
         "reset_counter": estimate.reset_counter & 0xFF,
     }
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from vwnav.geometry.rotations import (
     quat_from_rotation,
+    quat_from_vector,
+    quat_multiply,
     rotation_from_euler,
-    rotation_from_quat,
-    rotation_from_vector,
 )
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.ports.port import Fields
@@ -61,7 +61,7 @@ class _OwnPosition:
 
     @property
     def insane(self) -> bool:
-        return not bool(np.hypot(*self.ned_m[:2]) <= _INSANE_POSITION_M)
+        return not math.hypot(*self.ned_m[:2].tolist()) <= _INSANE_POSITION_M
 
 
 class TelemetryState:
@@ -140,9 +140,8 @@ class TelemetryState:
         """The newest attitude, turned on by its body rates; None when it is of another time."""
         if self._attitude is None or abs(t_s - self._attitude.t_s) > _CARRIED_S:
             return None
-        turn = rotation_from_vector(self._rates_rad_s * (t_s - self._attitude.t_s))
-        R_ned_body = rotation_from_quat(self._attitude.quat_wxyz) @ turn
-        return Attitude(t_s, quat_from_rotation(R_ned_body))
+        turn = quat_from_vector(self._rates_rad_s * (t_s - self._attitude.t_s))
+        return Attitude(t_s, quat_multiply(self._attitude.quat_wxyz, turn))
 
     def aiding(self, t_s: float) -> bool | None:
         """The autopilot's filter predicts position from what we send; None when it never said.
