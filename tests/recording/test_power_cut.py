@@ -255,3 +255,16 @@ def test_a_disk_that_syncs_slowly_is_left_half_of_the_time(monkeypatch):
     assert written.close(lambda: None, 30.0)
     assert np.diff(syncs) == pytest.approx(4.0, abs=0.02)
     assert len(syncs) >= 4
+
+
+def test_what_is_large_waits_for_no_round_and_the_end_for_none_either(monkeypatch):
+    monkeypatch.setattr(thread, "_ROUND_S", 60.0)
+    done, last = threading.Event(), []
+    writes = thread.DiskThread("large", lambda: None, lambda error: None)
+    writes.put(lambda: last.append("small"))
+    writes.put(done.set, at_once=True)
+    assert done.wait(20.0)
+    assert last == ["small"]  # in order
+    writes.put(lambda: last.append("later"))
+    assert writes.close(lambda: last.append("end"), 20.0)
+    assert last == ["small", "later", "end"]

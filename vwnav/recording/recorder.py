@@ -116,7 +116,7 @@ class Recorder:
             return
         due_s = max(self._next_image_s, frame.t_s - 0.5 * self._image_period_s)
         self._next_image_s = due_s + self._image_period_s
-        self._images_put += self._put(lambda: self._write_image(frame))
+        self._images_put += self._put(lambda: self._write_image(frame), at_once=True)
 
     def vehicle(self, vehicle: VehicleState) -> None:
         """Keep a snapshot of the autopilot."""
@@ -169,13 +169,13 @@ class Recorder:
         if self.dropped:
             _log.warning("%d messages were not recorded: the disk was too slow", self.dropped)
 
-    def _put(self, write: Callable[[], None]) -> bool:
+    def _put(self, write: Callable[[], None], at_once: bool = False) -> bool:
         if self._stopped:
             return False
         if self._disk.waiting >= _QUEUE_ITEMS:
             self.dropped += 1
             return False
-        self._disk.put(write)
+        self._disk.put(write, at_once)
         return True
 
     def _sync(self) -> None:

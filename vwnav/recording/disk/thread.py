@@ -41,7 +41,7 @@ class DiskThread:
         self._failed = failed
         self._first = first
         self._queue: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._finish, self._closing = sync, threading.Event()
+        self._finish, self._closing, self._wakes = sync, False, threading.Event()
         self._next_sync_s, self._is_synced = monotonic(), True
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
@@ -51,14 +51,17 @@ class DiskThread:
         """How much it has been handed and has not yet done."""
         return self._queue.qsize()
 
-    def put(self, act: Callable[[], None]) -> None:
-        """Hand it something to do; never waits."""
+    def put(self, act: Callable[[], None], at_once: bool = False) -> None:
+        """Hand it something to do; never waits. `at_once`: no round is awaited, it is large."""
         self._queue.put(act)
+        if at_once:
+            self._wakes.set()
 
     def close(self, finish: Callable[[], None], timeout_s: float) -> bool:
         """Let it do what is waiting, and `finish` last; whether it ended in time."""
         self._finish = finish
-        self._closing.set()
+        self._closing = True
+        self._wakes.set()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
@@ -67,7 +70,9 @@ class DiskThread:
             if self._first is not None:
                 self._first()
             self._sync_now()
-            while not self._closing.wait(_ROUND_S):
+            while not self._closing:
+                self._wakes.wait(_ROUND_S)
+                self._wakes.clear()
                 self._do_all()
             self._do_all()
             self._finish()
