@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 from vwnav.assemble import Assembled, about_run, assemble
@@ -22,6 +23,7 @@ from vwnav.errors import VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.machine.never_waits import stderr_that_never_waits
+from vwnav.machine.priority import take_short_turns
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
@@ -104,6 +106,8 @@ def _handover(told: dict[str, Any]) -> Handover:
 
 def stand_by(options: FlyOptions) -> None:
     """Load everything, wait to be woken, then send estimates until the aircraft is down."""
+    take_short_turns()  # the watchdog says how far it goes before others
+    cv2.setNumThreads(1)
     keep_heap_small()
     with ExitStack() as stack:
         stack.enter_context(stderr_that_never_waits())
