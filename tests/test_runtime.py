@@ -217,6 +217,27 @@ def test_who_computes_an_image_is_told_that_the_link_takes_its_turn():
     assert flown.path.link_rests.is_set()
 
 
+def test_it_is_known_whether_the_newest_image_told_a_motion_or_one_is_late():
+    path, images = Path(), Images()
+    runtime = FlightRuntime(
+        path, Mission(), Link(), EstimateGuard(), Handle(), CameraWatch(64, 48),
+        GuardedWatcher(Record()), deque(),
+    )  # fmt: skip
+
+    def follows() -> bool:
+        runtime.step_link(time.monotonic())
+        return runtime.navigation.follows
+
+    assert not follows()
+    frame = images.next_frame()
+    runtime.step_vision(frame, frame.t_s)
+    assert follows()
+    path.broken = True
+    frame = images.next_frame()
+    runtime.step_vision(frame, frame.t_s)
+    assert not follows()
+
+
 def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix():
     fixed_s = time.monotonic()
     flown = fly(Path(believed=replace(ESTIMATE, t_last_fix_s=fixed_s)), Mission(ticks=25))

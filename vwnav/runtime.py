@@ -76,7 +76,7 @@ class FlightRuntime:
         self._lock = threading.Lock()
         self._navigation = Navigation(None)
         self._seen_s: float | None = None
-        self._contradicted = False
+        self._contradicted = self._follows = False
         self._heard_s: float | None = None
         self._link_fails_since_s: float | None = None
         self.link_broke, self._turns, self._ticks = False, 0, 0
@@ -129,7 +129,8 @@ class FlightRuntime:
         learned = self._pipeline.learned()
         with self._lock:
             before = self._navigation
-            self._navigation = Navigation(sent, lost, self._seen_s, self._contradicted, learned)
+            seen = self._seen_s, self._contradicted, learned, self._follows
+            self._navigation = Navigation(sent, lost, *seen)
         if sent is not None:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):
@@ -204,16 +205,16 @@ class FlightRuntime:
         except Exception as error:
             log.exception("picture %d could not be used", frame.index)
             self._say_once("broken picture", f"a picture could not be used: {error!r}")
+            self._follows = False
             return
         if trouble:
             self._say_once(trouble, f"pictures are not used: {trouble}")
-        motion = step.motion
+        way = step.motion
         with self._lock:
             # What the filter refuses of motions: `Verdict.DISTRUSTED`.
-            self._contradicted = (
-                isinstance(motion, Rejected) and motion.reason is RejectReason.PRIOR
-            )
-            if isinstance(motion, OdometryMotion) or isinstance(step.outcome, MapFix):
+            self._contradicted = isinstance(way, Rejected) and way.reason is RejectReason.PRIOR
+            self._follows = isinstance(way, OdometryMotion) or isinstance(step.outcome, MapFix)
+            if self._follows:
                 self._seen_s = frame.t_s
         self._watcher.saw_frame(frame, step)
 

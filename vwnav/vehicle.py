@@ -247,6 +247,7 @@ class Navigation:
         seen_s: exposure of the newest image that told a motion or a place.
         contradicted: the newest image's motion is not believed: it contradicts the IMU.
         learned: for whoever has to go on with the flight; None while that is not enough.
+        follows: the newest image told one; where that is long ago, images come late or not at all.
     """
 
     estimate: Estimate | None
@@ -254,3 +255,4 @@ class Navigation:
     seen_s: float | None = None
     contradicted: bool = False
     learned: Learned | None = None
+    follows: bool = False

@@ -13,6 +13,7 @@ from vwnav.vehicle import FlightMode, Order
 CONFIG = SafetyConfig()
 WELL = Situation()
 BLIND = "the camera shows nothing that can be followed"
+LATE = "pictures are late or do not come"
 
 
 def decide(**changes) -> Decision:
@@ -41,6 +42,9 @@ def decide(**changes) -> Decision:
         ({"blind_s": 1.0}, Action.HOLD, BLIND, Rank.SIGNAL),
         ({"blind_s": 4.0}, Action.LAND, BLIND, Rank.SIGNAL),
         ({"blind_s": 3.9}, Action.HOLD, BLIND, Rank.SIGNAL),
+        ({"blind_s": 0.9, "is_unseen": True}, Action.NAVIGATE, "", Rank.NAVIGATION),
+        ({"blind_s": 1.0, "is_unseen": True}, Action.HOLD, LATE, Rank.SIGNAL),
+        ({"blind_s": 4.0, "is_unseen": True}, Action.LAND, LATE, Rank.SIGNAL),
         ({"contradicted": True}, Action.NAVIGATE, "", Rank.NAVIGATION),
         ({"contradicted": True, "had_fix": False}, Action.LAND,
          "the camera shows what contradicts the IMU", Rank.SIGNAL),

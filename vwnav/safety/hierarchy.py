@@ -103,7 +103,7 @@ def _lost(now: Situation, config: SafetyConfig) -> str | None:
 
 
 def _blind_for_good(now: Situation, config: SafetyConfig) -> str | None:
-    return _BLIND if now.blind_s >= config.blind_land_s else None
+    return _blindness(now) if now.blind_s >= config.blind_land_s else None
 
 
 def _never_right(now: Situation, config: SafetyConfig) -> str | None:
@@ -113,10 +113,14 @@ def _never_right(now: Situation, config: SafetyConfig) -> str | None:
 
 
 def _blind(now: Situation, config: SafetyConfig) -> str | None:
-    return _BLIND if now.blind_s >= config.blind_hold_s else None
+    return _blindness(now) if now.blind_s >= config.blind_hold_s else None
 
 
-_BLIND = "the camera shows nothing that can be followed"
+def _blindness(now: Situation) -> str:
+    """A camera that comes late, or a computer that does, is another matter than what it shows."""
+    if now.is_unseen:
+        return "pictures are late or do not come"
+    return "the camera shows nothing that can be followed"
 
 
 def _way_home(now: Situation, config: SafetyConfig) -> str | None:

@@ -157,6 +157,7 @@ class SafetyMonitor:
             lost_s=self._lost_for_s(navigation, t_s),
             lost=navigation.lost,
             blind_s=_blind_for_s(navigation, t_s),
+            is_unseen=navigation.follows,
             contradicted=navigation.contradicted,
             radio_lost_s=self._radio.lost_s,
             ground_lost_s=self._ground.lost_s,

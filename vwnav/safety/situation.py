@@ -26,7 +26,8 @@ class Situation:
         is_battery_for_home_only: what is left is just enough for the way home.
         connected, silence_s: of the autopilot; our own sleep left out.
         lost_s, lost: since when there is no estimate to fly on, and why; negative while there is.
-        blind_s: since the last image that told motion or place.
+        blind_s: since the last image that told motion or place; `is_unseen` where none has come
+            since, or none that was computed.
         contradicted: images tell motions that contradict the IMU.
         radio_lost_s, ground_lost_s: of the pilot's radio and the ground station, once heard.
         had_fix: there has been a map fix.
@@ -47,6 +48,7 @@ class Situation:
     lost_s: float = -math.inf
     lost: str = ""
     blind_s: float = 0.0
+    is_unseen: bool = False
     contradicted: bool = False
     radio_lost_s: float = -math.inf
     ground_lost_s: float = -math.inf
