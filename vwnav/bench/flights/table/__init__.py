@@ -41,7 +41,6 @@ QUICK = {
     "attitude 0.3 s late",
     "IMU turns on its side in flight",
     "accelerometer 3 m/s^2 off to the right",
-    "camera with a mirrored picture",
     "camera hung 6 degrees round by hand",
     "camera knocked in flight, round by 15 and aslant by 5",
     "pictures black for good at 50 m",
