@@ -15,7 +15,12 @@ from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Untracked
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import euler_from_rotation, quat_from_rotation, rotation_from_euler
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    quat_from_rotation,
+    rotation_from_euler,
+    wrap_pi,
+)
 from vwnav.pipeline import Pipeline
 from vwnav.seams import FeatureChoice, InlineExecutor, PipelineConfig
 from vwnav.types import (
@@ -100,20 +105,29 @@ class NoOdometry:
         return Attitude(t_s, LEVEL)
 
 
+LEFT, RIGHT = 40, 200  # how bright an image is there
+
+
 @dataclass
 class Tilting(NoOdometry):
     """Stays where it is and tilts; a camera turned by so much shows it, known to be by less."""
 
     turn_rad: float = 0.0
     known_rad: float = 0.0
+    mirrors: bool = False
+    left: list[int] = field(default_factory=list)
     rng: Any = field(default_factory=lambda: np.random.default_rng(1))
 
     def step(self, frame, R_ned_body, agl_m):
         tilt_rad, turns_rad = 0.03 * self.rng.normal(size=2), 0.5 * np.pi * np.arange(4)
         c, s = np.cos(self.turn_rad - self.known_rad), np.sin(self.turn_rad - self.known_rad)
         seen_rad = np.array([[c, s], [-s, c]]) @ tilt_rad
+        self.left.append(int(frame.image[0, 0]))
+        if self.mirrors and self.left[-1] != LEFT:
+            seen_rad *= [-1.0, 1.0]
         c, s = np.cos(turns_rad), np.sin(turns_rad)
         told_rad = np.stack([c * tilt_rad[0] + s * tilt_rad[1], c * tilt_rad[1] - s * tilt_rad[0]])
+        told_rad = np.column_stack([told_rad, told_rad[:, :2] * [[-1.0], [1.0]]])
         ratios = (seen_rad @ told_rad - 0.5 * tilt_rad @ tilt_rad) / 0.01**2
         return OdometryMotion(
             frame.t_s - 0.1, frame.t_s, np.zeros(3), 0.01 * np.eye(3), 0.0, 0.01, agl_m, 80,
@@ -153,7 +167,7 @@ def make_pipeline(
         said_here = said if said is not None else []
         return FeatureChoice(primary, fallback, config, said_here.append)
 
-    def made_anew(focal_ratio, R_mount):
+    def made_anew(focal_ratio, R_mount, mirrored):
         turned = odometry or NoOdometry()
         turned.known_rad = euler_from_rotation(R_mount)[2]
         return choose(recalibrated(focal_ratio)), turned
@@ -610,6 +624,29 @@ def test_a_mount_that_images_show_to_be_turned_is_taken_for_that(degrees, worth)
         pipeline.step(Frame(0.1 * i, IMAGE, i))
     assert bool(asked) is worth
     assert np.degrees(odometry.known_rad) == pytest.approx(degrees if worth else 0.0, abs=6.0)
+
+
+@pytest.mark.parametrize("mirrors", [True, False])
+def test_images_that_are_mirrored_are_turned_back_as_soon_as_their_tilting_shows_it(mirrors):
+    start = Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -22.0]), sigma_m=5.0, agl_m=22.0)
+    odometry, asked = Tilting(mirrors=mirrors), []
+
+    def recalibrated(ratio):
+        asked.append(ratio)
+        return FakeLocalizer([])
+
+    pipeline = make_pipeline(
+        FakeLocalizer([]), start=start, odometry=odometry, recalibrated=recalibrated
+    )
+    seen = np.full((48, 64), RIGHT, np.uint8)
+    seen[:, :32] = LEFT
+    for i in range(1, 100):
+        pipeline.feed(Attitude(0.1 * i, LEVEL))
+        pipeline.feed(Height(0.1 * i, 22.0))
+        pipeline.step(Frame(0.1 * i, seen[:, ::-1] if mirrors else seen, i))
+    assert odometry.left[-1] == LEFT
+    assert bool(asked) is mirrors
+    assert abs(wrap_pi(odometry.known_rad)) < 0.1
 
 
 def test_an_image_waits_for_the_turn_of_the_link_and_not_for_good():

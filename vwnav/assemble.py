@@ -28,6 +28,7 @@ from vwnav.vision.odometry.odometry import Odometry
 
 _WIDE = "sees {:.2f} times as wide as its calibration says"
 _TURNED = "hangs turned by {:.0f} degrees {}clockwise, seen from above, from its mount_rpy_deg"
+_MIRRORED = "mirrors its pictures left to right (a flip in its driver, of one axis alone?)"
 _TILTED = "looks {:.0f} degrees further {} than its mount_rpy_deg says"
 _RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
 _TOLD_RAD = math.radians(2.0)  # by which a mount is off that is told of
@@ -120,8 +121,11 @@ def assemble(
         choice = FeatureChoice(first, others[0] if others else None, config.pipeline, say)
         return choice, Odometry(camera, config.odometry, alone)
 
-    def recalibrated(focal_ratio: float, R_mount: Array) -> tuple[FeatureChoice, Odometry]:
-        found = [*_lens_in_words(focal_ratio), *_mount_in_words(R_mount)]
+    def recalibrated(
+        focal_ratio: float, R_mount: Array, mirrored: bool
+    ) -> tuple[FeatureChoice, Odometry]:
+        found = [_MIRRORED] if mirrored else []
+        found += [*_lens_in_words(focal_ratio), *_mount_in_words(R_mount)]
         say(_RECALIBRATED.format(" and ".join(found)) if found else _AFTER_ALL)
         K = camera.K.copy()
         K[:2, :2] *= focal_ratio

@@ -10,8 +10,8 @@ estimates into setpoints.
 import math
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.beginning.starts import left_by
-from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
+from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
 from vwnav.estimation.odometry_gate import MountCheck
@@ -29,7 +29,7 @@ from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, rotation_from_vector
-from vwnav.seams import FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
+from vwnav.seams import Attempt, FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
     Array,
     Attitude,
@@ -46,24 +46,13 @@ from vwnav.vehicle import Learned
 
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_PRIOR_SIGMA_M = 3.0
-MAX_DOUBT = 8.0
-MAX_DOUBTED_AGL_RATIO = 0.3
+MAX_DOUBT, MAX_DOUBTED_AGL_RATIO = 8.0, 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
+CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then
 _GIVES_WAY_S = 0.1  # at most, each time
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched ...
 UNSURE_AGL_M = 5.0  # ... unless the height is less sure than any landing leaves it
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Attempt:
-    """An image being matched; it `begins` where nothing believed `then` says its place."""
-
-    t_s: float
-    localizer: Localizing
-    future: Future[MapFix | Rejected]
-    begins: bool
-    then: Estimate | None
 
 
 class Pipeline:
@@ -84,7 +73,7 @@ class Pipeline:
         config: PipelineConfig,
         executor: Executor,
         rolling: bool = False,
-        recalibrated: Callable[[float, Array], tuple[FeatureChoice, Tracking]] | None = None,
+        recalibrated: Callable[[float, Array, bool], tuple[FeatureChoice, Tracking]] | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -98,22 +87,22 @@ class Pipeline:
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
             recalibrated: makes features and odometry anew, for so many times the calibrated focal
-                length, and a mount that is turned in the body by a rotation (3, 3); None where no
-                telemetry could tell of that.
+                length, a mount that is turned in the body by a rotation (3, 3), and images that
+                come mirrored, or do not; None where no telemetry could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
         self._config, self._executor, self._rolling = config, executor, rolling
         self._lock, self.link_rests = threading.Lock(), threading.Event()
         self.link_rests.set()
-        self._pending: _Attempt | None = None
+        self._pending: Attempt | None = None
         self._next_attempt_s, self._misses = -np.inf, 0  # attempts since the last fix
         self._first_fix = FirstFix()
-        self._recalibrated = recalibrated
-        is_open = recalibrated is not None
+        self._recalibrated, is_open = recalibrated, recalibrated is not None
         self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, ekf.attitudes)
-        self._R_mount = np.eye(3)  # beyond what it was told
+        self._R_mount, self._mirrored = np.eye(3), False  # beyond what it was told
         self._sequences, self._lost = Sequences(local_frame), True  # then images are joined
+        self._image_s = math.inf
         self.attempts = self.accepted = 0
 
     def estimate(self, t_s: float) -> Estimate | None:
@@ -152,6 +141,13 @@ class Pipeline:
         of a gap to the same side, which no covariance of a fix can say.
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
+        gone_s, self._image_s = frame.t_s - self._image_s, frame.t_s
+        if gone_s > CAMERA_GONE_S and self.accepted > 0:
+            self._lens.ask_again()
+            with self._lock:
+                self._ekf.handle(CameraReturned(frame.t_s))
+        if self._mirrored:
+            image = replace(image, image=np.ascontiguousarray(image.image[:, ::-1]))
         self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:
             attitude = None if self._ekf.counts_heading else self._ekf.attitudes.at(frame.t_s)
@@ -185,13 +181,12 @@ class Pipeline:
                 self._mount.broke(frame.t_s)
                 return motion
             innovation = self._ekf.handle(motion)
-        verdict = innovation.verdict
         turned = self._mount.turned(motion, innovation, self.accepted > 0)
         if turned is not None:
             self._lens.mount_turned()
             self._recalibrate(turned)
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "seen by another camera")
-        reason = _NO_MOTION.get(verdict)
+        reason = _NO_MOTION.get(verdict := innovation.verdict)
         if reason is None or self._ekf.counts_heading:  # which does not know its height at first
             return motion
         if verdict is Verdict.IMPOSSIBLE:
@@ -225,7 +220,7 @@ class Pipeline:
         localizer = self._features.next()
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
         self._lost = begins or self._first_fix.young or searching or prior.sigma_m > LOST_SIGMA_M
-        self._pending = _Attempt(frame.t_s, localizer, future, begins, now)
+        self._pending = Attempt(frame.t_s, localizer, future, begins, now)
         return self._collect(frame.t_s)
 
     def _collect(self, t_s: float) -> MapFix | Rejected | None:
@@ -255,7 +250,7 @@ class Pipeline:
         self._count(attempt.localizer, isinstance(outcome, MapFix))
         return outcome
 
-    def _give_up(self, attempt: _Attempt, t_s: float) -> Rejected:
+    def _give_up(self, attempt: Attempt, t_s: float) -> Rejected:
         """Leave an attempt that has taken too long: what it searches for it will not find."""
         self._pending = None
         if not attempt.future.cancel():
@@ -303,7 +298,7 @@ class Pipeline:
         sigma_m = doubt * max(sigma_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 
-    def _fuse_fix(self, fix: MapFix, attempt: _Attempt) -> MapFix | Rejected:
+    def _fuse_fix(self, fix: MapFix, attempt: Attempt) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
@@ -346,4 +341,6 @@ class Pipeline:
                 return
         off_rad = [event.forward_rad, event.right_rad, event.turned_rad]
         self._R_mount = rotation_from_vector(off_rad) @ self._R_mount
-        self._features, self._odometry = self._recalibrated(self._lens.focal_ratio, self._R_mount)
+        self._mirrored ^= event.mirrored
+        camera = self._lens.focal_ratio, self._R_mount, self._mirrored
+        self._features, self._odometry = self._recalibrated(*camera)

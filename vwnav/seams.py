@@ -88,6 +88,17 @@ class Localizing(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """An image being matched; it `begins` where nothing believed `then` says its place."""
+
+    t_s: float
+    localizer: Localizing
+    future: Future[MapFix | Rejected]
+    begins: bool
+    then: Estimate | None
+
+
 class FeatureChoice:
     """Which localizer comes next: the primary, or the fallback while the primary fails."""
 

@@ -235,8 +235,9 @@ class OdometryMotion:
         slope_covariance: (2, 2).
         relief: one sigma of the heights over that slope of what was seen, trees and houses too, as
             a share of the height; None where the way is too short to tell.
-        tilts_turned: (3,) the same as `tilts_along` of a camera that is turned on its mount by 90,
-            180 and 270 degrees from how it is told to hang, clockwise as seen from above.
+        tilts_turned: (5,) the same as `tilts_along` of a camera that is turned on its mount by 90,
+            180 and 270 degrees from how it is told to hang, clockwise as seen from above; of one
+            whose images are mirrored left to right, and is turned by 0 and 90 degrees besides.
     """
 
     t0_s: float

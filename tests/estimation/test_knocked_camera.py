@@ -53,18 +53,19 @@ def told_level(has_gyro: bool = True, jump_rad: float = 0.0) -> AttitudeHistory:
 
 
 LEVEL = told_level()
+MIRROR = np.array([-1.0, 1.0])  # of a turn seen heading north in an image mirrored left to right
 
 
 def shown(t_s: float, tilt_rad: np.ndarray, seen_rad: np.ndarray, sigma_rad: float):
     """A way whose attitudes tell a tilt (2,), and whose image shows another.
 
     What `ground_motion.tilt_seen` makes of it: logarithms of N(z; Rz(-a) w, V) / N(z; 0, V) for
-    a of 0, 90, 180 and 270 degrees.
+    a of 0, 90, 180 and 270 degrees, and of N(z; S Rz(-a) w, V) / N(z; 0, V) for 0 and 90.
     """
     ratios = []
-    for quarters in range(4):
+    for quarters, mirror in ((0, 1.0), (1, 1.0), (2, 1.0), (3, 1.0), (0, MIRROR), (1, MIRROR)):
         c, s = math.cos(0.5 * math.pi * quarters), math.sin(0.5 * math.pi * quarters)
-        w = np.array([[c, s], [-s, c]]) @ tilt_rad
+        w = mirror * (np.array([[c, s], [-s, c]]) @ tilt_rad)
         ratios.append(float(w @ seen_rad - 0.5 * w @ w) / sigma_rad**2)
     return OdometryMotion(
         t_s - 0.1, t_s, np.zeros(3), np.eye(3), 0.0, 0.01, 30.0, 99,
@@ -80,6 +81,7 @@ def turns_told(seed: int, seen_of, sigma_rad=0.01, seconds=60.0, had_fix=False) 
         seen_rad = seen_of(tilt_rad, told[-1]) + sigma_rad * rng.normal(size=2)
         turn = check.turned(shown(0.1 * i, tilt_rad, seen_rad, sigma_rad), AGREES, had_fix)
         if turn is not None:
+            assert not turn.mirrored
             told.append(told[-1] + turn.turned_rad)
     return told[1:]
 
@@ -114,6 +116,33 @@ def test_a_turn_of_8_degrees_the_least_of_those_is_told_in_nearly_all_draws():
     turns_deg = [math.degrees(each[-1]) for each in told if each]
     assert len(turns_deg) >= 38
     assert turns_deg == pytest.approx([8.0] * len(turns_deg), abs=7.0)
+
+
+@given(st.sampled_from([0.0, 40.0, 90.0, 135.0, 180.0, -90.0]), st.booleans(), st.booleans(), SEEDS)
+def test_mirrored_images_are_told_once_it_tilts_about_both_axes_and_how_the_camera_hangs(
+    degrees, had_fix, breaks, seed
+):
+    """After a fix only where an image could not be followed.
+
+    For the first 3 s it tilts about one axis: then they show what those of a camera show that is
+    turned, and that is told; it is put right later.
+    """
+    rng, check, told = np.random.default_rng(seed), MountCheck(True, LEVEL), []
+    if breaks:
+        check.broke(0.0)
+    for i in range(90):
+        tilt_rad = 0.03 * rng.normal(size=2) * (1.0, 0.0 if i < 30 else 1.0)
+        mirrored = any(turn.mirrored for turn in told)
+        off_rad = math.radians(degrees) - sum(turn.turned_rad for turn in told)
+        c, s = math.cos(off_rad), math.sin(off_rad)
+        seen_rad = (1.0 if mirrored else MIRROR) * (np.array([[c, s], [-s, c]]) @ tilt_rad)
+        seen_rad += 0.01 * rng.normal(size=2)
+        turn = check.turned(shown(0.1 * i, tilt_rad, seen_rad, 0.01), AGREES, had_fix)
+        told += [] if turn is None else [turn]
+        assert i >= 30 or not mirrored
+    assert sum(turn.mirrored for turn in told) == (1 if breaks or not had_fix else 0)
+    if breaks or not had_fix:
+        assert abs(wrap_pi(off_rad)) < 3.0 * told[-1].sigma_turned_rad
 
 
 @given(st.floats(-3.0, 3.0), SEEDS)

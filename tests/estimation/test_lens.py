@@ -12,10 +12,11 @@ from vwnav.estimation.beginning.other_camera import LENS_DOUBT, apply_lens_doubt
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.events import Recalibrated
+from vwnav.estimation.events import CameraReturned, Recalibrated
+from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
 from vwnav.estimation.inputs import decode, encode
 from vwnav.estimation.states import FilterState, RangeTrust, States, TrustedPosition
-from vwnav.types import Estimate, MapFix
+from vwnav.types import Attitude, Estimate, Height, ImuSample, MapFix, OdometryMotion
 
 SEEDS = st.integers(0, 2**32 - 1)
 CLIMB_M = np.arange(22.0, 48.0, 1.2)
@@ -181,6 +182,42 @@ def test_a_lens_that_is_doubted_opens_what_its_ways_have_told():
     assert after.P[north, focal] == pytest.approx(10.0 * LENS_DOUBT**2)
     assert np.diag(after.P)[States.POSITION_NE] == pytest.approx([4.0, 0.64], rel=0.01)
     assert np.linalg.eigvalsh(after.P).min() > -1e-12
+
+
+@given(st.sampled_from([0.6, 0.75, 1.0, 1.1, 1.3, 1.75]), SEEDS)
+def test_ways_tell_the_focal_length_of_a_camera_that_was_gone_and_velocity_and_place_stay(
+    focal_ratio, seed
+):
+    """At 8 m/s, without a fix since."""
+    rng, level = np.random.default_rng(seed), np.array([1.0, 0.0, 0.0, 0.0])
+    ekf = Ekf(EkfConfig())
+    place_m, velocity_m_s = np.array([0.0, 0.0, -50.0]), np.array([8.0, 0.0, 0.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=place_m, agl_m=50.0, sigma_velocity_m_s=10.0))
+    check = LensCheck(is_open=True)
+    for i in range(1, 81):
+        t_s, at_rest = 0.1 * i, np.array([0.0, 0.0, -GRAVITY_M_S2])
+        for felt_s in (t_s - 0.09 + 0.01 * np.arange(10)).tolist():
+            ekf.handle(Attitude(felt_s, level))
+            ekf.handle(ImuSample(felt_s, at_rest, np.zeros(3)))
+        ekf.handle(Height(t_s, 50.0))
+        if i == 41:
+            check.ask_again()
+            assert ekf.handle(CameraReturned(t_s)).accepted
+        way_m = (1.0 if i <= 40 else focal_ratio) * 0.1 * velocity_m_s + 0.02 * rng.normal(size=3)
+        ekf.handle(OdometryMotion(t_s - 0.1, t_s, way_m, 4e-4 * np.eye(3), 0.0, 0.01, 50.0, 80))
+    assert ekf.state is not None
+    assert check.told_by_ways(ekf.state) is (focal_ratio != 1.0)
+    assert check.focal_ratio == pytest.approx(focal_ratio, rel=0.12)
+    assert ekf.state.x[States.VELOCITY] == pytest.approx(velocity_m_s, abs=0.9)
+
+
+def test_only_a_camera_that_may_be_asked_is_asked_again():
+    for is_open in (True, False):
+        check = LensCheck(is_open)
+        climbed(check, CLIMB_M)
+        assert not check.is_open
+        check.ask_again()
+        assert check.is_open is is_open
 
 
 def test_a_filter_that_is_told_of_another_camera_is_open_to_it_and_remembers_being_told():

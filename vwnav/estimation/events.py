@@ -76,6 +76,7 @@ class Recalibrated:
             from above.
         forward_rad, right_rad: by how much it is tilted for that, about the body's axes.
         knocked: it has turned just then; else it was so from the start, or nobody knows since when.
+        mirrored: they are left to right, or not any more: taken the other way round from then on.
     """
 
     t_s: float
@@ -84,6 +85,7 @@ class Recalibrated:
     forward_rad: float = 0.0
     right_rad: float = 0.0
     knocked: bool = False
+    mirrored: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +109,13 @@ class Misled:
 
     t_s: float
     since_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraReturned:
+    """It had shown nothing for a while: its driver may have begun anew, in another mode."""
+
+    t_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +151,24 @@ class RangeDoubted:
     drawn_m: float
 
 
-Told = NedFix | Height | Range | Stationary | Displacement | Exposed | Untracked | Recalibrated
+Told = (
+    NedFix
+    | Height
+    | Range
+    | Stationary
+    | Displacement
+    | Exposed
+    | Untracked
+    | Recalibrated
+    | CameraReturned
+)
 Event = (
     Told
     | NewKeyframe
     | LateFix
     | Drag
     | Misled
+    | CameraReturned
     | LensDoubted
     | MountDoubted
     | MapStepped

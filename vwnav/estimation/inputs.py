@@ -13,7 +13,7 @@ import numpy as np
 
 from vwnav.errors import SourceError
 from vwnav.estimation.beginning.starts import Start
-from vwnav.estimation.events import Exposed, NedFix, Recalibrated, Untracked
+from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
 from vwnav.types import (
     Array,
     Attitude,
@@ -34,13 +34,16 @@ class Asked:
     t_s: float
 
 
-Measurement = Telemetry | NedFix | OdometryMotion | Exposed | Untracked | Recalibrated
+Measurement = (
+    Telemetry | NedFix | OdometryMotion | Exposed | Untracked | Recalibrated | CameraReturned
+)
 Input = Start | Measurement | Asked
 
 _KINDS: dict[str, type[Input]] = {
     "start": Start, "attitude": Attitude, "imu": ImuSample, "height": Height, "range": Range,
     "stationary": Stationary, "fix": NedFix, "odometry": OdometryMotion, "asked": Asked,
     "exposed": Exposed, "untracked": Untracked, "recalibrated": Recalibrated,
+    "camera_returned": CameraReturned,
 }  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

@@ -15,19 +15,19 @@ import bisect
 import math
 from collections import deque
 from dataclasses import replace
+from operator import attrgetter
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vwnav.estimation.beginning.lens import may_be_the_lens
-from vwnav.estimation.beginning.mount import LEAST_TURN_RAD, KnockCheck
+from vwnav.estimation.beginning.mount import LEAST_SURE, OVERSTATED, KnockCheck, hangs
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import DATE_OFF_S
 from vwnav.estimation.events import Displacement, Event, NewKeyframe, Recalibrated
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.odometry import between
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
-from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _HARD_LEAN = 0.25  # tangent; of less the along part is within what odometry says of itself
@@ -48,20 +48,12 @@ _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most, and those of one keyframe
 _SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
-# Of a mount, after a fix: what a compass errs by at most.
-_MOST_TURN_RAD = math.radians(45.0)
-_SURE_TURN, _SURE_AGAIN = 6.0, 2.0  # log-likelihood ratio to as told: 3.5 sigmas; then 2
-_SHOWN = 0.7  # of what the attitudes tell: images of another moment show as much by chance only
-_LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
 _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
-_OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
 _MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than is asked for
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
-_QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
-_TURN_DOUBT = 0.3  # one sigma of a turn told by tilts, as a share of it; of a quarter:
-_QUARTER_DOUBT_RAD = math.radians(8.0)
 _FRESH_S = 10.0  # after an image that could not be followed
-_JUDGED = (Verdict.FUSED, Verdict.GATED)  # of a way that was held against the IMU
+_VERDICT = attrgetter("verdict")
+_JUDGED = (Verdict.FUSED, Verdict.GATED, Verdict.DISTRUSTED)  # held against the IMU
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
 _AGREES = "the pictures' ways agree with the IMU again"
@@ -279,11 +271,10 @@ class MountCheck:
     def __init__(self, is_open: bool, attitudes: AttitudeHistory) -> None:
         """`is_open`: it has to be asked. `attitudes` as they are believed."""
         self._is_open = is_open
-        self._turns = 0
+        self._turns, self._distrusted = 0, False
         self._knocks = KnockCheck(attitudes)
         self._broke_s = -math.inf  # when an image could not be followed
-        # From the start, and since it broke: sums of z.w / V, z x w / V, w.w / V and of the time
-        self._tilts = np.zeros((2, 4))
+        self._tilts = np.zeros((2, 6))  # from the start, and since it broke: sums, as `hangs` asks
         self._tilted_s = math.inf
         self._keyframe_s, self._left = -math.inf, _MOST_OF_ONE
 
@@ -297,7 +288,8 @@ class MountCheck:
     ) -> Recalibrated | None:
         """How it is known to be turned, with one more image; None while it is not, or as told.
 
-        Pictures of another moment tilt this way and that: those are asked that are believed.
+        Pictures of another moment tilt this way and that: those are asked that are believed. That
+        they are mirrored is why none is, perhaps.
 
         Args:
             motion: by which it moved.
@@ -306,45 +298,48 @@ class MountCheck:
         """
         if not self._is_open or self._turns == _MOST_TURNS:
             return None
-        agrees = all(each.verdict is Verdict.FUSED for each in (told, *told.parts))
+        agrees = {told.verdict, *map(_VERDICT, told.parts)} == {Verdict.FUSED}
         asked = self._knocks.knock is not None or not agrees
         found = self._knocks.turned(motion, told) if asked else None
         tilts = motion.tilts_turned
         tells = told.verdict in _JUDGED and motion.agl_m >= _TELLS_FROM_M
         if found is None and tells and tilts is not None:
+            distrusted = told.verdict is Verdict.DISTRUSTED
+            if self._distrusted and not distrusted:
+                self._tilts[:] = 0.0
+            self._distrusted = distrusted
             found = self._tilted(motion, tilts, had_fix)
+            if distrusted and found is not None and not found.mirrored:
+                return None
         if found is not None:
             self._tilts[:] = 0.0
             self._turns += 1
         return found
 
     def _tilted(self, motion: OdometryMotion, tilts: Array, had_fix: bool) -> Recalibrated | None:
-        """By how much images tilt otherwise than the aircraft, `tilts` (3,) as odometry has it."""
-        quarter, half, three = tilts.tolist()
+        """How images tilt otherwise than the aircraft, `tilts` (5,) as odometry has it."""
+        quarter, half, three = tilts[:3].tolist()
         tilted = -(motion.tilts_along + half)
-        along = tilted + (0.5 * (motion.tilts_along - half) - tilted) / _OVERSTATED
-        across = 0.5 * (quarter - three) / _OVERSTATED
+        along = tilted + (0.5 * (motion.tilts_along - half) - tilted) / OVERSTATED
+        across = 0.5 * (quarter - three) / OVERSTATED
+        mirrored = (tilts[3:] + 0.5 * tilted) / OVERSTATED
         weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
         if motion.t0_s != self._keyframe_s:
             self._keyframe_s, self._left = motion.t0_s, _MOST_OF_ONE
         share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE, self._left)
         self._tilted_s, self._left = motion.t1_s, self._left - share
-        self._tilts += share * np.array([*(weight * np.array([along, across, tilted])), _APART_S])
+        said = weight * np.array([along, across, *mirrored, tilted])
+        self._tilts += share * np.array([*said, _APART_S])
         is_fresh = had_fix and motion.t1_s < self._broke_s + _FRESH_S
         for knocked in (True, False) if is_fresh else (False,):
-            along, across, tilted, seen_s = self._tilts[int(knocked)].tolist()
-            shown, turned_rad = math.hypot(along, across), math.atan2(across, along)
-            is_quarter = abs(turned_rad) > _MOST_TURN_RAD
-            sure = _SURE_AGAIN if self._turns and not knocked else _SURE_TURN
-            least_s = _LEAST_LIFTING_S if is_quarter or knocked else _LEAST_TILTED_S
-            if shown - along < sure or shown < _SHOWN * tilted or seen_s < least_s:
-                continue
-            if abs(turned_rad) < LEAST_TURN_RAD or (is_quarter and had_fix and not knocked):
-                continue
-            quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
-            sigma_rad = _TURN_DOUBT * abs(turned_rad)
-            if is_quarter and abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
-                turned_rad, sigma_rad = wrap_pi(quarter_rad), _QUARTER_DOUBT_RAD
-            since_s = self._broke_s if knocked else motion.t1_s
-            return Recalibrated(since_s, turned_rad, sigma_rad, knocked=knocked)
+            along, across, *mirrored, told, _ = sums = self._tilts[int(knocked)].tolist()
+            turned = math.hypot(along, across) - along
+            likelier = math.hypot(*mirrored) - math.hypot(
+                along - told * (1.0 - 1.0 / OVERSTATED), across
+            )
+            if max(turned, likelier) >= LEAST_SURE:
+                since_s = self._broke_s if knocked else motion.t1_s
+                found = hangs(sums, since_s, knocked, had_fix, again=self._turns > 0)
+                if found is not None:
+                    return found
         return None

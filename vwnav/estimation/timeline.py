@@ -14,6 +14,7 @@ import numpy as np
 
 from vwnav.estimation.beginning.map_error import LOOK_M
 from vwnav.estimation.beginning.other_camera import (
+    apply_camera_returned,
     apply_lens_doubted,
     apply_mount_doubted,
     apply_recalibrated,
@@ -22,6 +23,7 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context
 from vwnav.estimation.disputes import learned_of_map, map_stepped, range_doubted
 from vwnav.estimation.events import (
+    CameraReturned,
     Displacement,
     Drag,
     Event,
@@ -57,8 +59,9 @@ _LARGEST_RANGE_M = 1e5  # no rangefinder sees further
 # Order of events at the same time; clones are last, so that they copy what others left, and what
 # was seen then was seen by the camera of before.
 _ORDER: tuple[type[Event], ...] = (
-    Misled, LensDoubted, MountDoubted, MapStepped, RangeDoubted, Untracked, LateFix, Stationary,
-    Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed, Recalibrated,
+    Misled, CameraReturned, LensDoubted, MountDoubted, MapStepped, RangeDoubted, Untracked,
+    LateFix, Stationary, Height, Range, NedFix, Displacement, Drag, NewKeyframe, Exposed,
+    Recalibrated,
 )  # fmt: skip
 _RANKS = {kind: rank for rank, kind in enumerate(_ORDER)}
 
@@ -241,6 +244,8 @@ def _corrected(
             return apply_mount_doubted(state, yaw_rad), Innovation(Verdict.FUSED)
         case MapStepped(_, by_m):
             return map_stepped(state, by_m), Innovation(Verdict.FUSED)
+        case CameraReturned():
+            return apply_camera_returned(state), Innovation(Verdict.FUSED)
         case LensDoubted():
             return apply_lens_doubted(state), Innovation(Verdict.FUSED)
         case NewKeyframe():

@@ -51,8 +51,14 @@ def _mount(scenario: Scenario) -> bool:
     return hangs_off or _shows(scenario, camera.upside_down, camera.mirrored)
 
 
+def _driver(scenario: Scenario) -> bool:
+    return _shows(scenario, camera.mirrored)
+
+
 def _lens(scenario: Scenario) -> bool:
-    return scenario.setup.lens_ratio != 1.0 or _shows(scenario, camera.another_size)
+    return scenario.setup.lens_ratio != 1.0 or _shows(
+        scenario, camera.another_size, camera.cropped, camera.stabilised
+    )
 
 
 def _compass(scenario: Scenario) -> bool:
@@ -82,6 +88,7 @@ def _map(scenario: Scenario) -> bool:
 _BLAMES = (
     _Blame("map", "the map steps", _map),
     _Blame("mount", "mount_rpy_deg", _mount),
+    _Blame("driver", "mirrors its pictures", _driver),
     _Blame("lens", "as wide as its calibration", _lens),
     _Blame("compass", "calibrate its compass", _compass),
     _Blame("rangefinder", "rangefinder contradicts", _heights),

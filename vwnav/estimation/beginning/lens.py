@@ -7,6 +7,8 @@ the barometer cannot mean; fixes that are found there are too high, or too low, 
 every height of the climb. What is wrong by as many metres at every height is the ground, or woods;
 a rangefinder sees the same ground as the camera does, and rules that out.
 
+A camera that was gone may come back in another mode, with the same size of its images.
+
 Before that ways may have contradicted the IMU. Then the filter learns the focal length from them
 (`OdometryGate.lens_doubted`), to some percent.
 """
@@ -28,6 +30,7 @@ _AGREEING = 3  # ... and so many in a row end the question
 _OFF = 0.14  # less cold air does to a barometer
 _OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
 _OFF_BY_WAYS, _SURE_BY_WAYS = 0.06, 0.05  # share, and one sigma of it, that is worth a new camera
+_SIGMAS_BY_WAYS = 3.0
 _MOST_RATIO = 2.0  # of a focal length to that of its calibration: more is something else
 _LEAST, _MOST = 4, 24  # fixes that are off
 # By a ratio that far, as low over woods, more of them: of 4, one climb in 1200 made a lens.
@@ -60,13 +63,18 @@ class LensCheck:
     """
 
     def __init__(self, is_open: bool) -> None:
-        self.is_open = is_open
+        self.is_open = self._may_ask = is_open
         self.least_agl_ratio = _LEAST_RATIO
         self.focal_ratio = 1.0
         self._by_ways = False
         self._misses = self._agreeing = 0
         self._off: list[_Heights] = []
         self._newest = _Heights(math.nan, math.nan, 0.0)
+
+    def ask_again(self) -> None:
+        """The camera was gone: it may have come back in another mode."""
+        self.is_open, self._misses, self._agreeing = self._may_ask, 0, 0
+        self._off.clear()
 
     def missed(self) -> None:
         """A look gave no fix; after some other heights are looked at."""
@@ -121,7 +129,7 @@ class LensCheck:
     def told_by_ways(self, state: FilterState) -> bool:
         """Whether the filter has learned that the focal length is another; fixes will tell more."""
         off, sigma = float(state.x[States.FOCAL]), math.sqrt(state.P[States.FOCAL, States.FOCAL])
-        if abs(off) < _OFF_BY_WAYS or sigma > _SURE_BY_WAYS:
+        if abs(off) < max(_OFF_BY_WAYS, _SIGMAS_BY_WAYS * sigma) or sigma > _SURE_BY_WAYS:
             return False
         taken = self._takes(1.0 - off)
         if taken:

@@ -6,6 +6,7 @@ mount by 8 degrees in flight it was refused for some seconds, and then believed 
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,6 +23,16 @@ _NEWS_S = 1.0  # images before it have shown nothing
 _JUMPED_RAD = math.radians(3.0)  # what a gyro does not explain
 LEAST_TILT_RAD = math.radians(4.0)  # that is worth a new camera, and doubting a mount
 _TILT_SIGMA_RAD, _TILT_SIGMAS = math.radians(0.8), 5.0
+# Of what tilting shows. After a fix: what a compass errs by at most.
+_MOST_TURN_RAD = math.radians(45.0)
+_SURE, LEAST_SURE = 6.0, 2.0  # log-likelihood ratio to as told: 3.5 sigmas; once it was told, 2
+OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
+# Of what the attitudes tell: images of another moment show less, of ground that repeats far more.
+_LEAST_SHOWN, _MOST_SHOWN = 0.7, 1.5
+_LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
+_QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
+_TURN_DOUBT = 0.3  # one sigma of a turn told by tilts, as a share of it; of a quarter:
+_QUARTER_DOUBT_RAD = math.radians(8.0)
 
 
 class KnockCheck:
@@ -76,6 +87,58 @@ class KnockCheck:
             max(motion.t0_s, motion.t1_s - _NEWS_S), motion.t1_s
         )
         return jumped_rad is not None and jumped_rad < _JUMPED_RAD
+
+
+def hangs(
+    sums: Sequence[float], t_s: float, knocked: bool, had_fix: bool, again: bool
+) -> Recalibrated | None:
+    """How a camera hangs by how its images tilt; as told, or not sure: None.
+
+    Mirrored images show the same as those of a camera that is turned, as long as the aircraft tilts
+    about one axis. A turn is told first, for an image upside down costs a take-off; mirrored images
+    have to be likelier by as much as that, and a second turn likelier than they.
+
+    Args:
+        sums: over its images, of the terms of `MountCheck`: z.w and z x w, what they overstate
+            taken out of z - w; S z.w and S z x w, as much smaller (S: `ground_motion.tilt_seen`);
+            w.w; and of the time in seconds.
+        t_s: from when on it hangs so.
+        knocked: the images are those since one could not be followed.
+        had_fix: a map fix has been believed.
+        again: it was told before, and this is to put it right.
+    """
+    along, across, mirror_along, mirror_across, told, seen_s = sums
+    shown, mirrored = math.hypot(along, across), math.hypot(mirror_along, mirror_across)
+    stated = math.hypot(along - told * (1.0 - 1.0 / OVERSTATED), across)  # as S z.w is
+    can_be = knocked or not had_fix
+    if mirrored - stated >= _SURE and can_be:
+        repeats = knocked and mirrored > _MOST_SHOWN * told
+        if mirrored < _LEAST_SHOWN * told or repeats or seen_s < _LEAST_LIFTING_S:
+            return None
+        turned_rad, sigma_rad = _snapped(math.atan2(mirror_across, mirror_along), mirrored)
+        return Recalibrated(t_s, turned_rad, sigma_rad, knocked=knocked, mirrored=True)
+    turned_rad = math.atan2(across, along)
+    is_quarter = abs(turned_rad) > _MOST_TURN_RAD
+    least_s = _LEAST_LIFTING_S if is_quarter or knocked else _LEAST_TILTED_S
+    sure = LEAST_SURE if again and not knocked else _SURE
+    if shown - along < sure or shown < _LEAST_SHOWN * told:
+        return None
+    if seen_s < least_s or (again and can_be and stated - mirrored < sure):
+        return None
+    if abs(turned_rad) < LEAST_TURN_RAD or (is_quarter and had_fix and not knocked):
+        return None
+    sigma_rad = _TURN_DOUBT * abs(turned_rad)
+    if is_quarter:
+        turned_rad, sigma_rad = _snapped(turned_rad, shown)
+    return Recalibrated(t_s, turned_rad, sigma_rad, knocked=knocked)
+
+
+def _snapped(turned_rad: float, shown: float) -> tuple[float, float]:
+    """To the quarter that it is near by what was shown of it, for so it is put on; its sigma."""
+    quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
+    if abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
+        return wrap_pi(quarter_rad), _QUARTER_DOUBT_RAD
+    return turned_rad, _TURN_DOUBT * abs(turned_rad)
 
 
 def tilted(state: FilterState) -> Recalibrated | None:

@@ -15,7 +15,16 @@ from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array
 
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
+_RETURNED_DOUBT = 0.3  # the same of one that was gone
 _TILT_DOUBT_RAD = 0.12  # per axis, of a mount that may hang otherwise
+
+
+def apply_camera_returned(state: FilterState) -> FilterState:
+    """Open the focal length; what ways have told so far was right.
+
+    A camera that had come back with 1.3 times the focal length cost the aircraft 90 m, 10 sigmas.
+    """
+    return freed(state, States.FOCAL, _RETURNED_DOUBT)
 
 
 def apply_lens_doubted(state: FilterState) -> FilterState:
@@ -36,7 +45,7 @@ def apply_recalibrated(state: FilterState, event: Recalibrated, config: EkfConfi
 
     Of the mount, as far as the event says; else of the focal length.
     """
-    if event.turned_rad != 0.0:
+    if event.mirrored or event.turned_rad != 0.0:
         return _turned(state, event, config)
     if event.forward_rad == event.right_rad == 0.0:
         return _refocused(state)
@@ -65,8 +74,11 @@ def _turned(state: FilterState, event: Recalibrated, config: EkfConfig) -> Filte
     x, P = state.x.copy(), state.P
     if not event.knocked:
         state = apply_misled(state, Misled(state.t_s, state.t_s), config)
-        G = _told_by_ways(state, event.turned_rad * QUARTER_TURN)
-        x, P = state.x.copy(), state.P + np.outer(G, G)
+        # A mirror turns a way by twice its angle to the mirror, whatever that is.
+        all_round, turned = [np.eye(2), QUARTER_TURN], [event.turned_rad * QUARTER_TURN]
+        changes = all_round if event.mirrored else turned
+        told = [_told_by_ways(state, change) for change in changes]
+        x, P = state.x.copy(), state.P + sum(np.outer(G, G) for G in told)
     # How the camera hangs is known as well as the event says; what images showed of the heading, as
     # well as before: its error is that of the turn, the other way.
     G = np.eye(States.SIZE)

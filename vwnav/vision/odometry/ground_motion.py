@@ -276,7 +276,7 @@ class TiltSeen:
     turned: Array | None = None
 
 
-def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) -> TiltSeen:
+def tilt_seen(motion: Motion, prior: MotionPrior, R0: Array, R1: Array) -> TiltSeen:
     """How a fit's own word on tilting stands to what the attitudes tell.
 
     That is w, the turn of the optical axis about north and east, in the heading that the image
@@ -284,14 +284,17 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     attitudes' own taken out of its posterior N(m, c), the image says m / k, uncertain by c / k,
     with k = 1 - c / s^2. So it shows w + m / k, and the logarithm of
     N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is (m.w + k w.w / 2) / s^2.
-    A camera that is turned by a shows the turn v = Rz(-a) w: (m.v + k (w.v - w.w / 2)) / s^2.
+    A camera that is turned by a shows the turn v = Rz(-a) w: (m.v + k (w.v - w.w / 2)) / s^2. Where
+    its images are mirrored it shows S v, S = 2 r r' - I with r the image's right over the ground:
+    the axis of a turn is a pseudovector.
 
     Args:
         motion: what was fitted.
         prior: with which.
-        axis0: (3,) optical axis in NED of the keyframe.
-        axis1: (3,) the same of the image, both as their attitudes have it.
+        R0: (3, 3) R_ned_camera of the keyframe.
+        R1: (3, 3) the same of the image, both as their attitudes have it.
     """
+    axis0, axis1, (right_n, right_e, _) = R0[:, 2], R1[:, 2], R0[:, 0].tolist()
     c, s = math.cos(motion.turn_rad[2]), math.sin(motion.turn_rad[2])
     east, north = s * axis1[0] + c * axis1[1], c * axis1[0] - s * axis1[1]
     told_rad = np.cross(axis0, [north, east, axis1[2]])[:2]
@@ -299,7 +302,10 @@ def tilt_seen(motion: Motion, prior: MotionPrior, axis0: Array, axis1: Array) ->
     along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
     k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)
     north, east = told_rad.tolist()
-    shown_rad = np.array([[north, east], [east, -north], [-north, -east], [-east, north]])
+    turns_rad = np.array([[north, east], [east, -north], [-north, -east], [-east, north]])
+    back, across = right_n**2 - right_e**2, 2.0 * right_n * right_e
+    mirror = np.array([[back, across], [across, -back]]) / (right_n**2 + right_e**2)
+    shown_rad = np.concatenate([turns_rad, turns_rad[:2] @ mirror])
     seen_rad = motion.turn_rad[:2] + k * told_rad
     ratios = (shown_rad @ seen_rad - 0.5 * k * told_rad @ told_rad) / variance
     return TiltSeen(min(float(along) / variance, 1.0), float(ratios[0]), ratios[1:])

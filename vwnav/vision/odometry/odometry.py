@@ -243,8 +243,8 @@ class Odometry:
         sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
         if not (sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM):
             return Rejected(view.t_s, RejectReason.GEOMETRY, "points hang together", stats=stats)
-        axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
-        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, *axes)
+        attitudes = keyframe.view.R_ned_camera, view.R_ned_camera
+        tilt = TiltSeen() if self._alone else tilt_seen(motion, prior, *attitudes)
         unsure = replace(motion, covariance=motion.doubt * motion.covariance)
         slope = None if self._alone else motion.told_slope
         return self._accept(keyframe, view, unsure, count, tilt, slope)

@@ -21,8 +21,7 @@ _DARK, _DARK_NOISE = 3.0, 1.5
 _SUN_PX, _VEIL = 0.35, 90.0  # radius of the glare as a share of the height; grey levels about it
 _BLUR_PX = 4.0
 _BURST, _AFTER = 8, 12  # images lost, images that come
-_LOOP = 10  # images of a buffer that is shown again and again
-_PATCH_PX = 40
+_LOOP, _PATCH_PX = 10, 40  # images of a buffer that is shown again and again; ground that repeats
 _GEAR = ((0.08, 0.0, 0.09, 1.0), (0.84, 0.0, 0.09, 1.0), (0.0, 0.9, 1.0, 0.1))  # u, v, w, h: shares
 _DROPS, _DROP_PX, _DROP_BLUR_PX, _DROP_GREY = 25, (0.02, 0.06), 15.0, 110.0
 _DUSK, _DUSK_GREY, _DUSK_NOISE = 0.1, 4.0, 2.5  # of the light, and what the sensor adds
@@ -191,6 +190,25 @@ def mirrored() -> Trouble:
 def upside_down() -> Trouble:
     """The camera is mounted the other way round."""
     return _each(lambda image: np.ascontiguousarray(image[::-1, ::-1]))
+
+
+def cropped() -> Trouble:
+    """A mode that reads the middle of the sensor: 1.7 times the focal length."""
+    return _zoomed(1.7)
+
+
+def stabilised() -> Trouble:
+    """A driver's stabiliser keeps a margin: 1.1 times the focal length."""
+    return _zoomed(1.1)
+
+
+def _zoomed(ratio: float) -> Trouble:
+    def zoom(image: Image) -> Image:
+        h, w = image.shape[:2]
+        grows = cv2.getRotationMatrix2D((0.5 * (w - 1), 0.5 * (h - 1)), 0.0, ratio)
+        return np.asarray(cv2.warpAffine(image, grows, (w, h)), np.uint8)
+
+    return _each(zoom)
 
 
 def another_size() -> Trouble:

@@ -75,9 +75,29 @@ MOUNTED = [
         name="camera with a mirrored picture",
         setup=setup(None),
         breaks=(Break(fault=broken.CameraTrouble(broken.mirrored), at_s=0.0),),
-        limit_s=140.0,
-        follows=(said(40.0, "contradicts the IMU"), down(80.0)),
-        lands_within_m=20.0,
+        limit_s=260.0,
+        follows=(said(40.0, "mirrors its pictures"),),
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
+    *(
+        Scenario(
+            name=f"camera gone for 2 s, and then its pictures {how}",
+            setup=setup(),
+            breaks=(
+                Break(fault=broken.CameraTrouble(broken.no_images), at_s=BREAKS_AT_S, for_s=2.0),
+                Break(fault=broken.CameraTrouble(make), at_s=BREAKS_AT_S + 2.0),
+            ),
+            limit_s=50.0,
+            ending=Ending.FLIES_ON,
+            follows=(said(6.0, words),),
+        )
+        for how, make, words in (
+            ("mirrored", broken.mirrored, "mirrors its pictures"),
+            ("upside down", broken.upside_down, "hangs turned by 180 degrees"),
+            ("of another mode", broken.cropped, "times as wide as its calibration"),
+            ("stabilised", broken.stabilised, "times as wide as its calibration"),
+        )
     ),
     Scenario(
         name="camera mounted upside down",
