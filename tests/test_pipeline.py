@@ -167,10 +167,10 @@ def make_pipeline(
         said_here = said if said is not None else []
         return FeatureChoice(primary, fallback, config, said_here.append)
 
-    def made_anew(focal_ratio, R_mount, mirrored):
+    def made_anew(camera):
         turned = odometry or NoOdometry()
-        turned.known_rad = euler_from_rotation(R_mount)[2]
-        return choose(recalibrated(focal_ratio)), turned
+        turned.known_rad = euler_from_rotation(np.reshape(camera.R_mount, (3, 3)))[2]
+        return choose(recalibrated(camera.focal_ratio)), turned
 
     ekf = Ekf(ekf_config or EkfConfig())
     if start is not None:

@@ -21,6 +21,7 @@ from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About
 from vwnav.seams import FeatureChoice
 from vwnav.types import Array, FeatureExtractor, PointKind
+from vwnav.vehicle import FoundCamera
 from vwnav.vision.config import FeaturesConfig, LocalizerConfig
 from vwnav.vision.features.load import largest_view, load_chosen, load_features
 from vwnav.vision.localizer import Localizer
@@ -121,14 +122,13 @@ def assemble(
         choice = FeatureChoice(first, others[0] if others else None, config.pipeline, say)
         return choice, Odometry(camera, config.odometry, alone)
 
-    def recalibrated(
-        focal_ratio: float, R_mount: Array, mirrored: bool
-    ) -> tuple[FeatureChoice, Odometry]:
-        found = [_MIRRORED] if mirrored else []
-        found += [*_lens_in_words(focal_ratio), *_mount_in_words(R_mount)]
+    def recalibrated(other: FoundCamera) -> tuple[FeatureChoice, Odometry]:
+        R_mount = np.reshape(other.R_mount, (3, 3))
+        found = [_MIRRORED] if other.mirrored else []
+        found += [*_lens_in_words(other.focal_ratio), *_mount_in_words(R_mount)]
         say(_RECALIBRATED.format(" and ".join(found)) if found else _AFTER_ALL)
         K = camera.K.copy()
-        K[:2, :2] *= focal_ratio
+        K[:2, :2] *= other.focal_ratio
         return of_camera(replace(camera, K=K, R_body_camera=R_mount @ camera.R_body_camera))
 
     ekf = make_ekf(config.ekf, ground_of(pack, local_frame))

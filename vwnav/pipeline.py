@@ -18,8 +18,9 @@ import numpy as np
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
+from vwnav.estimation.beginning.other_camera import found_by
 from vwnav.estimation.beginning.sequences import Sequences
-from vwnav.estimation.beginning.starts import left_by
+from vwnav.estimation.beginning.starts import Start, left_by
 from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
@@ -28,7 +29,7 @@ from vwnav.estimation.states import States, Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
-from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, rotation_from_vector
+from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.seams import Attempt, FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
 from vwnav.types import (
     Array,
@@ -42,7 +43,7 @@ from vwnav.types import (
     RejectReason,
     Telemetry,
 )
-from vwnav.vehicle import Learned
+from vwnav.vehicle import FoundCamera, Learned
 
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_PRIOR_SIGMA_M = 3.0
@@ -73,7 +74,7 @@ class Pipeline:
         config: PipelineConfig,
         executor: Executor,
         rolling: bool = False,
-        recalibrated: Callable[[float, Array, bool], tuple[FeatureChoice, Tracking]] | None = None,
+        recalibrated: Callable[[FoundCamera], tuple[FeatureChoice, Tracking]] | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -86,9 +87,8 @@ class Pipeline:
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
-            recalibrated: makes features and odometry anew, for so many times the calibrated focal
-                length, a mount that is turned in the body by a rotation (3, 3), and images that
-                come mirrored, or do not; None where no telemetry could tell of that.
+            recalibrated: makes features and odometry anew for a camera that is not as it was
+                told; None where no telemetry could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
@@ -100,7 +100,7 @@ class Pipeline:
         self._first_fix = FirstFix()
         self._recalibrated, is_open = recalibrated, recalibrated is not None
         self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, ekf.attitudes)
-        self._R_mount, self._mirrored = np.eye(3), False  # beyond what it was told
+        self._camera: FoundCamera | None = None  # where it is not as it was told
         self._sequences, self._lost = Sequences(local_frame), True  # then images are joined
         self._image_s = math.inf
         self.attempts = self.accepted = 0
@@ -113,7 +113,15 @@ class Pipeline:
     def learned(self) -> Learned | None:
         """What another one may begin with, were this one to end."""
         with self._lock:
-            return left_by(self._ekf.state)
+            return left_by(self._ekf.state, self._camera)
+
+    def begin(self, start: Start) -> None:
+        """Begin there, in another one's place perhaps, with the camera that it has found out."""
+        with self._lock:
+            self._ekf.initialise(start)
+        if self._recalibrated and start.learned and (camera := start.learned.camera):
+            self._camera, self._lens.focal_ratio = camera, camera.focal_ratio
+            self._features, self._odometry = self._recalibrated(camera)
 
     def feed(self, measurement: Telemetry) -> None:
         """Take a measurement of the autopilot; the estimate lives on it when images stall."""
@@ -146,7 +154,7 @@ class Pipeline:
             self._lens.ask_again()
             with self._lock:
                 self._ekf.handle(CameraReturned(frame.t_s))
-        if self._mirrored:
+        if self._camera is not None and self._camera.mirrored:
             image = replace(image, image=np.ascontiguousarray(image.image[:, ::-1]))
         self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:
@@ -303,15 +311,12 @@ class Pipeline:
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
         told = NedFix(
-            t_s=fix.t_s,
-            position_ne_m=ned_m[:2],
-            covariance_ne_m2=fix.covariance_ne_m2,
-            yaw_rad=fix.yaw_rad,
-            sigma_yaw_rad=fix.sigma_yaw_rad,
+            t_s=fix.t_s, position_ne_m=ned_m[:2], covariance_ne_m2=fix.covariance_ne_m2,
+            yaw_rad=fix.yaw_rad, sigma_yaw_rad=fix.sigma_yaw_rad,
             agl_m=None if misseen else fix.agl_m,
             sigma_agl_m=None if misseen else fix.sigma_agl_m,
             sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
-        )
+        )  # fmt: skip
         with self._lock:
             if attempt.begins and not self._first_fix.confirmed(fix):
                 once = RejectReason.UNCONFIRMED
@@ -336,11 +341,9 @@ class Pipeline:
         """
         if self._recalibrated is None or event is None:
             return
+        found = found_by(event, self._lens.focal_ratio, self._camera)
         with self._lock:
             if not self._ekf.handle(event).accepted:
                 return
-        off_rad = [event.forward_rad, event.right_rad, event.turned_rad]
-        self._R_mount = rotation_from_vector(off_rad) @ self._R_mount
-        self._mirrored ^= event.mirrored
-        camera = self._lens.focal_ratio, self._R_mount, self._mirrored
-        self._features, self._odometry = self._recalibrated(*camera)
+            self._camera = found  # with the state that it belongs to
+        self._features, self._odometry = self._recalibrated(found)

@@ -7,18 +7,35 @@ from typing import Literal, NamedTuple, Protocol
 from vwnav.types import Array, Attitude, Estimate, Telemetry
 
 
+class FoundCamera(NamedTuple):
+    """What a flight has found out of its camera that its calibration says otherwise.
+
+    Attributes:
+        focal_ratio: of its focal length to the calibrated one.
+        mirrored: its images are, left to right: 1, else 0.
+        R_mount: (9,) rotation in the body from the mount that was told, row by row.
+    """
+
+    focal_ratio: float
+    mirrored: float
+    R_mount: tuple[float, ...]
+
+
 class Learned(NamedTuple):
-    """What a filter has learned of air, IMU and compass, for one that has to go on in its place.
+    """What a navigator has learned, for one that has to go on in its place.
 
     Attributes:
         t_s: when.
-        mean: (n,) of the states that are handed on (`vwnav.estimation.beginning.starts`).
+        mean: (n,) of the filter's states that are handed on: air, IMU, compass, and what is left
+            unsure of the camera (`vwnav.estimation.beginning.starts`); () where they are too few.
         covariance: (n (n + 1) / 2,) theirs, the upper triangle row by row.
+        camera: None where it is as its calibration says.
     """
 
     t_s: float
     mean: tuple[float, ...]
     covariance: tuple[float, ...]
+    camera: FoundCamera | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,15 @@ from scipy.stats import wishart
 
 from vwnav.estimation.beginning.starts import Start, first_state, left_by
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.inputs import decode, encode
+from vwnav.estimation.inputs import decode, encode, learned_of
 from vwnav.estimation.states import States
+from vwnav.vehicle import FoundCamera, Learned
 
 CONFIG = EkfConfig()
 AIR = [*range(37, 42)]  # wind, drag, gusts
-LEFT = [States.HEADING_BIAS, *range(9, 11), *range(19, 22), *AIR]
+MOUNT = [States.CAMERA_TURN, States.FOCAL]
+LEFT = [States.HEADING_BIAS, *range(9, 11), *range(19, 22), *AIR, *MOUNT]
+CAMERA = FoundCamera(0.8, 1.0, tuple(np.eye(3).ravel().tolist()))
 PLACE = np.array([10.0, 20.0, -50.0])
 
 
@@ -36,7 +39,7 @@ def begun(left, since_s: float):
 @given(st.integers(0, 2**32 - 1))
 def test_it_goes_on_with_what_was_learned_and_no_surer(seed):
     state = flown(seed)
-    now = begun(left_by(state), 0.0)
+    now = begun(left_by(state, None), 0.0)
     np.testing.assert_allclose(now.x[LEFT], state.x[LEFT])
     added = now.P[np.ix_(LEFT, LEFT)] - state.P[np.ix_(LEFT, LEFT)]
     assert np.linalg.eigvalsh(added)[0] > -1e-12
@@ -45,7 +48,7 @@ def test_it_goes_on_with_what_was_learned_and_no_surer(seed):
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 30.0), st.floats(0.0, 30.0))
 def test_the_older_it_is_the_less_it_says_of_the_wind(seed, one_s, more_s):
-    left = left_by(flown(seed))
+    left = left_by(flown(seed), CAMERA)
     sooner, later = begun(left, one_s), begun(left, one_s + more_s)
     for state in (sooner, later):
         assert np.linalg.eigvalsh(state.P)[0] > 0.0
@@ -59,13 +62,13 @@ def test_the_older_it_is_the_less_it_says_of_the_wind(seed, one_s, more_s):
 @pytest.mark.parametrize("since_s", [-1.0, 61.0])
 def test_what_is_stale_or_of_another_clock_is_left_out(since_s):
     fresh = begun(None, since_s)
-    stale = begun(left_by(flown(1)), since_s)
+    stale = begun(left_by(flown(1), None), since_s)
     np.testing.assert_array_equal(stale.x, fresh.x)
     np.testing.assert_array_equal(stale.P, fresh.P)
 
 
 def test_what_is_of_another_size_is_left_out():
-    left = left_by(flown(1))
+    left = left_by(flown(1), None)
     assert left is not None
     fresh = begun(None, 0.0)
     np.testing.assert_array_equal(begun(left._replace(mean=left.mean[1:]), 0.0).x, fresh.x)
@@ -75,13 +78,25 @@ def test_who_knows_neither_heading_nor_drag_leaves_nothing():
     state = flown(1)
     P = state.P.copy()
     P[States.DRAG, States.DRAG] = 1.0
-    assert left_by(None) is None
-    assert left_by(state._replace(heading_known=False)) is None
-    assert left_by(state._replace(P=P)) is None
+    assert left_by(None, CAMERA) is None
+    assert left_by(state._replace(heading_known=False), None) is None
+    assert left_by(state._replace(P=P), None) is None
+
+
+def test_the_camera_is_left_whether_air_and_heading_are_known_or_not():
+    state = flown(1)._replace(heading_known=False)
+    left = left_by(state, CAMERA)
+    assert left is not None
+    assert left.camera == CAMERA
+    np.testing.assert_array_equal(begun(left, 0.0).P, begun(None, 0.0).P)
+
+
+def test_what_was_learned_before_cameras_were_handed_on_is_read():
+    assert learned_of(1.0, [2.0], [3.0]) == Learned(1.0, (2.0,), (3.0,), None)
 
 
 def test_a_start_is_recorded_with_it_bit_for_bit():
-    start = Start(t_s=1.0, position_ned_m=PLACE, learned=left_by(flown(3)))
+    start = Start(t_s=1.0, position_ned_m=PLACE, learned=left_by(flown(3), CAMERA))
     again = decode(encode(start))
     assert isinstance(again, Start)
     assert again.learned == start.learned

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.errors import LinkError
-from vwnav.vehicle import Learned
+from vwnav.vehicle import FoundCamera, Learned
 from vwnav.watchdog.keepalive import (
     Beat,
     GuardState,
@@ -20,6 +20,8 @@ from vwnav.watchdog.keepalive import (
 )
 
 FINITE = st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=80).map(tuple)
+NUMBER = st.floats(allow_nan=False, allow_infinity=False)
+CAMERAS = st.builds(FoundCamera, NUMBER, NUMBER, st.tuples(*[NUMBER] * 9))
 BEATS = st.builds(
     Beat,
     st.booleans(),
@@ -27,7 +29,7 @@ BEATS = st.builds(
     st.integers(0, 2**64 - 1),
     st.text("abc xyz", max_size=16),
     st.booleans(),
-    st.none() | st.builds(Learned, st.floats(0.0, 1e9), FINITE, FINITE),
+    st.none() | st.builds(Learned, st.floats(0.0, 1e9), FINITE, FINITE, st.none() | CAMERAS),
     st.integers(0, 255),
 )
 REPORTS = st.builds(

@@ -24,7 +24,7 @@ from vwnav.types import (
     Stationary,
     Telemetry,
 )
-from vwnav.vehicle import Learned
+from vwnav.vehicle import FoundCamera, Learned
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +91,16 @@ def _or_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda value: None if value is None else read(value)
 
 
+def learned_of(t_s: float, mean: Any, covariance: Any, camera: Any = None) -> Learned:
+    """What was learned, of its JSON; one of before has no camera."""
+    found = None if camera is None else FoundCamera(camera[0], camera[1], tuple(camera[2]))
+    return Learned(t_s, tuple(mean), tuple(covariance), found)
+
+
 _BY_TYPE: dict[Any, Callable[[Any], Any]] = {
     int: int, bool: bool, float: float, Array: _array,
     float | None: _or_none(float), Array | None: _or_none(_array),
-    Learned | None: _or_none(lambda parts: Learned(parts[0], tuple(parts[1]), tuple(parts[2]))),
+    Learned | None: _or_none(lambda parts: learned_of(*parts)),
 }  # fmt: skip
 _READERS = {
     name: {field: _BY_TYPE[hint] for field, hint in get_type_hints(kind).items()}

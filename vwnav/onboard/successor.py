@@ -21,6 +21,7 @@ from vwnav.assemble import Assembled, about_run, assemble
 from vwnav.clock import WallClock
 from vwnav.errors import VwnavError
 from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.inputs import learned_of
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import take_short_turns
@@ -91,7 +92,7 @@ def _handover(told: dict[str, Any]) -> Handover:
     position, origin = told["position"], told["origin"]
     velocity = np.array(told["velocity_ne_m_s"], np.float64)
     ways = str(told["connection"]), int(told["keepalive_port"]), str(told["observer"])
-    learned = None if told["learned"] is None else Learned(*told["learned"])
+    learned = None if told["learned"] is None else learned_of(*told["learned"])
     knows = velocity, learned, int(told["system_id"])
     if position is None or origin is None:
         return Handover(*ways, None, 0.0, 0.0, 0, *knows)
@@ -154,7 +155,7 @@ def _succeed(
     assembled.ekf.record(record.input_log.input)
     vehicle = first_state(autopilot, clock)
     if handover.lat_lon_deg is not None:
-        assembled.ekf.initialise(_start(plan, handover, handover.lat_lon_deg, vehicle.t_s))
+        assembled.pipeline.begin(_start(plan, handover, handover.lat_lon_deg, vehicle.t_s))
     keep_alive = KeepAlive(UdpChannel(handover.keepalive_port, listens=False), clock)
     stack.callback(keep_alive.close)
     watch = watch_camera(source, plan.camera)

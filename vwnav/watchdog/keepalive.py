@@ -18,11 +18,12 @@ from enum import Enum
 from typing import Protocol
 
 from vwnav.errors import LinkError
-from vwnav.vehicle import Learned
+from vwnav.vehicle import FoundCamera, Learned
 
 _BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
 _BEAT_MAGIC = b"VWB4"
-_LEARNED_HEAD = struct.Struct("<dHH")  # when, how many of means and of covariances
+_CAMERA = 2 + 9  # numbers of a `FoundCamera`
+_LEARNED_HEAD = struct.Struct("<dHHH")  # when, how many of means, of covariances, of the camera
 _REPORT = struct.Struct("<4sBBIfI")  # magic, state, flags, of which beat, heartbeat age, process
 _REPORT_MAGIC = b"VWR4"
 _ENGAGED, _ENDED = 0x01, 0x02
@@ -86,28 +87,32 @@ class Beat:
 
 
 def _packed(learned: Learned) -> bytes:
-    numbers = (*learned.mean, *learned.covariance)
-    head = _LEARNED_HEAD.pack(learned.t_s, len(learned.mean), len(learned.covariance))
-    return head + struct.pack(f"<{len(numbers)}d", *numbers)
+    found = learned.camera
+    camera = () if found is None else (found.focal_ratio, found.mirrored, *found.R_mount)
+    numbers = (*learned.mean, *learned.covariance, *camera)
+    counts = len(learned.mean), len(learned.covariance), len(camera)
+    return _LEARNED_HEAD.pack(learned.t_s, *counts) + struct.pack(f"<{len(numbers)}d", *numbers)
 
 
 def _is_whole(data: bytes) -> bool:
     """Whether what follows a beat is nothing, or as long as it says."""
     if len(data) < _LEARNED_HEAD.size:
         return not data
-    _, means, covariances = _LEARNED_HEAD.unpack_from(data)
-    return len(data) == _LEARNED_HEAD.size + 8 * int(means + covariances)
+    _, *counts = _LEARNED_HEAD.unpack_from(data)
+    return len(data) == _LEARNED_HEAD.size + 8 * int(sum(counts)) and counts[-1] in (0, _CAMERA)
 
 
 def _unpacked(data: bytes) -> Learned | None:
     """None where nothing was learned, or what is no number: the beat counts all the same."""
     if not data:
         return None
-    t_s, means, covariances = _LEARNED_HEAD.unpack_from(data)
-    numbers = struct.unpack_from(f"<{means + covariances}d", data, _LEARNED_HEAD.size)
+    t_s, means, covariances, camera = _LEARNED_HEAD.unpack_from(data)
+    numbers = struct.unpack_from(f"<{means + covariances + camera}d", data, _LEARNED_HEAD.size)
     if not all(map(math.isfinite, (t_s, *numbers))):
         return None
-    return Learned(t_s, numbers[:means], numbers[means:])
+    mean, covariance, found = numbers[:means], numbers[means:][:covariances], numbers[-camera:]
+    told = FoundCamera(found[0], found[1], found[2:]) if camera else None
+    return Learned(t_s, mean, covariance, told)
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,7 +188,7 @@ class Navigator:
     def start(self, start: Start | None) -> None:
         """Begin, with what is known of the place; of an aircraft in flight that may be nothing."""
         if start is not None:
-            self.ekf.initialise(start)
+            self.pipeline.begin(start)
         costs, processor, t_s = self._costs, self._processor, self._clock.now_s
         self._workers = {
             "link": Worker(processor, lambda: costs.link, 1.0 / LINK_HZ, t_s),

@@ -11,12 +11,27 @@ from vwnav.estimation.inertial.attitudes import level_axes
 from vwnav.estimation.odometry import QUARTER_TURN, apply_misled
 from vwnav.estimation.states import HEADINGS, FilterState, States
 from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
-from vwnav.geometry.rotations import wrap_pi
+from vwnav.geometry.rotations import rotation_from_vector, wrap_pi
 from vwnav.types import Array
+from vwnav.vehicle import FoundCamera
 
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 _RETURNED_DOUBT = 0.3  # the same of one that was gone
 _TILT_DOUBT_RAD = 0.12  # per axis, of a mount that may hang otherwise
+
+
+def found_by(event: Recalibrated, focal_ratio: float, before: FoundCamera | None) -> FoundCamera:
+    """The camera that an event tells of, where another one was flown with, or that of the file.
+
+    `focal_ratio`: of its focal length to the calibrated one.
+    """
+    R_mount, was_mirrored = np.eye(3), False
+    if before is not None:
+        R_mount, was_mirrored = np.reshape(before.R_mount, (3, 3)), bool(before.mirrored)
+    off_rad = np.array([event.forward_rad, event.right_rad, event.turned_rad])
+    R_mount = rotation_from_vector(off_rad) @ R_mount
+    mirrored = float(was_mirrored != event.mirrored)
+    return FoundCamera(focal_ratio, mirrored, tuple(R_mount.ravel().tolist()))
 
 
 def apply_camera_returned(state: FilterState) -> FilterState:

@@ -15,7 +15,7 @@ from vwnav.estimation.states import (
     tells_heading,
 )
 from vwnav.types import Array
-from vwnav.vehicle import Learned
+from vwnav.vehicle import FoundCamera, Learned
 
 _HEIGHT_SIGMA_M = 30.0  # the barometer tells it again
 _TERRAIN_SIGMA_M = 30.0
@@ -25,7 +25,7 @@ _BARO_SIGMA_M = 2.0
 # each is unsure, their sum is not, so their covariance is handed on whole.
 _HANDED_ON = np.r_[
     States.HEADING_BIAS, States.TILT, States.ACCELEROMETER_BIAS, States.WIND_FORCE, States.DRAG,
-    States.GUST_FORCE,
+    States.GUST_FORCE, States.CAMERA_TILT, States.CAMERA_TURN, States.FOCAL,
 ]  # fmt: skip
 _TRIANGLE = np.triu_indices(len(_HANDED_ON))
 _HEADING_SIGMA_RAD = math.radians(3.0)  # by which the autopilot may have set its heading since
@@ -161,19 +161,22 @@ def begun_anew(state: FilterState, config: EkfConfig) -> FilterState:
     )
 
 
-def left_by(state: FilterState | None) -> Learned | None:
-    """What a state may leave to a filter that goes on in its place: air, accelerometer, compass.
+def left_by(state: FilterState | None, camera: FoundCamera | None) -> Learned | None:
+    """What a state may leave to a filter that goes on in its place, with the camera it was told of.
 
     A navigator that ends in flight takes with it what tells the velocity where no image does: one
-    that began without would come down with the wind. None while heading or drag are hardly known.
+    that began without would come down with the wind. And how its camera hangs: one that had to find
+    out that it is upside down did not know its place for 38 s, and blamed the compass. Of the
+    states nothing is left while heading or drag are hardly known.
     """
-    if state is None or not state.heading_known:
+    if state is None:
         return None
-    x, P = state.x, state.P
-    if P[States.DRAG, States.DRAG] > (KNOWN_SHARE * x[States.DRAG]) ** 2:
-        return None
+    x, P, known = state.x, state.P, state.heading_known
+    if not known or P[States.DRAG, States.DRAG] > (KNOWN_SHARE * x[States.DRAG]) ** 2:
+        return None if camera is None else Learned(state.t_s, (), (), camera)
     C = P[np.ix_(_HANDED_ON, _HANDED_ON)]
-    return Learned(state.t_s, tuple(x[_HANDED_ON].tolist()), tuple(C[_TRIANGLE].tolist()))
+    mean, covariance = x[_HANDED_ON].tolist(), C[_TRIANGLE].tolist()
+    return Learned(state.t_s, tuple(mean), tuple(covariance), camera)
 
 
 def _take_on(x: Array, P: Array, left: Learned, t_s: float, config: EkfConfig) -> None:

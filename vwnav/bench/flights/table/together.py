@@ -13,6 +13,7 @@ from vwnav.bench.flights.scenario import (
     again_and_again,
     down,
     phase,
+    said,
     setup,
     unsaid,
 )
@@ -145,6 +146,27 @@ TURNED = [
         lands_within_m=70.0,
     ),
 ]
+# What the first navigator has found out of its camera, the second one goes on with.
+FOUND_OUT = [
+    Scenario(
+        name="camera mounted upside down, and the navigator killed on the route",
+        setup=setup(None),
+        breaks=(
+            Break(fault=camera.CameraTrouble(camera.upside_down), at_s=0.0),
+            Break(fault=computer.NavigatorKilled(), at_s=15.0, phase=Phase.ROUTE),
+        ),
+        limit_s=130.0,
+        follows=(said(64.0, "estimates again"), down(120.0)),
+    ),
+    Scenario(
+        name="a lens a fifth narrower than calibrated, and the navigator killed on the route",
+        setup=setup(None, lens_ratio=1.25),
+        breaks=(Break(fault=computer.NavigatorKilled(), at_s=15.0, phase=Phase.ROUTE),),
+        limit_s=130.0,
+        follows=(said(6.0, "estimates again"), down(70.0)),
+        lands_within_m=5.0,
+    ),
+]
 STALE = [
     Scenario(
         name="link cut for 3 s, and the mission raises before it is there again",
@@ -234,4 +256,6 @@ NOBODY_LEFT = [
         ),
     )
 ]
-TOGETHER = [*LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *STALE, *FALLEN_BACK, *NOBODY_LEFT]
+TOGETHER = [
+    *LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *FOUND_OUT, *STALE, *FALLEN_BACK, *NOBODY_LEFT,
+]  # fmt: skip
