@@ -4,12 +4,15 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import pytest
 import typer
 from typer.testing import CliRunner
 
 from vwnav.cli.fly import fly
 from vwnav.onboard import program, successor
 from vwnav.onboard.successor import Handover
+from vwnav.vehicle import FoundCamera, Learned
+from vwnav.watchdog.keepalive import Beat
 from vwnav.watchdog.relay_guard import RelayedPosition
 from vwnav.watchdog.successor import Resume
 from vwnav.watchdog.voice import Origin
@@ -40,3 +43,13 @@ def test_what_the_watchdog_wakes_it_with_is_read():
         read = Handover.read(json.dumps({**ways, **asdict(resume)}))
         assert (read.system_id, read.connection) == (7, ways["connection"])
         assert (read.lat_lon_deg is None) is (origin is None)
+
+
+@pytest.mark.parametrize("camera", [None, FoundCamera(0.8, 1.0, (1.0, *[0.0] * 7, 1.0))])
+def test_what_the_first_navigator_has_learned_reaches_the_second_one_by_beat_and_by_word(camera):
+    learned = Learned(100.0, (1.0, 2.0), (3.0, 4.0, 5.0), camera)
+    beat = Beat.unpack(Beat(True, 1, 2, "on route", learned=learned).pack())
+    assert beat is not None
+    resume = Resume(None, (8.0, 0.0), None, beat.learned)
+    ways = {"connection": "udpout://127.0.0.1:1", "observer": "", "keepalive_port": 2}
+    assert Handover.read(json.dumps({**ways, **asdict(resume)})).learned == learned
