@@ -13,6 +13,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Untracked
+from vwnav.estimation.states import States
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import (
@@ -647,6 +648,28 @@ def test_images_that_are_mirrored_are_turned_back_as_soon_as_their_tilting_shows
     assert odometry.left[-1] == LEFT
     assert bool(asked) is mirrors
     assert abs(wrap_pi(odometry.known_rad)) < 0.1
+
+
+@pytest.mark.parametrize("telemetry", [True, False])
+@pytest.mark.parametrize(("gone_s", "opens"), [(0.9, False), (1.2, True)])
+def test_the_lens_of_a_camera_that_was_gone_is_asked_for_again_where_telemetry_can_tell(
+    gone_s, opens, telemetry
+):
+    start = Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), sigma_m=5.0, agl_m=50.0)
+    made = (lambda ratio: FakeLocalizer()) if telemetry else None
+    pipeline = make_pipeline(FakeLocalizer(), start=start, recalibrated=made)
+    fly(pipeline, 2.0)
+    assert pipeline.accepted > 0
+    before = focal_sigma(pipeline)
+    fly(pipeline, 0.1, t0_s=2.0 + gone_s - 0.1)
+    after = focal_sigma(pipeline)
+    assert (after > 5.0 * before) is (opens and telemetry)
+
+
+def focal_sigma(pipeline: Pipeline) -> float:
+    state = pipeline._ekf.state
+    assert state is not None
+    return float(np.sqrt(state.P[States.FOCAL, States.FOCAL]))
 
 
 def test_an_image_waits_for_the_turn_of_the_link_and_not_for_good():

@@ -150,7 +150,7 @@ class Pipeline:
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
         gone_s, self._image_s = frame.t_s - self._image_s, frame.t_s
-        if gone_s > CAMERA_GONE_S and self.accepted > 0:
+        if gone_s > CAMERA_GONE_S and self.accepted > 0 and self._recalibrated is not None:
             self._lens.ask_again()
             with self._lock:
                 self._ekf.handle(CameraReturned(frame.t_s))

@@ -211,15 +211,6 @@ def test_ways_tell_the_focal_length_of_a_camera_that_was_gone_and_velocity_and_p
     assert ekf.state.x[States.VELOCITY] == pytest.approx(velocity_m_s, abs=0.9)
 
 
-def test_only_a_camera_that_may_be_asked_is_asked_again():
-    for is_open in (True, False):
-        check = LensCheck(is_open)
-        climbed(check, CLIMB_M)
-        assert not check.is_open
-        check.ask_again()
-        assert check.is_open is is_open
-
-
 def test_a_filter_that_is_told_of_another_camera_is_open_to_it_and_remembers_being_told():
     ekf, config = Ekf(EkfConfig()), EkfConfig()
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), agl_m=50.0))

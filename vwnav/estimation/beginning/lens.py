@@ -63,7 +63,7 @@ class LensCheck:
     """
 
     def __init__(self, is_open: bool) -> None:
-        self.is_open = self._may_ask = is_open
+        self.is_open = is_open
         self.least_agl_ratio = _LEAST_RATIO
         self.focal_ratio = 1.0
         self._by_ways = False
@@ -73,7 +73,7 @@ class LensCheck:
 
     def ask_again(self) -> None:
         """The camera was gone: it may have come back in another mode."""
-        self.is_open, self._misses, self._agreeing = self._may_ask, 0, 0
+        self.is_open, self._misses, self._agreeing = True, 0, 0
         self._off.clear()
 
     def missed(self) -> None:

@@ -43,6 +43,8 @@ QUICK = {
     "accelerometer 3 m/s^2 off to the right",
     "camera hung 6 degrees round by hand",
     "camera knocked in flight, round by 15 and aslant by 5",
+    "camera gone for 2 s, and then its pictures mirrored",
+    "camera gone for 2 s, and then its pictures of another mode",
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",
     "camera gone for good, and then the navigator killed",
