@@ -149,23 +149,17 @@ TURNED = [
 # What the first navigator has found out of its camera, the second one goes on with.
 FOUND_OUT = [
     Scenario(
-        name="camera mounted upside down, and the navigator killed on the route",
-        setup=setup(None),
-        breaks=(
-            Break(fault=camera.CameraTrouble(camera.upside_down), at_s=0.0),
-            Break(fault=computer.NavigatorKilled(), at_s=15.0, phase=Phase.ROUTE),
-        ),
-        limit_s=130.0,
-        follows=(said(64.0, "estimates again"), down(120.0)),
-    ),
-    Scenario(
-        name="a lens a fifth narrower than calibrated, and the navigator killed on the route",
-        setup=setup(None, lens_ratio=1.25),
+        name=f"{what}, and the navigator killed on the route",
+        setup=setup(None, **changes),
         breaks=(Break(fault=computer.NavigatorKilled(), at_s=15.0, phase=Phase.ROUTE),),
         limit_s=130.0,
         follows=(said(6.0, "estimates again"), down(70.0)),
         lands_within_m=5.0,
-    ),
+    )
+    for what, changes in (
+        ("camera turned by 180 degrees", {"mount_off_deg": (0.0, 0.0, 180.0)}),
+        ("a lens a fifth narrower than calibrated", {"lens_ratio": 1.25}),
+    )
 ]
 STALE = [
     Scenario(
