@@ -168,7 +168,6 @@ Event = (
     | LateFix
     | Drag
     | Misled
-    | CameraReturned
     | LensDoubted
     | MountDoubted
     | MapStepped
