@@ -29,6 +29,7 @@ from vwnav.estimation.states import (
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
+_FAR_OFF, _LEAN_SHARE = 0.05, 0.3  # of a focal length; of what it makes of a change of lean
 _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
 _CLONE_SIGMA_M = 0.01
 # What odometry measures in units of height.
@@ -309,6 +310,9 @@ def _displacement(
     unsure = config.slope_share * math.hypot(*x[States.SLOPE])
     unsure += config.relief_share * state.relief_m / agl_m
     R += unsure**2 * float(predicted_m @ predicted_m) * np.eye(3)
+    # What a focal length that is far off, or may be, makes of a change of lean is known to a third.
+    far2 = float(x[States.FOCAL]) ** 2 + float(state.P[States.FOCAL, States.FOCAL]) - _FAR_OFF**2
+    R[:2, :2] += (_LEAN_SHARE**2 * max(far2, 0.0)) * np.outer(shifted_m, shifted_m)
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, considered=_HEADINGS)
