@@ -75,17 +75,15 @@ class ToldPipeline:
         self._sought, self._counter = 0, 0
         self.attempts = self.accepted = 0
 
-    # ---- as the filter
+    # ---- as the pipeline
 
-    def initialise(self, start: Start) -> None:
+    def begin(self, start: Start) -> None:
         """Begin there."""
         self._begun, self._known = True, start.position_ned_m is not None
         self._image_s = self._told_s = start.t_s
         if start.position_ned_m is not None:
             self._off_m = start.position_ned_m[:2] - self._truth()[0][:2]
             self._sigma_m = start.sigma_m
-
-    # ---- as the pipeline
 
     def feed(self, measurement: Telemetry) -> None:
         """Telemetry is heard: by it the motion is known."""
