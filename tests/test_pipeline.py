@@ -1,5 +1,6 @@
 """The one path: what is tried when, what is fused, and which features stand in."""
 
+import math
 import threading
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -34,6 +35,7 @@ from vwnav.types import (
     Rejected,
     RejectReason,
 )
+from vwnav.vehicle import FoundCamera, Learned
 
 HOME = LocalFrame(60.4, 22.5, 0.0)
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -648,6 +650,42 @@ def test_images_that_are_mirrored_are_turned_back_as_soon_as_their_tilting_shows
     assert odometry.left[-1] == LEFT
     assert bool(asked) is mirrors
     assert abs(wrap_pi(odometry.known_rad)) < 0.1
+
+
+UPRIGHT = tuple(np.eye(3).ravel().tolist())
+
+
+@pytest.mark.parametrize(
+    ("camera", "taken"),
+    [
+        (FoundCamera(0.8, 1.0, UPRIGHT), True),
+        (None, False),
+        (FoundCamera(0.0, 1.0, UPRIGHT), False),
+        (FoundCamera(math.nan, 1.0, UPRIGHT), False),
+        (FoundCamera(0.8, 1.0, (1e300,) * 9), False),
+    ],
+)
+def test_one_that_goes_on_for_another_takes_the_camera_that_it_found_out_where_it_can_be(
+    camera, taken
+):
+    place = np.array([0.0, 0.0, -50.0])
+    start = Start(t_s=0.0, position_ned_m=place, agl_m=50.0, learned=Learned(0.0, (), (), camera))
+    ratios, odometry = [], Tilting()
+
+    def recalibrated(ratio):
+        ratios.append(ratio)
+        return FakeLocalizer([])
+
+    pipeline = make_pipeline(FakeLocalizer([]), odometry=odometry, recalibrated=recalibrated)
+    pipeline.begin(start)
+    seen = np.full((48, 64), RIGHT, np.uint8)
+    seen[:, 32:] = LEFT
+    pipeline.feed(Attitude(0.1, LEVEL))
+    assert pipeline.step(Frame(0.1, seen, 1)).estimate is not None
+    assert ratios == ([0.8] if taken else [])
+    assert odometry.left == [LEFT if taken else RIGHT]
+    left = pipeline.learned()
+    assert (None if left is None else left.camera) == (camera if taken else None)
 
 
 @pytest.mark.parametrize("telemetry", [True, False])

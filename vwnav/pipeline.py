@@ -18,7 +18,7 @@ import numpy as np
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
-from vwnav.estimation.beginning.other_camera import found_by
+from vwnav.estimation.beginning.other_camera import found_by, found_in
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.beginning.starts import Start, left_by
 from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
@@ -119,7 +119,7 @@ class Pipeline:
         """Begin there, in another one's place perhaps, with the camera that it has found out."""
         with self._lock:
             self._ekf.initialise(start)
-        if self._recalibrated and start.learned and (camera := start.learned.camera):
+        if self._recalibrated and (camera := found_in(start.learned)):
             self._camera, self._lens.focal_ratio = camera, camera.focal_ratio
             self._features, self._odometry = self._recalibrated(camera)
 

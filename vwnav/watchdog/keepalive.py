@@ -21,7 +21,7 @@ from vwnav.errors import LinkError
 from vwnav.vehicle import FoundCamera, Learned
 
 _BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
-_BEAT_MAGIC = b"VWB4"
+_BEAT_MAGIC = b"VWB5"
 _CAMERA = 2 + 9  # numbers of a `FoundCamera`
 _LEARNED_HEAD = struct.Struct("<dHHH")  # when, how many of means, of covariances, of the camera
 _REPORT = struct.Struct("<4sBBIfI")  # magic, state, flags, of which beat, heartbeat age, process

@@ -7,10 +7,11 @@ the barometer cannot mean; fixes that are found there are too high, or too low, 
 every height of the climb. What is wrong by as many metres at every height is the ground, or woods;
 a rangefinder sees the same ground as the camera does, and rules that out.
 
-A camera that was gone may come back in another mode, with the same size of its images.
-
 Before that ways may have contradicted the IMU. Then the filter learns the focal length from them
 (`OdometryGate.lens_doubted`), to some percent.
+
+A camera that was gone may come back in another mode, with the same size of its images: then the
+question is asked again.
 """
 
 import math
@@ -30,8 +31,8 @@ _AGREEING = 3  # ... and so many in a row end the question
 _OFF = 0.14  # less cold air does to a barometer
 _OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
 _OFF_BY_WAYS, _SURE_BY_WAYS = 0.06, 0.05  # share, and one sigma of it, that is worth a new camera
-_SIGMAS_BY_WAYS = 3.0
-_MOST_RATIO = 2.0  # of a focal length to that of its calibration: more is something else
+_SIGMAS_BY_WAYS = 3.0  # and so many of them
+MOST_RATIO = 2.0  # of a focal length to that of its calibration: more is something else
 _LEAST, _MOST = 4, 24  # fixes that are off
 # By a ratio that far, as low over woods, more of them: of 4, one climb in 1200 made a lens.
 _FAR, _LEAST_FAR = 1.35, 6
@@ -144,7 +145,7 @@ class LensCheck:
 
     def _takes(self, ratio: float) -> bool:
         """Whether a focal length that much longer than the one flown with can be."""
-        if not 1.0 / _MOST_RATIO < ratio * self.focal_ratio < _MOST_RATIO:
+        if not 1.0 / MOST_RATIO < ratio * self.focal_ratio < MOST_RATIO:
             return False
         self.focal_ratio *= ratio
         return True

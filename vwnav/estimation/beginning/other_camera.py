@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from vwnav.estimation.beginning.lens import MOST_RATIO
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import freed
 from vwnav.estimation.events import Misled, Recalibrated
@@ -13,7 +14,7 @@ from vwnav.estimation.states import HEADINGS, FilterState, States
 from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
 from vwnav.geometry.rotations import rotation_from_vector, wrap_pi
 from vwnav.types import Array
-from vwnav.vehicle import FoundCamera
+from vwnav.vehicle import FoundCamera, Learned
 
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 _RETURNED_DOUBT = 0.3  # the same of one that was gone
@@ -32,6 +33,16 @@ def found_by(event: Recalibrated, focal_ratio: float, before: FoundCamera | None
     R_mount = rotation_from_vector(off_rad) @ R_mount
     mirrored = float(was_mirrored != event.mirrored)
     return FoundCamera(focal_ratio, mirrored, tuple(R_mount.ravel().tolist()))
+
+
+def found_in(learned: Learned | None) -> FoundCamera | None:
+    """The camera that another navigator has found out; None where it is none that can be."""
+    camera = None if learned is None else learned.camera
+    if camera is None or not 1.0 / MOST_RATIO < camera.focal_ratio < MOST_RATIO:
+        return None
+    R = np.reshape(camera.R_mount, (3, 3))
+    turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    return camera if turns else None
 
 
 def apply_camera_returned(state: FilterState) -> FilterState:
