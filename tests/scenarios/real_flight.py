@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,8 +28,12 @@ ROOT = Path(__file__).resolve().parents[2]
 HOME = LocalFrame(60.4, 22.5, 40.0)
 ROUTE_TEXT = "1,45,0,32\n2,45,-40,32\n"
 DOWN_M = 0.5
-_IN_THE_FIRST = 'import sys\nif "fly" in sys.orig_argv and "--standby" not in sys.orig_argv:\n'
-_IN_OTHERS = 'import sys\nif "--standby" in sys.orig_argv:\n'
+Whose = Literal["first", "others", "all"]
+_WHOSE: dict[Whose, str] = {
+    "first": 'import sys\nif "fly" in sys.orig_argv and "--standby" not in sys.orig_argv:\n',
+    "others": 'import sys\nif "--standby" in sys.orig_argv:\n',
+    "all": 'import sys\nif "fly" in sys.orig_argv:\n',
+}
 
 
 @dataclass
@@ -132,12 +136,11 @@ class RealFlight:
         return 0.0 if state is None else float(np.hypot(*state.velocity_ned_m_s[:2]))
 
 
-def broken(code: str, folder: Path, in_others: bool = False) -> dict[str, str]:
-    """Environment in which the navigator, or those that follow it, have been patched by `code`."""
+def broken(code: str, folder: Path, whose: Whose = "first") -> dict[str, str]:
+    """Environment in which the navigator, those that follow it, or all are patched by `code`."""
     folder.mkdir(parents=True, exist_ok=True)
     body = "".join(f"    {line}\n" for line in code.strip().splitlines())
-    where = _IN_OTHERS if in_others else _IN_THE_FIRST
-    (folder / "sitecustomize.py").write_text(where + body)
+    (folder / "sitecustomize.py").write_text(_WHOSE[whose] + body)
     return {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
 
 
@@ -149,7 +152,7 @@ def real_flight(
     wind_m_s: float = 5.0,
     route_text: str = ROUTE_TEXT,
     hear: Callable[[Any], None] | None = None,
-    in_others: bool = False,
+    whose: Whose = "first",
     settings: str = "",
 ) -> Iterator[RealFlight]:
     """Start vehicle and navigator; both are gone at the end.
@@ -161,7 +164,7 @@ def real_flight(
         wind_m_s: with gusts.
         route_text: what is flown.
         hear: is called with messages of the link, through a relay.
-        in_others: it is those that follow the navigator that are broken.
+        whose: the first navigator is broken, those that follow it, or all.
         settings: of the navigator, as `--config` takes them.
     """
     link, truth = free_ports(2)
@@ -189,7 +192,7 @@ def real_flight(
         if file_limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
-    env = os.environ | broken(patch, folder / "patch", in_others)
+    env = os.environ | broken(patch, folder / "patch", whose)
     with start_vehicle(config), (folder / "log").open("wb") as log:
         process = subprocess.Popen(
             command, stdout=log, stderr=log, env=env, cwd=ROOT, preexec_fn=limit

@@ -37,6 +37,16 @@ def next_frame(self):
     return whole(self)
 camera.SimulatedCamera.next_frame = next_frame
 """
+CAMERA_UPSIDE_DOWN = """
+from dataclasses import replace
+import numpy as np
+import vwnav.sim.camera_source as camera
+whole = camera.SimulatedCamera.next_frame
+def next_frame(self):
+    frame = whole(self)
+    return frame and replace(frame, image=np.ascontiguousarray(frame.image[::-1, ::-1]))
+camera.SimulatedCamera.next_frame = next_frame
+"""
 LINK_STEPS_FAIL = """
 import vwnav.mavlink.autopilot as autopilot
 whole = autopilot.LinkedAutopilot.take_measurements
@@ -117,7 +127,7 @@ def test_a_navigator_that_is_killed_is_landed_and_a_second_one_tells_the_autopil
 
 @pytest.mark.long
 def test_a_second_navigator_whose_disk_takes_nothing_tells_the_autopilot_where_it_is(tmp_path):
-    with real_flight(tmp_path, DISK_HANGS, in_others=True) as flight:
+    with real_flight(tmp_path, DISK_HANGS, whose="others") as flight:
         flight.wait_until_on_route()
         flight.wait(lambda: LOADED in (flight.folder / "watchdog.log").read_text(), 60.0)
         flight.signal(signal.SIGKILL)
@@ -127,6 +137,19 @@ def test_a_second_navigator_whose_disk_takes_nothing_tells_the_autopilot_where_i
         flight.wait_until_down(90.0)
         assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 40.0
         assert not (flight.folder / "successor").exists()
+
+
+@pytest.mark.long
+def test_a_second_navigator_knows_at_once_how_the_camera_hangs_that_the_first_one_found(tmp_path):
+    with real_flight(tmp_path, CAMERA_UPSIDE_DOWN, whose="all") as flight:
+        flight.wait_until_on_route()
+        assert flight.said("hangs turned by 180 degrees")
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        told = "estimates are handed on again"
+        flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
+        flight.wait_until_down(90.0)
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 15.0
 
 
 def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(tmp_path):
