@@ -27,10 +27,13 @@ class CutFlight:
         )  # fmt: skip
         self.track, self.begun_s, self.t_s = FlightTrace(), time.monotonic(), 60.0
         self.track.phases.append(LogLine(50.0, Phase.ROUTE.value))
+        self.process, self.patch = SimpleNamespace(pid=1), None
+        self.see = lambda: None
         self._landed_m, self._broken = landed_m, False
         self._look(0.0)
 
     def watch(self, done: object, _: float) -> bool:
+        self.see()
         if self._broken:
             self.simulator.armed = False
             self._look(self._landed_m)

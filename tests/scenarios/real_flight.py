@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from vwnav.bench.flights.live.processes import watchdogs_of
 from vwnav.bench.flights.live.relay import Relay
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.onboard.program import free_ports
@@ -112,14 +113,7 @@ class RealFlight:
 
     def watchdogs(self) -> dict[int, bool]:
         """Process ids of all, and whether each waits as a spare one."""
-        found = {}
-        for folder in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                words = (folder / "cmdline").read_bytes().split(b"\0")
-                parent = str(self.process.pid).encode()
-                if b"vwnav.watchdog" in words and parent in words:
-                    found[int(folder.name)] = b"--spare" in words
-        return found
+        return watchdogs_of(self.process.pid)
 
     def successor_pids(self) -> list[int]:
         """Of the navigators that serve after the first, or wait to: the oldest first."""

@@ -1,8 +1,6 @@
 """Rows of the table that can be broken from our side, flown one after the other in real time."""
 
-import os
 import signal
-import threading
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,46 +8,38 @@ from typing import Any
 
 import numpy as np
 
-from vwnav.bench.flights.faults import aircraft, camera, computer, link, telemetry
+from vwnav.bench.flights.live.breaks import LiveBreaks, can_be_broken, inside_of
 from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
-from vwnav.bench.flights.scenario import Ending, Scenario
-from vwnav.bench.flights.stage import Fault
+from vwnav.bench.flights.scenario import Ending, Scenario, setup
+from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.table.manners import in_manners
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode
 
 ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"
-_SPOILS_LINK = (
-    link.LinkCut, link.RoundTrip, link.SlowLine, link.Garbage, link.PacketsLost, link.Replayed,
-    telemetry.Missing, telemetry.Doubled, telemetry.Altered, telemetry.TelemetryLate,
-)  # fmt: skip
-_INSIDE = (camera.CameraTrouble, computer.ModelRaises)
-_SIGNALS = (computer.NavigatorKilled, computer.NavigatorStopped)
-_PILOTS = (aircraft.PilotSwitches, link.StationCommands)
-_ROUTE_S, _SPEED_S, _DOWN_S = 150.0, 30.0, 100.0
+_AIR_S, _SPEED_S, _BREAKS_S, _DOWN_S = 300.0, 30.0, 150.0, 100.0
 _AT_SPEED_M_S = 4.0
+_STORM_M_S = 8.0
 
 
 def live_rows(rows: Iterable[Scenario], has_pilot: bool) -> list[Scenario]:
-    """Those of the route that are broken from our side; those of a pilot need his link.
+    """Those that are broken from our side alone; those of a pilot need his link.
 
-    Whose parameters an autopilot is set up with is its owner's: no row that names some.
+    An autopilot's parameters, its aircraft and its weather are its owner's: no row that names some.
     """
-    kinds = (*_SPOILS_LINK, *_INSIDE, *_SIGNALS, *(_PILOTS if has_pilot else ()))
-    return [
-        row
-        for row in rows
-        if len(row.breaks) == 1
-        and not row.setup.parameters
-        and isinstance(row.breaks[0].fault, kinds)
-        and row.setup.start is not None
-        and row.setup.start.phase is Phase.ROUTE
-    ]
+    return [row for row in rows if can_be_broken(row.breaks, has_pilot) and _is_as_any(row.setup)]
+
+
+def _is_as_any(asked: Setup) -> bool:
+    """Nothing but where it begins, a pilot's radio and a breeze is asked for."""
+    usual = setup(asked.start, rc_on=asked.rc_on, wind_m_s=asked.wind_m_s)
+    in_a_phase = asked.start is None or asked.start.phase is not None
+    return asked == usual and asked.wind_m_s < _STORM_M_S and in_a_phase
 
 
 def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path) -> RowResult:
-    """Fly to the route from where the last one came down, break it there, see what becomes of it.
+    """Fly to where it breaks from where the last one came down, and see what becomes of it.
 
     Args:
         row: of `live_rows`.
@@ -57,23 +47,21 @@ def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path)
         simulator: the simulated autopilot.
         folder: for the flight's files.
     """
-    plan = row.breaks[0]
     began_s = time.process_time()
-    with live_flight(simulator, folder, ROUTE_TEXT, _inside(plan.fault)) as flight:
-        wrong = _reach_route(flight)
+    with live_flight(simulator, folder, ROUTE_TEXT, inside_of(row.breaks)) as flight:
         row = in_manners(row, simulator.manners)
-        broke_s, broke_at = None if wrong else flight.t_s, flight.place_ned_m()
-        if broke_s is not None:
-            flight.note(f"breaks: {plan.fault}")
-            _begin(plan.fault, flight)
-            _follow(row, flight, plan.for_s)
-            wrong = _judge(row, flight, broke_s, broke_at)
+        wrong, breaks = _reach(row, flight), LiveBreaks(row, flight)
+        if not wrong:
+            flight.see = breaks.step
+            wrong = _follow(row, flight, breaks)
+            breaks.finish()
         _clear_away(flight)
-    track, begun_s, picture = flight.track, flight.begun_s, None
+    track, begun_s, broke_s, picture = flight.track, flight.begun_s, breaks.broke_s, None
     if wrong:
         picture = draw_failure(row.name, track, begun_s, broke_s, wrong, folder)
     last = track.truth[-1]
-    off_m = float(np.hypot(*(last.position_ned_m - broke_at)[:2])) if last.on_ground else None
+    lands = last.on_ground and breaks.broke_at_ned_m is not None
+    off_m = _off_m(row, last.position_ned_m, breaks.broke_at_ned_m) if lands else None
     return RowResult(
         name=row.name, family=family, expected=row.expected, where=row.where, when=row.when,
         wrong=tuple(wrong), broke_s=broke_s, landed_off_m=off_m,
@@ -83,80 +71,50 @@ def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path)
     )  # fmt: skip
 
 
-def _reach_route(flight: LiveFlight) -> list[str]:
-    def stopped() -> bool:
-        return flight.has_ended() or flight.is_in(Phase.ROUTE)
+def _reach(row: Scenario, flight: LiveFlight) -> list[str]:
+    """Where the row begins: on the ground, in a phase of the mission, or on the route at speed."""
+    start = row.setup.start
+    if start is None or start.phase is None:
+        return []
+    entered = start.phase.value
 
-    if not flight.watch(stopped, _ROUTE_S) or flight.has_ended():
+    def stopped() -> bool:
+        return flight.has_ended() or any(line.text == entered for line in flight.track.phases)
+
+    if not flight.watch(stopped, _AIR_S) or flight.has_ended():
         said = flight.track.events[-1].text if flight.track.events else "nothing"
-        return [f"it never got to the route; the last it said is: {said}"]
+        return [f"it never got {entered}; the last it said is: {said}"]
 
     def at_speed() -> bool:
         return bool(np.hypot(*flight.track.truth[-1].velocity_ned_m_s[:2]) > _AT_SPEED_M_S)
 
-    flight.watch(at_speed, _SPEED_S)
+    if start.phase is Phase.ROUTE:
+        flight.watch(at_speed, _SPEED_S)
     return []
 
 
-def _inside(fault: Fault) -> str:
-    """What `live.inside` has to break, "" when nothing."""
-    match fault:
-        case camera.CameraTrouble(make):
-            return make.__name__
-        case computer.ModelRaises():
-            return "model"
-    return ""
+def _follow(row: Scenario, flight: LiveFlight, breaks: LiveBreaks) -> list[str]:
+    """Let it break, be mended and end as the row does, and judge that."""
+
+    def over() -> bool:
+        return flight.is_down() or (flight.has_ended() and not flight.simulator.armed)
+
+    flight.watch(lambda: breaks.broke_s is not None or over(), _BREAKS_S)
+    if breaks.broke_s is None:
+        return ["it never came to where it breaks"]
+    flight.watch(over, _lasts_s(row))
+    return _judge(row, flight, breaks.broke_s, breaks.broke_at_ned_m)
 
 
-def _begin(fault: Fault, flight: LiveFlight) -> None:
-    pilot = flight.simulator.pilot
-    match fault:
-        case camera.CameraTrouble() | computer.ModelRaises():
-            flight.trigger.touch()
-        case computer.NavigatorKilled():
-            flight.process.send_signal(signal.SIGKILL)
-        case computer.NavigatorStopped(seconds):
-            _signal(flight, signal.SIGSTOP)
-            threading.Timer(seconds, _signal, (flight, signal.SIGCONT)).start()
-        case aircraft.PilotSwitches():
-            assert pilot is not None
-            pilot.take_over()
-        case link.StationCommands(mode):
-            assert pilot is not None
-            pilot.ask(mode)
-        case _:
-            fault.begin(_Spoiled(flight))  # type: ignore[arg-type]
-
-
-def _end(fault: Fault, flight: LiveFlight) -> None:
-    if isinstance(fault, _INSIDE):
-        flight.trigger.unlink(missing_ok=True)
-    elif isinstance(fault, _SPOILS_LINK):
-        fault.end(_Spoiled(flight))  # type: ignore[arg-type]
-
-
-class _Spoiled:
-    """As much of a world as faults of the link change."""
-
-    def __init__(self, flight: LiveFlight) -> None:
-        self.autopilot_link = flight.simulator.relay.autopilot_link
-        self.note = flight.note
-
-
-def _signal(flight: LiveFlight, number: signal.Signals) -> None:
-    if not flight.has_ended():
-        os.kill(flight.process.pid, number)
-
-
-def _follow(row: Scenario, flight: LiveFlight, for_s: float | None) -> None:
-    """Let the fault last, mend it, and wait for what the row ends with."""
-    lasts_s = row.limit_s - row.breaks[0].at_s if for_s is None else for_s
-    flight.watch(flight.is_down, lasts_s)
-    _end(row.breaks[0].fault, flight)
-    if row.ending is Ending.LANDED:
-        flight.watch(flight.is_down, _DOWN_S)
-    elif for_s is not None:
-        flight.watch(flight.is_down, row.limit_s - row.breaks[0].at_s - for_s)
+def _lasts_s(row: Scenario) -> float:
+    """How long it is followed since it broke."""
+    first = row.breaks[0]
+    timed = first.phase is None and not first.armed
+    rest_s = row.limit_s - (first.at_s if timed else 0.0)
+    if row.ending is not Ending.LANDED:
+        return rest_s
+    mended_s = max(each.at_s + (each.for_s or 0.0) for each in row.breaks) - first.at_s
+    return max(rest_s, mended_s + _DOWN_S)
 
 
 def _judge(row: Scenario, flight: LiveFlight, broke_s: float, broke_at: Any) -> list[str]:
@@ -170,7 +128,7 @@ def _judge(row: Scenario, flight: LiveFlight, broke_s: float, broke_at: Any) -> 
             wrong.append(
                 f"{each.what} after {times[0] - broke_s:.1f} s, {each.within_s:g} s are allowed"
             )
-    off_m = float(np.hypot(*(flight.place_ned_m() - broke_at)[:2]))
+    off_m = _off_m(row, flight.place_ned_m(), broke_at)
     match row.ending:
         case Ending.LANDED if not flight.is_down():
             wrong.append("it is not down")
@@ -178,12 +136,20 @@ def _judge(row: Scenario, flight: LiveFlight, broke_s: float, broke_at: Any) -> 
             wrong.append(f"it landed {off_m:.1f} m off, {row.lands_within_m:.0f} m are allowed")
         case Ending.FLIES_ON if not _flies_on(flight):
             wrong.append(f"it does not fly on: {flight.track.phases[-1].text}")
+        case Ending.STAYED if any(each.armed for each in track.truth):
+            wrong.append("its motors have run")
         case Ending.PILOT | Ending.OTHERS if not flight.is_in(Phase.RELEASED):
             wrong.append(f"nobody else has it: {flight.track.phases[-1].text}")
     limit_m_s = row.setup.config.limits.speed_max_m_s + row.setup.wind_m_s + row.faster_m_s
     if _fastest(flight, broke_s) > limit_m_s and row.ending is not Ending.PILOT:
         wrong.append(f"{_fastest(flight, broke_s):.1f} m/s, {limit_m_s:.1f} are allowed")
     return wrong
+
+
+def _off_m(row: Scenario, place_ned_m: Any, broke_at_ned_m: Any) -> float:
+    """From where it is meant to come down: the row's place, else where it was when it broke."""
+    meant = broke_at_ned_m[:2] if row.lands_at_ne_m is None else row.lands_at_ne_m
+    return float(np.hypot(*(place_ned_m[:2] - meant)))
 
 
 def _flies_on(flight: LiveFlight) -> bool:

@@ -1,46 +1,76 @@
-"""Breaks a navigator's process from inside, when a file appears.
+"""Breaks the processes of `vwnav fly` from inside, each fault when a file of its own appears.
 
-The interpreter of `vwnav fly` loads this at its start through the `sitecustomize` that
-`patch_folder` writes: the product itself knows nothing of it.
+Their interpreters load this at their start through the `sitecustomize` that `patch_folder` writes:
+the product itself knows nothing of it. Camera and model break for every navigator of a flight, all
+else in the first one alone.
 """
 
+import pickle
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-_IN_THE_NAVIGATOR = (
-    'import sys\nif "fly" in sys.orig_argv and "--standby" not in sys.orig_argv:\n'
+from vwnav.bench.flights.faults.camera import CameraTrouble, ImagesLate, Trouble
+from vwnav.bench.flights.faults.computer import LoopHangs, MatchingRaises, ModelRaises, StepRaises
+from vwnav.bench.flights.stage import Fault, Loop
+from vwnav.types import Frame
+
+_FAULTS = "faults.pickle"
+_IN_EACH_NAVIGATOR = (
+    'import sys\nif "fly" in sys.orig_argv:\n'
     "    from vwnav.bench.flights.live.inside import break_inside\n"
-    "    break_inside({what!r}, {trigger!r})\n"
+    "    break_inside({folder!r})\n"
 )
+Stands = Callable[[], bool]  # whether it is broken by now
 
 
-def patch_folder(folder: Path, what: str, trigger: Path) -> Path:
-    """A folder for PYTHONPATH; `what` breaks as soon as the file `trigger` is there."""
+def patch_folder(folder: Path, faults: Mapping[int, Fault]) -> Path:
+    """A folder for PYTHONPATH; a fault breaks as long as its `trigger_of` is there."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = _IN_THE_NAVIGATOR.format(what=what, trigger=str(trigger))
-    (folder / "sitecustomize.py").write_text(text)
+    if faults:
+        (folder / _FAULTS).write_bytes(pickle.dumps(dict(faults)))
+        (folder / "sitecustomize.py").write_text(_IN_EACH_NAVIGATOR.format(folder=str(folder)))
     return folder
 
 
-def break_inside(what: str, trigger: str) -> None:
-    """Patch this process; `what` is "model", or a function of `faults.camera`."""
-    if what == "model":
-        _break_model(Path(trigger))
-    elif what:
-        _break_camera(what, Path(trigger))
+def trigger_of(folder: Path, number: int) -> Path:
+    """The file that breaks a fault."""
+    return folder / f"break-{number}"
 
 
-def _break_camera(what: str, trigger: Path) -> None:
-    import vwnav.bench.flights.faults.camera as troubles
+def break_inside(folder: str) -> None:
+    """Patch this process."""
+    is_first = "--standby" not in sys.orig_argv
+    faults: dict[int, Fault] = pickle.loads((Path(folder) / _FAULTS).read_bytes())
+    for number, fault in faults.items():
+        stands = trigger_of(Path(folder), number).exists
+        match fault:
+            case CameraTrouble(make):
+                _alter_images(make(), stands)
+            case ImagesLate(seconds, stamped):
+                _alter_images(_late(seconds, stamped), stands)
+            case ModelRaises():
+                _break_model(stands)
+            case StepRaises(loop) if is_first:
+                _break_step(loop, stands, _raise)
+            case LoopHangs(loop) if is_first:
+                _break_step(loop, stands, threading.Event().wait)
+            case MatchingRaises() if is_first:
+                _break_matching(stands)
+
+
+def _alter_images(trouble: Trouble, stands: Stands) -> None:
     from vwnav.sim.camera_source import SimulatedCamera
-    from vwnav.types import Frame
 
-    trouble = getattr(troubles, what)()
     whole = SimulatedCamera.next_frame
 
     def next_frame(self: SimulatedCamera) -> Frame | None:
         while (frame := whole(self)) is not None:
-            broken: Frame | None = trouble(frame) if trigger.exists() else frame
+            broken = trouble(frame) if stands() else frame
             if broken is not None:
                 return broken
         return None
@@ -48,14 +78,70 @@ def _break_camera(what: str, trigger: Path) -> None:
     SimulatedCamera.next_frame = next_frame  # type: ignore[method-assign]
 
 
-def _break_model(trigger: Path) -> None:
+def _late(seconds: float, stamped: bool) -> Trouble:
+    waiting: deque[Frame] = deque()
+
+    def delay(frame: Frame) -> Frame | None:
+        waiting.append(frame)
+        if frame.t_s < waiting[0].t_s + seconds:
+            return None
+        late = waiting.popleft()
+        return late if stamped else replace(late, t_s=late.t_s + seconds)
+
+    return delay
+
+
+def _break_model(stands: Stands) -> None:
     from vwnav.vision.features.learned import LearnedFeatures
 
     whole = LearnedFeatures.extract
 
     def extract(self: LearnedFeatures, *args: Any, **kwargs: Any) -> Any:
-        if trigger.exists():
+        if stands():
             raise RuntimeError("bad allocation in the inference session")
         return whole(self, *args, **kwargs)
 
     LearnedFeatures.extract = extract  # type: ignore[method-assign]
+
+
+def _break_step(loop: Loop, stands: Stands, breaks: Callable[[], object]) -> None:
+    owner, name = _step_of(loop)
+    whole = getattr(owner, name)
+
+    def step(*args: Any, **kwargs: Any) -> Any:
+        if stands():
+            breaks()
+        return whole(*args, **kwargs)
+
+    setattr(owner, name, step)
+
+
+def _step_of(loop: Loop) -> tuple[type, str]:
+    """What one of the loops calls at each turn, as `bench.flights.navigator` has it."""
+    from vwnav.flight import Flight
+    from vwnav.mavlink.autopilot import LinkedAutopilot
+    from vwnav.pipeline import Pipeline
+
+    steps: dict[Loop, tuple[type, str]] = {
+        "link": (LinkedAutopilot, "step"),
+        "mission": (Flight, "tick"),
+        "picture": (Pipeline, "step"),
+    }
+    return steps[loop]
+
+
+def _break_matching(stands: Stands) -> None:
+    from vwnav.vision.localizer import Localizer
+
+    whole = Localizer.localize
+
+    def localize(*args: Any, **kwargs: Any) -> Any:
+        if stands():
+            _raise()
+        return whole(*args, **kwargs)
+
+    Localizer.localize = localize  # type: ignore[method-assign]
+
+
+def _raise() -> None:
+    raise RuntimeError("broken on purpose")

@@ -7,9 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1
@@ -24,6 +25,7 @@ from vwnav.bench.flights.live.whereabouts import (
     Whereabouts,
     place_ned_m,
 )
+from vwnav.bench.flights.stage import Fault
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
@@ -33,7 +35,9 @@ from vwnav.sim.config import Manners
 from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
+NOTHING: Mapping[int, Fault] = MappingProxyType({})
 _LOOK_S = 0.05
+_PATCH = "patch"
 _MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
 _GROUND_M = 0.7
 _LANDS_S = 240.0  # it is waited for at most
@@ -190,6 +194,7 @@ class LiveFlight:
         begun_s: when it was started, on that clock.
         home: with its origin where the aircraft stood.
         see: is called whenever something may have happened.
+        patch: folder of what breaks inside of it, see `inside`.
     """
 
     def __init__(
@@ -209,7 +214,7 @@ class LiveFlight:
         self.see: Callable[[], None] = lambda: None
         self._log = (folder / "log").open(errors="replace")
         self._rest = ""
-        self.trigger = folder / "break"
+        self.patch = folder / _PATCH
 
     @property
     def t_s(self) -> float:
@@ -271,7 +276,7 @@ def live_flight(
     simulator: Simulator,
     folder: Path,
     route: str,
-    breaks: str = "",
+    breaks: Mapping[int, Fault] = NOTHING,
     settings: str = "",
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[LiveFlight]:
@@ -281,7 +286,7 @@ def live_flight(
         simulator: that flies.
         folder: of everything that is written.
         route: ID,X,Y,Z lines about home.
-        breaks: what breaks inside of it once the flight's `trigger` is there, see `inside`.
+        breaks: what breaks inside of it, each once its trigger is there, see `inside`.
         settings: TOML.
         tell: receives what the program says, a line each: who arms it has to know.
     """
@@ -293,7 +298,7 @@ def live_flight(
         sys.executable, "-m", "vwnav", "fly", *simulator.where.fly_words(),
         "--route", str(folder / "route.txt"), "--connection", simulator.relay.url, *run,
     ]  # fmt: skip
-    paths = [str(patch_folder(folder / "patch", breaks, folder / "break")), *sys.path]
+    paths = [str(patch_folder(folder / _PATCH, breaks)), *sys.path]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(each for each in paths if each)}
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env=env)
