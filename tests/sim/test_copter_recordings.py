@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from copter_bench import ARM, REQUEST, TAKEOFF, CopterBench
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tlogs import COMPANION, RECORDS, needs, packets, recorded
 
 from vwnav.sim.copter import messages
@@ -19,6 +20,7 @@ LINK, PILOT = f"{PREFIX}link_loss", f"{PREFIX}pilot_rcswitch"
 pytestmark = needs(NOMINAL)
 HEARTBEAT, SYS_STATUS, LOCAL, SIM_STATE, EKF, TEXT = 0, 1, 32, 108, 193, 253
 LANDED, ACK, LONG, VERSION = 245, 77, 76, 148
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 Series = list[tuple[float, Any]]
 BATTERY_LIMITS = (
     ("BATT_FS_LOW_ACT", 2),
@@ -348,3 +350,22 @@ def test_takeoff_wants_guided_and_arms() -> None:
     bench = CopterBench()
     bench.get_ready()
     assert bench.command(TAKEOFF, *[0.0] * 6, 5.0) == 4
+
+
+def test_after_a_landing_it_is_ready_to_arm_but_not_in_land() -> None:
+    modes = recorded(NOMINAL, HEARTBEAT)
+    landed_s = next(t_s for t_s, m in modes if m.custom_mode == Mode.LAND and not m.base_mode & 128)
+    after = [m for t_s, m in recorded(NOMINAL, SYS_STATUS) if t_s > landed_s + 1.0]
+    assert after
+    assert all(m.onboard_control_sensors_health & PREARM for m in after)
+
+    bench = quiet().aloft(4.0)
+    assert bench.set_mode(Mode.LAND) == 0
+    bench.run(25.0)
+    assert not bench.vehicle.commander.armed
+    assert bench.of("SYS_STATUS")[-1][1].onboard_control_sensors_health & PREARM
+    assert bench.command(ARM, 1.0) == 4
+    assert bench.texts()[-1] == "Arm: Land mode not armable"
+    assert bench.set_mode(Mode.GUIDED) == 0
+    bench.run(1.1)
+    assert bench.command(ARM, 1.0) == 0

@@ -30,7 +30,10 @@ class CopterCommander:
         self._checked_s = self._said_s = -math.inf
 
     def problems(self, health: CopterHealth) -> tuple[str, ...]:
-        """What forbids arming in this mode; () when it may arm."""
+        """What it complains of before arming in this mode; () when its health shows it ready.
+
+        That the mode itself is none to arm in is found only when that is asked for.
+        """
         found = []
         if not health.attitude_ok:
             found.append("AHRS: not healthy")
@@ -42,8 +45,6 @@ class CopterCommander:
             found.append("AHRS: waiting for home")
         if health.battery_level > 0:
             found.append("Battery failsafe")
-        if self.mode not in ARMABLE:
-            found.append(f"{self.mode.name.title()} mode not armable")
         return tuple(found)
 
     def arm(self, health: CopterHealth, forced: bool, t_s: float) -> Result:
@@ -51,6 +52,8 @@ class CopterCommander:
         if self.armed:
             return Result.ACCEPTED
         problems = self.problems(health)
+        if self.mode not in ARMABLE:
+            problems = (f"{self.mode.name.title()} mode not armable", *problems)
         if problems and not forced:
             self._say(Severity.CRITICAL, f"Arm: {problems[0]}")
             return Result.FAILED
