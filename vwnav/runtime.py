@@ -34,7 +34,7 @@ _LEAVES_S = 2.0  # for a loop to end its turn
 _LEAVES_AT_ONCE_S = 0.2  # the same where somebody waits to take over
 SILENT_S = 1.1  # of telemetry: a gap of a second is bridged, by the filter and by autopilots
 _ATTITUDE_POLL_S = 0.01
-_CAMERA_AGAIN_S = 1.0
+_CAMERA_AGAIN_S = 0.2
 # What simulated time waits for (`vwnav.clock`), beside the beats of the loops:
 TELEMETRY_LATE_S = 0.1  # from the measurement of an attitude to the filter
 IMAGE_LATE_S = 0.07  # from an image's arrival to the end of its step
@@ -304,7 +304,7 @@ class FlightRuntime:
                 return
 
     def _vision_loop(self, source: FrameSource, clock: Clock) -> None:
-        """Images as they come; a camera that fails is asked again every second."""
+        """Images as they come; a camera that fails is asked again and again."""
         vision = clock.join("vision")
         while not self._stop.is_set():
             try:

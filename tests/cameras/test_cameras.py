@@ -220,6 +220,17 @@ def test_a_camera_that_hangs_is_an_error_in_time():
         source.next_frame()
 
 
+def frame_at_last(source):
+    """Of a camera that fails for a while."""
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        try:
+            return source.next_frame()
+        except SourceError:
+            time.sleep(0.02)
+    return None
+
+
 @pytest.mark.parametrize("pulled", ["ends", "raises"])
 def test_a_camera_that_is_plugged_in_again_comes_back_by_itself(monkeypatch, pulled):
     """Pulled out after three images, not to be opened twice, then there again."""
@@ -241,19 +252,44 @@ def test_a_camera_that_is_plugged_in_again_comes_back_by_itself(monkeypatch, pul
 
     source = RealTimeSource(open_camera)
     assert frames_before_error(source, "no pictures any more")
-    deadline = time.monotonic() + 20.0
-    frame = None
-    while frame is None and time.monotonic() < deadline:
-        try:
-            frame = source.next_frame()
-        except SourceError:
-            time.sleep(0.02)
+    frame = frame_at_last(source)
     assert frame is not None
     assert frame.index >= 3
     assert len(opened) == 4
     assert opened[0].closed
     source.close()
     assert opened[3].closed
+
+
+def test_a_camera_that_is_not_there_yet_is_waited_for_in_flight(monkeypatch):
+    monkeypatch.setattr("vwnav.cameras.live._AGAIN_S", 0.05)
+    asked = []
+
+    def open_camera():
+        asked.append(time.monotonic())
+        if len(asked) < 4:
+            raise SourceError("cannot open the camera")
+        return SteadyGrabber(1000)
+
+    source = RealTimeSource(open_camera, at_once=False)
+    began_s = time.monotonic()
+    with pytest.raises(SourceError, match="no pictures any more"):
+        source.next_frame()
+    assert time.monotonic() - began_s < 1.0  # at once, not after the time to wait for an image
+    assert frame_at_last(source) is not None
+    assert len(asked) == 4
+    source.close()
+
+
+@pytest.mark.parametrize("name", ["/dev/video77:640x480", "rtsp://127.0.0.1:9/none"])
+def test_a_camera_that_never_comes_can_be_given_up(name):
+    with pytest.raises(SourceError):
+        open_source(name)
+    source = open_source(name, at_once=False)
+    with pytest.raises(SourceError):
+        source.next_frame()
+    source.close()
+    assert source.next_frame() is None
 
 
 class MjpegHandler(http.server.BaseHTTPRequestHandler):

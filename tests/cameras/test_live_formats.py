@@ -11,7 +11,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from rtsp_server import FPS, RtspServer, bright
+from rtsp_server import FPS, RtspServer, bright, steadily
 
 from vwnav.cameras import gstreamer, v4l2_crop
 from vwnav.cameras.gstreamer import GstreamerGrabber
@@ -286,11 +286,7 @@ def test_what_a_pipe_says_and_is_no_image_is_one_clear_line(tmp_path, monkeypatc
 
 
 def test_an_rtsp_camera_is_seen():
-    def images():
-        for number in itertools.count():
-            yield cv2.imencode(".jpg", bright(number))[1].tobytes()
-
-    with RtspServer(images, (160, 120)) as server:
+    with RtspServer(lambda: steadily(bright), (160, 120)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         source = open_source(server.url)
         frames = [source.next_frame() for _ in range(4)]
@@ -304,11 +300,7 @@ def test_an_rtsp_camera_is_seen():
 
 
 def test_an_rtsp_image_that_is_read_late_keeps_the_time_at_which_it_was_sent():
-    def images():
-        for number in itertools.count():
-            yield cv2.imencode(".jpg", bright(number))[1].tobytes()
-
-    with RtspServer(images, (160, 120)) as server:
+    with RtspServer(lambda: steadily(bright), (160, 120)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         grabber = StreamGrabber(server.url)
         dates_s = [grabber.grab()[0] for _ in range(60)]

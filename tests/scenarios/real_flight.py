@@ -17,14 +17,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from network_camera import NetworkCamera
 
 from vwnav.bench.flights.live.processes import watchdogs_of
 from vwnav.bench.flights.live.relay import Relay
+from vwnav.geometry.calibration import save_camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.onboard.program import free_ports
+from vwnav.sim.renderer import default_camera
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.vehicle import VehicleConfig, start_vehicle
 
+_CALIBRATION = "camera.toml"
 ROOT = Path(__file__).resolve().parents[2]
 HOME = LocalFrame(60.4, 22.5, 40.0)
 ROUTE_TEXT = "1,45,0,32\n2,45,-40,32\n"
@@ -47,6 +51,7 @@ class RealFlight:
         folder: of its run.
         log: of what it says.
         truth: where the vehicle truly is.
+        camera: that it sees by, where that is in a network.
     """
 
     command: list[str]
@@ -54,6 +59,7 @@ class RealFlight:
     folder: Path
     log: Path
     truth: TruthReader
+    camera: NetworkCamera | None
     _track: list[tuple[float, np.ndarray, float]] = field(default_factory=list)
 
     def said(self, text: str) -> bool:
@@ -97,7 +103,7 @@ class RealFlight:
         with path.open("wb") as log:
             process = subprocess.Popen(self.command, stdout=log, stderr=log, cwd=ROOT)
         try:
-            yield RealFlight(self.command, process, folder, path, self.truth)
+            yield RealFlight(self.command, process, folder, path, self.truth, self.camera)
         finally:
             process.kill()
             process.wait()
@@ -148,6 +154,7 @@ def real_flight(
     hear: Callable[[Any], None] | None = None,
     whose: Whose = "first",
     settings: str = "",
+    networked: bool = False,
 ) -> Iterator[RealFlight]:
     """Start vehicle and navigator; both are gone at the end.
 
@@ -160,8 +167,10 @@ def real_flight(
         hear: is called with messages of the link, through a relay.
         whose: the first navigator is broken, those that follow it, or all.
         settings: of the navigator, as `--config` takes them.
+        networked: the camera is in a network, as a real one may be.
     """
     link, truth = free_ports(2)
+    truth_url = f"udpout:127.0.0.1:{truth}"
     config = VehicleConfig(
         home_lat_deg=HOME.lat_deg, home_lon_deg=HOME.lon_deg, home_alt_amsl_m=HOME.alt_amsl_m,
         companion_url=f"udpout:127.0.0.1:{link}", truth_url=f"udpin:127.0.0.1:{truth}",
@@ -173,13 +182,6 @@ def real_flight(
     config_path.write_text(settings)
     vehicle_url = f"udpin://127.0.0.1:{link}"
     relay = None if hear is None else Relay(vehicle_url, hear)
-    command = [
-        sys.executable, "-m", "vwnav", "fly", "--video", "sim:default", "--map", "sim:default",
-        "--route", str(route), "--config", str(config_path),
-        "--home", f"{HOME.lat_deg},{HOME.lon_deg}",
-        "--connection", vehicle_url if relay is None else relay.url,
-        "--truth", f"udpout:127.0.0.1:{truth}", "-o", str(folder / "run"),
-    ]  # fmt: skip
 
     def limit() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # what a shell starts behind it ignores it
@@ -187,13 +189,26 @@ def real_flight(
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
     env = os.environ | broken(patch, folder / "patch", whose)
-    with start_vehicle(config), (folder / "log").open("wb") as log:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(start_vehicle(config))
+        camera = _network_camera(folder, truth_url, stack) if networked else None
+        video = "sim:default" if camera is None else camera.url
+        command = [
+            sys.executable, "-m", "vwnav", "fly", "--video", video, "--map", "sim:default",
+            "--route", str(route), "--config", str(config_path),
+            "--home", f"{HOME.lat_deg},{HOME.lon_deg}",
+            "--connection", vehicle_url if relay is None else relay.url,
+            "--truth", truth_url, "-o", str(folder / "run"),
+        ]  # fmt: skip
+        if camera is not None:
+            command += ["--camera", str(folder / _CALIBRATION)]
+        log = stack.enter_context((folder / "log").open("wb"))
         process = subprocess.Popen(
             command, stdout=log, stderr=log, env=env, cwd=ROOT, preexec_fn=limit
         )
-        reader = TruthReader(f"udpout:127.0.0.1:{truth}")
+        reader = TruthReader(truth_url)
         try:
-            yield RealFlight(command, process, folder / "run", folder / "log", reader)
+            yield RealFlight(command, process, folder / "run", folder / "log", reader, camera)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 process.send_signal(signal.SIGCONT)
@@ -202,3 +217,10 @@ def real_flight(
             reader.close()
             if relay is not None:
                 relay.close()
+
+
+def _network_camera(folder: Path, truth_url: str, stack: contextlib.ExitStack) -> NetworkCamera:
+    save_camera(default_camera(), folder / _CALIBRATION)
+    camera = NetworkCamera("sim:default", default_camera(), truth_url)
+    stack.callback(camera.close)
+    return camera

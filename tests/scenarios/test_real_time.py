@@ -152,6 +152,33 @@ def test_a_second_navigator_knows_at_once_how_the_camera_hangs_that_the_first_on
         assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 15.0
 
 
+@pytest.mark.long
+def test_a_camera_that_is_pulled_out_for_3_s_is_flown_on_without_and_comes_back(tmp_path):
+    with real_flight(tmp_path, networked=True) as flight:
+        flight.wait_until_on_route()
+        flight.camera.unplug()
+        time.sleep(3.0)
+        flight.camera.plug_in()
+        flight.wait(lambda: flight.said("descending"), 90.0)
+        assert np.hypot(*flight.place_ned_m()[:2]) < 3.0
+        assert not flight.said("landing: ")
+
+
+@pytest.mark.long
+def test_a_second_navigator_tells_where_it_is_though_the_camera_is_not_there(tmp_path):
+    with real_flight(tmp_path, networked=True) as flight:
+        flight.wait_until_on_route()
+        time.sleep(9.0)  # the wind is learned
+        flight.camera.unplug()
+        time.sleep(0.5)
+        flight.signal(signal.SIGKILL)
+        killed_at = flight.place_ned_m()
+        told = "estimates are handed on again"
+        flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
+        flight.wait_until_down(90.0)
+        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 50.0
+
+
 def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(tmp_path):
     with real_flight(tmp_path, AFTER_TICKS_ON_ROUTE) as flight:
         flight.wait(lambda: flight.said("broken on purpose"), 150.0)

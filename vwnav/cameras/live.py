@@ -24,9 +24,9 @@ from vwnav.types import Frame
 
 _log = logging.getLogger(__name__)
 _NO_IMAGE_TIMEOUT_S = 5.0
-_AGAIN_S = 1.0  # between attempts to open a camera that has failed
+_AGAIN_S = 0.3  # between attempts to open a camera that is not there
 _STOP_TIMEOUT_S = 2.0
-_OPEN_TIMEOUT_MS = 5000
+_OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS = 5000, 2000
 _DRIVER_STAMP_LIMIT_S = 1.0
 _BAD_IN_A_ROW = 30  # pictures that no decoder takes: a second of them is a camera that has failed
 
@@ -52,6 +52,7 @@ class RealTimeSource:
     Args:
         open_camera: opens it, now and whenever it has failed.
         timeout_s: to wait for an image.
+        at_once: it has to be there now; else it is waited for like one that has failed.
 
     Attributes:
         dropped: images that were replaced before anybody fetched them.
@@ -59,20 +60,25 @@ class RealTimeSource:
     """
 
     def __init__(
-        self, open_camera: Callable[[], Grabber], timeout_s: float = _NO_IMAGE_TIMEOUT_S
+        self,
+        open_camera: Callable[[], Grabber],
+        timeout_s: float = _NO_IMAGE_TIMEOUT_S,
+        at_once: bool = True,
     ) -> None:
         self._open_camera = open_camera
-        self._grabber: Grabber | None = open_camera()
+        grabber = open_camera() if at_once else None
         self._timeout_s = timeout_s
         self._newest: Frame | None = None
         self._count = 0
         self._closed = False
-        self._failed = False
+        self._failed = grabber is None
         self._arrived = threading.Condition()
         self.dropped = 0
         self.sensor_mode: SensorMode | None = None
         self._keeper: LightKeeper | None = None
-        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, args=(grabber,), name="camera", daemon=True
+        )
         self._thread.start()
 
     def next_frame(self) -> Frame | None:
@@ -110,11 +116,12 @@ class RealTimeSource:
     def _has_news(self) -> bool:
         return self._newest is not None or self._closed or self._failed
 
-    def _run(self) -> None:
-        while (grabber := self._grabber) is not None:
+    def _run(self, grabber: Grabber | None) -> None:
+        grabber = grabber or self._opened()
+        while grabber is not None:
             self._grab_until_it_fails(grabber)
             self._fail()
-            self._grabber = self._opened_again()
+            grabber = None if self._is_closed_within(_AGAIN_S) else self._opened()
 
     def _grab_until_it_fails(self, grabber: Grabber) -> None:
         try:
@@ -138,16 +145,19 @@ class RealTimeSource:
             self._failed = True
             self._arrived.notify_all()
 
-    def _opened_again(self) -> Grabber | None:
-        """The camera once it is there again; None when the source is closed before."""
+    def _opened(self) -> Grabber | None:
+        """The camera once it is there; None when the source is closed before."""
         while True:
-            with self._arrived:
-                if self._arrived.wait_for(lambda: self._closed, _AGAIN_S):
-                    return None
             try:
                 return self._open_camera()
             except Exception as error:
                 _log.debug("the camera is not there yet: %s", error)
+            if self._is_closed_within(_AGAIN_S):
+                return None
+
+    def _is_closed_within(self, seconds: float) -> bool:
+        with self._arrived:
+            return self._arrived.wait_for(lambda: self._closed, seconds)
 
     def _hand_over(self, t_s: float, image: NDArray[np.uint8]) -> None:
         with self._arrived:
@@ -303,7 +313,7 @@ class StreamGrabber:
             cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
             _OPEN_TIMEOUT_MS,
             cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-            _OPEN_TIMEOUT_MS,
+            _READ_TIMEOUT_MS,
         ]
         self._video = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
         if not self._video.isOpened():

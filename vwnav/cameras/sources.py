@@ -27,7 +27,9 @@ _STREAM_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "rtp:
 DEFAULT_FOLDER_FPS = 1.0
 
 
-def open_source(text: str, fps: float | None = None, mode: SensorMode | None = None) -> FrameSource:
+def open_source(
+    text: str, fps: float | None = None, mode: SensorMode | None = None, at_once: bool = True
+) -> FrameSource:
     """Open the images that `text` names.
 
     Args:
@@ -37,6 +39,7 @@ def open_source(text: str, fps: float | None = None, mode: SensorMode | None = N
         fps: rate of a folder's images where they carry no time of their own; the rate wanted of
             a live camera.
         mode: of its sensor that is wanted of a live camera, as far as it can be told.
+        at_once: a live camera has to be there now; else it is waited for like one that has failed.
 
     Raises:
         SourceError: it is not there, cannot be opened, or is none of these.
@@ -45,14 +48,14 @@ def open_source(text: str, fps: float | None = None, mode: SensorMode | None = N
     if picamera is not None:
         size, rate = _asked(text, *picamera.groups())
         size, wanted_fps = size or (1920, 1080), fps or rate or 30.0
-        return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps, mode))
+        return RealTimeSource(lambda: PicameraGrabber(*size, wanted_fps, mode), at_once=at_once)
     if text.startswith(_STREAM_SCHEMES):
-        return RealTimeSource(lambda: StreamGrabber(text))
+        return RealTimeSource(lambda: StreamGrabber(text), at_once=at_once)
     if text.startswith("gst:"):
-        return _gstreamer(text, fps)
+        return _gstreamer(text, fps, at_once)
     device = _DEVICE.fullmatch(text)
-    if device is not None and Path(device[1]).is_char_device():
-        return _video4linux(device, fps, mode)
+    if device is not None and (not at_once or Path(device[1]).is_char_device()):
+        return _video4linux(device, fps, mode, at_once)
     path = Path(text)
     if path.is_dir():
         return ImageFolder(path, fps or DEFAULT_FOLDER_FPS)
@@ -66,17 +69,19 @@ def open_source(text: str, fps: float | None = None, mode: SensorMode | None = N
     )
 
 
-def _video4linux(found: re.Match[str], fps: float | None, mode: SensorMode | None) -> FrameSource:
+def _video4linux(
+    found: re.Match[str], fps: float | None, mode: SensorMode | None, at_once: bool
+) -> FrameSource:
     name, *numbers, pixels = found.groups()
     size_wh, rate = _asked(found.string, *numbers)
     if pixels is None and mode is not None:
         pixels = mode.pixels
     known: dict[str | None, PixelFormat] = {"MJPG": "MJPG", "YUYV": "YUYV", "GREY": "GREY"}
     asked = AskedImages(size_wh, fps or rate, known.get(pixels))
-    return RealTimeSource(lambda: V4l2Grabber(name, asked))
+    return RealTimeSource(lambda: V4l2Grabber(name, asked), at_once=at_once)
 
 
-def _gstreamer(text: str, fps: float | None) -> FrameSource:
+def _gstreamer(text: str, fps: float | None, at_once: bool) -> FrameSource:
     found = _GSTREAMER.fullmatch(text)
     if found is None:
         raise SourceError(
@@ -85,7 +90,8 @@ def _gstreamer(text: str, fps: float | None) -> FrameSource:
     *numbers, pipeline = found.groups()
     size_wh, rate = _asked(text, *numbers)
     assert size_wh is not None
-    return RealTimeSource(lambda: GstreamerGrabber(pipeline, *size_wh, fps or rate or 30.0))
+    wanted_fps = fps or rate or 30.0
+    return RealTimeSource(lambda: GstreamerGrabber(pipeline, *size_wh, wanted_fps), at_once=at_once)
 
 
 def _asked(

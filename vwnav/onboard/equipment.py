@@ -63,22 +63,25 @@ def open_camera(
     truth: TruthReader | None,
     clock: Clock,
     stack: ExitStack,
-    flown_m: float = 0.0,
+    flown_m: float | None = None,
 ) -> FrameSource:
     """The camera, with its calibrated time offset, or one drawn from a simulator's truth.
 
-    `flown_m` is how high the vehicle flies already: its ground, which is drawn, lies so far below.
+    `flown_m` is how high the vehicle flies already, None on the ground: in the air a camera that is
+    not there is waited for, and the ground that is drawn lies so far below.
     """
     source: FrameSource
     if renderer is None:
-        source = open_source(str(options.video), mode=plan.camera.sensor_mode)
+        source = open_source(
+            str(options.video), mode=plan.camera.sensor_mode, at_once=flown_m is None
+        )
         if plan.camera.time_offset_s:
             source = RetimedSource(source, plan.camera.time_offset_s)
     else:
         assert truth is not None
         site = parse_site(str(options.video))
         home = (site.home_lat_deg, site.home_lon_deg)
-        source = SimulatedCamera(renderer, truth, home, clock, flown_m)
+        source = SimulatedCamera(renderer, truth, home, clock, flown_m or 0.0)
     stack.callback(source.close)
     return source
 

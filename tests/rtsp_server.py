@@ -1,10 +1,12 @@
 """A small RTSP server: JPEG over RTP (RFC 2435), interleaved with RTSP (RFC 2326) on its TCP."""
 
+import itertools
 import socketserver
 import struct
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
+import cv2
 import numpy as np
 
 SDP = (
@@ -16,13 +18,21 @@ FPS = 30
 
 
 class RtspServer(socketserver.ThreadingTCPServer):
-    """Serves `images()`, JPEG files of baseline coding, 4:2:0, to everybody who plays it."""
+    """Serves `images()` to everybody who plays it, as they come.
+
+    Each is the time in seconds that it says it was sent, and a JPEG file of baseline coding, 4:2:0.
+    """
 
     allow_reuse_address, daemon_threads = True, True
 
-    def __init__(self, images: Callable[[], Iterable[bytes]], size_wh: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        images: Callable[[], Iterable[tuple[float, bytes]]],
+        size_wh: tuple[int, int],
+        port: int = 0,
+    ) -> None:
         self.images, self.size_wh = images, size_wh
-        super().__init__(("127.0.0.1", 0), Session)
+        super().__init__(("127.0.0.1", port), Session)
 
     @property
     def url(self) -> str:
@@ -58,15 +68,15 @@ class Session(socketserver.StreamRequestHandler):
         return (method, number) if method else None
 
     def _play(self) -> None:
-        sequence, begun_s = 0, time.monotonic()
-        for image, jpeg in enumerate(self.server.images()):
+        sequence, first_s = 0, None
+        for sent_s, jpeg in self.server.images():
+            first_s = sent_s if first_s is None else first_s
+            stamp = FIRST_STAMP + round(90_000 * (sent_s - first_s))
             tables, scan = parts_of(jpeg)
             for offset in range(0, len(scan), PACKET):
                 piece = scan[offset : offset + PACKET]
                 last = offset + PACKET >= len(scan)
-                head = struct.pack(
-                    ">BBHII", 0x80, 26 | last << 7, sequence, FIRST_STAMP + image * 3000, 1
-                )
+                head = struct.pack(">BBHII", 0x80, 26 | last << 7, sequence, stamp, 1)
                 width, height = (side // 8 for side in self.server.size_wh)
                 head += struct.pack(">II", offset, 1 << 24 | 255 << 16 | width << 8 | height)
                 head += struct.pack(">HH", 0, len(tables)) + tables if offset == 0 else b""
@@ -76,7 +86,6 @@ class Session(socketserver.StreamRequestHandler):
                     self.connection.sendall(b"$\0" + struct.pack(">H", len(packet)) + packet)
                 except (TimeoutError, OSError):
                     return
-            time.sleep(max(0.0, begun_s + (image + 1) / FPS - time.monotonic()))
 
 
 def parts_of(jpeg: bytes) -> tuple[bytes, bytes]:
@@ -90,6 +99,14 @@ def parts_of(jpeg: bytes) -> tuple[bytes, bytes]:
         at += 2 + length
         if marker == 0xDA:
             return tables, jpeg[at:-2]
+
+
+def steadily(make: Callable[[int], np.ndarray]) -> Iterator[tuple[float, bytes]]:
+    """What a camera of `FPS` images a second sends, numbered from 0."""
+    begun_s = time.monotonic()
+    for number in itertools.count():
+        yield number / FPS, cv2.imencode(".jpg", make(number))[1].tobytes()
+        time.sleep(max(0.0, begun_s + (number + 1) / FPS - time.monotonic()))
 
 
 def bright(number: int) -> np.ndarray:
