@@ -3,6 +3,7 @@
 import contextlib
 import random
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,14 +21,14 @@ from vwnav.vehicle import FlightMode
 class CutFlight:
     """A live flight whose link is cut on the route: down after that, so many metres away."""
 
-    def __init__(self, manners: str, landed_m: float) -> None:
+    def __init__(self, manners: str, landed_m: float, folder: Path) -> None:
         self.simulator = SimpleNamespace(
-            manners=manners, armed=True, pilot=None, bring_down=lambda _: None,
+            manners=manners, armed=True, pilot=None, hand_back=lambda: None, bring_down=lambda _: None,
             relay=SimpleNamespace(autopilot_link=MemoryLink(time.monotonic, random.Random(1))),
         )  # fmt: skip
         self.track, self.begun_s, self.t_s = FlightTrace(), time.monotonic(), 60.0
         self.track.phases.append(LogLine(50.0, Phase.ROUTE.value))
-        self.process, self.patch = SimpleNamespace(pid=1), None
+        self.process, self.folder = SimpleNamespace(pid=1), folder
         self.see = lambda: None
         self._landed_m, self._broken = landed_m, False
         self._look(0.0)
@@ -62,7 +63,7 @@ class CutFlight:
 
 @pytest.mark.parametrize(("manners", "passes"), [("px4", False), ("copter", True)])
 def test_a_bound_of_arducopters_own_counts_where_one_flies(manners, passes, monkeypatch, tmp_path):
-    flight = CutFlight(manners, landed_m=40.0)
+    flight = CutFlight(manners, 40.0, tmp_path)
     monkeypatch.setattr(campaign, "live_flight", lambda *_: contextlib.nullcontext(flight))
     row = row_of("link cut for 3 s on the route")
     result = fly_live_row(row, "link", flight.simulator, tmp_path)

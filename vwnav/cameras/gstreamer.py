@@ -14,6 +14,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras import SILENT_S
 from vwnav.cameras.stream_times import StreamTimes
 from vwnav.errors import SourceError
 
@@ -28,7 +29,7 @@ _HEADER = struct.Struct(">4xHIQ44x")
 _BUFFER, _NO_TIME = 1, 2**64 - 1
 _MOST_BYTES = 1 << 16  # of a packet that is no image: events and formats are a few hundred
 _CLOSE_S = 2.0
-_SILENT_S = 10.0  # a pipeline that runs, and gives nothing for so long, has failed
+_BEGINS_S = 10.0  # a pipeline that runs, and gives nothing for so long at first, has failed
 
 
 class GstreamerGrabber:
@@ -36,7 +37,7 @@ class GstreamerGrabber:
 
     GStreamer Data Protocol (its `gdppay`) tells the time of each: an image that waited for us, on
     a busy machine, keeps the time that the pipeline gave it. As of a stream, one that comes as fast
-    as any is taken to be one period old.
+    as any is taken to be one period old, and those that lay ready at first are left out.
 
     Raises:
         SourceError: GStreamer is not there, or the pipeline gives no image.
@@ -62,11 +63,13 @@ class GstreamerGrabber:
             bufsize=0,
         )
         self._times = StreamTimes()
+        self._patience_s = _BEGINS_S
         self._first = self._read()
         if self._first is None:
             why = self._complaint()
             self.close()
             raise SourceError(f"the GStreamer pipeline gives no picture: {why}")
+        self._patience_s = SILENT_S
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
@@ -85,7 +88,7 @@ class GstreamerGrabber:
         self._said.close()
 
     def _read(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next image, and when it was exposed; None when no more comes."""
+        """The next image whose age is known, and its exposure; None when no more comes."""
         width_px, height_px = self._size_wh
         while (packet := self._packet()) is not None:
             kind, time_ns, data = packet
@@ -93,11 +96,13 @@ class GstreamerGrabber:
                 continue
             if len(data) != self._stride * height_px:
                 return None
-            arrival_s = time.monotonic()
             stamp_s = math.nan if time_ns == _NO_TIME else time_ns * 1e-9
+            sent_s = self._times.sent_s(stamp_s, time.monotonic())
+            if sent_s is None:
+                continue
             rows = np.frombuffer(data, np.uint8).reshape(height_px, self._stride)
             image = np.ascontiguousarray(rows[:, :width_px])
-            return self._times.sent_s(stamp_s, arrival_s) - self._period_s, image
+            return sent_s - self._period_s, image
         return None
 
     def _packet(self) -> tuple[int, int, bytearray] | None:
@@ -116,7 +121,7 @@ class GstreamerGrabber:
         assert self._process.stdout is not None
         pipe, data = self._process.stdout.fileno(), bytearray()
         while (lacking := count - len(data)) > 0:
-            comes, _, _ = select.select([pipe], [], [], _SILENT_S)
+            comes, _, _ = select.select([pipe], [], [], self._patience_s)
             part = os.read(pipe, lacking) if comes else b""
             if not part:
                 return None
@@ -128,7 +133,7 @@ class GstreamerGrabber:
         try:
             self._process.wait(_CLOSE_S)
         except subprocess.TimeoutExpired:
-            return f"it runs, and gave none for {_SILENT_S:.0f} s"
+            return f"it runs, and gave none for {_BEGINS_S:.0f} s"
         self._said.seek(0)
         lines = self._said.read().decode(errors="replace").splitlines()
         why = next((line for line in lines if "ERROR" in line or "WARNING" in line), "it ended")

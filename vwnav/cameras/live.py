@@ -1,6 +1,7 @@
 """Live cameras and streams: a thread takes every image, the newest one is handed out."""
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras import SILENT_S
 from vwnav.cameras.light.keeper import LightKeeper
 from vwnav.cameras.light.v4l2 import EXPOSURE_UNIT_S, V4l2LightControls
 from vwnav.cameras.modes import mode_of
@@ -26,7 +28,9 @@ _log = logging.getLogger(__name__)
 _NO_IMAGE_TIMEOUT_S = 5.0
 _AGAIN_S = 0.3  # between attempts to open a camera that is not there
 _STOP_TIMEOUT_S = 2.0
-_OPEN_TIMEOUT_MS, _READ_TIMEOUT_MS = 5000, 2000
+_OPEN_TIMEOUT_MS = 5000
+# OpenCV waits for 10 s otherwise; read, in whole seconds, when it first waits for an image.
+_V4L2_TIMEOUT = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"
 _DRIVER_STAMP_LIMIT_S = 1.0
 _BAD_IN_A_ROW = 30  # pictures that no decoder takes: a second of them is a camera that has failed
 
@@ -193,6 +197,7 @@ class V4l2Grabber:
         quieten_decoder()
         self._device = device
         self._light: V4l2LightControls | None = None
+        os.environ.setdefault(_V4L2_TIMEOUT, f"{SILENT_S:.0f}")
         self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
         if not self._video.isOpened():
             raise SourceError(
@@ -313,7 +318,7 @@ class StreamGrabber:
             cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
             _OPEN_TIMEOUT_MS,
             cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-            _READ_TIMEOUT_MS,
+            round(1e3 * SILENT_S),
         ]
         self._video = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
         if not self._video.isOpened():
@@ -324,14 +329,17 @@ class StreamGrabber:
         self._times = StreamTimes()
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next image."""
-        good, image = self._video.read()
-        if not good:
-            return None
-        t_s = time.monotonic()
-        if self._tells_time:
-            t_s = self._times.sent_s(self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3, t_s)
-        return t_s - self._period_s, np.asarray(image, dtype=np.uint8)
+        """The next image whose age is known."""
+        sent_s = None
+        while sent_s is None:
+            good, image = self._video.read()
+            if not good:
+                return None
+            sent_s = arrival_s = time.monotonic()
+            if self._tells_time:
+                stamp_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                sent_s = self._times.sent_s(stamp_s, arrival_s)
+        return sent_s - self._period_s, np.asarray(image, dtype=np.uint8)
 
     def close(self) -> None:
         """Hang up."""

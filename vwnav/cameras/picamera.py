@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.cameras import SILENT_S
 from vwnav.cameras.light.control import Light, LightRange
 from vwnav.errors import SourceError
 from vwnav.geometry.sensor_mode import SensorMode
 
-_IMAGE_TIMEOUT_S = 5.0
 # From a row to the next, by sensor and rows of its mode; of a global shutter there is no such time.
 _LINE_S: dict[str, dict[int, float]] = {
     "imx219": dict.fromkeys((2464, 1232, 1080, 480), 3448 / 182.4e6),
@@ -53,7 +53,7 @@ class PicameraGrabber:
 
     def grab(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The next image."""
-        request = self._camera.capture_request(wait=_IMAGE_TIMEOUT_S)
+        request = self._camera.capture_request(wait=SILENT_S)
         try:
             image = request.make_array("main")
             metadata = request.get_metadata()

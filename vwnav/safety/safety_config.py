@@ -82,7 +82,7 @@ class SafetyConfig(Settings):
     ceiling_m: Annotated[float, Within(0.0, 1000.0, above=True)] = 120.0
     hold_time_s: Annotated[float, Within(0.0, 3599.0, above=True)] = 15.0
     blind_hold_s: Annotated[float, Within(0.0, 60.0, above=True)] = 1.0
-    blind_land_s: Annotated[float, Within(0.0, 60.0, above=True)] = 4.0
+    blind_land_s: Annotated[float, Within(0.0, 60.0, above=True)] = 6.0
     lost_land_s: Annotated[float, Within(0.0, 60.0, above=True)] = 2.0
     gap_s: Annotated[float, Within(0.0, 10.0, above=True)] = 0.5
     gap_memory_s: Annotated[float, Within(0.0, 600.0, above=True)] = 10.0

@@ -3,18 +3,22 @@
 import signal
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from vwnav.bench.flights.live.breaks import LiveBreaks, can_be_broken, inside_of
+from vwnav.bench.flights.live.breaks import Reach, by_our_means, can_be_broken, patch_of
 from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
+from vwnav.bench.flights.planned import ARMED, BEGAN, Planned
 from vwnav.bench.flights.rows import RowResult, draw_failure, timeline_of
 from vwnav.bench.flights.scenario import Ending, Scenario, setup
 from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.table.manners import in_manners
 from vwnav.mission.mission import Phase
+from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
 ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"
@@ -48,9 +52,10 @@ def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path)
         folder: for the flight's files.
     """
     began_s = time.process_time()
-    with live_flight(simulator, folder, ROUTE_TEXT, inside_of(row.breaks)) as flight:
+    patch = patch_of(row.breaks, folder)
+    with live_flight(simulator, folder, ROUTE_TEXT, patch) as flight:
         row = in_manners(row, simulator.manners)
-        wrong, breaks = _reach(row, flight), LiveBreaks(row, flight)
+        wrong, breaks = _reach(row, flight), _LiveBreaks(row, flight)
         if not wrong:
             flight.see = breaks.step
             wrong = _follow(row, flight, breaks)
@@ -69,6 +74,64 @@ def fly_live_row(row: Scenario, family: str, simulator: Simulator, folder: Path)
         cost_s=time.process_time() - began_s,
         timeline=tuple(timeline_of(track, begun_s)), picture=picture,
     )  # fmt: skip
+
+
+class _LiveStage:
+    """As much of a stage as faults of the link and orders of a station touch."""
+
+    def __init__(self, flight: LiveFlight, since_s: float) -> None:
+        self._flight, self._since_s = flight, since_s
+        self.autopilot_link = flight.simulator.relay.autopilot_link
+        self.note = flight.note
+
+    @property
+    def t_s(self) -> float:
+        """Since the row began."""
+        return self._flight.t_s - self._since_s
+
+    @property
+    def navigator(self) -> SimpleNamespace:
+        """Whom a station speaks to."""
+        return SimpleNamespace(port=SimpleNamespace(own_id=self._flight.simulator.navigators_id))
+
+
+class _LiveBreaks:
+    """What breaks in a flight, from now on; a row that begins at speed on the route breaks at once.
+
+    Attributes:
+        broke_s: when the first did, on the flight's clock, and where that was; None before.
+    """
+
+    def __init__(self, row: Scenario, flight: LiveFlight) -> None:
+        start, first = row.setup.start, row.breaks[0]
+        at_speed = start is not None and start.phase is Phase.ROUTE and first.phase is None
+        self._began_s = flight.t_s - (first.at_s if at_speed else 0.0)
+        self._flight, self._stage = flight, _LiveStage(flight, self._began_s)
+        simulator = flight.simulator
+        reach = Reach(flight.process, flight.folder, simulator.pilot, simulator.hand_back)
+        self._planned = [
+            Planned(replace(each, fault=by_our_means(each.fault, i, reach)))
+            for i, each in enumerate(row.breaks)
+        ]
+        self._begun = {BEGAN: 0.0}
+        self.broke_s: float | None = None
+        self.broke_at_ned_m: Array | None = None
+
+    def step(self) -> None:
+        """Begin and end what it is time for."""
+        for line in self._flight.track.phases:
+            self._begun.setdefault(line.text, line.t_s - self._began_s)
+        if self._flight.simulator.armed:
+            self._begun.setdefault(ARMED, self._stage.t_s)
+        for each in self._planned:
+            each.step(self._stage, self._begun)  # type: ignore[arg-type]
+        if self.broke_s is None and any(each.begun_s is not None for each in self._planned):
+            self.broke_s, self.broke_at_ned_m = self._flight.t_s, self._flight.place_ned_m()
+
+    def finish(self) -> None:
+        """Put back whatever is not."""
+        for each in self._planned:
+            each.finish(self._stage)  # type: ignore[arg-type]
 
 
 def _reach(row: Scenario, flight: LiveFlight) -> list[str]:
@@ -93,7 +156,7 @@ def _reach(row: Scenario, flight: LiveFlight) -> list[str]:
     return []
 
 
-def _follow(row: Scenario, flight: LiveFlight, breaks: LiveBreaks) -> list[str]:
+def _follow(row: Scenario, flight: LiveFlight, breaks: _LiveBreaks) -> list[str]:
     """Let it break, be mended and end as the row does, and judge that."""
 
     def over() -> bool:

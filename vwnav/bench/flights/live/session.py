@@ -7,16 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1
 
 from vwnav.bench.flights.faults.aircraft import asks_to_go_on
-from vwnav.bench.flights.live.inside import patch_folder
 from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
 from vwnav.bench.flights.live.whereabouts import (
     ByItself,
@@ -25,7 +23,6 @@ from vwnav.bench.flights.live.whereabouts import (
     Whereabouts,
     place_ned_m,
 )
-from vwnav.bench.flights.stage import Fault
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
 from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
@@ -35,9 +32,7 @@ from vwnav.sim.config import Manners
 from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
-NOTHING: Mapping[int, Fault] = MappingProxyType({})
 _LOOK_S = 0.05
-_PATCH = "patch"
 _MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
 _GROUND_M = 0.7
 _LANDS_S = 240.0  # it is waited for at most
@@ -194,7 +189,6 @@ class LiveFlight:
         begun_s: when it was started, on that clock.
         home: with its origin where the aircraft stood.
         see: is called whenever something may have happened.
-        patch: folder of what breaks inside of it, see `inside`.
     """
 
     def __init__(
@@ -214,7 +208,6 @@ class LiveFlight:
         self.see: Callable[[], None] = lambda: None
         self._log = (folder / "log").open(errors="replace")
         self._rest = ""
-        self.patch = folder / _PATCH
 
     @property
     def t_s(self) -> float:
@@ -276,7 +269,7 @@ def live_flight(
     simulator: Simulator,
     folder: Path,
     route: str,
-    breaks: Mapping[int, Fault] = NOTHING,
+    patch: Path | None = None,
     settings: str = "",
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[LiveFlight]:
@@ -286,7 +279,7 @@ def live_flight(
         simulator: that flies.
         folder: of everything that is written.
         route: ID,X,Y,Z lines about home.
-        breaks: what breaks inside of it, each once its trigger is there, see `inside`.
+        patch: folder from which its interpreters load what breaks inside of them, see `inside`.
         settings: TOML.
         tell: receives what the program says, a line each: who arms it has to know.
     """
@@ -298,7 +291,7 @@ def live_flight(
         sys.executable, "-m", "vwnav", "fly", *simulator.where.fly_words(),
         "--route", str(folder / "route.txt"), "--connection", simulator.relay.url, *run,
     ]  # fmt: skip
-    paths = [str(patch_folder(folder / _PATCH, breaks)), *sys.path]
+    paths = [*([] if patch is None else [str(patch)]), *sys.path]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(each for each in paths if each)}
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env=env)
