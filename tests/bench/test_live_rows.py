@@ -23,7 +23,8 @@ class CutFlight:
 
     def __init__(self, manners: str, landed_m: float, folder: Path) -> None:
         self.simulator = SimpleNamespace(
-            manners=manners, armed=True, pilot=None, hand_back=lambda: None, bring_down=lambda _: None,
+            manners=manners, armed=True, pilot=None,
+            hand_back=lambda: None, bring_down=lambda _: None,
             relay=SimpleNamespace(autopilot_link=MemoryLink(time.monotonic, random.Random(1))),
         )  # fmt: skip
         self.track, self.begun_s, self.t_s = FlightTrace(), time.monotonic(), 60.0

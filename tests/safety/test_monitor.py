@@ -311,7 +311,7 @@ def test_without_images_it_stops_then_comes_down_while_it_still_knows_where() ->
     assert flight.fly(blind_s=0.9).action is Action.NAVIGATE
     assert flight.fly(blind_s=1.5).action is Action.HOLD
     assert flight.fly().action is Action.NAVIGATE
-    assert flight.fly(blind_s=4.1).action is Action.LAND
+    assert flight.fly(blind_s=6.1).action is Action.LAND
 
 
 def test_without_an_estimate_it_stops_then_lands() -> None:

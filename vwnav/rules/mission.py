@@ -295,7 +295,7 @@ MISSION = (
     ),
     Rule(
         "blind lands",
-        "Travelling without a picture that tells anything for 4 s, it lands within 1.5 s.",
+        "Travelling without a picture that tells anything for 6 s, it lands within 1.5 s.",
         ("vehicle", "events", "phases", "sights"),
         _blind,
     ),

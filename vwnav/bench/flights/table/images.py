@@ -69,6 +69,7 @@ LATE = [
         ending=Ending.FLIES_ON,
     ),
     flies_on("pictures gone for 3 s", broken.CameraTrouble(broken.no_images), 3.0, 13.0),
+    flies_on("pictures gone for 5 s", broken.CameraTrouble(broken.no_images), 5.0, 13.0),
 ]
 MOUNTED = [
     Scenario(
