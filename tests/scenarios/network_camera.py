@@ -30,7 +30,7 @@ class NetworkCamera:
         self._source = SimulatedCamera(self._renderer, self._truth, home, WallClock())
         self._sent = (0.0, b"")
         self._made = threading.Condition()
-        self._is_in = True
+        self._is_in, self._hangs = True, False
         self._size_wh = (camera.width_px, camera.height_px)
         self._server = self._serve()
         self.url = self._server.url
@@ -47,6 +47,14 @@ class NetworkCamera:
         """At the same address as before."""
         self._is_in = True
         self._server = self._serve(self._server.server_address[1])
+
+    def hang(self) -> None:
+        """Who looks at it, or begins to, gets no more images; nobody is told that it is gone."""
+        self._hangs = True
+
+    def go_on(self) -> None:
+        """With what it sees now."""
+        self._hangs = False
 
     def close(self) -> None:
         """Switch it off."""
@@ -69,7 +77,7 @@ class NetworkCamera:
                 if self._sent[0] <= seen_s:
                     self._made.wait(_WAIT_S)
                 sent_s, jpeg = self._sent
-            if sent_s > seen_s:
+            if sent_s > seen_s and not self._hangs:
                 seen_s = sent_s
                 yield sent_s, jpeg
 

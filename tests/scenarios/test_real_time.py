@@ -153,12 +153,13 @@ def test_a_second_navigator_knows_at_once_how_the_camera_hangs_that_the_first_on
 
 
 @pytest.mark.long
-def test_a_camera_that_is_pulled_out_for_3_s_is_flown_on_without_and_comes_back(tmp_path):
+@pytest.mark.parametrize(("fails", "mended"), [("unplug", "plug_in"), ("hang", "go_on")])
+def test_a_camera_that_is_gone_for_3_s_is_flown_on_without_and_opened_anew(tmp_path, fails, mended):
     with real_flight(tmp_path, networked=True) as flight:
         flight.wait_until_on_route()
-        flight.camera.unplug()
+        getattr(flight.camera, fails)()
         time.sleep(3.0)
-        flight.camera.plug_in()
+        getattr(flight.camera, mended)()
         flight.wait(lambda: flight.said("descending"), 90.0)
         assert np.hypot(*flight.place_ned_m()[:2]) < 3.0
         assert not flight.said("landing: ")
