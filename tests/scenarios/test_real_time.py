@@ -113,6 +113,16 @@ sys.addaudithook(hang)
 LOADED = "100/100"  # drawing the site is what it does last
 
 
+def succeeded_m(flight):
+    """Kill the navigator; how far off it comes down, on the estimates of a second one."""
+    flight.signal(signal.SIGKILL)
+    killed_at = flight.place_ned_m()
+    told = "estimates are handed on again"
+    flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
+    flight.wait_until_down(90.0)
+    return np.hypot(*(flight.place_ned_m() - killed_at)[:2])
+
+
 def test_a_navigator_that_is_killed_is_landed_and_a_second_one_tells_the_autopilot_where(tmp_path):
     with real_flight(tmp_path) as flight:
         flight.wait_until_on_route()
@@ -130,12 +140,7 @@ def test_a_second_navigator_whose_disk_takes_nothing_tells_the_autopilot_where_i
     with real_flight(tmp_path, DISK_HANGS, whose="others") as flight:
         flight.wait_until_on_route()
         flight.wait(lambda: LOADED in (flight.folder / "watchdog.log").read_text(), 60.0)
-        flight.signal(signal.SIGKILL)
-        killed_at = flight.place_ned_m()
-        told = "estimates are handed on again"
-        flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
-        flight.wait_until_down(90.0)
-        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 40.0
+        assert succeeded_m(flight) < 40.0
         assert not (flight.folder / "successor").exists()
 
 
@@ -144,12 +149,7 @@ def test_a_second_navigator_knows_at_once_how_the_camera_hangs_that_the_first_on
     with real_flight(tmp_path, CAMERA_UPSIDE_DOWN, whose="all") as flight:
         flight.wait_until_on_route()
         assert flight.said("hangs turned by 180 degrees")
-        flight.signal(signal.SIGKILL)
-        killed_at = flight.place_ned_m()
-        told = "estimates are handed on again"
-        flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
-        flight.wait_until_down(90.0)
-        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 15.0
+        assert succeeded_m(flight) < 15.0
 
 
 @pytest.mark.long
@@ -172,12 +172,7 @@ def test_a_second_navigator_tells_where_it_is_though_the_camera_is_not_there(tmp
         time.sleep(9.0)  # the wind is learned
         flight.camera.unplug()
         time.sleep(0.5)
-        flight.signal(signal.SIGKILL)
-        killed_at = flight.place_ned_m()
-        told = "estimates are handed on again"
-        flight.wait(lambda: told in (flight.folder / "watchdog.log").read_text(), 10.0)
-        flight.wait_until_down(90.0)
-        assert np.hypot(*(flight.place_ned_m() - killed_at)[:2]) < 50.0
+        assert succeeded_m(flight) < 50.0
 
 
 def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(tmp_path):
