@@ -86,7 +86,9 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
     dt_s = span_s / count
     x, P, attitudes = state.x, state.P, context.attitudes
     stands_until_s = state.stood_s + context.config.stationary_s
-    one = state.measured or _measured(attitudes.held(state.t_s), state.t_s, context)
+    one = state.measured
+    if one is None or not one.known:  # by now it may be: another attitude, not another error of it
+        one = _measured(attitudes.held(state.t_s), state.t_s, context)
     known = attitudes.knows(state.t_s)
     for i in range(count):
         end_s = state.t_s + (i + 1) * dt_s
@@ -114,7 +116,7 @@ def predict(state: FilterState, t_s: float, context: Context) -> FilterState:
 
 def _measured(held: Held, t_s: float, context: Context) -> Measured:
     """What the autopilot tells of a time, by what has come of it until now."""
-    return Measured(held.quat_wxyz, context.imu.until(t_s))
+    return Measured(held.quat_wxyz, held.known, context.imu.until(t_s))
 
 
 def _propagate(x: Array, P: Array, step: TimeStep, context: Context) -> tuple[Array, Array]:

@@ -35,10 +35,12 @@ class Measured(NamedTuple):
 
     Attributes:
         quat_wxyz: (4,) its attitude.
+        known: whether that is known; else it was held, and is none of the autopilot's.
         felt: what its IMU had felt until then.
     """
 
     quat_wxyz: Array
+    known: bool
     felt: ImuIntegrals | None
 
 

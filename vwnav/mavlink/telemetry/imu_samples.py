@@ -9,7 +9,9 @@ from vwnav.mavlink.ports.port import Fields
 from vwnav.sender_clock import SenderClock
 from vwnav.types import ImuSample
 
-_STRANGE_S = 1.0  # further from now a stamp is not of the clock that attitudes are stamped with
+# Further from now a stamp is not of the clock that attitudes are stamped with, or of no use.
+OLDEST_S, CLOCK_ERROR_S = 10.0, 0.5
+_GAP_S = 1.0  # between two samples that tell nothing of each other
 _SILENT_S = 1.0  # of HIGHRES_IMU, then RAW_IMU counts
 _MILLI_G_M_S2 = 9.80665e-3
 _MILLI = 1e-3
@@ -55,13 +57,15 @@ class ImuSamples:
         self, t_us: int, values: Any, clock: SenderClock, received_s: float
     ) -> ImuSample | None:
         t_s = clock.to_monotonic(t_us / 1e6)
-        if t_s is None or abs(t_s - received_s) > _STRANGE_S or not np.isfinite(values).all():
+        if t_s is None or not received_s - OLDEST_S < t_s < received_s + CLOCK_ERROR_S:
+            return None
+        if not np.isfinite(values).all():
             return None
         clock.handle_stamp(t_us / 1e6, received_s)
-        started_anew = t_us < self._newest_us - _STRANGE_S * 1e6
+        started_anew = t_us < self._newest_us - _GAP_S * 1e6
         if not started_anew and (t_us <= self._newest_us or t_s <= self._newest_s):
             return None  # a duplicate, or overtaken by a newer one on its way
         span_s = (t_us - self._newest_us) / 1e6
         self._newest_s, self._newest_us = t_s, t_us
-        known = 0.0 < span_s < _STRANGE_S
+        known = 0.0 < span_s < _GAP_S
         return ImuSample(t_s, values[:3], values[3:], span_s if known else None)

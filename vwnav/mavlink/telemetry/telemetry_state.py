@@ -19,7 +19,7 @@ from vwnav.geometry.rotations import (
 from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.ports.port import Fields
 from vwnav.mavlink.telemetry.barometer import BarometricHeight, hectopascal, is_pressure
-from vwnav.mavlink.telemetry.imu_samples import ImuSamples
+from vwnav.mavlink.telemetry.imu_samples import CLOCK_ERROR_S, OLDEST_S, ImuSamples
 from vwnav.mavlink.telemetry.mode_track import ModeTrack
 from vwnav.mavlink.telemetry.status_text import StatusTexts
 from vwnav.sender_clock import SenderClock
@@ -37,8 +37,6 @@ _LINK_LOST_S = 3.0
 _STALE_S = 3.0
 _RANGE_STALE_S = 0.5
 _PRESSURE_STALE_S = 0.5
-_OLDEST_S = 10.0  # what a link held back for longer is of no use
-_CLOCK_ERROR_S = 0.5
 _INSANE_POSITION_M = 1e5  # PX4 with a late origin: millions of metres
 _OWN_POSITION_STALE_S = 1.0
 _CARRIED_S = 0.25  # an attitude is turned on by its rates for no longer
@@ -281,7 +279,7 @@ class TelemetryState:
         if t_s is None or pressure_hpa is None or not is_pressure(pressure_hpa):
             return
         overtaken_by_s = self._pressure_boot_s.get(source, -math.inf) - boot_s
-        if 0.0 <= overtaken_by_s < _OLDEST_S:
+        if 0.0 <= overtaken_by_s < OLDEST_S:
             return  # a duplicate, or a newer one was faster
         self._pressure_boot_s[source] = boot_s
         height_m = self._barometers[source].height_m(pressure_hpa)
@@ -296,7 +294,7 @@ class TelemetryState:
     def _dated(self, boot_s: float, received_s: float) -> float | None:
         """On our clock, by the autopilot's own; None where that cannot be."""
         t_s = self.clock.to_monotonic(boot_s)
-        if t_s is None or not received_s - _OLDEST_S < t_s < received_s + _CLOCK_ERROR_S:
+        if t_s is None or not received_s - OLDEST_S < t_s < received_s + CLOCK_ERROR_S:
             return None
         return t_s
 

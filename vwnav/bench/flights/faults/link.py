@@ -38,6 +38,24 @@ class LinkCut:
 
 
 @dataclass(frozen=True)
+class HeldBack:
+    """A line that hangs: what the autopilot sends waits, nothing is lost, and all comes at once."""
+
+    seconds: float
+
+    def begin(self, world: FlightStage) -> None:
+        """It hangs."""
+        until_s = world.t_s + self.seconds
+        world.autopilot_link.a_to_b.taps[id(self)] = lambda packet: (
+            (max(until_s - world.t_s, 0.0), packet),
+        )
+
+    def end(self, world: FlightStage) -> None:
+        """It goes on."""
+        del world.autopilot_link.a_to_b.taps[id(self)]
+
+
+@dataclass(frozen=True)
 class RoundTrip:
     """Messages take longer, both ways together."""
 

@@ -15,8 +15,8 @@ from vwnav.bench.flights.stage import Fault, FlightStage
 
 _PATCH = "patch"
 _ON_THE_LINK = (
-    link.LinkCut, link.RoundTrip, link.SlowLine, link.Garbage, link.PacketsLost, link.Replayed,
-    telemetry.Missing, telemetry.Doubled, telemetry.Altered, telemetry.TelemetryLate,
+    link.LinkCut, link.HeldBack, link.RoundTrip, link.SlowLine, link.Garbage, link.PacketsLost,
+    link.Replayed, telemetry.Missing, telemetry.Doubled, telemetry.Altered, telemetry.TelemetryLate,
 )  # fmt: skip
 _INSIDE = (
     camera.CameraTrouble, camera.ImagesLate, computer.ModelRaises, computer.MatchingRaises,

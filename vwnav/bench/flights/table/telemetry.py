@@ -3,7 +3,9 @@
 import math
 
 from vwnav.bench.flights.faults import aircraft, telemetry
+from vwnav.bench.flights.faults.link import HeldBack
 from vwnav.bench.flights.scenario import (
+    BREAKS_AT_S,
     Break,
     Ending,
     Scenario,
@@ -28,6 +30,14 @@ MISSING = [
 LATE = [
     flies_on("telemetry 0.1 s late", telemetry.TelemetryLate(0.1), 10.0),
     flies_on("telemetry 0.3 s late", telemetry.TelemetryLate(0.3), 10.0),
+    flies_on("telemetry held back for 1 s", HeldBack(1.0), 1.1),
+    Scenario(
+        name="telemetry held back for 1.9 s",
+        setup=setup(),
+        breaks=(Break(fault=HeldBack(1.9), at_s=BREAKS_AT_S, for_s=2.0),),
+        limit_s=90.0,
+        lands_within_m=30.0,
+    ),
     flies_on("attitude 0.1 s late", telemetry.TelemetryLate(0.1, ATTITUDES), 10.0),
     flies_on("attitude 0.3 s late", telemetry.TelemetryLate(0.3, ATTITUDES), 10.0),
     flies_on("attitude 1 s late", telemetry.TelemetryLate(1.0, ATTITUDES), after_s=20.0),
