@@ -3,12 +3,15 @@
 import socket
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from vwnav.bench.flights.live import session
 from vwnav.bench.flights.live.relay import MavlinkPilot
+from vwnav.errors import VwnavError
 
 PX4, COPTER = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
@@ -85,3 +88,19 @@ def test_of_several_on_the_port_the_one_that_is_flown_has_the_pilot():
         autopilot.close()
     assert {each.target for each in told(heard, "MANUAL_CONTROL")} == {3}
     assert [each.target_system for each in told(heard, "COMMAND_LONG")] == [3]
+
+
+def test_a_pilot_whose_link_hears_nobody_is_told_before_anything_flies(monkeypatch):
+    monkeypatch.setattr(session, "_PILOT_S", 0.1)
+    deaf = SimpleNamespace(pilot=SimpleNamespace(hears=False))
+    with pytest.raises(VwnavError, match=r"pilot's link udpout://127\.0\.0\.1:14550"):
+        session.Simulator.wait_for_pilot(deaf, "udpout://127.0.0.1:14550")
+    session.Simulator.wait_for_pilot(SimpleNamespace(pilot=None), None)
+
+
+def test_what_a_flight_was_watched_for_is_noted_too():
+    flight = object.__new__(session.LiveFlight)
+    noted = []
+    flight._look, flight.see = lambda: noted.append("looked"), lambda: noted.append("seen")
+    assert flight.watch(lambda: True, 1.0)
+    assert noted == ["looked", "seen"]

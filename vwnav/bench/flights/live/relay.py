@@ -126,6 +126,11 @@ class MavlinkPilot:
         self._thread = threading.Thread(target=self._run, name="pilot", daemon=True)
         self._thread.start()
 
+    @property
+    def hears(self) -> bool:
+        """Whether the autopilot has been heard on his link."""
+        return self._autopilot is not None
+
     def take_over(self) -> None:
         """Flip the switch to the mode that is flown with sticks."""
         if self._autopilot is not None:

@@ -34,6 +34,7 @@ from vwnav.vehicle import FlightMode
 
 _LOOK_S = 0.05
 _MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
+_PILOT_S = 10.0  # he is waited for
 _GROUND_M = 0.7
 _LANDS_S = 240.0  # it is waited for at most
 _LINE = re.compile(r"^\s*[\d.]+ s  (?P<text>\S.*)$")
@@ -103,6 +104,21 @@ class Simulator:
         """Give everything back."""
         self._stack.close()
 
+    def wait_for_pilot(self, url: str | None) -> None:
+        """Until his link hears the autopilot; at once where he has none.
+
+        Raises:
+            VwnavError: it does not.
+        """
+        until_s = time.monotonic() + _PILOT_S
+        while self.pilot is not None and not self.pilot.hears:
+            if time.monotonic() > until_s:
+                raise VwnavError(
+                    f"no autopilot is heard on the pilot's link {url} for {_PILOT_S:.0f} s: give "
+                    "the port that it sends to (udpin://0.0.0.0:14550), or that it listens on"
+                )
+            time.sleep(_LOOK_S)
+
     def look(self, home: LocalFrame) -> Truth:
         """What it does now, NED about a place on the ground, as far as it is told."""
         place_ned_m, velocity_ned_m_s = self.where.look(home)
@@ -171,10 +187,11 @@ def simulator_at(links: Links) -> Iterator[Simulator]:
     """Reach it; at the end everything is given back.
 
     Raises:
-        VwnavError: it cannot be reached, or tells no truth.
+        VwnavError: it cannot be reached, tells no truth, or has no pilot where one is asked for.
     """
     simulator = Simulator(links)
     try:
+        simulator.wait_for_pilot(links.pilot)
         yield simulator
     finally:
         simulator.close()
@@ -221,13 +238,14 @@ class LiveFlight:
     def watch(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Note what happens until `done`; False after `timeout_s`."""
         until_s = time.monotonic() + timeout_s
-        while not done():
-            if time.monotonic() > until_s:
-                return False
+        while True:
             self._look()
             self.see()
+            if done():
+                return True
+            if time.monotonic() > until_s:
+                return False
             time.sleep(_LOOK_S)
-        return True
 
     def is_in(self, phase: Phase) -> bool:
         """Where the mission stands, as far as it has said so."""
