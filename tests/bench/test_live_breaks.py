@@ -37,7 +37,7 @@ def outcome(call):
         call(SimpleNamespace())
     except RuntimeError as error:
         return str(error)
-    except Exception:
+    except (AttributeError, TypeError):
         return "as it is"  # nothing of the kind that it works on was given
 
 extract, localize = LearnedFeatures.extract, Localizer.localize

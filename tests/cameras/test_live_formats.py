@@ -17,6 +17,7 @@ from vwnav.cameras import gstreamer, v4l2_crop
 from vwnav.cameras.gstreamer import GstreamerGrabber
 from vwnav.cameras.live import AskedImages, StreamGrabber, V4l2Grabber
 from vwnav.cameras.sources import open_source
+from vwnav.cameras.stream_times import StreamTimes
 from vwnav.errors import SourceError
 from vwnav.geometry.sensor_mode import SensorMode
 
@@ -326,6 +327,15 @@ def test_an_rtsp_image_that_lay_ready_while_the_stream_was_opened_is_not_taken_f
                 assert t_s == pytest.approx(sent_s - 1.0 / FPS, abs=0.1)
             grabber.close()
         server.shutdown()
+
+
+def test_stamps_that_run_ahead_of_every_clock_keep_no_image_back_for_ever():
+    """A camera that counts seconds where it means frames: as if all of it had lain ready."""
+    times = StreamTimes()
+    sent = [(t_s, times.sent_s(30.0 * t_s, t_s)) for t_s in np.arange(150) / 30.0]
+    kept_back = [t_s for t_s, sent_s in sent if sent_s is None]
+    assert 2.9 < max(kept_back) < 3.1
+    assert all(sent_s == t_s for t_s, sent_s in sent if t_s > 3.1)
 
 
 def test_an_rtsp_image_that_is_read_late_keeps_the_time_at_which_it_was_sent():

@@ -213,3 +213,18 @@ def test_attitudes_that_nothing_vouches_for_are_not_kept_for_ever():
     tracemalloc.stop()
     assert Verdict.GATED in verdicts
     assert kept_bytes < 6e5
+
+
+def test_attitudes_that_were_doubted_until_they_were_believed_are_none_that_jumped():
+    """A line that hung hands over the end of what it held back, in the midst of a brake."""
+    ekf = cruising(2.0, True, lambda t: quat(0.0))
+    rate, brakes_s = math.radians(200.0), 2.96
+
+    def braking(t_s):
+        return quat(0.0, -4.0 + math.degrees(rate * (t_s - brakes_s)))
+
+    verdicts = go_on(ekf, brakes_s, 0.12, True, braking, (0.0, rate, 0.0))
+    assert verdicts[0] is not Verdict.FUSED
+    assert verdicts[-1] is Verdict.FUSED
+    told, known = ekf.estimate(brakes_s + 0.12).quat_wxyz, braking(brakes_s + 0.12)
+    assert 2.0 * math.acos(min(1.0, abs(told @ known))) < math.radians(1.5)
