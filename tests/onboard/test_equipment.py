@@ -44,8 +44,8 @@ WHOLE = SensorMode(read_px=(1640, 1232), seen_px=(0, 0, 3280, 2464))
         (None, True),
     ],
 )
-@pytest.mark.parametrize("offset_s", [0.0, 0.05])
-def test_images_of_another_mode_are_not_flown_on(monkeypatch, given, fits, offset_s):
+@pytest.mark.parametrize(("offset_s", "flown_m"), [(0.0, None), (0.05, None), (0.05, 60.0)])
+def test_images_of_another_mode_are_not_flown_on(monkeypatch, given, fits, offset_s, flown_m):
     frame = Frame(0.0, np.zeros((480, 640), np.uint8), 0)
     source = SimpleNamespace(next_frame=lambda: frame, close=lambda: None, sensor_mode=given)
     asked = []
@@ -55,9 +55,9 @@ def test_images_of_another_mode_are_not_flown_on(monkeypatch, given, fits, offse
     camera = replace(Camera.from_hfov(640, 480, 70.0), sensor_mode=WHOLE, time_offset_s=offset_s)
     plan, options = SimpleNamespace(camera=camera), SimpleNamespace(video="picamera2")
     with ExitStack() as stack:
-        opened = equipment.open_camera(options, plan, None, None, lambda: 0.0, stack)
+        opened = equipment.open_camera(options, plan, None, None, lambda: 0.0, stack, flown_m)
         trouble = equipment.watch_camera(opened, camera).look(opened.next_frame(), offset_s)
-    assert asked == [{"mode": WHOLE}]
+    assert asked == [{"mode": WHOLE, "at_once": flown_m is None}]
     assert (trouble == "") is fits
     assert fits or "in another mode than its calibration" in trouble
 
