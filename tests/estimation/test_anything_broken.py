@@ -134,7 +134,7 @@ CASES = {
     "imu": st.booleans(),
     "faults": st.lists(FAULTS, min_size=1, max_size=5),
 }
-QUICK = settings(max_examples=24, derandomize=True, suppress_health_check=list(HealthCheck))
+QUICK = settings(max_examples=12, derandomize=True, suppress_health_check=list(HealthCheck))
 LONG = settings(max_examples=600, suppress_health_check=list(HealthCheck))
 
 

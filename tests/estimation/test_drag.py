@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink import mavutil
 
+from tests.quick import first_quick
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
@@ -43,7 +44,7 @@ def goes_blind(seed: int, imu_hz: float = 100.0, **windy: float) -> tuple[Filter
     return world, play(replace(stream, events=events))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", first_quick([0, 1, 2]))
 def test_without_images_the_velocity_stays_known_and_the_truth_within_5_sigma(seed):
     world, run = goes_blind(seed)
     assert run.last.x[States.DRAG] == pytest.approx(world.drag_per_s, abs=0.05)
@@ -55,7 +56,7 @@ def test_without_images_the_velocity_stays_known_and_the_truth_within_5_sigma(se
     assert np.hypot(*run.rows.error_ne_m[-1]) < 3.0 * 30.0
 
 
-@pytest.mark.parametrize(("seed", "drag_per_s"), [(1, 0.16), (2, 0.16), (1, 0.4)])
+@pytest.mark.parametrize(("seed", "drag_per_s"), first_quick([(1, 0.16), (2, 0.16), (1, 0.4)]))
 def test_in_a_storm_it_does_not_take_a_gust_for_its_own_motion(seed, drag_per_s):
     """As long as wind was one slow state, 4.7, 6.1 and 7.2 sigmas."""
     _, run = goes_blind(seed, wind_m_s=12.0, gust_m_s=3.0, drag_per_s=drag_per_s)

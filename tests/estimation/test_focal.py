@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from honesty import worst_sigmas
 
+from tests.quick import first_quick
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
@@ -27,7 +28,7 @@ def flown(seed: int, sigma: float, off: float) -> Run:
     return play(sense(world, fly(world, [rng])[0], rng), EkfConfig(focal_sigma_ratio=sigma))
 
 
-@pytest.mark.parametrize(("seed", "off"), [(1, 0.05), (2, -0.05), (3, 0.02)])
+@pytest.mark.parametrize(("seed", "off"), first_quick([(1, 0.05), (2, -0.05), (3, 0.02)]))
 def test_a_lens_that_nobody_measured_is_learned_and_the_place_stays_within_its_sigmas(seed, off):
     run = flown(seed, UNMEASURED, off)
     assert worst_sigmas(run) < 4.5
@@ -45,6 +46,7 @@ def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
     assert float(error_m.mean()) > 4.0
 
 
+@pytest.mark.long
 def test_one_that_is_as_told_costs_little():
     exact, unmeasured = (flown(1, sigma, 0.0) for sigma in (0.001, UNMEASURED))
     late = exact.rows.t_s > 60.0

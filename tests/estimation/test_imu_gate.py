@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.quick import first_quick
 from vwnav.bench.estimator.run import Run, play
 from vwnav.bench.estimator.streams import MeasurementStream, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
@@ -117,7 +118,7 @@ def worst_sigmas(run: Run, from_s: float, to_s: float = math.inf) -> float:
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", first_quick(range(4), 2))
 def test_what_it_told_before_it_was_found_out_is_taken_back(seed):
     """Believed for half a second it left tilt and velocity wrong at small sigmas: 6.5 sigmas."""
     run = play(altered(stream_of(seed), turned, 15.0, math.inf))
@@ -125,7 +126,7 @@ def test_what_it_told_before_it_was_found_out_is_taken_back(seed):
     assert worst_sigmas(run, 16.5) < 3.5
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", first_quick(range(3)))
 @pytest.mark.parametrize("off_m_s2", [(4, 0, 0), (0, -3, 0), (0, 0, 4), (-3, 2, -2), (6, 6, 0)])
 def test_an_accelerometer_that_is_off_is_told_from_images_that_are(off_m_s2, seed):
     """The images were blamed for it: without them it flew on by it, 1 km away at 69 m/s."""

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.quick import first_quick
 from vwnav.estimation.beginning.mount import tilted
 from vwnav.estimation.beginning.other_camera import apply_mount_doubted, apply_recalibrated
 from vwnav.estimation.beginning.starts import Start
@@ -351,7 +352,7 @@ def test_a_camera_that_is_knocked_aslant_moves_no_place_and_is_known_once_it_has
     assert np.degrees(tilt_of(told) - off_rad) == pytest.approx(np.zeros(2), abs=2.5)
 
 
-@pytest.mark.parametrize("late_s", [0.45, 0.5, 0.6])
+@pytest.mark.parametrize("late_s", first_quick([0.45, 0.5, 0.6]))
 def test_fixes_that_lie_behind_as_those_of_late_pictures_doubt_a_mount_later(late_s):
     """Ways tell meanwhile; a camera that shows as much to one side is doubted at once.
 

@@ -185,6 +185,7 @@ def test_a_lens_that_is_doubted_opens_what_its_ways_have_told():
 
 
 @given(st.sampled_from([0.6, 0.75, 1.0, 1.1, 1.3, 1.75]), SEEDS)
+@pytest.mark.long
 def test_ways_tell_the_focal_length_of_a_camera_that_was_gone_and_velocity_and_place_stay(
     focal_ratio, seed
 ):

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.quick import first_quick
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.scores import position_nees
@@ -109,6 +110,7 @@ def test_a_flight_over_a_good_map_stays_as_sure_as_it_was() -> None:
     assert not any("the map is off" in line for line in said)
 
 
+@pytest.mark.long
 def test_a_map_that_is_stated_to_be_warped_is_flown_unsure_from_the_first_fix() -> None:
     """Not stated, the first minute has NEES of 25 to 30."""
     flights = [_flown(2.0, seed, stated_m=2.0)[0] for seed in (0, 1)]
@@ -116,6 +118,7 @@ def test_a_map_that_is_stated_to_be_warped_is_flown_unsure_from_the_first_fix() 
     assert 0.5 < np.mean(first) < 4.0
 
 
+@pytest.mark.long
 def test_a_map_that_is_better_than_stated_is_found_to_be_so() -> None:
     run, said = _flown(0.3, stated_m=2.0)
     sizes_m = [estimate.map_sigma_m for estimate in run.estimates]
@@ -141,7 +144,7 @@ def _moved(event: MeasurementEvent, by_m: float) -> MeasurementEvent:
     return replace(event, seen=replace(event.seen, position_ne_m=place))
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.long) for s in (2, 3))])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_a_seam_of_the_map_is_found_out_and_the_sigma_says_so(seed: int) -> None:
     """Unknown, it is 34 to 116 of NEES from there on, or blamed on the mount."""
     run, said = _over_a_seam(seed, 4.0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from honesty import worst_sigmas
 
+from tests.quick import first_quick
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import MeasurementEvent, sense
@@ -46,7 +47,7 @@ def ahead(event: MeasurementEvent, ahead_m: float) -> MeasurementEvent:
     return replace(event, seen=replace(fix, position_ne_m=fix.position_ne_m + ahead_m * nose))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_a_mount_that_nobody_measured_is_learned_and_the_place_stays_within_its_sigmas(seed):
     run = flown(seed, BY_HAND_DEG)
     assert worst_sigmas(run) < 4.5
@@ -56,7 +57,7 @@ def test_a_mount_that_nobody_measured_is_learned_and_the_place_stays_within_its_
     assert np.all(np.degrees(sigmas) < 0.5 * BY_HAND_DEG)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 @pytest.mark.parametrize("turn_deg", [-8.0, 5.0])
 def test_one_that_is_turned_is_told_from_a_compass_that_errs(seed, turn_deg):
     """By how the aircraft gains speed, and by where fixes lie while it leans."""
@@ -67,6 +68,7 @@ def test_one_that_is_turned_is_told_from_a_compass_that_errs(seed, turn_deg):
     assert abs(off_deg) < 4.0 * sigma_deg < 8.0
 
 
+@pytest.mark.long
 def test_a_turn_that_a_filter_knows_nothing_of_is_taken_for_the_compass_error():
     """What a filter without that state did: and an estimate that is wrong by more than it says."""
     knows, does_not = (
@@ -81,6 +83,7 @@ def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
     assert worst_sigmas(flown(1, 0.01)) > 5.0
 
 
+@pytest.mark.long
 def test_one_that_hangs_as_told_costs_little():
     exact, by_hand = (flown(1, sigma, (0.0, 0.0)) for sigma in (0.2, BY_HAND_DEG))
     late = exact.rows.t_s > 60.0
@@ -88,7 +91,7 @@ def test_one_that_hangs_as_told_costs_little():
     assert mean_m[1] < mean_m[0] + 0.2
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_what_fixes_have_alike_in_every_turn_is_no_climb(seed):
     """It is their own error as well as a tilt, and a tilt leads a level way up or down.
 

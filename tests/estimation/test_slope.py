@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from honesty import worst_sigmas
 
+from tests.quick import first_quick
 from vwnav.bench.estimator.flown import Run
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import sense
@@ -25,17 +26,19 @@ def flown(seed: int, relief_m: float, config: EkfConfig) -> Run:
     return play(sense(world, fly(world, [rng])[0], rng), config)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_relief_of_some_ten_per_cent_leaves_place_and_height_within_their_sigmas(seed):
     run = flown(seed, 8.0, EkfConfig())
     assert worst_sigmas(run) < 4.5
     assert np.max(np.abs(run.rows.error_agl_m) / run.rows.sigma_agl_m) < 5.0
 
 
+@pytest.mark.long
 def test_a_filter_that_takes_the_ground_for_level_is_wrong_there():
     assert max(worst_sigmas(flown(seed, 8.0, LEVEL)) for seed in (1, 2, 3)) > 5.0
 
 
+@pytest.mark.long
 def test_level_ground_costs_little():
     slopes, level = (flown(1, 0.0, config) for config in (EkfConfig(), LEVEL))
     mean_m = [float(np.hypot(*run.rows.error_ne_m.T).mean()) for run in (slopes, level)]

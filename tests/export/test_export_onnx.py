@@ -8,6 +8,7 @@ import torch
 from export import export_onnx, parity
 from models.extractor import Extractor
 from models.network import NETWORK_SIZES, FeatureNetwork
+from tests.quick import first_quick
 from vwnav.bench.features.macs import graph_cost
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -47,7 +48,7 @@ def test_the_graph_has_no_batch_norm_left_and_no_path_of_the_machine(model):
     assert str(Path(__file__).resolve().parents[2]).encode() not in model.SerializeToString()
 
 
-@pytest.mark.parametrize(("size", "most"), [("nano", 0.25e9), ("default", 1.3e9)])
+@pytest.mark.parametrize(("size", "most"), first_quick([("nano", 0.25e9), ("default", 1.3e9)]))
 def test_an_image_costs_half_of_what_it_did(size, most):
     graph = export_onnx.to_onnx(FeatureNetwork(NETWORK_SIZES[size]).eval())
     assert graph_cost(graph.SerializeToString()).macs <= most

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.quick import first_quick
+
 TESTS = Path(__file__).resolve().parents[1]
 FLIES = """
 import sys, threading, time
@@ -74,7 +76,7 @@ def told(
     return said.splitlines()
 
 
-@pytest.mark.parametrize("gap_s", [0.0003, 0.005, 0.12])
+@pytest.mark.parametrize("gap_s", first_quick([0.0003, 0.005, 0.12]))
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGINT, signal.SIGTERM])
 def test_two_signals_end_no_navigator_on_whose_estimates_a_pilot_flies(number, gap_s):
     said = told("RELEASED", [number, number], gap_s)

@@ -4,13 +4,14 @@ import pytest
 from days import against_stations, day, restless
 from told import fly_told
 
+from tests.quick import first_quick
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.lockstep_place import lockstep_place
 
 
 @pytest.mark.parametrize(
     "number",
-    [*range(6), *(pytest.param(number, marks=pytest.mark.long) for number in range(6, 120))],
+    first_quick(range(120), 4),
 )
 def test_a_day_on_which_several_things_break_ends_well(number: int) -> None:
     flown = fly_told(day(number), lockstep_place())

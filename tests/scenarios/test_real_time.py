@@ -174,6 +174,7 @@ def test_a_second_navigator_tells_where_it_is_though_the_camera_is_not_there(tmp
         assert succeeded_m(flight) < 50.0
 
 
+@pytest.mark.long
 def test_a_mission_that_breaks_is_landed_on_its_estimates_and_its_error_is_told(tmp_path):
     with real_flight(tmp_path, AFTER_TICKS_ON_ROUTE) as flight:
         flight.wait(lambda: flight.said("broken on purpose"), 150.0)

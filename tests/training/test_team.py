@@ -24,6 +24,7 @@ def test_a_batch_that_cannot_be_shared_is_refused(monkeypatch):
         Team.join(8)
 
 
+@pytest.mark.long
 def test_two_processes_learn_as_one_does(tmp_path):
     for i, image in enumerate(drawn_images(6)):
         for letter in "ab":

@@ -147,6 +147,7 @@ def test_data_that_cannot_be_read_and_a_run_that_cannot_be_kept_are_one_line(
         train.main(replace(SHORT, out=str(tmp_path / "file")), scenes=(drawn_scenes, []))
 
 
+@pytest.mark.long
 def test_a_minute_of_training_lowers_the_loss_and_beats_the_untrained_network(
     drawn_scenes, tmp_path
 ):

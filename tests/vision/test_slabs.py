@@ -82,6 +82,7 @@ def test_features_of_another_slab_are_contradicted_by_the_edges(seed, least, tmp
     assert len(off_m) >= least
 
 
+@pytest.mark.long
 def test_landmarks_that_have_their_like_by_chance_place_a_low_image_all_the_same(tmp_path):
     """A dozen of another season are hardly alike: beside them something always is as much.
 
@@ -95,6 +96,7 @@ def test_landmarks_that_have_their_like_by_chance_place_a_low_image_all_the_same
     assert len(off_m) >= 33
 
 
+@pytest.mark.long
 def test_so_does_one_whose_place_has_been_lost(tmp_path):
     """After an outage much is open. Held against 64 px at most, 14 of the 72 had a fix."""
     heights_m, off_m = np.full(IMAGES, 30.0), []

@@ -13,6 +13,7 @@ from link_peer import PX4_HOLD, PX4_LAND, free_port, is_still, wait_for
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from watchdog_flight import ESTIMATE, HERE, SETPOINT, flight, lives, stalled_log
 
+from tests.quick import first_quick
 from vwnav.errors import LinkError
 from vwnav.watchdog.launch import start_watchdog
 from vwnav.watchdog.successor import Resume, SuccessorProcess
@@ -22,7 +23,9 @@ from vwnav.watchdog.successor import Resume, SuccessorProcess
 SLACK_S = 0.15
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGUSR1, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", first_quick([signal.SIGKILL, signal.SIGTERM, signal.SIGUSR1, signal.SIGINT], 2)
+)
 def test_a_navigator_that_ends_in_any_way_is_braked_for_at_once_and_landed(number):
     with flight() as flying:
         assert flying.first_still_s(flying.signal(number)) < 0.3 + SLACK_S
@@ -127,7 +130,7 @@ def test_a_successor_that_hangs_is_ended_and_another_one_started(tmp_path):
     wait_for(lambda: "ended" in notes.read_text().splitlines())
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", first_quick([signal.SIGKILL, signal.SIGSTOP]))
 def test_while_one_successor_serves_the_next_has_loaded_and_takes_over_at_once(tmp_path, number):
     notes = tmp_path / "notes"
     with flight([sys.executable, str(HERE / "successor.py"), str(notes), "loads"]) as flying:
@@ -143,8 +146,9 @@ def test_while_one_successor_serves_the_next_has_loaded_and_takes_over_at_once(t
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-@pytest.mark.parametrize("after_s", [0.0, 1.2, 4.5])  # it has yet to brake; it holds; it lands
+@pytest.mark.parametrize("after_s", first_quick([0.0, 1.2, 4.5]))
 def test_a_watchdog_that_dies_after_its_navigator_is_followed_by_one_that_lands_it(number, after_s):
+    """It has yet to brake; it holds; it lands."""
     with flight() as flying:
         flying.wait_for_a_spare()
         flying.signal(signal.SIGKILL)
