@@ -84,6 +84,9 @@ class PointVehicle:
     def takeoff(self, height_m: float) -> Request:
         return self.ask("takeoff")
 
+    def stand_by(self) -> Request:
+        return self.ask("stand by")
+
     def disarm(self) -> Request:
         return self.ask("disarm")
 
@@ -312,6 +315,79 @@ def test_a_pilot_who_arms_in_hold_lets_it_take_off_and_one_who_arms_to_fly_does_
     scene.vehicle.be(armed=True, mode=mode)
     scene.go_on(10.0)
     assert ("takeoff" in scene.vehicle.asked) is goes
+
+
+@pytest.mark.parametrize("switches_first", [True, False])
+@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.OFFBOARD])
+def test_a_pilot_whose_radio_arms_in_a_mode_of_the_sticks_lets_it_take_off_by_hold(
+    mode, switches_first
+):
+    """PX4 denies a radio every other mode, ArduCopter denies it GUIDED."""
+    scene = Scene(arms=False)
+    if not switches_first:
+        scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.run(limit_s=10.0)
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(2.0)
+    scene.vehicle.be(armed=True)
+    scene.go_on(3.0)
+    assert scene.vehicle.asked == []
+    assert scene.said[-1] == "armed by the pilot: it takes off once Hold or GUIDED is chosen"
+    scene.vehicle.be(mode=mode)
+    scene.go_on(3.0)
+    assert scene.vehicle.asked[0] == "takeoff"
+
+
+@pytest.mark.parametrize("what", ["flies", "flies, then hold", "mission", "not ready, then hold"])
+def test_a_pilot_whose_radio_armed_it_for_himself_has_it(what):
+    scene = Scene(arms=False).run(limit_s=10.0)
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.go_on(2.0)
+    scene.vehicle.be(armed=True)
+    scene.go_on(1.0)
+    if what == "mission":
+        scene.vehicle.be(mode=FlightMode.MISSION)
+    elif what.startswith("not ready"):
+        scene.checks = (NOT_READY,)
+    else:
+        scene.vehicle.be(in_air=True)
+    scene.go_on(2.0)
+    if what.endswith("hold"):
+        scene.vehicle.be(mode=FlightMode.HOLD)
+    scene.go_on(10.0)
+    assert scene.vehicle.asked == []
+    assert scene.flight.phase is Phase.RELEASED
+
+
+def test_one_whose_radio_armed_and_disarmed_it_is_waited_for_again():
+    scene = Scene(arms=False)
+    scene.vehicle.be(mode=FlightMode.MANUAL)
+    scene.run(limit_s=10.0)
+    scene.vehicle.be(armed=True)
+    scene.go_on(2.0)
+    scene.vehicle.be(armed=False)
+    scene.go_on(2.0)
+    scene.flight.go()
+    scene.go_on(5.0)
+    assert scene.vehicle.asked[:2] == ["arm", "takeoff"]
+
+
+def test_what_stands_in_offboard_and_cannot_be_armed_is_asked_to_leave_it():
+    """PX4 after a flight: it shows Offboard, and no readiness; a person is asked for nothing."""
+    scene = Scene(arms=False)
+    scene.vehicle.be(mode=FlightMode.OFFBOARD)
+    scene.run(limit_s=10.0)
+    assert scene.vehicle.asked == []
+    scene.vehicle.be(armable=False)
+    scene.go_on(4.0)
+    assert scene.vehicle.asked == ["stand by"]
+    scene.go_on(6.0)
+    assert scene.vehicle.asked == ["stand by", "stand by"]
+    scene.vehicle.be(mode=FlightMode.HOLD, armable=True)
+    scene.go_on(6.0)
+    scene.vehicle.be(mode=FlightMode.HOLD, armable=False)
+    scene.go_on(6.0)
+    assert len(scene.vehicle.asked) == 2
 
 
 def test_a_person_who_takes_his_time_is_waited_for_whatever_is_missing_for_a_moment():

@@ -240,6 +240,10 @@ class Autopilot(Protocol):
         """Land here in the autopilot's own mode."""
         ...
 
+    def stand_by(self) -> Request:
+        """On the ground: leave a mode in which nobody can arm it."""
+        ...
+
     def disarm(self) -> Request:
         """Stop the motors, on the ground."""
         ...

@@ -97,11 +97,15 @@ class RealFlight:
         return max(speed for _, _, speed in self._track)
 
     @contextlib.contextmanager
-    def started_again(self) -> Iterator["RealFlight"]:
-        """The same command, by a service or a person, while the aircraft is where it is."""
+    def started_again(self, after_its_end: bool = False) -> Iterator["RealFlight"]:
+        """The same command, by a service or a person, while the aircraft is where it is.
+
+        What follows a flight that has ended is told its folder; else it finds one beside.
+        """
         folder, path = self.folder.with_name("run-2"), self.log.with_name("log-2")
+        command = [*self.command, "-o", str(folder)] if after_its_end else self.command
         with path.open("wb") as log:
-            process = subprocess.Popen(self.command, stdout=log, stderr=log, cwd=ROOT)
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT)
         try:
             yield RealFlight(self.command, process, folder, path, self.truth, self.camera)
         finally:

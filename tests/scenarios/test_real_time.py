@@ -238,12 +238,25 @@ def test_started_again_in_flight_it_joins_the_watchdog_and_a_person_gives_it_the
             again.wait_until_down(90.0)
             assert np.hypot(*(again.place_ned_m() - killed_at)[:2]) < 40.0
             again.wait(lambda: again.said("its watchdog has left"), 30.0)
-            again.wait(lambda: again.said("ready: arm by the radio"), 60.0)
+            again.wait(lambda: again.said("ready: press Enter, or arm"), 60.0)
             time.sleep(5.0)  # with --truth it would have armed by itself
             assert again.process.poll() is None
             assert (again.folder / "flight.mcap").exists()
             assert -again.place_ned_m()[2] < 0.5
             assert not again.said("taking off")
+
+
+@pytest.mark.long
+def test_the_same_aircraft_flies_a_second_time(tmp_path):
+    """PX4 goes back to Offboard once it is down, where it is not ready to arm."""
+    with real_flight(tmp_path) as flight:
+        flight.wait(lambda: flight.process.poll() is not None, 300.0)
+        assert flight.process.returncode == 0
+        with flight.started_again(after_its_end=True) as again:
+            again.wait(lambda: again.process.poll() is not None, 300.0)
+            assert again.process.returncode == 0, again.log.read_text()[-3000:]
+            assert again.said("on route")
+            assert np.hypot(*again.place_ned_m()[:2]) < 1.0
 
 
 @pytest.mark.long

@@ -91,6 +91,7 @@ def kinds(messages: list[Any]) -> list[str]:
         (512, (9999.0,), 2),
         (511, (9999.0, 1e5), 4),  # README of the recordings, point 13
         (511, (30.0, 1e5), 0),
+        (511, (0.0, 1e5), 4),  # its heartbeat takes no rate (mavlink_receiver.cpp)
         (31000, (), 3),
         (176, (1.0, 4.0, 3.0), 0),
         (176, (1.0, 9.0, 0.0), 1),
@@ -120,6 +121,15 @@ def test_a_message_for_another_system_is_not_ours(talk: Talk) -> None:
 def test_force_arms_without_checks(talk: Talk) -> None:
     assert talk.command(400, 1.0, 21196.0) == 0
     assert talk.vehicle.commander.armed
+
+
+def test_current_mode_comes_twice_a_second_and_when_it_changes(talk: Talk) -> None:
+    """With a new vehicle_status, however often it is asked for."""
+    assert talk.command(511, 436, 1e5) == 0
+    assert kinds(talk.run(4.0)).count("CURRENT_MODE") == pytest.approx(8, abs=1)
+    assert kinds(talk.run(4.0)).count("HEARTBEAT") == pytest.approx(4, abs=1)
+    talk.command(176, 1.0, 3.0)
+    assert "CURRENT_MODE" in kinds(talk.run(0.1))
 
 
 @pytest.mark.parametrize(("interval_us", "rate"), [(4000, 250), (5000, 125), (100, 250), (-1, 0)])

@@ -216,6 +216,10 @@ class LinkedAutopilot:
         """Land here."""
         return self._begin(self._procedures.set_mode(FlightMode.LAND))
 
+    def stand_by(self) -> Request:
+        """On the ground: PX4 into Hold; ArduCopter arms in GUIDED."""
+        return self._begin(self._procedures.stand_by())
+
     def disarm(self) -> Request:
         """Stop the motors; refused in the air."""
         return self._begin(self._procedures.disarm())

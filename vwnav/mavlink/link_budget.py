@@ -52,17 +52,17 @@ _IMU = Stream("HIGHRES_IMU", 105, 63, 50.0, 0.0)
 _COMMON = (
     Stream("ATTITUDE", 30, 28, 50.0, 20.0),
     Stream("SCALED_PRESSURE", 29, 16, 10.0, 10.0),
-    Stream("HEARTBEAT", 0, 9, 5.0, 5.0),
     Stream("SYS_STATUS", 1, 43, 5.0, 2.0),
     Stream("EXTENDED_SYS_STATE", 245, 2, 5.0, 2.0),
     Stream("DISTANCE_SENSOR", 132, 39, 10.0, 5.0),
     Stream("LOCAL_POSITION_NED", 32, 28, 5.0, 2.0),
 )
 _PX4 = (
-    Stream("CURRENT_MODE", 436, 9, 10.0, 5.0),
+    Stream("CURRENT_MODE", 436, 9, 10.0, 5.0),  # comes when a mode changes, and twice a second
     Stream("ESTIMATOR_STATUS", 230, 42, 5.0, 2.0),
 )
 _ARDUPILOT = (
+    Stream("HEARTBEAT", 0, 9, 5.0, 5.0),  # PX4 sends it once a second, and takes no other rate
     Stream("EKF_STATUS_REPORT", 193, 26, 5.0, 2.0),
     Stream("RAW_IMU", 27, 29, 50.0, 0.0, instead_of="HIGHRES_IMU"),
 )

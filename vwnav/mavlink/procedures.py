@@ -80,6 +80,15 @@ class Procedures:
             )
         return (yield from self._command(Command(_CMD_ARM, (1.0,)), lambda: self._state().armed))
 
+    def stand_by(self) -> Procedure:
+        """On the ground: out of PX4's Offboard, where nothing can be armed without setpoints.
+
+        Once it stands PX4 goes back to what it flew before Land or Return.
+        """
+        if self._kind is AutopilotKind.ARDUPILOT or self._state().armed:
+            return None
+        return (yield from self.set_mode(FlightMode.HOLD))
+
     def disarm(self) -> Procedure:
         """Stop the motors."""
         disarm = Command(_CMD_ARM, (0.0,))

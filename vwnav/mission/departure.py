@@ -21,7 +21,16 @@ _PILOT_HAS_IT = Check(
 )
 _PILOTS = frozenset({FlightMode.MANUAL, FlightMode.MISSION, FlightMode.OTHER})
 _LETS_US = frozenset({FlightMode.HOLD, FlightMode.OFFBOARD})  # who arms in them
+_HOW_TO_ARM = (
+    "ready: press Enter, or arm: from a ground station in Hold, or by the radio in a mode of the "
+    "sticks, and then choose Hold (on ArduCopter GUIDED for Hold)"
+)
+_NOT_OURS = (
+    "the aircraft is armed, and not by vwnav: somebody else flies it; vwnav only sends estimates "
+    "until it is disarmed"
+)
 _ASK_AGAIN_S = 1.0
+_STAND_BY_AGAIN_S = 5.0
 # They would start, stop and start again beside whoever looks why.
 _NOT_AGAIN = (
     "it was not known whether the motors ran, and they stand: nothing was flown, and it is not "
@@ -60,8 +69,8 @@ class Departure:
     """One departure; `step` it until it has an outcome.
 
     Args:
-        arms: whether it arms by itself; else the pilot's arming by radio (in Hold, Offboard or
-            GUIDED: a pilot who arms in a mode flown with sticks wants to fly) or `go` starts it.
+        arms: whether it arms by itself; else `go` starts it, or a person who arms: in Hold,
+            Offboard or GUIDED, or in a mode of the sticks and chooses one of those on the ground.
         say: receives one line per event.
         show: receives the list whenever what is missing changes.
     """
@@ -89,7 +98,8 @@ class Departure:
         self._mode = FlightMode.UNKNOWN
         self._pilots = False  # a mode of a pilot's was chosen since it began
         self._ends: str | None = None  # why it is to end
-        self._stops_s = self._runs_s = self._asked_s = -math.inf
+        self._stops_s = self._runs_s = self._asked_s = self._stood_by_s = -math.inf
+        self._waits_for_mode = False  # armed in a mode of the sticks, by whom we had invited
         self.stage = Stage.READINESS
 
     @property
@@ -138,7 +148,9 @@ class Departure:
     ) -> DepartureOutcome | None:
         """Until the list has been complete for a while, and somebody says go."""
         if vehicle.armed:
-            return self._armed_by_somebody(vehicle)
+            return self._armed_by_somebody(vehicle, checks)
+        self._waits_for_mode = False
+        self._leave_offboard(vehicle, t_s)
         listed = (*checks, _PILOT_HAS_IT) if self._pilots else checks
         trouble = missing(listed)
         if trouble != self._shown:
@@ -155,22 +167,32 @@ class Departure:
             self.stage, self._request = Stage.ARM, self._autopilot.arm()
         elif self.stage is Stage.READINESS:
             self.stage, self._invited = Stage.PERSON, True
-            self._say(
-                "ready: arm by the radio (in Hold on PX4, in GUIDED on ArduCopter), or press Enter"
-            )
+            self._say(_HOW_TO_ARM)
         return None
 
-    def _armed_by_somebody(self, vehicle: VehicleState) -> DepartureOutcome | None:
-        invited = self.stage is Stage.PERSON and not vehicle.in_air
-        if invited and vehicle.mode in _LETS_US:
+    def _leave_offboard(self, vehicle: VehicleState, t_s: float) -> None:
+        """PX4 is in Offboard again once it is down, where without setpoints nobody can arm it."""
+        stuck = vehicle.mode is FlightMode.OFFBOARD and not vehicle.armable
+        if stuck and t_s - self._stood_by_s >= _STAND_BY_AGAIN_S:
+            self._stood_by_s = t_s
+            self._autopilot.stand_by()
+
+    def _armed_by_somebody(
+        self, vehicle: VehicleState, checks: tuple[Check, ...]
+    ) -> DepartureOutcome | None:
+        """A radio arms in modes of the sticks alone, in PX4 and in ArduCopter as it is set up."""
+        invited = self._invited and not vehicle.in_air
+        if invited and vehicle.mode is FlightMode.MANUAL and not missing(checks):
+            if not self._waits_for_mode:
+                self._waits_for_mode = True
+                self._say("armed by the pilot: it takes off once Hold or GUIDED is chosen")
+            return None
+        told = self.stage is Stage.PERSON or self._waits_for_mode
+        if invited and told and vehicle.mode in _LETS_US:
             self._say("armed by the pilot: taking off")
             self._begin_take_off()
             return None
-        return DepartureOutcome(
-            not_ours=True,
-            reason="the aircraft is armed, and not by vwnav: somebody else flies it; vwnav only "
-            "sends estimates until it is disarmed",
-        )
+        return DepartureOutcome(not_ours=True, reason=_NOT_OURS)
 
     def _out_of_time(self, trouble: str, t_s: float) -> DepartureOutcome | None:
         """After so long without being ready for good; a pilot may take his time."""

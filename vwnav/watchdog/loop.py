@@ -24,6 +24,7 @@ from vwnav.watchdog.voice import CUT_S, AutopilotEar, Voice
 
 _log = logging.getLogger(__name__)
 _READS_IN_A_ROW = 32
+_RELAYED_BYTES = 1024  # of a datagram MAVSDK takes 2048 bytes, and loses the rest
 _CALL_PERIOD_S = 1.0
 _LAST_WORD_S = 3.0  # without a heartbeat after the navigator's end: what was heard last holds
 _SWITCHED_OFF_S = 60.0  # an autopilot that silent while nobody navigates
@@ -174,8 +175,10 @@ class Watchdog:
             data = self._links.autopilot.read()
             if not data:
                 return
-            self._links.navigator.write(data)
-            self._links.observer.write(data)
+            for begin in range(0, len(data), _RELAYED_BYTES):
+                piece = data[begin : begin + _RELAYED_BYTES]
+                self._links.navigator.write(piece)
+                self._links.observer.write(piece)
             for answer in self._ear.listen(data, t_s):
                 self._guard.handle_answer(answer, t_s)
 

@@ -59,6 +59,11 @@ class ModeTrack:
         self._commanded = _Commanded(t_s, mode, self._told)
 
     @property
+    def told_s(self) -> float:
+        """When a mode was told last, by either message."""
+        return self._told_s
+
+    @property
     def mode(self) -> FlightMode:
         """The one told last, but for one that was sent before the command just accepted.
 

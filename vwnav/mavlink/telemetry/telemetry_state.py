@@ -157,7 +157,7 @@ class TelemetryState:
         present, healthy = self._sensors or (0, 0)
         return VehicleState(
             t_s=t_s,
-            connected=t_s - self._heartbeat_t_s < _LINK_LOST_S,
+            connected=t_s - self.modes.told_s < _LINK_LOST_S,
             armed=self._armed,
             in_air=self._landed_state in _IN_AIR or (self._landed_state == 0 and self._armed),
             mode=self.modes.mode,

@@ -70,6 +70,10 @@ class Conversation(ABC, Generic[VehicleT]):
     def _do(self, command: VehicleCommand, context: "CommandContext[VehicleT]") -> Result:
         """Do a command and say how it went, in this autopilot's result codes."""
 
+    def _has_news(self, number: int) -> bool:
+        """Whether a message that is due has anything new to say."""
+        return True
+
     @abstractmethod
     def _send_parameter(self, index: int) -> None: ...
 
@@ -92,7 +96,8 @@ class Conversation(ABC, Generic[VehicleT]):
         """Send what is due."""
         t_s = self._vehicle.t_s
         for number in self._schedule.due(t_s):
-            self._send(self._schedule.builders[number](self._vehicle))
+            if self._has_news(number):
+                self._send(self._schedule.builders[number](self._vehicle))
         for answer in self._answers.due(t_s):
             self._send(answer)
         if t_s >= self._timesync_due_s:

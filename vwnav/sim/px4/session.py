@@ -40,6 +40,9 @@ _NEVER_BROADCAST = frozenset(
     }
 )
 
+_HEARTBEAT, _CURRENT_MODE = 0, 436
+_STATUS_S = 0.5  # of vehicle_status (Commander.cpp)
+
 Clock = Callable[[], float]
 
 
@@ -66,6 +69,8 @@ class Px4Session(Conversation[SimulatedPx4]):
     ) -> None:
         super().__init__(link, vehicle, schedule, clock, 0.0 if asks_time else math.inf)
         self._timesync = TimesyncFilter()
+        self._status: object = None
+        self._status_s = -math.inf
         self._text_seen = 0
         self._chunk_id = 0
         self._handlers |= {
@@ -90,6 +95,17 @@ class Px4Session(Conversation[SimulatedPx4]):
         if message.get_type() in _NEVER_BROADCAST:
             return system == own and component in (0, 1)
         return system in (0, own) and component in (0, 1)
+
+    def _has_news(self, number: int) -> bool:
+        """CURRENT_MODE goes out with a new vehicle_status: twice a second, or when it changes."""
+        if number != _CURRENT_MODE:
+            return True
+        commander, t_s = self._vehicle.commander, self._vehicle.t_s
+        status = (commander.state, commander.intended, commander.armed)
+        if status == self._status and t_s - self._status_s < _STATUS_S - 1e-6:
+            return False
+        self._status, self._status_s = status, t_s
+        return True
 
     def _say_texts(self) -> None:
         """Texts go only where a ground station is heard; they wait for it."""
@@ -236,8 +252,9 @@ def _set_mode(command: VehicleCommand, context: CommandContext[SimulatedPx4]) ->
 
 
 def _set_interval(command: VehicleCommand, context: CommandContext[SimulatedPx4]) -> Result:
+    """PX4's heartbeat comes once a second, whatever is asked for."""
     number = message_id(command.p1)
-    known = number is not None and context.schedule.set_interval(
+    known = number not in (None, _HEARTBEAT) and context.schedule.set_interval(
         number, command.p2, context.vehicle.t_s
     )
     return Result.ACCEPTED if known else Result.FAILED
