@@ -1,7 +1,7 @@
 """A route is held against the map before anything is armed, and by the commands that check it."""
 
 import json
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import fields
 from pathlib import Path
 
@@ -43,9 +43,9 @@ def packs(tmp_path_factory) -> tuple[Path, Path]:
     column = 500.0 + 60.0 * ((north_m > 70.0) & (north_m < 90.0)) - 50.0 * (north_m < -120.0)
     south, west, north, east = *place(-200.0, -200.0), *place(200.0, 200.0)
     heights = HeightGrid((south, west, north, east), np.tile(column[:, None], 81).astype("f4"))
-    pictures = np.full((400, 400, 3), 90, np.uint8)
+    pictures = np.full((1000, 1000, 3), 90, np.uint8)
     for name, grid in (("ridge", heights), ("flat", None)):
-        source = array_source(pictures, local_georeference(HOME, (200.0, -200.0), 1.0), name="f")
+        source = array_source(pictures, local_georeference(HOME, (200.0, -200.0), 0.4), name="f")
         build_pack([source], folder / f"{name}.mbtiles", [], BuildOptions(heights=grid))
     return folder / "ridge.mbtiles", folder / "flat.mbtiles"
 
@@ -101,6 +101,14 @@ def test_one_that_clears_it_is_flown_and_how_low_it_comes_is_said(packs, tmp_pat
     told = _map(packs[0], load_route(route), SIFT, SafetyConfig())
     assert told.verdict == "PASS"
     assert "10.0 m above the ground" in told.detail
+
+
+@pytest.mark.parametrize(("height_m", "refused"), [(25.0, True), (36.0, False)])
+def test_a_start_too_low_for_the_map_is_refused_before_arming(packs, tmp_path, height_m, refused):
+    """It would climb, see nothing that the map shows, and come down again."""
+    route = plan_file(tmp_path, (-50.0, height_m), (-50.0, 15.0))
+    with pytest.raises(PreflightError, match="below 27 m") if refused else nullcontext():
+        planned(packs[1], route)
 
 
 def test_without_heights_or_a_home_it_is_said_that_nobody_knows(packs, tmp_path):

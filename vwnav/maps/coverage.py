@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import places_along
+from vwnav.maps.image import MIN_VIEW_PX
 from vwnav.maps.pack import MapPack
 from vwnav.types import Array
 
@@ -64,6 +66,12 @@ class RouteCoverage:
             f"first from {first.start_m:.0f} to {first.end_m:.0f} m of {self.length_m:.0f} m "
             f"({lat_deg:.6f}, {lon_deg:.6f}), {self.uncovered_m:.0f} m in all"
         )
+
+
+def least_height_m(pack: MapPack, camera: Camera) -> float:
+    """Height above ground from which on a level camera sees enough of a map to be placed on it."""
+    seen = max(camera.width_px / camera.K[0, 0], camera.height_px / camera.K[1, 1])
+    return MIN_VIEW_PX * pack.levels[0].m_per_px / float(seen)
 
 
 def check_route(pack: MapPack, lat_lon_deg: Array, margin_m: float = 50.0) -> RouteCoverage:

@@ -12,6 +12,7 @@ from vwnav.geometry.geodesy import Tile, Window
 from vwnav.types import FeatureExtractor, Features, Gray
 
 Mask = NDArray[np.bool_]
+MIN_VIEW_PX = 112  # of the longer side: a smaller view of a map holds too little to be told apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)

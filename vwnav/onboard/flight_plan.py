@@ -12,7 +12,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, Route
 from vwnav.maps.clearance import RouteClearance, check_clearance, clears_m
-from vwnav.maps.coverage import RouteCoverage, check_route
+from vwnav.maps.coverage import RouteCoverage, check_route, least_height_m
 from vwnav.maps.pack import MapPack
 from vwnav.mission.home import WayHome, from_home_ned_m
 from vwnav.mission.mission import Mission
@@ -83,7 +83,14 @@ class FlightPlan:
         return self._refuse(np.vstack([[*route_ned_m[-1, :2], route_ned_m[0, 2]], route_ned_m]))
 
     def refuse_at_once(self) -> str:
-        """The same before the flight, as far as it can be told then."""
+        """The same before the flight, as far as it can be told then, or a start without fixes."""
+        least_m, begins_m = least_height_m(self.pack, self.camera), -float(self.route_ned_m[0, 2])
+        if begins_m < least_m:
+            return (
+                f"the first waypoint is {begins_m:.0f} m up: below {least_m:.0f} m this camera "
+                f"sees too little of a map of {self.pack.levels[0].m_per_px:.2f} m/px to be placed "
+                "on it; plan it higher, or build the map from finer imagery"
+            )
         if self.home_known:
             return self._refuse(self._flown_ned_m)
         if self.about_home:

@@ -21,7 +21,7 @@ from vwnav.geometry.geodesy import (
     mercator_px,
 )
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.maps.image import Level, MapReader
+from vwnav.maps.image import MIN_VIEW_PX, Level, MapReader
 from vwnav.types import Prior
 from vwnav.vision.consensus import SimilarityBounds
 from vwnav.vision.query import Query
@@ -37,7 +37,6 @@ MAX_YAW_BOUND_RAD = math.radians(50.0)
 MAX_SCALE_BOUND = 1.6
 PRIOR_SIGMAS = 3.0  # of the prior's position are looked at
 MAX_UPSAMPLING = 1.67  # a view much sharper than the image shows blur the map does not have
-MIN_VIEW_PX = 112  # of the longer side: a smaller view holds too little to be told apart
 COARSE_VIEW_PX = 300.0  # of the longer side of a coarse view
 COARSE_KEYPOINTS = 600
 THRIFTY_VIEW_AREA_PX = 130_000.0  # of a first look: decides, with the height, which level it is at

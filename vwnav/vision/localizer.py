@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from vwnav.geometry.camera import Camera, cut_to_image
-from vwnav.maps.image import MapReader
+from vwnav.maps.image import MIN_VIEW_PX, MapReader
 from vwnav.types import (
     FeatureExtractor,
     Frame,
@@ -29,7 +29,6 @@ from vwnav.types import (
 )
 from vwnav.vision.by_correlation import Edges, fix_by_correlation
 from vwnav.vision.candidates import (
-    MIN_VIEW_PX,
     PRIOR_SIGMAS,
     Acceptance,
     Candidate,
