@@ -58,7 +58,7 @@ ALLOWED = {
     | {"assemble", "screen", "seams"},
     "offline": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "rules", "recording", "cameras"}
-    | {"config", "assemble", "screen", "seams"},
+    | {"safety", "config", "assemble", "screen", "seams"},
     "calibration": BASE
     | {"geometry", "maps", "vision", "estimation", "pipeline", "recording", "cameras", "screen"}
     | {"seams"},

@@ -123,8 +123,8 @@ class Pipeline:
             self._camera, self._lens.focal_ratio = camera, camera.focal_ratio
             self._features, self._odometry = self._recalibrated(camera)
 
-    def feed(self, measurement: Telemetry) -> None:
-        """Take a measurement of the autopilot; the estimate lives on it when images stall."""
+    def feed(self, measurement: Telemetry | Untracked) -> None:
+        """Take a measurement; the estimate lives on them when images stall."""
         with self._lock:
             self._ekf.handle(measurement)
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 
 import cv2
 import numpy as np
@@ -43,6 +44,24 @@ def test_replay_without_telemetry_finds_the_place_and_follows_it(replayed, place
     errors = errors_m(rows, place)
     assert len(errors) >= FRAMES - 12
     assert np.median(errors) < 1.5
+
+
+def test_a_recording_that_stalls_is_not_believed_to_stand(vwnav, place, tmp_path):
+    """Its last picture had been fixed again and again, 13 m behind, at a sigma of half a metre."""
+    shown, images, out = cv2.VideoCapture(str(place.video)), tmp_path / "images", tmp_path / "run"
+    images.mkdir()
+    pictures = [shown.read()[1] for _ in range(FRAMES)]
+    for number, picture in enumerate(pictures):
+        stalled = 12 < number < 30
+        cv2.imwrite(str(images / f"{number}.png"), pictures[12] if stalled else picture)
+    done = vwnav("replay", images, "--map", place.pack, "--camera", place.camera, "-o", out)
+    assert done.code == 0, done.err
+    rows = read_rows(out)
+    off_m = np.array(errors_m(rows, place))
+    told = [row for row in rows if row["lat_deg"]]
+    sigmas_m = [math.hypot(float(row["sigma_n_m"]), float(row["sigma_e_m"])) for row in told]
+    assert np.max(off_m / sigmas_m) < 4.0
+    assert np.all(off_m[-6:] < 2.0)
 
 
 def test_replay_leaves_a_run_folder_that_explains_itself(replayed, place):

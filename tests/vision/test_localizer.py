@@ -43,6 +43,17 @@ def test_a_fix_is_where_the_image_was_taken(pack, ground, extractor):
     assert fix.stats.inliers > 30
 
 
+def test_what_the_attitude_leaves_open_is_no_fault_of_the_matches(pack, ground, learned):
+    """From 600 m up 2 degrees are 21 m, and every fix was refused; so would these 2 m be."""
+    frame = frame_at(ground, 20.0, -15.0, AGL_M, rng=np.random.default_rng(0))
+    localizer = Localizer(pack, learned, CAMERA, LocalizerConfig(max_sigma_m=1.0))
+    fix = localizer.localize(frame, prior_at(20, -15), 0)
+    assert isinstance(fix, MapFix)
+    assert fix.sigma_m > 1.5
+    strict = Localizer(pack, learned, CAMERA, LocalizerConfig(max_sigma_m=0.01))
+    assert isinstance(strict.localize(frame, prior_at(20, -15), 0), Rejected)
+
+
 def test_the_errors_are_those_of_the_covariance(pack, ground, learned):
     """Tilt that is not told makes most of the error; its share in the covariance is 2 degrees."""
     rng, squared = np.random.default_rng(1), []

@@ -1,5 +1,6 @@
 """What `vwnav replay` does, once its options are read."""
 
+import math
 import time
 from collections import deque
 from contextlib import closing
@@ -11,6 +12,7 @@ from vwnav.assemble import Assembled, about_run, assemble, choose_features, with
 from vwnav.cameras.sources import open_source
 from vwnav.config import load_config, save_config, with_camera, with_features
 from vwnav.errors import SourceError, VwnavError
+from vwnav.estimation.events import Untracked
 from vwnav.geometry.calibration import load_camera
 from vwnav.geometry.camera import Camera, check_fits
 from vwnav.geometry.geodesy import LocalFrame
@@ -21,12 +23,14 @@ from vwnav.recording.input_log import InputLog
 from vwnav.recording.recorder import Recorder
 from vwnav.recording.run_folder import make_run_folder
 from vwnav.recording.telemetry_files import load_telemetry
+from vwnav.safety.camera_watch import Repeats
 from vwnav.screen import LiveLine, say
-from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, InlineExecutor
-from vwnav.types import Attitude, Frame, Telemetry
+from vwnav.seams import ATTITUDE_WAIT_S, FrameSource, InlineExecutor, StepResult
+from vwnav.types import Attitude, Frame, Rejected, RejectReason, Telemetry
 
 DEFAULT_HFOV_DEG = 70.0  # an action or phone camera; only the height depends on it
 LEAD_S = 1.0  # of the telemetry before the first image
+_STALLED_S = 0.3  # a frame rate that was changed repeats single images
 
 
 def replay_source(options: ReplayOptions) -> None:
@@ -46,7 +50,7 @@ def replay_source(options: ReplayOptions) -> None:
             if first is None:
                 raise SourceError(f"{options.source} holds no picture")
             told = log.measurements(first.t_s) if log is not None else []
-            alone = not any(isinstance(seen, Attitude) for seen in told)
+            alone = _is_alone(told)
             height_px, width_px = first.image.shape[:2]
             camera = choose_camera(options.camera, options.hfov_deg, width_px, height_px)
             local_frame = LocalFrame(*pack.middle, 0.0)
@@ -110,12 +114,13 @@ def _run(
     tally = record.tally
     trouble: VwnavError | None = None
     frame: Frame | None = first
+    images = _Images(assembled.pipeline, _is_alone(told))
     coming = deque(seen for seen in told if seen.t_s > first.t_s - LEAD_S)
     with LiveLine() as line:
         while frame is not None:
             start_s = time.perf_counter()
             _feed(assembled.pipeline, coming, frame.t_s)
-            step = assembled.pipeline.step(frame)
+            step = images.step(frame)
             tally.busy_s += time.perf_counter() - start_s
             input_log.image(step, None)
             record.add(step, None)
@@ -133,6 +138,28 @@ def _run(
         raise VwnavError(
             f"none of {tally.frames} pictures was located ({why}): does the map show this place?"
         )
+
+
+class _Images:
+    """Hands the images on; one that was there before tells nothing: its recording had stalled."""
+
+    def __init__(self, pipeline: Pipeline, alone: bool) -> None:
+        self._pipeline, self._alone = pipeline, alone
+        self._repeats, self._new_s = Repeats(), -math.inf
+
+    def step(self, frame: Frame) -> StepResult:
+        if not self._repeats.look(frame.image):
+            self._new_s = frame.t_s
+            return self._pipeline.step(frame)
+        if self._alone and frame.t_s - self._new_s > _STALLED_S:
+            self._pipeline.feed(Untracked(frame.t_s))
+        nothing = Rejected(frame.t_s, RejectReason.NOT_TRIED, "a picture that was there before")
+        return StepResult(frame.t_s, nothing, nothing, self._pipeline.estimate(frame.t_s))
+
+
+def _is_alone(told: list[Telemetry]) -> bool:
+    """Nothing tells the attitude but the images."""
+    return not any(isinstance(seen, Attitude) for seen in told)
 
 
 def _feed(pipeline: Pipeline, coming: deque[Telemetry], t_s: float) -> None:

@@ -56,7 +56,7 @@ class CameraWatch:
     ) -> None:
         self._size = (width_px, height_px)
         self._trouble_of_mode = trouble_of_mode
-        self._shown: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._repeats = Repeats()
         self._exposed_s = -math.inf
         self._exposures_s: deque[float] = deque(maxlen=_RATE_OF_MOST)
         self._rate_hz: float | None = None
@@ -100,16 +100,27 @@ class CameraWatch:
             return str(OtherSizeError(self._size, size))
         if trouble := self._trouble_of_mode():
             return trouble
-        sample = image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX]
-        self._shade = _shade_of(sample)
-        return "the camera repeats its pictures" if self._is_repeated(sample) else ""
+        self._shade = _shade_of(_sampled(image))
+        return "the camera repeats its pictures" if self._repeats.look(image) else ""
 
-    def _is_repeated(self, sample: NDArray[np.uint8]) -> bool:
-        """Noise makes no two images of a sensor the same, unless all of it is one shade."""
+
+class Repeats:
+    """Images that were there before: noise makes no two of a sensor the same."""
+
+    def __init__(self) -> None:
+        self._shown: deque[bytes] = deque(maxlen=_REMEMBERED)
+
+    def look(self, image: NDArray[np.uint8]) -> bool:
+        """Whether this one was, unless all of it is one shade."""
+        sample = _sampled(image)
         digest = hashlib.blake2b(sample.tobytes(), digest_size=16).digest()
         repeated = digest in self._shown
         self._shown.append(digest)
         return repeated and bool(np.ptp(sample))
+
+
+def _sampled(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return image[::_COMPARED_EVERY_PX, ::_COMPARED_EVERY_PX]
 
 
 def _shade_of(sample: NDArray[np.uint8]) -> str:

@@ -36,7 +36,7 @@ class LocalizerConfig(Settings):
         min_contrast: standard deviation of the gray values below which an image is dark.
         search_agl_m: heights above ground that are tried when nothing is known of it.
         sigma_tilt_rad: of roll and pitch, when they are known.
-        max_sigma_m: a fix that is less certain than this is none.
+        max_sigma_m: a fix whose matches leave it less certain than this is none.
         max_track_radius_px: a prior that is wider than this on the map is searched coarse first.
     """
 

@@ -176,7 +176,7 @@ class Localizer:
         if isinstance(held, Rejected):
             return held
         fix = fix_of(query, held) if isinstance(held, Registration) else held
-        return implausible(query, fix, self._config.max_sigma_m) or fix
+        return implausible(query, fix, self._config.max_sigma_m, self._config.sigma_tilt_rad) or fix
 
     def _candidates(self, query: Query) -> list[Candidate] | Rejected:
         """What to try: around a prior at the sharpest level, else everywhere, coarsely."""
@@ -332,7 +332,7 @@ class Localizer:
         return tuple(
             replace(each, fix=self._arm.fix_of_body(each.fix, prior)) if self._arm else each
             for each in query.weak
-            if not implausible(query, each.fix, most_m)
+            if not implausible(query, each.fix, most_m, self._config.sigma_tilt_rad)
         )
 
     def _decades(self, found: Registration) -> float:

@@ -267,12 +267,17 @@ class Query:
         return View(made, center_uv, gray, features)
 
 
-def implausible(query: Query, fix: MapFix, max_sigma_m: float) -> Rejected | None:
+def implausible(
+    query: Query, fix: MapFix, max_sigma_m: float, sigma_tilt_rad: float
+) -> Rejected | None:
     """A refusal of a fix that is too uncertain, or too far from the prior."""
     prior, sigma_m = query.prior, fix.sigma_m
     matches, inliers = fix.stats.matches, fix.stats.inliers
-    if sigma_m > max_sigma_m:
-        detail = f"the matches fix the position to {sigma_m:.0f} m only"
+    # What the attitude leaves open is no fault of the matches: 2 degrees are 21 m from 600 m up.
+    leant_m = sigma_tilt_rad * (fix.agl_m or 0.0) if fix.point == "nadir" else 0.0
+    matched_m = math.sqrt(max(sigma_m**2 - leant_m**2, 0.0))
+    if matched_m > max_sigma_m:
+        detail = f"the matches fix the position to {matched_m:.0f} m only"
         return query.rejected(RejectReason.GEOMETRY, detail, matches=matches, inliers=inliers)
     if prior.lat_deg is None or prior.lon_deg is None:
         return None
