@@ -74,6 +74,7 @@ class VehicleState:
         intended_mode: the mode that somebody asked for: in a failsafe PX4 flies another one. It is
             `mode` where the autopilot cannot tell the two apart, and UNKNOWN for the moment between
             a change of mode and PX4's word on who asked for it.
+        tells_intent: which mode was asked for is told, or need not be (ArduPilot).
         failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
         silence_s: since anything of it came.
         aiding: its filter predicts the position from what we send; None when it does not say.
@@ -98,6 +99,7 @@ class VehicleState:
     armable: bool
     silence_s: float
     intended_mode: FlightMode = FlightMode.UNKNOWN
+    tells_intent: bool = True
     failsafe: bool = False
     aiding: bool | None = None
     ground_station: bool = False

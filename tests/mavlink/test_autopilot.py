@@ -82,6 +82,15 @@ def test_measurements_come_in_order_of_arrival_and_each_once(bench):
     assert bench.autopilot.take_measurements() == ()
 
 
+@pytest.mark.parametrize("kind", ["px4", "copter"])
+def test_a_px4_that_stands_in_offboard_is_asked_for_hold_and_a_copter_in_guided_for_nothing(kind):
+    bench = Bench() if kind == "px4" else Bench(COPTER)
+    request = bench.autopilot.stand_by()
+    bench.run(1.0)
+    assert (request.done, request.refused) == (True, None)
+    assert len(bench.peer.commands(SET_MODE)) == (kind == "px4")
+
+
 def test_an_armed_aircraft_does_not_stand(bench):
     bench.peer.armed = True
     bench.run(0.5)

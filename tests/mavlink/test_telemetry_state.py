@@ -221,6 +221,7 @@ def test_px4_says_whether_a_failsafe_or_a_person_chose_the_mode(
     state = at(replay(data_folder / f"mavlink/{name}.tlog.gz"), t_s)[0]
     assert (state.mode, state.intended_mode) == (flown, asked)
     assert state.failsafe == state.is_fallback == (flown is not asked)
+    assert state.tells_intent
 
 
 COPTER_CHOICES = [
@@ -299,6 +300,15 @@ def test_whose_mode_it_is_holds_for_no_longer_than_it_is_told():
         told.append(telemetry.state(0.1 * i).is_fallback)
     assert told[:40] == [True] * 40  # unasked it comes every two seconds
     assert not any(told[46:])
+
+
+@pytest.mark.parametrize(("autopilot", "tells"), [(12, False), (3, True)])
+def test_a_px4_that_tells_its_mode_alone_does_not_say_who_chose_it(autopilot, tells):
+    """Before 1.15; ArduPilot says of itself that it flies a failsafe."""
+    telemetry = TelemetryState()
+    beat = {"autopilot": autopilot, "base_mode": 0, "custom_mode": HOLD, "system_status": 3}
+    telemetry.handle("HEARTBEAT", beat, 1.0)
+    assert telemetry.state(1.0).tells_intent is tells
 
 
 def test_after_a_cut_it_is_not_known_whose_mode_it_is_until_it_is_told():

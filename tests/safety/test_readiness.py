@@ -73,6 +73,15 @@ def test_a_parameter_that_only_warns_keeps_nobody_on_the_ground():
     assert trouble(equipment=replace(READY, findings=(replace(NO_VISION, severity="warn"),))) == ""
 
 
+def test_a_px4_that_does_not_tell_who_chose_its_mode_keeps_nobody_on_the_ground():
+    vehicle = replace(STANDING, tells_intent=False)
+    (check,) = [each for each in check_flight(vehicle, GOOD, READY, SafetyConfig(), 10.0)
+                if each.name == "autopilot"]  # fmt: skip
+    assert check.verdict == "WARN"
+    assert "COM_OBL_RC_ACT" in check.detail
+    assert trouble(vehicle=vehicle) == ""
+
+
 def test_without_an_estimate_the_guards_own_words_are_passed_on():
     assert "velocity is lost" in trouble(navigation=Navigation(None, "its velocity is lost"))
 

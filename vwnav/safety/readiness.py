@@ -9,6 +9,10 @@ from vwnav.safety.safety_config import SafetyConfig
 from vwnav.vehicle import Finding, Navigation, VehicleState
 
 _IMAGE_AGE_S = 1.0
+_UNTOLD_INTENT = (
+    "this PX4 does not tell which mode was asked for (before 1.15): after a cut of the link the "
+    "mode of its failsafe counts as the pilot's choice, so set COM_OBL_RC_ACT to 4 (Land)"
+)
 _IMAGES_HZ, _ENOUGH_HZ = 10.0, 8.0  # what is wanted, and what may pass for it
 _ATTITUDE_AGE_S = 0.4  # flown: 0.3 s late for 10 s; at 0.5 odometry is lost again and again
 
@@ -136,4 +140,6 @@ def _autopilot(vehicle: VehicleState) -> Check:
         return Check("autopilot", "FAIL", f"it reports no readiness to arm: {why}")
     if not vehicle.local_position_ok:
         return Check("autopilot", "FAIL", "it reports no local position: is it set up for vision?")
+    if not vehicle.tells_intent:
+        return Check("autopilot", "WARN", _UNTOLD_INTENT)
     return Check("autopilot", "PASS", "ready to arm, with a position")

@@ -64,6 +64,11 @@ class ModeTrack:
         return self._told_s
 
     @property
+    def tells_intent(self) -> bool:
+        """PX4 has told what was asked for: it does from 1.15 on."""
+        return self._intent is not None
+
+    @property
     def mode(self) -> FlightMode:
         """The one told last, but for one that was sent before the command just accepted.
 

@@ -171,6 +171,7 @@ class TelemetryState:
             armable=bool(healthy & _PREARM) and self._can_take_off(),
             silence_s=t_s - self.heard_s,
             intended_mode=self.modes.intended(t_s),
+            tells_intent=self.kind is not AutopilotKind.PX4 or self.modes.tells_intent,
             failsafe=self.modes.is_failsafe(t_s),
             aiding=self.aiding(t_s),
             own_position_ned_m=self._own_position_about_run(t_s),
