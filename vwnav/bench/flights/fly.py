@@ -49,7 +49,7 @@ def fly(
             down_s = None
         elif down_s is None:
             down_s = world.t_s
-        elif world.t_s - down_s > _DOWN_S and world.navigator.over:
+        elif world.t_s - down_s > _DOWN_S and world.navigator.over and _is_noted(world):
             break
     for each in planned:
         each.finish(world)
@@ -69,3 +69,8 @@ def fly(
         stood=tuple(e.span for e in planned if e.span is not None and e.stands),
         end=navigator.flight.end,
     )
+
+
+def _is_noted(world: World) -> bool:
+    """How the mission ended stands in the track."""
+    return world.track.phases[-1].text == world.navigator.flight.phase.value
