@@ -372,10 +372,13 @@ def test_one_whose_radio_armed_and_disarmed_it_is_waited_for_again():
     assert scene.vehicle.asked[:2] == ["arm", "takeoff"]
 
 
-def test_what_stands_in_offboard_and_cannot_be_armed_is_asked_to_leave_it():
+@pytest.mark.parametrize(
+    "mode", [FlightMode.OFFBOARD, FlightMode.LAND, FlightMode.RETURN, FlightMode.TAKEOFF]
+)
+def test_what_stands_in_a_mode_in_which_nobody_can_arm_it_is_asked_to_leave_it(mode):
     """PX4 after a flight: it shows Offboard, and no readiness; a person is asked for nothing."""
     scene = Scene(arms=False)
-    scene.vehicle.be(mode=FlightMode.OFFBOARD)
+    scene.vehicle.be(mode=mode)
     scene.run(limit_s=10.0)
     assert scene.vehicle.asked == []
     scene.vehicle.be(armable=False)
@@ -385,8 +388,9 @@ def test_what_stands_in_offboard_and_cannot_be_armed_is_asked_to_leave_it():
     assert scene.vehicle.asked == ["stand by", "stand by"]
     scene.vehicle.be(mode=FlightMode.HOLD, armable=True)
     scene.go_on(6.0)
-    scene.vehicle.be(mode=FlightMode.HOLD, armable=False)
-    scene.go_on(6.0)
+    for chosen in (FlightMode.HOLD, FlightMode.MANUAL, FlightMode.MISSION):
+        scene.vehicle.be(mode=chosen, armable=False)
+        scene.go_on(6.0)
     assert len(scene.vehicle.asked) == 2
 
 

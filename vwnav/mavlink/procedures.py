@@ -81,9 +81,9 @@ class Procedures:
         return (yield from self._command(Command(_CMD_ARM, (1.0,)), lambda: self._state().armed))
 
     def stand_by(self) -> Procedure:
-        """On the ground: out of PX4's Offboard, where nothing can be armed without setpoints.
+        """On the ground: PX4 into Hold, from where it can be armed.
 
-        Once it stands PX4 goes back to what it flew before Land or Return.
+        It is in Offboard again once it is down, and stays in Land or Return chosen on the ground.
         """
         if self._kind is AutopilotKind.ARDUPILOT or self._state().armed:
             return None

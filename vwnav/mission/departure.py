@@ -21,6 +21,10 @@ _PILOT_HAS_IT = Check(
 )
 _PILOTS = frozenset({FlightMode.MANUAL, FlightMode.MISSION, FlightMode.OTHER})
 _LETS_US = frozenset({FlightMode.HOLD, FlightMode.OFFBOARD})  # who arms in them
+# PX4 is in Offboard again once it is down, and stays in what was chosen on the ground.
+_NOBODY_ARMS_IN = frozenset(
+    {FlightMode.OFFBOARD, FlightMode.LAND, FlightMode.RETURN, FlightMode.TAKEOFF}
+)
 _HOW_TO_ARM = (
     "ready: press Enter, or arm: from a ground station in Hold, or by the radio in a mode of the "
     "sticks, and then choose Hold (on ArduCopter GUIDED for Hold)"
@@ -150,7 +154,7 @@ class Departure:
         if vehicle.armed:
             return self._armed_by_somebody(vehicle, checks)
         self._waits_for_mode = False
-        self._leave_offboard(vehicle, t_s)
+        self._leave_mode(vehicle, t_s)
         listed = (*checks, _PILOT_HAS_IT) if self._pilots else checks
         trouble = missing(listed)
         if trouble != self._shown:
@@ -170,9 +174,9 @@ class Departure:
             self._say(_HOW_TO_ARM)
         return None
 
-    def _leave_offboard(self, vehicle: VehicleState, t_s: float) -> None:
-        """PX4 is in Offboard again once it is down, where without setpoints nobody can arm it."""
-        stuck = vehicle.mode is FlightMode.OFFBOARD and not vehicle.armable
+    def _leave_mode(self, vehicle: VehicleState, t_s: float) -> None:
+        """Out of one in which nobody can arm it."""
+        stuck = vehicle.mode in _NOBODY_ARMS_IN and not vehicle.armable
         if stuck and t_s - self._stood_by_s >= _STAND_BY_AGAIN_S:
             self._stood_by_s = t_s
             self._autopilot.stand_by()
