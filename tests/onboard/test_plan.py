@@ -87,7 +87,7 @@ def test_a_route_over_a_ridge_is_refused_before_arming_and_by_each_command(packs
     assert values["lowest"] == pytest.approx(
         {"above_ground_m": -30.0, "to_waypoint": 2, "lat_deg": 47.00066, "lon_deg": 8.0}, abs=1e-4
     )
-    told = _map(packs[0], load_route(route), SIFT, SafetyConfig())
+    told = _map(packs[0], load_route(route), None, SIFT, SafetyConfig())
     assert told.verdict == "FAIL"
     assert "35.0 m are missing" in told.detail
 
@@ -98,7 +98,7 @@ def test_one_that_clears_it_is_flown_and_how_low_it_comes_is_said(packs, tmp_pat
         [-70.0] * 2, abs=0.1
     )
     assert "10.0 m above the ground" in checked(packs[0], route).stdout
-    told = _map(packs[0], load_route(route), SIFT, SafetyConfig())
+    told = _map(packs[0], load_route(route), None, SIFT, SafetyConfig())
     assert told.verdict == "PASS"
     assert "10.0 m above the ground" in told.detail
 
@@ -109,6 +109,10 @@ def test_a_start_too_low_for_the_map_is_refused_before_arming(packs, tmp_path, h
     route = plan_file(tmp_path, (-50.0, height_m), (-50.0, 15.0))
     with pytest.raises(PreflightError, match="below 27 m") if refused else nullcontext():
         planned(packs[1], route)
+    save_camera(default_camera(), tmp_path / "cam.toml")
+    told = _map(packs[1], load_route(route), tmp_path / "cam.toml", SIFT, SafetyConfig())
+    assert (told.verdict == "FAIL") is refused
+    assert ("below 27 m" in told.detail) is refused
 
 
 def test_without_heights_or_a_home_it_is_said_that_nobody_knows(packs, tmp_path):
@@ -152,7 +156,7 @@ def test_altitudes_above_sea_level_are_flown_there_from_another_home(packs, tmp_
 def test_doctor_lets_a_route_pass_that_counts_from_a_home_it_cannot_be_told(packs, tmp_path):
     route = tmp_path / "r.txt"
     route.write_text("1,40,0,30\n2,60,0,30\n")
-    told = _map(packs[0], load_route(route), SIFT, SafetyConfig())
+    told = _map(packs[0], load_route(route), None, SIFT, SafetyConfig())
     assert told.verdict == "WARN"
     assert "vwnav map check" in told.detail
     assert "--home LAT,LON" in told.detail

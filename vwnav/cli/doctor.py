@@ -64,7 +64,9 @@ def doctor(
         check, flown = _route(route)
         checks.append(check)
     if map_path:
-        checks.append(_guarded("map", lambda: _map(map_path, flown, extractor, config.safety)))
+        checks.append(
+            _guarded("map", lambda: _map(map_path, flown, camera, extractor, config.safety))
+        )
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
     if video:
@@ -127,8 +129,14 @@ def _features(config: "Config") -> "tuple[Check, FeatureExtractor]":
 
 
 def _map(
-    path: Path, route: "Route | None", extractor: "FeatureExtractor", safety: "SafetyConfig"
+    path: Path,
+    route: "Route | None",
+    calibration: Path | None,
+    extractor: "FeatureExtractor",
+    safety: "SafetyConfig",
 ) -> Check:
+    from vwnav.geometry.calibration import load_camera
+    from vwnav.maps.coverage import begins_too_low
     from vwnav.maps.pack import MapPack
     from vwnav.onboard.flight_plan import route_on_map
 
@@ -142,9 +150,11 @@ def _map(
         if route.about_home and route.home is None:
             return Check("map", "WARN", f"{detail}; {_HOME_UNTOLD}")
         found = route_on_map(pack, route, route.home, safety)
+        seen_by = None if calibration is None else load_camera(calibration)
+        too_low = "" if seen_by is None else begins_too_low(pack, seen_by, found.begins_m)
     each = (found.coverage, found.clearance)
-    told = (detail, *(one.summary() for one in each), found.returns)
-    verdict: CheckVerdict = "PASS" if all(one.ok for one in each) else "FAIL"
+    told = (detail, *(one.summary() for one in each), too_low, found.returns)
+    verdict: CheckVerdict = "FAIL" if too_low or not all(one.ok for one in each) else "PASS"
     return Check("map", verdict, "; ".join(filter(None, told)))
 
 

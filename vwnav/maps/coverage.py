@@ -68,10 +68,21 @@ class RouteCoverage:
         )
 
 
-def least_height_m(pack: MapPack, camera: Camera) -> float:
-    """Height above ground from which on a level camera sees enough of a map to be placed on it."""
+def begins_too_low(pack: MapPack, camera: Camera, height_m: float) -> str:
+    """Why no route begins at a height above ground: a level camera sees too little of the map.
+
+    "" from the height on at which it can be placed there.
+    """
     seen = max(camera.width_px / camera.K[0, 0], camera.height_px / camera.K[1, 1])
-    return MIN_VIEW_PX * pack.levels[0].m_per_px / float(seen)
+    m_per_px = pack.levels[0].m_per_px
+    least_m = MIN_VIEW_PX * m_per_px / float(seen)
+    if height_m >= least_m:
+        return ""
+    return (
+        f"the first waypoint is {height_m:.0f} m up: below {least_m:.0f} m this camera sees too "
+        f"little of a map of {m_per_px:.2f} m/px to be placed on it; plan it higher, or build the "
+        "map from finer imagery"
+    )
 
 
 def check_route(pack: MapPack, lat_lon_deg: Array, margin_m: float = 50.0) -> RouteCoverage:

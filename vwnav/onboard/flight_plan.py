@@ -12,7 +12,7 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, Route
 from vwnav.maps.clearance import RouteClearance, check_clearance, clears_m
-from vwnav.maps.coverage import RouteCoverage, check_route, least_height_m
+from vwnav.maps.coverage import RouteCoverage, begins_too_low, check_route
 from vwnav.maps.pack import MapPack
 from vwnav.mission.home import WayHome, from_home_ned_m
 from vwnav.mission.mission import Mission
@@ -84,13 +84,9 @@ class FlightPlan:
 
     def refuse_at_once(self) -> str:
         """The same before the flight, as far as it can be told then, or a start without fixes."""
-        least_m, begins_m = least_height_m(self.pack, self.camera), -float(self.route_ned_m[0, 2])
-        if begins_m < least_m:
-            return (
-                f"the first waypoint is {begins_m:.0f} m up: below {least_m:.0f} m this camera "
-                f"sees too little of a map of {self.pack.levels[0].m_per_px:.2f} m/px to be placed "
-                "on it; plan it higher, or build the map from finer imagery"
-            )
+        too_low = begins_too_low(self.pack, self.camera, -float(self.route_ned_m[0, 2]))
+        if too_low:
+            return too_low
         if self.home_known:
             return self._refuse(self._flown_ned_m)
         if self.about_home:
@@ -127,11 +123,13 @@ class RouteOnMap:
         coverage: by imagery.
         clearance: above the ground.
         returns: what returns from it ask for, "" where nothing beyond the least height.
+        begins_m: height of the first waypoint above home.
     """
 
     coverage: RouteCoverage
     clearance: RouteClearance
     returns: str
+    begins_m: float
 
 
 def route_on_map(
@@ -155,8 +153,8 @@ def route_on_map(
     """
     if home is None:
         coverage = check_route(pack, route.lat_lon_deg(), margin_m)
-        route.to_ned(LocalFrame(*pack.middle, 0.0), DEFAULT_HEIGHT_M, None)
-        return RouteOnMap(coverage, RouteClearance(), "")
+        route_ned_m = route.to_ned(LocalFrame(*pack.middle, 0.0), DEFAULT_HEIGHT_M, None)
+        return RouteOnMap(coverage, RouteClearance(), "", -float(route_ned_m[0, 2]))
     frame = LocalFrame(*home, 0.0)
     ground_m = route.ground_amsl_m(home, pack.elevation_m(*home))
     route_ned_m = route.to_ned(frame, DEFAULT_HEIGHT_M, ground_m)
@@ -164,7 +162,8 @@ def route_on_map(
     flown_ned_m = from_home_ned_m(route_ned_m, np.zeros(2), way_home)
     coverage = check_route(pack, _lat_lon_deg(frame, flown_ned_m), margin_m)
     clearance = check_clearance(pack, frame, flown_ned_m, len(route_ned_m))
-    return RouteOnMap(coverage, clearance, summary_of_returns(way_home, flown_ned_m))
+    returns = summary_of_returns(way_home, flown_ned_m)
+    return RouteOnMap(coverage, clearance, returns, -float(route_ned_m[0, 2]))
 
 
 def way_home_over(pack: MapPack, frame: LocalFrame, safety: SafetyConfig) -> WayHome:
