@@ -114,6 +114,26 @@ def test_a_calibrated_focal_length_goes_first(tmp_path: Path):
     assert found.hfov_deg == pytest.approx(90.0)
 
 
+@pytest.mark.parametrize(("across", "down"), [(0xA002, 0xA003), (0x0100, 0x0101)])
+@pytest.mark.parametrize(
+    ("exif", "xmp"),
+    [
+        ({}, '<a drone-dji:CalibratedFocalLength="75.0"/>'),
+        ({0x920A: 0.75, 0xA20E: 1000.0, 0xA210: 3}, ""),  # 1000 px on 10 mm
+    ],
+)
+@pytest.mark.parametrize(
+    ("size", "hfov_deg"), [((200, 150), 106.26), ((150, 200), 90.0), ((150, 150), 106.26)]
+)
+def test_a_turned_picture_is_as_wide_as_it_was_high(
+    tmp_path: Path, across, down, exif, xmp, size, hfov_deg
+):
+    tags = {across: 200, down: 150, **exif}
+    main, exif = ({}, tags) if across == 0xA002 else (tags, exif)
+    found = read(image(tmp_path / "a.jpg", main=main, exif=exif, xmp=xmp, size=size), size)
+    assert found.hfov_deg == pytest.approx(hfov_deg, abs=0.01)
+
+
 def test_a_lens_that_cannot_be_is_none(tmp_path: Path):
     assert read(image(tmp_path / "a.jpg", exif={0xA405: 60_000})).focal_ratio is None
 

@@ -23,7 +23,7 @@ FULL_FRAME_DIAGONAL_MM = 43.27  # 36 x 24 mm, what "35 mm equivalent" refers to
 WIDE_ASPECT = 1.6  # wider images are cut out of the height of a 4:3 or 3:2 sensor
 
 # Tags of IFD0, the Exif IFD and the GPS IFD that matter here.
-_IMAGE_WIDTH, _PIXEL_X = 0x0100, 0xA002
+_IMAGE_WIDTH, _IMAGE_LENGTH, _PIXEL_X, _PIXEL_Y = 0x0100, 0x0101, 0xA002, 0xA003
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
 _FOCAL_PLANE_X, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT = 1, 2, 3, 4, 5, 6
@@ -173,7 +173,9 @@ def _attitude(
 
 def _focal_ratio(tags: Tags, xmp: Mapping[str, float], aspect: float) -> float | None:
     """Focal length over image width, from the best source there is."""
-    width_px = _number(tags, _PIXEL_X) or _number(tags, _IMAGE_WIDTH)
+    width_px = _width_px(tags, _PIXEL_X, _PIXEL_Y, aspect) or _width_px(
+        tags, _IMAGE_WIDTH, _IMAGE_LENGTH, aspect
+    )
     calibrated_px = xmp.get("CalibratedFocalLength")
     if calibrated_px and width_px:
         return calibrated_px / width_px
@@ -188,6 +190,17 @@ def _focal_ratio(tags: Tags, xmp: Mapping[str, float], aspect: float) -> float |
     diagonal_mm = FULL_FRAME_DIAGONAL_MM * (focal_mm or 0.0) / equivalent_mm
     native = _native_aspect(diagonal_mm, aspect)
     return equivalent_mm / FULL_FRAME_DIAGONAL_MM * math.hypot(1.0, 1.0 / native)
+
+
+def _width_px(tags: Tags, across: int, down: int, aspect: float) -> float | None:
+    """The tagged side that lies along the width of the picture as it is now.
+
+    Programs turn pictures upright and leave the sides in their EXIF as they were.
+    """
+    width_px, height_px = _number(tags, across), _number(tags, down)
+    if width_px and height_px and (width_px - height_px) * (aspect - 1.0) < 0.0:
+        return height_px
+    return width_px
 
 
 def _plausible(focal_ratio: float | None) -> float | None:
