@@ -48,6 +48,18 @@ def test_columns_may_come_in_any_order(tmp_path: Path):
     assert row.bounds == (60.1, 22.1, 60.2, 22.3)
 
 
+@pytest.mark.parametrize(
+    ("mark", "first", "encoding"),
+    [(";", "sep=;\n", "utf-8"), ("|", "SEP=|\r\n", "utf-8-sig"), ("\t", "", "utf-16")],
+)
+def test_a_table_as_excel_writes_it_is_understood(tmp_path: Path, mark, first, encoding):
+    lines = f"{first}file,north,west,south,east\nü.png,60.2,22.1,60.1,22.3\nb.png,60,22,59,x"
+    (tmp_path / "m.csv").write_text(lines.replace(",", mark), encoding=encoding)
+    assert is_corner_table(tmp_path / "m.csv")
+    with pytest.raises(MapError, match=f"line {3 + bool(first)}: a corner is no number"):
+        read_corners(tmp_path / "m.csv")
+
+
 def test_missing_images_are_passed_over_with_a_warning(tmp_path: Path, caplog):
     table = write_table(tmp_path, images="b")
     with caplog.at_level(logging.WARNING):
@@ -114,6 +126,22 @@ def test_other_tables_are_not_taken_for_corner_tables(tmp_path: Path):
     assert is_corner_table(write_table(tmp_path))
     assert not is_corner_table(tmp_path / "photos.csv")
     assert not is_corner_table(tmp_path / "binary.csv")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"file,north,west,south,east\na.png,60,22,59,x\n",
+        b"file;north;west;south;east\na.png;60,2;22;59;23\n",
+        b"file,north,west,south,east\na.png,60,,59,23\n",
+        b"file,north,west,south,east\n\xfc.png,60,22,59,23\n",  # Windows' own letters
+    ],
+)
+def test_a_table_with_something_wrong_in_a_line_is_still_one(tmp_path: Path, content: bytes):
+    (tmp_path / "corners.csv").write_bytes(content)
+    assert is_corner_table(tmp_path / "corners.csv")
+    with pytest.raises(MapError, match=r"corners\.csv(, line 2: a corner|: .*UTF-8)"):
+        read_corners(tmp_path / "corners.csv")
 
 
 def test_the_wildnav_table_is_read_as_it_is(data_folder: Path):

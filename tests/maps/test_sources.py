@@ -63,6 +63,20 @@ def test_a_folder_stands_for_its_table_or_its_rasters(tmp_path: Path):
     assert [source.name for source in open_sources([tmp_path])] == ["marks.jpg"]
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("corners.csv", "file,north,west,south,east\na.png,60,22,59,x\n", "line 2: a corner"),
+        ("Map.csv", "file,north,west,south\na.png,60,22,59\n", "no column for east"),
+    ],
+)
+def test_a_folder_is_not_built_without_the_table_that_is_in_it(tmp_path, name, content, message):
+    write_tiff(tmp_path / "b.tif", texture_rgb())
+    (tmp_path / name).write_text(content)
+    with pytest.raises(MapError, match=message):
+        open_sources([tmp_path])
+
+
 def test_hidden_files_are_no_sources_of_a_folder(tmp_path: Path):
     write_tiff(tmp_path / "b.tif", texture_rgb())
     write_world_image(tmp_path, ".jpg", ".jgw", prj=True)

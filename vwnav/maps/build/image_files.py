@@ -1,12 +1,14 @@
 """Images whose corners are listed in a table (`map.csv`)."""
 
+import codecs
 import logging
 import math
 import re
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -19,6 +21,8 @@ from vwnav.maps.image import MapImage
 
 _LOG = logging.getLogger(__name__)
 _IMAGES_IN_MEMORY = 3
+_USUAL_NAME = "map.csv"
+_TOLD_DELIMITER = re.compile(r"sep=([;,|\t])\s*", re.IGNORECASE)  # Excel's first line
 
 _LATITUDE, _LONGITUDE = r"lat(itude)?", r"(lon(g|gitude)?|lng)"
 _TOP_LEFT, _BOTTOM_RIGHT = r"(topleft|upperleft|tl|ul|nw)", r"(bottomright|lowerright|br|lr|se)"
@@ -95,9 +99,14 @@ def _corner_image(path: Path, bounds: Bounds, cache: ImageCache) -> DrawnSource:
 
 
 def is_corner_table(path: Path) -> bool:
-    """Whether a CSV file has the columns of a corner table."""
+    """Whether a CSV file is meant as a corner table, by its name or by its columns alone.
+
+    What is wrong with its lines is said when it is read.
+    """
+    if path.name.lower() == _USUAL_NAME:
+        return True
     try:
-        read_corners(path)
+        _columns_and_rows(path, errors="replace")
     except MapError:
         return False
     return True
@@ -109,16 +118,31 @@ def read_corners(table: Path) -> list[CornerRow]:
     Raises:
         MapError: it cannot be read, or a column or number is missing or wrong, with its line.
     """
-    try:
-        text = table.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"{table}: cannot be read as text ({error})") from error
-    lines = text.splitlines()
-    delimiter = next((d for d in (";", "\t") if lines and d in lines[0]), ",")
+    columns, rows = _columns_and_rows(table)
+    return [_corner_row(f"{table}, line {line}", row, columns) for line, row in rows if any(row)]
+
+
+def _columns_and_rows(
+    table: Path, errors: Literal["strict", "replace"] = "strict"
+) -> tuple[dict[str, int], Iterator[tuple[int, list[str]]]]:
+    """Where each column stands, and the rows below the header with their lines."""
+    lines = _text(table, errors).splitlines() or [""]
+    if told := _TOLD_DELIMITER.fullmatch(lines[0]):
+        delimiter, lines[0] = told[1], ""
+    else:
+        delimiter = next((sign for sign in (";", "\t") if sign in lines[0]), ",")
     rows = numbered_rows(lines, table, MapError, delimiter)
     _, header = next(rows, (0, []))
-    columns = _columns(table, header)
-    return [_corner_row(f"{table}, line {line}", row, columns) for line, row in rows if any(row)]
+    return _columns(table, header), rows
+
+
+def _text(table: Path, errors: Literal["strict", "replace"]) -> str:
+    try:
+        data = table.read_bytes()
+        is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        return data.decode("utf-16" if is_utf16 else "utf-8-sig", errors)
+    except (OSError, UnicodeDecodeError) as error:
+        raise MapError(f"{table}: cannot be read as text; save it as UTF-8 ({error})") from error
 
 
 def _columns(table: Path, header: Sequence[str]) -> dict[str, int]:
