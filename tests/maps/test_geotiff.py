@@ -269,6 +269,26 @@ def test_ridges_of_a_long_map_are_as_high_as_those_of_a_short_one(tmp_path: Path
     assert read_heights(path, bounds).at_each(lat, lon).min() > 554.0
 
 
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_raster_of_many_more_heights_than_nodes_is_read_thinned(tmp_path: Path, upright: bool):
+    dem = np.tile((300.0 + 0.05 * np.arange(40_000)).astype(np.float32), (60, 1))
+    dem[:, 20_000:20_200] = -9999.0  # a void of 100 m that nothing declares
+    place = Affine(5e-6, 0.0, 8.0, 0.0, -5e-6, 47.0)
+    bands = (dem.T.copy() if upright else dem)[None]
+    path = write_tiff(tmp_path / "dem.tif", bands, crs="EPSG:4326", transform=place)
+    along = np.linspace(100.0, 39_900.0, 400)
+    across = np.full(400, 30.0)
+    lon, lat = place @ ((across, along) if upright else (along, across))
+    margin = 5e-5
+    heights = read_heights(
+        path, (lat.min() - margin, lon.min() - margin, lat.max() + margin, lon.max() + margin)
+    )
+    off_m = heights.at_each(lat, lon) - (300.0 + 0.05 * along)
+    assert set(np.flatnonzero(np.isnan(off_m))) <= {199, 200, 201, 202}
+    assert np.isnan(off_m).any()
+    assert np.nanmax(np.abs(off_m)) < 0.2
+
+
 def test_nothing_but_voids_is_refused(tmp_path: Path):
     path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), -9999, np.int16))
     with pytest.raises(MapError, match="no heights under the map"):

@@ -1,6 +1,7 @@
 """Any georeferenced raster that GDAL reads (workstation only: needs rasterio)."""
 
 import logging
+import math
 import warnings
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ _CACHE_MB = 256  # GDAL would take a twentieth of the memory
 _STRETCH_PERCENT = (1.0, 99.0)
 _STRETCH_SAMPLE_PX = 1024
 _HEIGHT_STEP_M = 10.0
+_HEIGHTS_READ_PX = 2 * MAX_SIDE  # a side at most; OpenCV samples no more than 32766
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0  # the shore of the Dead Sea, Mount Everest, and some more
 
 
@@ -190,18 +192,26 @@ def _heights_at(path: Path, dataset: Any, lat: Array, lon: Array) -> NDArray[np.
         raise MapError(f"{path}: names no coordinate system")
     x, y = transformed(path, WGS84, wkt(dataset.crs), lon.ravel(), lat.ravel())
     u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (x, y))
-    x0, y0 = max(int(u.min()) - 2, 0), max(int(v.min()) - 2, 0)
-    x1 = min(int(u.max()) + 3, dataset.width)
-    y1 = min(int(v.max()) + 3, dataset.height)
-    if x0 >= x1 or y0 >= y1:
+    (x0, x1, w), (y0, y1, h) = _read_span(u, dataset.width), _read_span(v, dataset.height)
+    if w <= 0 or h <= 0:
         return np.full(lat.shape, np.nan, np.float32)
-    band = dataset.read(1, window=RasterioWindow(x0, y0, x1 - x0, y1 - y0), masked=True)
+    # The nearest of many, not their mean, which would take voids that nothing declares for terrain.
+    place = RasterioWindow(x0, y0, x1 - x0, y1 - y0)
+    band = dataset.read(1, window=place, out_shape=(h, w), masked=True)
     values = _metres(path, dataset, band.astype(np.float64).filled(np.nan))
-    at = (u - x0 - 0.5).astype(np.float32), (v - y0 - 0.5).astype(np.float32)
+    u, v = (u - x0) * (w / (x1 - x0)), (v - y0) * (h / (y1 - y0))
+    at = (u - 0.5).astype(np.float32), (v - 0.5).astype(np.float32)
     heights = cv2.remap(
         values, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
     )
     return np.asarray(heights, np.float32)
+
+
+def _read_span(at: Array, side: int) -> tuple[int, int, int]:
+    """Along an axis of so many pixels: the first under `at`, the end, how many of them are read."""
+    margin = 2 * max(1, math.ceil(np.ptp(at) / _HEIGHTS_READ_PX))
+    first, end = max(int(at.min()) - margin, 0), min(int(at.max()) + margin + 1, side)
+    return first, end, min(end - first, _HEIGHTS_READ_PX)
 
 
 def _metres(path: Path, dataset: Any, values: Array) -> NDArray[np.float32]:
