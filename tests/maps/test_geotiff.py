@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from geotiff_samples import (
@@ -251,6 +252,20 @@ def test_what_is_no_height_in_a_known_unit_is_one_line(tmp_path: Path, unit: str
         with rasterio.open(path, "r+") as dem:
             dem.units = (unit,)
     with pytest.raises(MapError, match=r"dem\.tif: .*(furlong|dB|depth)") as caught:
+        heights_around(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("unit", [None, "m"])
+@pytest.mark.parametrize("flat", ["EPSG:4326", "EPSG:32643"])
+def test_heights_above_the_ellipsoid_are_one_line(tmp_path: Path, flat: str, unit: str | None):
+    crs = pyproj.CRS.from_user_input(flat).to_3d().to_wkt()
+    path = write_tiff(tmp_path / "dem.tif", np.full((1, 300, 320), 100.0, np.float32), crs=crs)
+    with rasterio.open(path, "r+") as dem:
+        dem.units = (unit,)
+        if flat == "EPSG:4326":
+            dem.transform = Affine(1e-3, 0.0, 72.8, 0.0, -1e-3, 33.8)
+    with pytest.raises(MapError, match=r"dem\.tif: .* above the ellipsoid") as caught:
         heights_around(path)
     assert "\n" not in str(caught.value)
 

@@ -58,11 +58,18 @@ def height_unit_m(path: Path, dataset: Any) -> float:
     The band's own word goes before its vertical coordinate system's; without either it is metres.
 
     Raises:
-        MapError: it counts in what is no length that is known, or counts depths.
+        MapError: it counts in what is no length that is known, depths, or above the ellipsoid.
     """
-    vertical = pyproj.CRS.from_wkt(wkt(dataset.crs)).axis_info[2:]
+    crs = pyproj.CRS.from_wkt(wkt(dataset.crs))
+    vertical = crs.axis_info[2:]
     if any(axis.direction != "up" for axis in vertical):
         raise MapError(f"{path}: holds depths, not heights")
+    if vertical and not crs.is_vertical:  # a third axis without a vertical system of its own
+        raise MapError(
+            f"{path}: its heights are above the ellipsoid, not above sea level; subtract the geoid "
+            "(gdalwarp -t_srs EPSG:4326+5773), or correct its coordinate system if it says so "
+            "wrongly (gdal_edit.py -a_srs)"
+        )
     unit = dataset.units[0]
     if unit and unit.lower() not in _UNITS_M:
         raise MapError(f"{path}: its heights are in {unit[:40]!r}; make them metres (gdal_calc)")
