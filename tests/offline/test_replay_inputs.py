@@ -30,6 +30,7 @@ from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.offline.report import ReplayRecord
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
 from vwnav.recording.input_log import About, ImageSeen, InputLog, read_input_log
@@ -194,6 +195,10 @@ def flown(pack_file, tmp_path_factory) -> Path:
     return folder
 
 
+def interrupt(*_args) -> None:
+    raise KeyboardInterrupt
+
+
 def replay(recording: Path, pack: Path, out: Path):
     return CliRunner().invoke(app, ["replay", str(recording), "--map", str(pack), "-o", str(out)])
 
@@ -290,6 +295,20 @@ def test_the_folder_of_a_crashed_flight_is_not_written_over(flown, pack_file, tm
     done = replay(tmp_path / "flight.mcap", pack_file, tmp_path)
     assert "already holds a run" in str(done.exception)
     assert (tmp_path / "trajectory.csv.part").read_text() == "precious"
+
+
+def test_an_interrupted_replay_leaves_nothing_and_can_be_asked_for_again(
+    flown, pack_file, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "config.toml").write_text("somebody's")
+    with monkeypatch.context() as during:
+        during.setattr(ReplayRecord, "add", interrupt)
+        assert replay(flown / "flight.mcap", pack_file, out).exit_code != 0
+    assert [each.name for each in out.iterdir()] == ["config.toml"]
+    done = replay(flown / "flight.mcap", pack_file, out)
+    assert done.exit_code == 0, done.output
 
 
 def test_another_map_is_refused(flown, tmp_path):

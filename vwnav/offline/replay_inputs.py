@@ -50,9 +50,9 @@ def replay_inputs(options: ReplayOptions) -> None:
         if player.broken is not None:
             say(f"the filter broke on an input, as it must have in flight: {player.broken!r}")
         folder = make_run_folder(options.output, "replay")
-        record = ReplayRecord(folder, about, pack, player.rows[0][0].t_s)
-        record.tally.busy_s = player.busy_s
         with no_halves(folder):
+            record = ReplayRecord(folder, about, pack, player.rows[0][0].t_s)
+            record.tally.busy_s = player.busy_s
             for row in player.rows:
                 record.add(*row)
             record.close()

@@ -74,18 +74,18 @@ class Tally:
 
 
 @contextmanager
-def no_halves(folder: Path) -> Iterator[None]:
-    """Where a trajectory cannot be written to its end, neither its rows nor the recording stay.
+def no_halves(folder: Path, *others: str) -> Iterator[None]:
+    """Where a trajectory does not come to its end, its rows and the `others` of its run go.
 
-    Of a flight they would: they cannot be had again.
+    Whatever ends it, Ctrl-C too: the same command can be given again. Of a flight they would stay:
+    they cannot be had again.
     """
     try:
         yield
-    except OSError:
-        partial = folder / "trajectory.csv.part"
-        if partial.exists():
-            partial.unlink()
-            (folder / "flight.mcap").unlink(missing_ok=True)
+    except BaseException:
+        if not (folder / "trajectory.csv").exists():
+            for name in ("trajectory.csv.part", *others):
+                (folder / name).unlink(missing_ok=True)
         raise
 
 

@@ -1,0 +1,51 @@
+"""What `vwnav replay` of pictures leaves where it does not come to its end."""
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from vwnav.__main__ import app
+from vwnav.pipeline import Pipeline
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "vision"))
+from vision_scenes import ground_pack, texture
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A folder with a map and two black pictures: each is looked at in no time."""
+    ground_pack(tmp_path / "map.mbtiles", texture(0, 200), ())
+    (tmp_path / "pictures").mkdir()
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(tmp_path / "pictures" / name), np.zeros((48, 64), np.uint8))
+    return tmp_path
+
+
+def replay(scene: Path):
+    options = ("--map", scene / "map.mbtiles", "--features", "orb", "--hfov-deg", "70")
+    words = ("replay", scene / "pictures", *options, "-o", scene / "out")
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+@pytest.mark.parametrize("ends", [KeyboardInterrupt, MemoryError])
+def test_a_replay_that_is_broken_off_leaves_nothing_and_can_be_asked_for_again(
+    scene: Path, monkeypatch, ends: type[BaseException]
+):
+    whole_step = Pipeline.step
+
+    def step(self, frame):
+        if frame.index == 1:
+            raise ends
+        return whole_step(self, frame)
+
+    with monkeypatch.context() as during:
+        during.setattr(Pipeline, "step", step)
+        assert replay(scene).exit_code != 0
+    assert not list((scene / "out").iterdir())
+    done = replay(scene)
+    assert "none of 2 pictures was located" in str(done.exception)
+    assert (scene / "out" / "trajectory.csv").exists()
