@@ -145,7 +145,6 @@ def test_an_image_that_was_turned_after_it_was_taken_is_found(scene: Path, tmp_p
     ("arguments", "error"),
     [
         (("none.png", "--hfov-deg", "70"), SourceError),
-        (("pictures/a.png",), ConfigError),
         (("pictures/a.png", "--hfov-deg", "70", "--metadata", "none.csv"), SourceError),
         (("pictures/a.png", "--hfov-deg", "70", "--features", "surf"), ConfigError),
         (
@@ -184,6 +183,48 @@ def test_a_damaged_image_is_named_after_the_others_are_done(scene: Path, tmp_pat
     assert json.loads(result.stdout.splitlines()[-1])["status"] == "fix"
     assert isinstance(result.exception, SourceError)
     assert "1 of 2" in str(result.exception)
+
+
+def test_a_picture_without_a_lens_is_named_after_the_others_are_done(scene: Path, tmp_path: Path):
+    Image = pytest.importorskip("PIL.Image")
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 30
+    with Image.open(scene / "pictures/dark.png") as image:
+        image.save(tmp_path / "told.jpg", exif=exif)
+    untold = scene / "pictures/dark.png"
+    result = run(scene, untold, tmp_path / "told.jpg", "--json")
+    (line,) = (json.loads(each) for each in result.stdout.splitlines())
+    assert Path(line["image"]).name == "told.jpg"
+    assert result.exit_code == 1
+    told = str(result.exception)
+    assert told.startswith(f"1 of 2 pictures were left out: {untold} does not say its lens")
+    assert "give --camera FILE or --hfov-deg X" in told
+
+
+def test_a_picture_of_another_size_than_the_cameras_is_named_after_the_others_are_done(
+    scene: Path, tmp_path: Path
+):
+    from vwnav.geometry.calibration import save_camera
+
+    save_camera(CAMERA, tmp_path / "camera.json")
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((180, 240), np.uint8))
+    images = (tmp_path / "small.png", scene / "pictures/dark.png")
+    result = run(scene, *images, "--camera", tmp_path / "camera.json", "--json")
+    (line,) = (json.loads(each) for each in result.stdout.splitlines())
+    assert Path(line["image"]).name == "dark.png"
+    assert result.exit_code == 1
+    assert f"1 of 2 pictures were left out: {images[0]}: the calibration" in str(result.exception)
+
+
+def test_where_no_picture_says_its_lens_the_line_says_what_to_give(scene: Path, tmp_path: Path):
+    (tmp_path / "cut.png").write_bytes((scene / "pictures/a.png").read_bytes()[:500])
+    result = run(scene, tmp_path / "cut.png", scene / "pictures")
+    assert isinstance(result.exception, SourceError)
+    told = str(result.exception)
+    assert told.startswith("4 of 4 pictures were left out: ")
+    assert "cut.png" in told
+    assert "a.png does not say its lens: give --camera FILE or --hfov-deg X" in told
+    assert "\n" not in told
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ import cv2
 from vwnav.cameras.image_folder import read_image
 from vwnav.cameras.image_metadata import ImageMetadata, read_image_metadata
 from vwnav.cameras.metadata_table import read_metadata_table
-from vwnav.errors import ConfigError, SourceError
+from vwnav.errors import CalibrationError, ConfigError, SourceError, VwnavError
 from vwnav.files.folder import PICTURES, files_in
 from vwnav.geometry.calibration import load_camera
-from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera
+from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, check_fits
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 from vwnav.maps.pack import MapPack
 from vwnav.types import FeatureExtractor, Frame, MapFix, Prior, Rejected
@@ -50,27 +50,29 @@ def localize_images(options: LocalizeOptions) -> None:
     """Locate each image and print a line for it.
 
     Raises:
-        VwnavError: of the map, the model, the camera, or for images that cannot be read; those
-            are named at the end, after the others are done.
+        VwnavError: of the map, the model, the camera's file, or for images that cannot be read, say
+            no lens or are of another size than the camera's: at the end, after the others are done.
     """
     cv2.setNumThreads(1)
     paths = list(_images(options.images))
     table = {} if options.metadata is None else read_metadata_table(options.metadata)
     camera = None if options.camera is None else load_camera(options.camera)
     extractor = load_features(options.features, options.model)
-    unread: list[str] = []
+    left_out: list[VwnavError] = []
     with MapPack.open(options.map_path) as pack:
         pack.check_features(extractor)
         session = _Session(options, table, camera, pack, extractor)
         for path in paths:
             try:
                 outcome = session.localize(path)
-            except SourceError as error:
-                unread.append(str(error))
+            except (SourceError, ConfigError, CalibrationError) as error:
+                left_out.append(error)
                 continue
             print(_json(path, outcome) if options.json_lines else _line(path, outcome), flush=True)
-    if unread:
-        raise SourceError(f"{len(unread)} of {len(paths)} pictures cannot be read: {unread[0]}")
+    if left_out:
+        first_of_kind = {type(error): str(error) for error in reversed(left_out)}
+        told = "; ".join(first_of_kind.values())
+        raise SourceError(f"{len(left_out)} of {len(paths)} pictures were left out: {told}")
 
 
 def _images(images: list[Path]) -> Iterator[Path]:
@@ -121,6 +123,8 @@ class _Session:
     def _localizer(
         self, path: Path, metadata: ImageMetadata, size_wh: tuple[int, int], own_attitude: bool
     ) -> Localizer:
+        if self._camera is not None:
+            _check_fits(self._camera, size_wh, path)
         hfov_deg = self._options.hfov_deg or metadata.hfov_deg
         key = (*size_wh, None if self._camera else hfov_deg, own_attitude)
         if key not in self._localizers:
@@ -134,6 +138,13 @@ class _Session:
                 camera = replace(camera, R_body_camera=R_BODY_CAMERA_DOWN)
             self._localizers[key] = Localizer(self._pack, self._extractor, camera)
         return self._localizers[key]
+
+
+def _check_fits(camera: Camera, size_wh: tuple[int, int], path: Path) -> None:
+    try:
+        check_fits(camera, *size_wh)
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}") from error
 
 
 def _prior(
