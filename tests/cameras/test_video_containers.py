@@ -22,6 +22,14 @@ def video(path: Path) -> bytearray:
     return bytearray(path.read_bytes())
 
 
+def test_a_video_that_is_named_by_its_date_and_time_is_opened(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = "2026-11-28T12:00:05.mp4"
+    video(Path("a.mp4"))
+    Path("a.mp4").rename(name)
+    assert len(frames_of(open_source(name))) == COUNT
+
+
 def test_a_matroska_whose_sound_lasts_longer_is_whole(tmp_path):
     path = tmp_path / "a.mkv"
     data = video(path)

@@ -42,7 +42,8 @@ class VideoFile:
         self._path = path
         self._cut_off, self._counted = is_cut_off(path), what_is_counted(path)
         quieten_decoder()
-        self._video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        # What stands before a colon FFmpeg takes for a protocol: a date and time, say.
+        self._video = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
         if not self._video.isOpened():
             why = "the file ends too early" if self._cut_off else "unknown format, or damaged"
             raise SourceError(f"{path} is not a video that can be opened: {why}")
