@@ -327,6 +327,39 @@ def test_a_coordinate_system_that_lies_nowhere_on_earth_is_one_line(tmp_path: Pa
         assert len(str(caught.value)) < 300
 
 
+@pytest.mark.parametrize(
+    ("crs", "is_told"),
+    [
+        ("EPSG:2379", True),  # Xian 1980
+        ("+proj=utm +zone=43 +ellps=bessel +units=m", True),
+        ("+proj=utm +zone=43 +ellps=bessel +towgs84=598,73,418 +units=m", False),
+        ("+proj=utm +zone=43 +ellps=GRS80 +units=m", False),
+        ("+proj=utm +zone=43 +ellps=WGS84 +units=m", False),
+        ("EPSG:4491", False),  # of CGCS2000, which is a satellites' datum
+        ("EPSG:25832", False),
+        ("EPSG:32643", False),
+        ("EPSG:3857", False),
+        ("EPSG:31467", False),  # its better shift is not installed, but there is another
+    ],
+)
+def test_a_datum_of_which_nobody_knows_the_shift_is_told_in_one_line(
+    tmp_path, caplog, crs, is_told
+):
+    RasterFile(write_tiff(tmp_path / "a.tif", texture_rgb(), crs=crs))
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == is_told
+    assert all("a.tif: no datum shift to WGS 84 is known" in line for line in told)
+    assert not any("\n" in line for line in told)
+
+
+def test_heights_of_an_unknown_datum_are_told_once(tmp_path: Path, caplog):
+    crs = "+proj=utm +zone=43 +ellps=krass +units=m"
+    path = write_tiff(tmp_path / "dem.tif", np.ones((1, 300, 320), np.float32), crs=crs)
+    heights_around(path)
+    (told,) = (record.getMessage() for record in caplog.records)
+    assert "dem.tif: no datum shift to WGS 84 is known" in told
+
+
 def test_heights_elsewhere_are_refused(tmp_path: Path):
     path = write_tiff(tmp_path / "dem.tif", np.ones((1, 50, 50), np.float32))
     with pytest.raises(MapError, match="no heights under the map"):

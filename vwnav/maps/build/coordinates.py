@@ -1,5 +1,6 @@
 """What a raster's coordinate system says: where its places lie, and what its heights count in."""
 
+import logging
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import pyproj.exceptions
 from vwnav.errors import MapError
 from vwnav.types import Array
 
+_LOG = logging.getLogger(__name__)
 WGS84 = "EPSG:4326"
+_SEMI_MAJOR_M, _INVERSE_FLATTENING = 6_378_137.0, 298.257223  # of WGS 84, GRS 80 and CGCS2000
 _US_SURVEY_FOOT_M = 1200.0 / 3937.0
 # As GDAL, PROJ and makers of DEMs spell them, in small letters
 _UNITS_M = {
@@ -52,6 +55,22 @@ def wkt(crs: Any) -> str:
     return str(crs.to_wkt(version="WKT2_2019"))
 
 
+def warn_of_unknown_datum(path: Path, given: str) -> None:
+    """Say so where nobody knows how a raster's datum lies to WGS 84: PROJ then takes it for equal.
+
+    Args:
+        path: the raster's, for the message.
+        given: its coordinate system, as `wkt` gives it.
+    """
+    if not _is_datum_known(given):
+        _LOG.warning(
+            "%s: no datum shift to WGS 84 is known of its coordinate system (%s), it may lie 100 m "
+            "off and more: hold the map against another, or give a shift (gdalwarp -s_srs with "
+            "+towgs84)",
+            path, pyproj.CRS.from_user_input(given).name[:60],
+        )  # fmt: skip
+
+
 def height_unit_m(path: Path, dataset: Any) -> float:
     """Metres that a unit of an elevation raster's first band is.
 
@@ -82,3 +101,21 @@ def height_unit_m(path: Path, dataset: Any) -> float:
 def _between(given: str, wanted: str) -> pyproj.Transformer:
     here, there = (pyproj.CRS.from_user_input(each).to_2d() for each in (given, wanted))
     return pyproj.Transformer.from_crs(here, there, always_xy=True)
+
+
+@lru_cache(maxsize=64)
+def _is_datum_known(given: str) -> bool:
+    crs = pyproj.CRS.from_user_input(given).to_2d()
+    body = crs.ellipsoid
+    if body is None:  # a site's own metres: there is no way at all, and `transformed` says so
+        return True
+    # Datums of satellites have these figures, and lie within a metre of WGS 84.
+    is_of_satellites = (
+        abs(body.semi_major_metre - _SEMI_MAJOR_M) < 1e-3
+        and abs(body.inverse_flattening - _INVERSE_FLATTENING) < 1e-5
+    )
+    try:
+        pyproj.Transformer.from_crs(crs, WGS84, always_xy=True, allow_ballpark=False)
+    except pyproj.exceptions.ProjError:
+        return is_of_satellites
+    return True

@@ -18,7 +18,13 @@ from rasterio.windows import Window as RasterioWindow
 from vwnav.errors import MapError
 from vwnav.geometry.geodesy import Window
 from vwnav.maps.build.collar import Collar, find_collar
-from vwnav.maps.build.coordinates import WGS84, height_unit_m, transformed, wkt
+from vwnav.maps.build.coordinates import (
+    WGS84,
+    height_unit_m,
+    transformed,
+    warn_of_unknown_datum,
+    wkt,
+)
 from vwnav.maps.build.raster import Bounds, Georeference
 from vwnav.maps.heights import MAX_SIDE, HeightGrid
 from vwnav.maps.image import MapImage, Mask
@@ -59,6 +65,7 @@ class RasterFile:
         self._crs = self._dataset.crs or _crs_beside(path) or _named_crs(crs)
         self._check_georeference()
         self._wkt = wkt(self._crs)
+        warn_of_unknown_datum(path, self._wkt)
         self._bands = _colour_bands(self._dataset)
         self._palette = _palette(self._dataset)
         self._stretch = self._stretch_limits()
@@ -190,7 +197,9 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
 def _heights_at(path: Path, dataset: Any, lat: Array, lon: Array) -> NDArray[np.float32]:
     if dataset.crs is None:
         raise MapError(f"{path}: names no coordinate system")
-    x, y = transformed(path, WGS84, wkt(dataset.crs), lon.ravel(), lat.ravel())
+    given = wkt(dataset.crs)
+    warn_of_unknown_datum(path, given)
+    x, y = transformed(path, WGS84, given, lon.ravel(), lat.ravel())
     u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (x, y))
     (x0, x1, w), (y0, y1, h) = _read_span(u, dataset.width), _read_span(v, dataset.height)
     if w <= 0 or h <= 0:
