@@ -23,6 +23,7 @@ from vwnav.errors import MapError
 from vwnav.geometry.geodesy import Window, mercator_px
 from vwnav.maps.build.builder import build_pack
 from vwnav.maps.build.geotiff import RasterFile, read_heights
+from vwnav.maps.build.warp import PlacedRaster
 from vwnav.maps.pack import MapPack
 
 
@@ -358,6 +359,25 @@ def test_heights_of_an_unknown_datum_are_told_once(tmp_path: Path, caplog):
     heights_around(path)
     (told,) = (record.getMessage() for record in caplog.records)
     assert "dem.tif: no datum shift to WGS 84 is known" in told
+
+
+@pytest.mark.parametrize(
+    ("left_deg", "west_deg"), [(200.5, -159.5), (-181.0, 179.0), (178.9, 178.9)]
+)
+def test_longitudes_that_go_on_beyond_half_a_turn_are_counted_back(tmp_path, left_deg, west_deg):
+    place = Affine(1e-5, 0.0, left_deg, 0.0, -1e-5, 20.0)
+    path = write_tiff(tmp_path / "a.tif", texture_rgb(), crs="EPSG:4326", transform=place)
+    raster = PlacedRaster.of(RasterFile(path))
+    assert raster.bounds == pytest.approx((19.997, west_deg, 20.0, west_deg + 0.0032), abs=1e-9)
+    u, v = raster.source.georeference.pixel_from_lat_lon(
+        np.array([19.999]), np.array([west_deg + 0.002])
+    )
+    assert (u[0], v[0]) == pytest.approx((200.0, 100.0), abs=1e-4)
+    dem = write_tiff(
+        tmp_path / "dem.tif", np.full((1, 300, 320), 7.0, np.float32), crs="EPSG:4326",
+        transform=place,
+    )  # fmt: skip
+    assert read_heights(dem, raster.bounds).at(19.999, west_deg + 0.002) == 7.0
 
 
 def test_heights_elsewhere_are_refused(tmp_path: Path):

@@ -55,6 +55,19 @@ def wkt(crs: Any) -> str:
     return str(crs.to_wkt(version="WKT2_2019"))
 
 
+def whole_turns_deg(crs: Any, dataset: Any) -> float:
+    """What longitudes of a raster count beyond 180 degrees: 360 where they go from 0 to 360.
+
+    Args:
+        crs: its coordinate system, of rasterio.
+        dataset: the raster, of rasterio.
+    """
+    if not crs.is_geographic:
+        return 0.0
+    middle_deg, _ = dataset.transform @ (dataset.width / 2.0, dataset.height / 2.0)
+    return 360.0 * round(float(middle_deg) / 360.0)
+
+
 def warn_of_unknown_datum(path: Path, given: str) -> None:
     """Say so where nobody knows how a raster's datum lies to WGS 84: PROJ then takes it for equal.
 

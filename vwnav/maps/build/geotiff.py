@@ -23,6 +23,7 @@ from vwnav.maps.build.coordinates import (
     height_unit_m,
     transformed,
     warn_of_unknown_datum,
+    whole_turns_deg,
     wkt,
 )
 from vwnav.maps.build.raster import Bounds, Georeference
@@ -66,6 +67,7 @@ class RasterFile:
         self._check_georeference()
         self._wkt = wkt(self._crs)
         warn_of_unknown_datum(path, self._wkt)
+        self._turns_deg = whole_turns_deg(self._crs, self._dataset)
         self._bands = _colour_bands(self._dataset)
         self._palette = _palette(self._dataset)
         self._stretch = self._stretch_limits()
@@ -99,12 +101,12 @@ class RasterFile:
 
     def _pixel_from_lat_lon(self, lat_deg: Array, lon_deg: Array) -> tuple[Array, Array]:
         x, y = transformed(self._path, WGS84, self._wkt, lon_deg.ravel(), lat_deg.ravel())
-        u, v = ~self._dataset.transform @ (x, y)
+        u, v = ~self._dataset.transform @ (x + self._turns_deg, y)
         return u.reshape(lat_deg.shape), v.reshape(lat_deg.shape)
 
     def _lat_lon_from_pixel(self, u: Array, v: Array) -> tuple[Array, Array]:
         x, y = self._dataset.transform @ (u.ravel(), v.ravel())
-        lon, lat = transformed(self._path, self._wkt, WGS84, x, y)
+        lon, lat = transformed(self._path, self._wkt, WGS84, x - self._turns_deg, y)
         return lat.reshape(u.shape), lon.reshape(u.shape)
 
     def _read(self, window: Window) -> MapImage:
@@ -200,6 +202,7 @@ def _heights_at(path: Path, dataset: Any, lat: Array, lon: Array) -> NDArray[np.
     given = wkt(dataset.crs)
     warn_of_unknown_datum(path, given)
     x, y = transformed(path, WGS84, given, lon.ravel(), lat.ravel())
+    x = x + whole_turns_deg(dataset.crs, dataset)
     u, v = (value.reshape(lat.shape) for value in ~dataset.transform @ (x, y))
     (x0, x1, w), (y0, y1, h) = _read_span(u, dataset.width), _read_span(v, dataset.height)
     if w <= 0 or h <= 0:
