@@ -7,6 +7,7 @@ from vwnav.errors import SourceError
 from vwnav.files.tables import named_rows
 
 COLUMNS = ("lat_deg", "lon_deg", "sigma_m", "agl_m", "yaw_deg", "roll_deg", "pitch_deg")
+_ABOVE_ZERO = ("sigma_m", "agl_m")
 MAX_BYTES = 100_000_000
 
 
@@ -15,7 +16,7 @@ def read_metadata_table(path: Path) -> dict[str, dict[str, float]]:
 
     Raises:
         SourceError: the file cannot be read, has no column `image` or an unknown one, or a value
-            is no finite number or of no image.
+            is no finite number, cannot be or is of no image.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -47,6 +48,11 @@ def _values(path: Path, line: int, row: dict[str, str]) -> dict[str, float]:
             values[name] = math.nan
         if not math.isfinite(values[name]):
             raise SourceError(f"{path}: line {line}: {name} is {text!r}, not a number")
+        if name in _ABOVE_ZERO and values[name] <= 0.0:
+            raise SourceError(
+                f"{path}: line {line}: {name} is {text!r}; expected metres above 0, or an empty "
+                "cell where it is not known"
+            )
     if ("lat_deg" in values) != ("lon_deg" in values):
         raise SourceError(f"{path}: line {line}: lat_deg and lon_deg belong together")
     return values
