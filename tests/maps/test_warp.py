@@ -97,6 +97,7 @@ def test_missing_data_do_not_bleed_into_the_image():
         ((84.0, 10.0, 86.0, 11.0), "beyond 85.05"),
         ((10.0, 179.0, 11.0, 181.0), "180th meridian"),
         ((10.0, 20.0, 10.0, 20.0), "without a size"),
+        ((10.0, 20.0, 10.0 + 5e-8, 20.0 + 5e-8), r"pixels are 0\.5\d mm wide by its georeference"),
     ],
 )
 def test_rasters_that_have_no_place_on_the_map_are_refused(bounds, message: str):
@@ -107,5 +108,6 @@ def test_rasters_that_have_no_place_on_the_map_are_refused(bounds, message: str)
 
     georeference = level_georeference(3, 0, 0)
     georeference = type(georeference)(georeference.pixel_from_lat_lon, lat_lon)
-    with pytest.raises(MapError, match=message):
+    with pytest.raises(MapError, match=message) as caught:
         PlacedRaster.of(array_source(textured(10, 10), georeference, name="a"))
+    assert "\n" not in str(caught.value)

@@ -29,6 +29,7 @@ _EDGE_PX = 0.49  # images with rounded corners leave gaps of up to a pixel betwe
 _PAD_PX = 4  # what the cubic kernel and the mask's erosion reach
 _ALIGNED_PX = 1e-3
 _FAR_PX = 1e9
+_SMALLEST_M_PER_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +50,19 @@ class PlacedRaster:
         """Find a raster's place.
 
         Raises:
-            MapError: it lies nowhere on the web-mercator map, or crosses the 180th meridian.
+            MapError: it lies nowhere on the web-mercator map, crosses the 180th meridian, or its
+                pixels have no size that can be.
         """
         bounds = _bounds(source)
         m_per_px = _m_per_px(source)
         if not (math.isfinite(m_per_px) and m_per_px > 0.0):
             raise MapError(f"{source.name}: its georeference gives pixels without a size")
+        if m_per_px < _SMALLEST_M_PER_PX:
+            raise MapError(
+                f"{source.name}: its pixels are {1e3 * m_per_px:.2g} mm wide by its georeference, "
+                "which no map's are: degrees under a coordinate system in metres? say the right "
+                "one (gdal_edit.py -a_srs, or --crs EPSG:4326 beside a world file)"
+            )
         return cls(source, bounds, m_per_px)
 
     def window(self, zoom: int) -> Window:
