@@ -15,6 +15,9 @@ HOME = [47.397742, 8.545594, 488.0]
 IN_ORDER = [[47.398, 8.546, 50.0], [47.399, 8.546, 50.0], [47.399, 8.547, 55.0]]
 
 
+MULTI = "MultiLineString"
+
+
 def item(command: int, place: list[float | None] | None = None, frame: int = 3) -> dict:
     params = [0, 0, 0, None, *(place or [0, 0, 0])]
     return {
@@ -243,6 +246,12 @@ def test_line_string_gives_waypoints_lon_lat_height(write) -> None:
         assert route.home is None
 
 
+def test_a_multi_line_string_of_one_line_is_that_line(write) -> None:
+    route = load_route(write("r.geojson", line([[[8.546, 47.398, 50.0], [8.547, 47.399]]], MULTI)))
+    assert route.waypoints[0] == GlobalWaypoint(47.398, 8.546, 50.0)
+    assert route.waypoints[1] == GlobalWaypoint(47.399, 8.547, None)
+
+
 def test_points_are_flown_in_the_order_of_the_file(write) -> None:
     features = [line([lon, lat, h], "Point") for lat, lon, h in IN_ORDER]
     content = {"type": "FeatureCollection", "features": features}
@@ -262,6 +271,10 @@ def test_json_may_be_a_plan_too(write) -> None:
         (line([[8.5]]), "lon, lat"),
         (line([[8.5, None]]), "latitude"),
         (line([[[8.5, 47.0]]], "Polygon"), "'Polygon' is no route"),
+        (line([[[8.5, 47.0]], [[8.6, 47.0]]], MULTI), "a MultiLineString of 2 lines"),
+        (line([[]], MULTI), "no waypoints"),
+        (line([], MULTI), "'MultiLineString' is no route"),
+        (line([8.5], MULTI), "'MultiLineString' is no route"),
         ({"type": "FeatureCollection"}, "without features"),
         ({"type": "Feature", "geometry": None}, "without geometry"),
         ({"type": "Topology"}, "'Topology' is no route"),

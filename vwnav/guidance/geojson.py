@@ -1,6 +1,9 @@
-"""Routes out of GeoJSON: one LineString, or Points in order, `lon, lat[, height above home]`."""
+"""Routes out of GeoJSON: one LineString, or Points in order, `lon, lat[, height above home]`.
 
-from typing import Any
+A MultiLineString of one line is that line: QGIS stores what is drawn on a line layer as such.
+"""
+
+from typing import Any, TypeGuard
 
 from vwnav.errors import RouteError
 from vwnav.guidance.waypoints import GlobalWaypoint, RouteFields, number
@@ -46,8 +49,20 @@ def _points(geometry: dict[str, Any]) -> list[Any]:
             return [coordinates]
         case "LineString" | "MultiPoint" if isinstance(coordinates, list):
             return coordinates
+        case "MultiLineString" if _are_lists(coordinates):
+            if len(coordinates) > 1:
+                raise RouteError(
+                    f"a MultiLineString of {len(coordinates)} lines, and no way between them; "
+                    "join them to one line"
+                )
+            return coordinates[0]
         case kind:
             raise RouteError(f"{str(kind)[:40]!r} is no route; expected a LineString or Points")
+
+
+def _are_lists(coordinates: Any) -> TypeGuard[list[list[Any]]]:
+    is_list = isinstance(coordinates, list) and len(coordinates) > 0
+    return is_list and all(isinstance(each, list) for each in coordinates)
 
 
 def _waypoint(position: Any) -> GlobalWaypoint:
