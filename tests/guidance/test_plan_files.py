@@ -81,6 +81,15 @@ def test_survey_gives_its_nested_waypoints_in_order(write) -> None:
     assert route.waypoints == tuple(GlobalWaypoint(*p) for p in IN_ORDER)
 
 
+def test_delays_and_regions_of_interest_are_no_places(write) -> None:
+    others = [item(93), item(80, [47.3, 8.5, 0.0]), item(178), item(201, [47.3, 8.5, 0.0])]
+    items = [item(16, IN_ORDER[0]), *others, item(16, IN_ORDER[1])]
+    route = load_route(write("route.plan", plan(items)))
+    assert route.waypoints == tuple(GlobalWaypoint(*p) for p in IN_ORDER[:2])
+    rows = (FLOWN[1], "3 0 3 93 5 0 0 0 0 0 0 1", "4 0 3 80 0 0 0 0 47.3 8.5 0 1", FLOWN[3])
+    assert len(load_route(write("r.waypoints", wpl(*rows))).waypoints) == 2
+
+
 ABOVE_SEA = plan([item(16, [47.398, 8.546, 548.0], frame=0), item(21, [47.4, 8.55, 0])])
 VALLEY = (47.39, 8.54)
 

@@ -12,6 +12,7 @@ from vwnav.errors import RouteError
 from vwnav.guidance.waypoints import GlobalWaypoint, RouteFields, number
 
 _WAYPOINT, _RETURN, _LAND, _TAKEOFF = 16, 20, 21, 22
+_WITHOUT_PLACE = (_TAKEOFF, 80, 93)  # MAV_CMD_NAV_ROI, which is looked at, and NAV_DELAY
 _FIRST_COMMAND_WITHOUT_PLACE = 112  # MAV_CMD_CONDITION_DELAY; DO commands come after it
 _JUMPS = (177, 601)  # MAV_CMD_DO_JUMP, DO_JUMP_TAG: without them another route would be flown
 _AMSL_FRAMES, _HOME_FRAMES = (0, 5), (3, 6)
@@ -20,8 +21,8 @@ _AMSL_FRAMES, _HOME_FRAMES = (0, 5), (3, 6)
 def parse(content: Any) -> RouteFields:
     """Waypoints of a plan, surveys included.
 
-    Take-off (straight up from home) and conditions, camera and gimbal commands are not places and
-    add none; a landing place is flown over at the height before it. With a return the mission ends.
+    Take-off (straight up from home), delays, conditions, camera and gimbal commands are not places
+    and add none; a landing place is flown over at the height before it. With a return the mission ends.
 
     Raises:
         RouteError: it is no plan, or holds items that cannot be flown.
@@ -102,7 +103,7 @@ def _waypoint(item: dict[str, Any], before: list[GlobalWaypoint]) -> GlobalWaypo
     command = number(item.get("command"), "command")
     if command in _JUMPS:
         raise RouteError("a jump back cannot be flown; write the waypoints out")
-    if command == _TAKEOFF or command >= _FIRST_COMMAND_WITHOUT_PLACE:
+    if command in _WITHOUT_PLACE or command >= _FIRST_COMMAND_WITHOUT_PLACE:
         return None
     if command not in (_WAYPOINT, _LAND):
         raise RouteError(f"command {command:g} cannot be flown; use plain waypoints")
