@@ -22,7 +22,8 @@ def parse(content: Any) -> RouteFields:
     """Waypoints of a plan, surveys included.
 
     Take-off (straight up from home), delays, conditions, camera and gimbal commands are not places
-    and add none; a landing place is flown over at the height before it. With a return the mission ends.
+    and add none; a landing place is flown over at the height before it. With a return the mission
+    ends.
 
     Raises:
         RouteError: it is no plan, or holds items that cannot be flown.
