@@ -68,13 +68,13 @@ def replay_source(options: ReplayOptions) -> None:
                 say,
             )
             folder = make_run_folder(options.output, "replay")
+            save_config(config, folder / "config.toml")
             about = about_run(assembled, config.features.name, "center" if alone else "nadir")
             settings = config.model_dump(mode="json")
             with (
                 no_halves(folder, "config.toml", "flight.mcap"),
                 closing(Recorder(folder / "flight.mcap", settings)) as recorder,
             ):
-                save_config(config, folder / "config.toml")
                 input_log = InputLog(recorder, about)
                 assembled.ekf.record(input_log.input)
                 _run(options, folder, source, first, told, assembled, input_log)
