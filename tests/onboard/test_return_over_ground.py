@@ -48,8 +48,8 @@ def ridge_pack(path: Path, ridge_m: float) -> Path:
     heights = [[ground_m(north_m, east_m, ridge_m) for east_m in along_m] for north_m in -along_m]
     south, west, north, east = *place(-250.0, -250.0), *place(250.0, 250.0)
     grid = HeightGrid((south, west, north, east), np.array(heights, "f4"))
-    pictures = np.full((500, 500, 3), 90, np.uint8)
-    source = array_source(pictures, local_georeference(HOME, (250.0, -250.0), 1.0), name="r")
+    pictures = np.full((1250, 1250, 3), 90, np.uint8)
+    source = array_source(pictures, local_georeference(HOME, (250.0, -250.0), 0.4), name="r")
     build_pack([source], path, [], BuildOptions(heights=grid))
     return path
 
@@ -110,12 +110,12 @@ def test_what_returns_ask_for_is_said_before_anything_is_armed(plans, ridges, ar
     assert "above the ceiling of 120 m: a return from there goes back along the flown way" in high
     for ridge_m, words in ((60.0, low), (160.0, high.partition(" of the route")[2])):
         assert words in checked(ridges[ridge_m], around).stdout
-        assert words in _map(ridges[ridge_m], load_route(around), SIFT, SafetyConfig()).detail
+        assert words in _map(ridges[ridge_m], load_route(around), None, SIFT, SafetyConfig()).detail
         assert words in json.loads(checked(ridges[ridge_m], around, "--json").stdout)["returns"]
 
 
 def test_doctor_says_what_returns_ask_for_by_the_settings_that_fly(ridges, around):
-    told = _map(ridges[60.0], load_route(around), SIFT, SafetyConfig(ceiling_m=50.0)).detail
+    told = _map(ridges[60.0], load_route(around), None, SIFT, SafetyConfig(ceiling_m=50.0)).detail
     assert "above the ceiling of 50 m: a return from there goes back along the flown way" in told
 
 
