@@ -69,6 +69,7 @@ def test_the_same_flight_gives_the_same_estimates(short_flight):
     assert np.array_equal(places(navigated(frames)), places(flown))
 
 
+@pytest.mark.long
 def test_the_truth_is_not_navigated_by(short_flight):
     """Another truth, the same images and telemetry: the same estimates, other errors."""
     frames, flown = short_flight
@@ -87,6 +88,7 @@ def test_black_images_give_no_fix(short_flight):
     assert judge_odometry([flown])[0].good is False
 
 
+@pytest.mark.long
 def test_fixes_are_late_and_end_when_there_were_enough(short_flight):
     frames, flown = short_flight
     late_s = [e.arrival_s - e.seen.t_s for e, _ in flown.run.answers if isinstance(e.seen, NedFix)]
@@ -102,6 +104,7 @@ def played(world: FilterWorld) -> list[Run]:
     return [play(sense(world, t, rng)) for t, rng in zip(fly(world, rngs), rngs, strict=True)]
 
 
+@pytest.mark.long
 def test_the_errors_measured_in_a_flight_are_those_that_were_put_in():
     world = FilterWorld(seconds=130.0, odometry_sigma=0.0015, fix_sigma_m=0.4, tilt_in_odometry=0.3)
     runs = played(world)

@@ -37,6 +37,7 @@ def test_a_lens_that_nobody_measured_is_learned_and_the_place_stays_within_its_s
     assert sigma < 0.7 * UNMEASURED
 
 
+@pytest.mark.long
 def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
     """What a filter without this state did with every lens: 4.8 m off, 0.5 where it is learned.
 

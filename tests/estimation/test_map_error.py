@@ -104,6 +104,7 @@ def test_flights_over_a_warped_map_learn_by_how_much_and_say_so() -> None:
         assert any("the map is off by" in line for line in said)
 
 
+@pytest.mark.long
 def test_a_flight_over_a_good_map_stays_as_sure_as_it_was() -> None:
     run, said = _flown(0.3)
     assert run.last.map_error.sigma_m < 0.45

@@ -78,6 +78,7 @@ def test_a_turn_that_a_filter_knows_nothing_of_is_taken_for_the_compass_error():
     assert worst_sigmas(knows) < worst_sigmas(does_not) - 1.0
 
 
+@pytest.mark.long
 def test_one_that_is_said_to_be_measured_is_believed_and_then_it_is_wrong():
     """What a filter without these states did with every mount."""
     assert worst_sigmas(flown(1, 0.01)) > 5.0
@@ -91,6 +92,7 @@ def test_one_that_hangs_as_told_costs_little():
     assert mean_m[1] < mean_m[0] + 0.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
 def test_what_fixes_have_alike_in_every_turn_is_no_climb(seed):
     """It is their own error as well as a tilt, and a tilt leads a level way up or down.

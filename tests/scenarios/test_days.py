@@ -11,7 +11,7 @@ from vwnav.bench.flights.lockstep_place import lockstep_place
 
 @pytest.mark.parametrize(
     "number",
-    first_quick(range(120), 4),
+    first_quick(range(120), 3),
 )
 def test_a_day_on_which_several_things_break_ends_well(number: int) -> None:
     flown = fly_told(day(number), lockstep_place())

@@ -95,6 +95,7 @@ def test_no_autopilot_on_the_link(vwnav, place, tmp_path):
     assert not (tmp_path / "out" / "trajectory.csv").exists()
 
 
+@pytest.mark.long
 def test_a_service_that_finds_no_autopilot_may_be_tried_again_and_leaves_nothing(
     vwnav, place, tmp_path, monkeypatch
 ):

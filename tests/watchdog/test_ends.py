@@ -99,6 +99,7 @@ def test_a_navigator_that_is_stopped_is_ended_and_its_successor_tells_the_place(
         assert [m for m in flying.peer.of("STATUSTEXT", stopped_s) if "second one" in m.text]
 
 
+@pytest.mark.long
 def test_when_the_whole_machine_slept_the_navigator_is_not_ended_for_it(tmp_path):
     """Suspended, frozen, starved: the watchdog that wakes first has heard nothing for long."""
     notes = tmp_path / "notes"
@@ -130,6 +131,7 @@ def test_a_successor_that_hangs_is_ended_and_another_one_started(tmp_path):
     wait_for(lambda: "ended" in notes.read_text().splitlines())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", first_quick([signal.SIGKILL, signal.SIGSTOP]))
 def test_while_one_successor_serves_the_next_has_loaded_and_takes_over_at_once(tmp_path, number):
     notes = tmp_path / "notes"
@@ -161,6 +163,7 @@ def test_a_watchdog_that_dies_after_its_navigator_is_followed_by_one_that_lands_
     wait_for(lambda: not flying.all_watchdogs(), 10.0)
 
 
+@pytest.mark.long
 def test_a_successor_that_serves_goes_on_under_the_watchdog_that_follows(tmp_path):
     """Nobody has to find the place anew; the next one waits behind it again, and all end."""
     notes = tmp_path / "notes"

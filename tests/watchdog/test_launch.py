@@ -26,6 +26,7 @@ from link_peer import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from tests.quick import first_quick
 from vwnav.errors import LinkError
 from vwnav.watchdog.keepalive import GuardState
 from vwnav.watchdog.launch import WatchdogProcess, start_watchdog
@@ -278,6 +279,7 @@ def killed_while_estimates_go(flown):
     flown.watchdog.process.kill()
 
 
+@pytest.mark.long
 def test_a_spare_one_hands_on_estimates_that_are_unsure_but_go_on(flown):
     """The autopilot was given them all the time; they would not do as new ones."""
     killed_while_estimates_go(flown)
@@ -287,6 +289,7 @@ def test_a_spare_one_hands_on_estimates_that_are_unsure_but_go_on(flown):
     assert len(flown.peer.of("VISION_POSITION_ESTIMATE", again_s)) > 20
 
 
+@pytest.mark.long
 def test_a_spare_one_hands_no_estimate_on_that_has_jumped_meanwhile(flown):
     killed_while_estimates_go(flown)
     flown.jump_m = 30.0
@@ -329,6 +332,7 @@ def test_a_spare_one_that_was_ended_while_it_waited_is_followed_by_another(flown
     assert len(flown.setpoints(killed_s + 1.0)) > 10
 
 
+@pytest.mark.long
 def test_one_after_the_other_may_die_while_it_flies_on(flown):
     for number in range(3):
         if not number:
@@ -340,7 +344,7 @@ def test_one_after_the_other_may_die_while_it_flies_on(flown):
     assert len(flown.setpoints(time.monotonic() - 0.5)) > 10
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", first_quick([signal.SIGKILL, signal.SIGSTOP]))
 def test_where_guard_and_spare_one_fail_together_the_navigator_starts_another(flown, number):
     """With estimates too, and with a spare one again."""
     flown.estimates, flown.sigma_m = True, 1.0
@@ -410,6 +414,7 @@ def test_a_watchdog_that_hangs_is_ended_and_replaced(flown):
     assert len(flown.setpoints(time.monotonic() - 1.0)) > 10
 
 
+@pytest.mark.long
 def test_a_loop_that_slept_has_not_been_left_without_an_answer(flown):
     wait_for(loaded_spares, 20.0)
     flown.engage()

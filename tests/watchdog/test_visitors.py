@@ -114,6 +114,7 @@ def test_started_again_in_flight_it_waits_and_says_so_until_the_aircraft_is_disa
     Reception(parse_link(flying.url)).close()
 
 
+@pytest.mark.long
 def test_a_visitor_stays_when_the_watchdog_dies_and_the_spare_one_follows(monkeypatch):
     """Else it would want the link for itself, while the aircraft flies."""
     monkeypatch.setattr(rejoining, "say", lambda _: None)

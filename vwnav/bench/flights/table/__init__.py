@@ -40,7 +40,6 @@ QUICK = {
     "attitude 0.3 s late",
     "pictures black for good at 50 m",
     "link cut for 5 s on the route",
-    "camera gone for good, and then the navigator killed",
     "pilot hands back, and takes over again while the link is cut",
     "navigator stopped for 20 s",
     "processor starved for 1 s",
@@ -49,7 +48,6 @@ QUICK = {
     "pilot stops the motors while climbing",
     "take-off refused",
     "simulator stands still for 0.6 s",
-    "lens covered for good, and then the link cut for 2 s",
 }
 
 
