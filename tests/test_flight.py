@@ -365,8 +365,11 @@ def test_one_whose_radio_armed_and_disarmed_it_is_waited_for_again():
     scene.run(limit_s=10.0)
     scene.vehicle.be(armed=True)
     scene.go_on(2.0)
-    scene.vehicle.be(armed=False)
+    scene.flight.go()
     scene.go_on(2.0)
+    scene.vehicle.be(armed=False)
+    scene.go_on(10.0)
+    assert scene.vehicle.asked == []  # whoever stopped the motors may stand beside them
     scene.flight.go()
     scene.go_on(5.0)
     assert scene.vehicle.asked[:2] == ["arm", "takeoff"]

@@ -132,7 +132,7 @@ def test_a_successor_that_hangs_is_ended_and_another_one_started(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", first_quick([signal.SIGKILL, signal.SIGSTOP]))
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_while_one_successor_serves_the_next_has_loaded_and_takes_over_at_once(tmp_path, number):
     notes = tmp_path / "notes"
     with flight([sys.executable, str(HERE / "successor.py"), str(notes), "loads"]) as flying:

@@ -153,7 +153,9 @@ class Departure:
         """Until the list has been complete for a while, and somebody says go."""
         if vehicle.armed:
             return self._armed_by_somebody(vehicle, checks)
-        self._waits_for_mode = False
+        if self._waits_for_mode:  # he stopped the motors: an Enter of meanwhile starts them not
+            self._waits_for_mode = self._arms = False
+            self.stage, self._ready_since_s = Stage.READINESS, None
         self._leave_mode(vehicle, t_s)
         listed = (*checks, _PILOT_HAS_IT) if self._pilots else checks
         trouble = missing(listed)
