@@ -166,6 +166,7 @@ class Scene:
     reset_counter: int = 0
     variance: float = 0.25
     t_s: float = 0.0
+    looks_hz: float = 5.0  # answered ones
     seen_s: float | None = None
     t_last_fix_s: float | None = None
     farthest_m: float = 0.0
@@ -205,7 +206,7 @@ class Scene:
             t_last_fix_s=self.t_last_fix_s,
             reset_counter=self.reset_counter,
         )
-        return Navigation(estimate, "", self.seen_s)
+        return Navigation(estimate, "", self.seen_s, looks=int(self.looks_hz * self.t_s))
 
     def run(self, until=lambda scene: False, limit_s: float = 400.0) -> "Scene":
         while self.flight.end is None and self.t_s < limit_s and not until(self):
@@ -604,8 +605,29 @@ def test_a_refused_offboard_is_landed():
 
 def test_without_a_fix_it_stays_above_home_lands_and_says_why():
     scene = Scene(fixes=False).run()
-    assert "no fix above home" in scene.flight.end.reason
+    assert "no fix above home: the map shows another place" in scene.flight.end.reason
     assert scene.farthest_m < 1.0
+
+
+@pytest.mark.parametrize("search_s", [25.0, 40.0])
+def test_a_slow_search_is_waited_for(search_s):
+    """A computer that is slow, or a map that is large, is no map of another place."""
+    scene = Scene(fixes=False, looks_hz=1.0 / search_s).run(in_phase(Phase.FIRST_FIX))
+    scene.go_on(50.0)
+    assert scene.flight.phase is Phase.FIRST_FIX
+    scene.fixes = True
+    scene.run()
+    assert scene.flight.end.reason is None
+    assert scene.farthest_m > 80.0
+
+
+def test_a_search_that_is_never_answered_is_told_as_one():
+    scene = Scene(fixes=False, looks_hz=0.0).run(in_phase(Phase.FIRST_FIX))
+    since_s = scene.t_s
+    scene.run(in_phase(Phase.LAND))
+    assert scene.t_s - since_s < 61.0
+    scene.run()
+    assert "0 looks at the map answered in 60 s: this computer is too" in scene.flight.end.reason
 
 
 def jump_at_first_fix(scene: Scene, to_ne_m: tuple[float, float]) -> Scene:

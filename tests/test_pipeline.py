@@ -580,6 +580,15 @@ def test_a_hopeless_search_is_given_up():
     assert [o.reason for o in outcomes].count(RejectReason.GIVEN_UP) == 2
 
 
+def test_a_search_for_the_very_place_may_take_longer():
+    localizer, executor = FakeLocalizer(), SlowExecutor(35.0)
+    start = Start(t_s=0.0, agl_m=50.0, sigma_velocity_m_s=5.0)
+    pipeline = make_pipeline(localizer, start=start, executor=executor)
+    outcomes = [step.outcome for step in drift(pipeline, executor, localizer, 50.0)]
+    assert localizer.given_up == 0
+    assert RejectReason.UNCONFIRMED in [o.reason for o in outcomes if isinstance(o, Rejected)]
+
+
 def test_gray_and_colour_images_are_taken():
     assert to_gray(IMAGE).shape == to_gray(IMAGE[..., 0]).shape == (48, 64)
 

@@ -91,7 +91,7 @@ class Flight:
         if self._phase_since_s is None:
             self._phase_since_s = t_s
         self._keep_alive.beat(self.engaged, self.phase.value, navigation.learned)
-        self._route.note(navigation.estimate, on_ground=self.phase is Phase.GET_READY)
+        self._route.note(navigation, on_ground=self.phase is Phase.GET_READY)
         if self.phase is Phase.GET_READY:
             self._get_ready(t_s, vehicle, navigation)
         elif self.phase.is_ours_no_more:

@@ -219,7 +219,7 @@ class Pipeline:
         prior = self._prior(now, R_ned_body)
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:
-            prior = self._first_fix.prior(prior, frame.t_s)
+            prior = self._first_fix.prior(prior, frame.t_s, now)
         searching = prior.lat_deg is None
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval
@@ -236,7 +236,7 @@ class Pipeline:
         if (attempt := self._pending) is None:
             return None
         if not attempt.future.done():
-            overdue = t_s - attempt.t_s > self._config.give_up_after_s
+            overdue = attempt.is_overdue(t_s, self._config.give_up_after_s)
             return self._give_up(attempt, t_s) if overdue else None
         self._pending = None
         self.link_rests.wait(_GIVES_WAY_S)
@@ -318,7 +318,7 @@ class Pipeline:
             sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
         )  # fmt: skip
         with self._lock:
-            if attempt.begins and not self._first_fix.confirmed(fix):
+            if attempt.begins and not self._first_fix.confirmed(fix, attempt.then):
                 once = RejectReason.UNCONFIRMED
                 return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
             if attempt.begins and (self._ekf.state is None or self._first_fix.doubted):

@@ -130,7 +130,7 @@ class FlightRuntime:
         with self._lock:
             before = self._navigation
             seen = self._seen_s, self._contradicted, learned, self._follows
-            self._navigation = Navigation(sent, lost, *seen)
+            self._navigation = Navigation(sent, lost, *seen, self._pipeline.attempts)
         if sent is not None:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):

@@ -11,6 +11,7 @@ from vwnav.types import Array, Attitude, Estimate, Frame, MapFix, OdometryMotion
 from vwnav.vehicle import VehicleState
 
 _log = logging.getLogger(__name__)
+_BEGINS_SLOWLY = 3.0  # times as long a search for the very place is waited for
 ATTITUDE_WAIT_S = 0.4  # an image waits so long after its exposure for its attitude to come
 
 
@@ -35,7 +36,7 @@ class PipelineConfig(FeatureChoiceConfig):
     max_prior_sigma_m: Annotated[float, Within(0.0, 1e5, above=True)] = 150.0
     # Attempts in a row without a fix; then, and every so many, look twice as far
     doubt_after: Count = 25
-    # A search that takes longer finds nothing; the next one may
+    # A look that takes longer finds nothing, the next one may; where it begins, three times this
     give_up_after_s: Annotated[float, Within(0.0, 3600.0, above=True)] = 20.0
     # After so many the map is asked no more: odometry alone; 0 is no limit
     most_fixes: Annotated[int, Within(0, 1_000_000)] = 0
@@ -97,6 +98,10 @@ class Attempt:
     future: Future[MapFix | Rejected]
     begins: bool
     then: Estimate | None
+
+    def is_overdue(self, t_s: float, most_s: float) -> bool:
+        """Whether it has taken longer than `most_s`, or three times that where it `begins`."""
+        return t_s - self.t_s > most_s * (_BEGINS_SLOWLY if self.begins else 1.0)
 
 
 class FeatureChoice:

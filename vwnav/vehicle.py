@@ -271,6 +271,7 @@ class Navigation:
         contradicted: the newest image's motion is not believed: it contradicts the IMU.
         learned: for whoever has to go on with the flight; None while that is not enough.
         follows: the newest image told one; where that is long ago, images come late or not at all.
+        looks: at the map that have been answered so far.
     """
 
     estimate: Estimate | None
@@ -279,3 +280,4 @@ class Navigation:
     contradicted: bool = False
     learned: Learned | None = None
     follows: bool = False
+    looks: int = 0

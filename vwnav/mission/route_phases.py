@@ -11,7 +11,7 @@ from vwnav.mission.home import FlownWay, Home
 from vwnav.mission.mission import Mission, Next, Phase
 from vwnav.mission.steering import Steering
 from vwnav.types import Array, Estimate
-from vwnav.vehicle import Autopilot, FlightMode, Request, VehicleState
+from vwnav.vehicle import Autopilot, FlightMode, Navigation, Request, VehicleState
 
 _MODE_SHOWS_S = 1.0  # from an accepted take-off to the heartbeat that tells its mode
 _REACHED = 0.85  # of the height asked for: the autopilot's take-off is over
@@ -19,6 +19,8 @@ _RISES_M = 0.3  # within 3 s, else it has ended whatever height we believe: slow
 _RISES_S = 3.0  # take-off, more than a hover in gusts
 _FAR_BELOW_M = 5.0  # its leg, more than any climb along one lags
 _AT_HEIGHT_M = 1.0
+_LOOKS = 3  # answered from above home: enough to know that there is no fix
+_SLOW_SEARCH = 3.0  # times as long it waits for them
 
 
 class RoutePhases:
@@ -50,7 +52,7 @@ class RoutePhases:
         self._home = Home(mission.home_ne_m)
         self._follower: RouteFollower | None = None
         self._way = FlownWay()
-        self._fixes = 0
+        self._fixes = self._looks = 0
         self._before: Estimate | None = None
         self.begin_phase()
 
@@ -61,6 +63,7 @@ class RoutePhases:
         """
         self._offboard: Request | None = None
         self._rises = False  # to its leg, before it travels on
+        self._looks_before, self._fixes_before = self._looks, self._fixes
         self._rose_to_m = 0.0
         self._rose_s = 0.0
 
@@ -69,12 +72,13 @@ class RoutePhases:
         """(2,) where the aircraft stood, as far as it is known."""
         return self._home.place_ne_m
 
-    def note(self, estimate: Estimate | None, on_ground: bool) -> None:
-        """Count fixes, and the way until home is known.
+    def note(self, navigation: Navigation, on_ground: bool) -> None:
+        """Count looks and fixes, and the way until home is known.
 
         Before anybody knows where home is, the held place jumps along: it is here. After that it is
         home, and a position that jumps shows how far from it the aircraft is.
         """
+        self._looks, estimate = navigation.looks, navigation.estimate
         if estimate is None:
             return
         before, self._before = self._before, estimate
@@ -188,11 +192,25 @@ class RoutePhases:
     def _wait_for_fix(self, since_s: float, estimate: Estimate) -> Next | None:
         if self._fixes >= self._config.fixes_to_start:
             return self._begin_route(estimate)
-        if since_s > self._config.first_fix_timeout_s:
-            reason = "no fix above home: the map shows another place, or the camera does not work"
-            return Next(Phase.LAND, reason)
+        if reason := self._hopeless(since_s):
+            return Next(Phase.LAND, f"no fix above home: {reason}")
         self._steering.hold_at_height(estimate)
         return None
+
+    def _hopeless(self, since_s: float) -> str | None:
+        """Why there will be no fix: looks from here have found nothing, or hardly any answers."""
+        looks = self._looks - self._looks_before
+        most_s = self._config.first_fix_timeout_s
+        if looks < _LOOKS or self._fixes > self._fixes_before:
+            most_s *= _SLOW_SEARCH
+        if since_s <= most_s:
+            return None
+        if looks >= _LOOKS:
+            return "the map shows another place, or the camera does not work"
+        return (
+            f"{looks} looks at the map answered in {since_s:.0f} s: this computer is too slow, "
+            "or the map too large to be searched without --home"
+        )
 
     def _begin_route(self, estimate: Estimate) -> Next:
         """Now it is known where the aircraft stood, and with that where the route lies."""

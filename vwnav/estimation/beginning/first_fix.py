@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from vwnav.estimation.beginning.starts import Start
-from vwnav.geometry.geodesy import horizontal_distance_m
+from vwnav.estimation.inertial.attitudes import yaw_of
+from vwnav.geometry.geodesy import LocalFrame, horizontal_distance_m
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.types import Array, MapFix, Prior
+from vwnav.types import Array, Estimate, MapFix, Prior
 
 FASTEST_M_S = 30.0
 UNKNOWN_AGL_M = 50.0
@@ -22,6 +23,7 @@ FASTEST_TURN_RAD_S = math.radians(75.0)
 SIGMA_M = 5.0  # of a place that one image alone told
 SIGMA_YAW_RAD = 0.1
 SIGMA_AGL_RATIO = 0.1
+WAY_RATIO = 0.2  # one sigma of a way in an unknown place: its heading is the compass'
 UNTOLD_BARO_M = 100.0  # of a barometer that was zeroed nobody knows how high
 PRIOR_SIGMAS = 3.0  # that are looked at around a prior
 MISSES = 2  # then what was found is dropped
@@ -39,17 +41,21 @@ class FirstFix:
 
     def __init__(self) -> None:
         self._found: MapFix | None = None
+        self._then: Estimate | None = None  # at its exposure
         self._misses = 0
         self._fixes = 0  # since a beginning that a search found
         self.doubted = False
         self.young = False
 
-    def prior(self, prior: Prior, t_s: float) -> Prior:
-        """Around what was found, as far as an aircraft comes since; else without a place.
+    def prior(self, prior: Prior, t_s: float, now: Estimate | None) -> Prior:
+        """Around what was found, moved on by the way since; else without a place.
+
+        Where nobody tells the way, it is as far around as an aircraft comes: a search takes long.
 
         Args:
             prior: of the filter; of one that is doubted the attitude alone counts.
             t_s: of the image.
+            now: the filter's estimate at its exposure.
         """
         found = self._found
         if found is None and self.doubted:
@@ -58,7 +64,7 @@ class FirstFix:
             return replace(prior, lat_deg=None, lon_deg=None)
         since_s = max(t_s - found.t_s, 0.0)
         reach_m = FASTEST_M_S / PRIOR_SIGMAS * since_s
-        return replace(
+        around = replace(
             prior,
             lat_deg=found.lat_deg,
             lon_deg=found.lon_deg,
@@ -68,10 +74,19 @@ class FirstFix:
             agl_m=found.agl_m,
             sigma_agl_ratio=SIGMA_AGL_RATIO,
         )
+        if now is None or self._then is None or self.doubted:
+            return around
+        return _moved_on(around, found, self._then, now)
 
-    def confirmed(self, fix: MapFix) -> bool:
-        """Take what a search found: whether it agrees with what the one before found."""
+    def confirmed(self, fix: MapFix, then: Estimate | None) -> bool:
+        """Take what a search found: whether it agrees with what the one before found.
+
+        Args:
+            fix: what it found.
+            then: the filter's estimate at its exposure.
+        """
         before, self._found, self._misses = self._found, fix, 0
+        self._then = then
         if before is None or not _agree(before, fix):
             return False
         self._found = None
@@ -106,6 +121,26 @@ def _agree(before: MapFix, fix: MapFix) -> bool:
         return True
     turn_rad = abs(wrap_pi(fix.yaw_rad - before.yaw_rad))
     return bool(turn_rad <= FASTEST_TURN_RAD_S * since_s + PRIOR_SIGMAS * SIGMA_YAW_RAD)
+
+
+def _moved_on(around: Prior, found: MapFix, then: Estimate, now: Estimate) -> Prior:
+    """A prior around what was found `then`, by the way that the filter tells since."""
+    way_ned_m = now.position_ned_m - then.position_ned_m
+    frame = LocalFrame(found.lat_deg, found.lon_deg, 0.0)
+    lat_deg, lon_deg, _ = frame.to_geodetic(np.array([*way_ned_m[:2], 0.0]))
+    variance = max(np.max(np.diag(each.covariance)[3:5]) for each in (then, now))
+    unsure_m = math.sqrt(variance) * (now.t_s - then.t_s)
+    unsure_m += WAY_RATIO * float(np.hypot(*way_ned_m[:2]))
+    turn_rad = yaw_of(now.quat_wxyz) - yaw_of(then.quat_wxyz)
+    return replace(
+        around,
+        lat_deg=float(lat_deg),
+        lon_deg=float(lon_deg),
+        sigma_m=min(around.sigma_m, math.hypot(SIGMA_M, found.sigma_m) + unsure_m),
+        yaw_rad=None if found.yaw_rad is None else wrap_pi(found.yaw_rad + turn_rad),
+        sigma_yaw_rad=SIGMA_YAW_RAD,
+        agl_m=None if found.agl_m is None else found.agl_m - float(way_ned_m[2]),
+    )
 
 
 def start_at(fix: MapFix, ned_m: Array) -> Start:
