@@ -198,8 +198,8 @@ class Autopilot(Protocol):
         ...
 
     @property
-    def budget_refusal(self) -> str | None:
-        """Why the link cannot carry what a flight needs, None when it can."""
+    def link_refusal(self) -> str | None:
+        """Why the link is none to fly on: whose it is, or what it carries; None when it is one."""
         ...
 
     def set_origin(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> None:

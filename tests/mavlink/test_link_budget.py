@@ -63,7 +63,7 @@ def test_57600_baud_fly_without_a_queue(kind):
     bench = Bench(kind, baud=57600.0, settle_s=10.0)
     bench.has_origin()
     bench.run(5.0)
-    assert bench.autopilot.budget_refusal is None
+    assert bench.autopilot.link_refusal is None
     bench.autopilot.take_measurements()
     bench.peer.heard.clear()
     ages_s, queues_s = [], []
@@ -85,13 +85,13 @@ def test_57600_baud_fly_without_a_queue(kind):
 
 def test_a_link_that_is_too_narrow_is_refused_in_one_line():
     bench = Bench(baud=19200.0, settle_s=1.0)
-    assert "19200 baud does not carry" in bench.autopilot.budget_refusal
+    assert "19200 baud does not carry" in bench.autopilot.link_refusal
 
 
 def test_an_attitude_that_comes_too_seldom_is_refused_whatever_the_baud_rate():
     """PX4 limits a port by itself (MAV_1_RATE)."""
     bench = Bench(baud=115200.0, settle_s=5.0)
-    assert bench.autopilot.budget_refusal is None
+    assert bench.autopilot.link_refusal is None
     bench.peer.rate_hz = lambda number: 10.0
     bench.run(5.0)
-    assert "times a second on this link, 20 are needed" in bench.autopilot.budget_refusal
+    assert "times a second on this link, 20 are needed" in bench.autopilot.link_refusal

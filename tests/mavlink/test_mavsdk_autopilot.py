@@ -60,13 +60,31 @@ def test_of_two_on_the_link_the_one_that_is_wanted_is_followed(wanted):
     with Peer(port), Peer(port, system_id=9):
         autopilot = MavsdkAutopilot(f"udpin://127.0.0.1:{port}", system_id=wanted)
         followed = autopilot.system_id()
+        wait_for(lambda: len(autopilot._port._heard()) == 2)
+        refused = autopilot.link_refusal
         autopilot.close()
     assert followed == wanted
+    assert "autopilots" not in (refused or "")
+
+
+def test_with_two_on_the_link_none_is_armed_that_may_be_the_other():
+    port = free_port()
+    with Peer(port):
+        autopilot = MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=10.0)
+        assert autopilot.link_refusal is None
+        with Peer(port, system_id=9):
+            wait_for(lambda: autopilot.link_refusal is not None)
+        refused = autopilot.link_refusal
+        wait_for(lambda: autopilot.link_refusal is None)  # it was switched off
+        autopilot.close()
+    assert refused == (
+        "autopilots of systems 7 and 9 are on it: say which in [flight] autopilot_id"
+    )
 
 
 def test_one_that_is_wanted_and_not_there_is_not_replaced_by_another():
     port = free_port()
-    with Peer(port), pytest.raises(LinkError, match="no autopilot on udpin"):
+    with Peer(port), pytest.raises(LinkError, match=r"no autopilot of system 9 .* of 7:"):
         MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=2.0, system_id=9)
 
 

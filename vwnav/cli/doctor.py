@@ -72,7 +72,7 @@ def doctor(
     if video:
         checks.append(_guarded("camera", lambda: _camera(video, camera)))
     if connection:
-        checks += _autopilot(connection, config.safety)
+        checks += _autopilot(connection, config)
     _print(checks, as_json)
     failed = [check.name for check in checks if check.verdict == "FAIL"]
     if failed:
@@ -256,7 +256,7 @@ def _watch(source: "FrameSource", camera: "Camera | None", live: bool) -> "tuple
     return replace(watch.sight, trouble=trouble if good < _STEADY else ""), size
 
 
-def _autopilot(url: str, safety: "SafetyConfig") -> list[Check]:
+def _autopilot(url: str, config: "Config") -> list[Check]:
     from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot, wait_for_findings
     from vwnav.safety.readiness import check_battery, check_parameters
     from vwnav.watchdog.visitors import visit
@@ -264,16 +264,16 @@ def _autopilot(url: str, safety: "SafetyConfig") -> list[Check]:
     try:
         if next(visit(url), None) is not None:
             return [Check("autopilot", "FAIL", _LINK_TAKEN)]
-        autopilot = MavsdkAutopilot(url)
+        autopilot = MavsdkAutopilot(url, system_id=config.flight.autopilot_id)
     except VwnavError as error:
         return [Check("autopilot", "FAIL", str(error))]
     try:
         findings = wait_for_findings(autopilot)
         checks = [Check("autopilot", "PASS", f"{autopilot.kind} on {url}")]
-        if autopilot.budget_refusal is not None:
-            checks.append(Check("link", "FAIL", autopilot.budget_refusal))
+        if autopilot.link_refusal is not None:
+            checks.append(Check("link", "FAIL", autopilot.link_refusal))
         checks += check_parameters(findings)
-        return [*checks, check_battery(autopilot.state(), safety)]
+        return [*checks, check_battery(autopilot.state(), config.safety)]
     except VwnavError as error:
         return [Check("autopilot", "FAIL", str(error))]
     finally:

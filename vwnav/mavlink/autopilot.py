@@ -111,8 +111,11 @@ class LinkedAutopilot:
         return self._review.findings
 
     @property
-    def budget_refusal(self) -> str | None:
-        """Why the link cannot carry what a flight needs, None when it can."""
+    def link_refusal(self) -> str | None:
+        """Why the link is none to fly on: whose it is, or what it carries; None when it is one."""
+        if strangers := self._port.strangers:
+            heard = " and ".join(map(str, sorted((self.system_id(), *strangers))))
+            return f"autopilots of systems {heard} are on it: say which in [flight] autopilot_id"
         if self._budget is None:
             return None
         if not self._budget.is_tight:

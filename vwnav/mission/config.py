@@ -34,5 +34,7 @@ class FlightConfig(DepartureConfig):
     takeoff_timeout_s: Annotated[float, Within(5.0, 600.0)] = 40.0
     hold_gain_per_s: Annotated[float, Within(0.0, 2.0, above=True)] = 0.5
     hold_speed_m_s: Annotated[float, Within(0.0, 10.0, above=True)] = 1.5
+    # MAVLink system of the aircraft, where its link carries several; 0: the only one
+    autopilot_id: Annotated[int, Within(0, 255)] = 0
     # MAVLink systems that may command it
     ground_station_ids: Annotated[tuple[int, ...], Within(1, 255)] = (255,)

@@ -86,7 +86,7 @@ def _crew(
     """Who the mission speaks with: the record, the screen, and the readiness list."""
 
     def checks(vehicle: VehicleState, navigation: Navigation, t_s: float) -> tuple[Check, ...]:
-        equipment = Equipment(autopilot.findings, autopilot.budget_refusal, camera.sight)
+        equipment = Equipment(autopilot.findings, autopilot.link_refusal, camera.sight)
         return check_flight(vehicle, navigation, equipment, plan.config.safety, t_s)
 
     return Crew(watcher.event, checks, ReadinessTable().show, arms)

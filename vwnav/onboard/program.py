@@ -21,6 +21,7 @@ from vwnav.machine.never_waits import stderr_that_never_waits
 from vwnav.machine.priority import go_first
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import HEARD_WITHIN_S, MavsdkAutopilot
+from vwnav.mission.config import FlightConfig
 from vwnav.mission.mission import FlightEnd, Phase
 from vwnav.onboard.aboard import Aboard, first_state, put_aboard
 from vwnav.onboard.equipment import (
@@ -102,16 +103,15 @@ def fly_route(options: FlyOptions) -> None:
         )
         truth = open_truth(truth_url, link, watchdog.observer_url, clock, stack)
         source = open_camera(options, plan, renderer, truth, clock, stack)
-        stations = plan.config.flight.ground_station_ids
         if not options.sim:
             say(f"waiting for the autopilot on {link}, for {HEARD_WITHIN_S:.0f} s at most")
-        autopilot = connect(watchdog, link, clock, stations)
+        autopilot = connect(watchdog, link, clock, plan.config.flight)
         stack.callback(autopilot.close)
         _fly(options, plan, held, budget, watchdog, autopilot, source, truth, clock, stack)
 
 
 def connect(
-    watchdog: WatchdogProcess, link_url: str, clock: Clock, ground_station_ids: tuple[int, ...]
+    watchdog: WatchdogProcess, link_url: str, clock: Clock, config: FlightConfig
 ) -> MavsdkAutopilot:
     """The autopilot behind the watchdog, which follows the same one from the first beat on.
 
@@ -120,7 +120,7 @@ def connect(
     """
     autopilot = MavsdkAutopilot(
         watchdog.navigator_url, clock=clock, link_url=link_url,
-        ground_station_ids=ground_station_ids,
+        ground_station_ids=config.ground_station_ids, system_id=config.autopilot_id,
     )  # fmt: skip
     watchdog.keepalive.system_id = autopilot.system_id()
     return autopilot

@@ -280,7 +280,7 @@ class Navigator:
         self, vehicle: VehicleState, navigation: Navigation, t_s: float
     ) -> tuple[Check, ...]:
         equipment = Equipment(
-            self.autopilot.findings, self.autopilot.budget_refusal, self._watch.sight
+            self.autopilot.findings, self.autopilot.link_refusal, self._watch.sight
         )
         return check_flight(vehicle, navigation, equipment, self._config.safety, t_s)
 

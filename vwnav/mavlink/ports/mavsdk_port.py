@@ -69,6 +69,7 @@ class MavlinkPort:
     ) -> None:
         self._clock = clock
         self._link_url = link_url or url
+        self._is_chosen = system_id != 0
         log_subscribe(_log_line)
         role = (
             ComponentType.GROUND_STATION if as_ground_station else ComponentType.COMPANION_COMPUTER
@@ -93,6 +94,13 @@ class MavlinkPort:
     def system_id(self) -> int:
         """Of the autopilot."""
         return self._system_id
+
+    @property
+    def strangers(self) -> tuple[int, ...]:
+        """Systems of other autopilots on the link, where nobody has said which one is ours."""
+        if self._is_chosen:
+            return ()
+        return tuple(heard for heard in self._heard() if heard != self._system_id)
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, on MAVSDK's thread."""
@@ -174,10 +182,21 @@ class MavlinkPort:
             system = self._look(system_id)
             if system is not None:
                 return system
+        if others := self._heard():
+            raise LinkError(
+                f"no autopilot of system {system_id} on {self._link_url} within {timeout_s:.0f} s, "
+                f"but of {' and '.join(map(str, others))}: is [flight] autopilot_id right?"
+            )
         raise LinkError(
             f"no autopilot on {self._link_url} within {timeout_s:.0f} s: check its power, the "
             "cable, the baud rate, and that it sends MAVLink on that port"
         )
+
+    def _heard(self) -> list[int]:
+        """Systems of the autopilots on the link."""
+        systems = self._mavsdk.get_systems()
+        autopilots = [each for each in systems if each.has_autopilot() and each.is_connected()]
+        return sorted({int(each.get_system_id()) for each in autopilots})
 
     def _look(self, system_id: int) -> Any | None:
         if not system_id:

@@ -26,6 +26,11 @@ class Port(Protocol):
         """
         ...
 
+    @property
+    def strangers(self) -> tuple[int, ...]:
+        """Systems of other autopilots on the link, where nobody has said which one is ours."""
+        ...
+
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, with the time of arrival."""
         ...

@@ -37,6 +37,7 @@ class PymavlinkPort:
         self._handlers: dict[int, Handler] = {}
         self._listeners: dict[int, Listener] = {}
         self._system_id = 0
+        self._autopilots: set[int] = set()
         self._beat_s = -math.inf
         self._closed = False
 
@@ -44,6 +45,11 @@ class PymavlinkPort:
     def system_id(self) -> int:
         """Of the autopilot; 0 while none has been heard."""
         return self._system_id
+
+    @property
+    def strangers(self) -> tuple[int, ...]:
+        """Systems of other autopilots on the link, where nobody has said which one is ours."""
+        return tuple(sorted(self._autopilots - {self._system_id}))
 
     def subscribe(self, name: str, handler: Handler) -> None:
         """Hand every message `name` of the autopilot to `handler`, within `poll`."""
@@ -104,9 +110,9 @@ class PymavlinkPort:
             message = self._mavlink.decode(bytearray(packet.data))
         except mavlink.MAVError:
             return  # damaged on the way
-        is_first = by_autopilot and not self._system_id
-        if is_first and getattr(message, "autopilot", None) in _KINDS:
-            self._system_id = packet.system_id
+        if by_autopilot and getattr(message, "autopilot", None) in _KINDS:
+            self._autopilots.add(packet.system_id)
+            self._system_id = self._system_id or packet.system_id
         fields = {field: _decoded(getattr(message, field)) for field in message.fieldnames}
         if not by_autopilot:
             self._listeners[packet.message_id](fields, (packet.system_id, packet.component_id))
