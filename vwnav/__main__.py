@@ -27,6 +27,7 @@ from vwnav.cli.bench.speed import speed
 from vwnav.cli.bench.waypoints import waypoints
 from vwnav.cli.camera import calibrate, look
 from vwnav.errors import FlightError, PreflightError, VwnavError
+from vwnav.machine.signals import raised_signals
 
 EXIT_FAILED = 1
 EXIT_NOT_SAFE = 3
@@ -75,11 +76,13 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     _version: bool = typer.Option(
         False, "--version", is_eager=True, callback=_print_version, help="Print the version."
     ),
 ) -> None:
-    pass
+    if context.invoked_subcommand != "fly":  # an aircraft is landed first: it heeds them itself
+        context.with_resource(raised_signals())
 
 
 def main() -> None:

@@ -132,8 +132,8 @@ def test_heights_are_taken_along(tmp_path: Path):
 
 def test_a_terminated_build_leaves_nothing(tmp_path: Path):
     source = write_tiff(tmp_path / "field.tif", texture_rgb(1200, 1200))
-    script = "from vwnav.cli.map import app; app()"
-    words = ["build", str(source), "-o", str(tmp_path / "f.mbtiles"), "--features", "sift"]
+    script = "from vwnav.__main__ import main; main()"
+    words = ["map", "build", str(source), "-o", str(tmp_path / "f.mbtiles"), "--features", "sift"]
     quiet = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with subprocess.Popen([sys.executable, "-c", script, *words], cwd=ROOT, **quiet) as build:
         while build.poll() is None and not list(tmp_path.glob(".f.mbtiles.*.tmp")):

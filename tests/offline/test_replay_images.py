@@ -1,6 +1,8 @@
 """What `vwnav replay` of pictures leaves where it does not come to its end."""
 
+import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -31,15 +33,25 @@ def replay(scene: Path):
     return CliRunner().invoke(app, list(map(str, words)))
 
 
-@pytest.mark.parametrize("ends", [KeyboardInterrupt, MemoryError])
+def kill() -> BaseException:
+    signal.raise_signal(signal.SIGTERM)
+    return AssertionError("nothing has ended it")
+
+
+def close_terminal() -> BaseException:
+    signal.raise_signal(signal.SIGHUP)
+    return AssertionError("nothing has ended it")
+
+
+@pytest.mark.parametrize("ends", [KeyboardInterrupt, MemoryError, kill, close_terminal])
 def test_a_replay_that_is_broken_off_leaves_nothing_and_can_be_asked_for_again(
-    scene: Path, monkeypatch, ends: type[BaseException]
+    scene: Path, monkeypatch, ends: Callable[[], BaseException]
 ):
     whole_step = Pipeline.step
 
     def step(self, frame):
         if frame.index == 1:
-            raise ends
+            raise ends()
         return whole_step(self, frame)
 
     with monkeypatch.context() as during:

@@ -1,13 +1,8 @@
 """`vwnav map`: make a map pack, describe it, check it against a route."""
 
 import json
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -88,7 +83,7 @@ def build(
     # What is not said stays as it is in a pack that is rebuilt.
     said = {key: value for key, value in said.items() if value is not None}
     options: BuildOptions = replace(default_options(sources, rasters), **said)
-    with _terminated_as_interrupted(), progress_bar() as progress:
+    with progress_bar() as progress:
         agreement = agreement_of(rasters, extractors, progress)
         if agreement is not None:
             options, lines = with_agreement(options, agreement)
@@ -316,20 +311,3 @@ def _heights(path: Path, rasters: "list[RasterSource]") -> "HeightGrid":
             f"{path}: reading it needs rasterio; install it: {how_to_install('maps')} ({error})"
         ) from error
     return read_heights(path, sources_bounds(rasters))
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """A plain `kill` ends the build like Ctrl-C does: with nothing left behind."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -11,6 +11,7 @@ from typing import Any
 from vwnav.bench.flights.campaign import Campaign, FlightScore, Sortie
 from vwnav.bench.flights.summary import worst_first
 from vwnav.errors import VwnavError
+from vwnav.machine.signals import raise_signals
 from vwnav.recording.run_folder import write_json
 
 CAMPAIGN, FLIGHTS, RECORDINGS = "campaign.json", "flights.jsonl", "worst"
@@ -116,7 +117,7 @@ def _fly_all(
         yield from (fly_one(campaign, sortie, folder.partial(sortie)) for sortie in sorties)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context) as pool:
+    with ProcessPoolExecutor(jobs, context, raise_signals) as pool:
         flying = [pool.submit(fly_one, campaign, s, folder.partial(s)) for s in sorties]
         try:
             for each in as_completed(flying):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from vwnav.bench.flights.scenario import FlightVerdict, Flown, Scenario
 from vwnav.bench.flights.track import FlightTrace
+from vwnav.machine.signals import raise_signals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ def fly_rows(names: Sequence[str], fly_row: FlyRow, jobs: int) -> Iterator[RowRe
         yield from map(fly_row, names)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(jobs, context, raise_signals) as pool:
         waiting = [pool.submit(fly_row, name) for name in names]
         try:
             for each in as_completed(waiting):
