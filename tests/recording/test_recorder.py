@@ -1,5 +1,6 @@
 """Recordings: written beside the flight, readable also when the writer was killed."""
 
+import resource
 import subprocess
 import sys
 import threading
@@ -226,6 +227,16 @@ def test_a_file_is_never_overwritten(tmp_path):
     with pytest.raises(VwnavError, match="cannot record to"):
         Recorder(tmp_path / "a.mcap", {})
     assert (tmp_path / "a.mcap").read_bytes() == b"precious"
+
+
+def test_a_disk_that_is_full_from_the_start_is_said(tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
+    try:
+        with pytest.raises(VwnavError, match=r"cannot record to .*a\.mcap; is there room"):
+            Recorder(tmp_path / "a.mcap", {"long": "0123456789" * 10})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def test_what_is_no_recording_says_so(tmp_path):

@@ -101,12 +101,12 @@ class Recorder:
             make_folder(path.parent)
             self._writer = foxglove.open_mcap(path, context=self._context, writer_options=options)
             self._file = path.open("rb")  # to be synced: the writer's own is not to be had
+            self._writer.write_metadata("config", {"json": json.dumps(plain(self._config))})
+            self._writer.write_metadata("started", self._started)
         except OSError as error:
             raise VwnavError(f"cannot record to {path}: {error.strerror or error}") from error
-        except Exception as error:  # the SDK's own errors have no common base
-            raise VwnavError(f"cannot record to {path}: {error}") from error
-        self._writer.write_metadata("config", {"json": json.dumps(plain(self._config))})
-        self._writer.write_metadata("started", self._started)
+        except Exception as error:  # the SDK's own errors have no common base, and name no cause
+            raise VwnavError(f"cannot record to {path}; is there room? ({error})") from error
         sync_names(path.parent)
 
     def frame(self, frame: Frame) -> None:
