@@ -27,8 +27,8 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def replay(scene: Path):
-    options = ("--map", scene / "map.mbtiles", "--features", "orb", "--hfov-deg", "70")
+def replay(scene: Path, *more: object):
+    options = ("--map", scene / "map.mbtiles", "--features", "orb", "--hfov-deg", "70", *more)
     words = ("replay", scene / "pictures", *options, "-o", scene / "out")
     return CliRunner().invoke(app, list(map(str, words)))
 
@@ -61,3 +61,14 @@ def test_a_replay_that_is_broken_off_leaves_nothing_and_can_be_asked_for_again(
     done = replay(scene)
     assert "none of 2 pictures was located" in str(done.exception)
     assert (scene / "out" / "trajectory.csv").exists()
+
+
+@pytest.mark.parametrize("t0_s", [1.7e9, 60.0, -60.0])
+def test_telemetry_of_another_time_is_said_to_be_that(scene: Path, t0_s: float):
+    times = [t0_s + 0.1 * i for i in range(20)]
+    rows = "\n".join(f"{t_s:.3f},0,0,90" for t_s in times)
+    (scene / "t.csv").write_text(f"t_s,roll_deg,pitch_deg,yaw_deg\n{rows}\n")
+    said = str(replay(scene, "--telemetry", scene / "t.csv").exception)
+    span = f"it goes from {t0_s:.1f} to {t0_s + 1.9:.1f} s, the pictures from 0 to"
+    assert "t.csv tells no attitude of 2 of 2 pictures" in said
+    assert span in said

@@ -2,6 +2,7 @@
 
 import math
 import time
+from bisect import bisect_left
 from collections import deque
 from contextlib import closing
 from pathlib import Path
@@ -117,6 +118,7 @@ def _run(
     trouble: VwnavError | None = None
     frame: Frame | None = first
     images = _Images(assembled.pipeline, _is_alone(told))
+    attitudes = _AttitudesTold(told, first.t_s)
     coming = deque(seen for seen in told if seen.t_s > first.t_s - LEAD_S)
     with LiveLine() as line:
         while frame is not None:
@@ -124,6 +126,7 @@ def _run(
             _feed(assembled.pipeline, coming, frame.t_s)
             step = images.step(frame)
             tally.busy_s += time.perf_counter() - start_s
+            attitudes.look(frame.t_s)
             input_log.image(step, None)
             record.add(step, None)
             line.show(frame.t_s, _status(tally, frame.t_s - first.t_s))
@@ -135,10 +138,46 @@ def _run(
     record.summarise(options, {})
     if trouble is not None:
         raise SourceError(f"{trouble}; the {tally.frames} pictures before it are in {folder}")
+    if attitudes.lacking:
+        lacking = f"{options.telemetry} {attitudes.complaint(tally.frames)}"
+        if not tally.fixes:
+            raise VwnavError(f"no picture was located: {lacking}")
+        say(lacking)
     if not tally.fixes:
         why = ", ".join(f"{n} {reason}" for reason, n in tally.rejected.most_common(3))
         raise VwnavError(
             f"none of {tally.frames} pictures was located ({why}): does the map show this place?"
+        )
+
+
+class _AttitudesTold:
+    """Which images the telemetry's attitudes are about.
+
+    Attributes:
+        lacking: of how many images none is told, a second before and after them.
+    """
+
+    def __init__(self, told: list[Telemetry], first_image_s: float) -> None:
+        self._times_s = [seen.t_s for seen in told if isinstance(seen, Attitude)]
+        self._first_image_s = self._image_s = first_image_s
+        self.lacking = 0
+
+    def look(self, t_s: float) -> None:
+        """The next image; where no attitude at all is told, none is lacking."""
+        self._image_s = t_s
+        near = self._times_s[max(bisect_left(self._times_s, t_s) - 1, 0) :][:2]
+        self.lacking += bool(near) and min(abs(t_s - each) for each in near) > LEAD_S
+
+    def complaint(self, images: int) -> str:
+        """Of how many images they are lacking, and the times that may be why."""
+        begin_s, end_s, last_s = (
+            t_s - self._first_image_s
+            for t_s in (self._times_s[0], self._times_s[-1], self._image_s)
+        )
+        return (
+            f"tells no attitude of {self.lacking} of {images} pictures: it goes from {begin_s:.1f} "
+            f"to {end_s:.1f} s, the pictures from 0 to {last_s:.1f} s; are its times in seconds "
+            "from the first picture on?"
         )
 
 
