@@ -191,3 +191,14 @@ def test_a_command_with_senseless_settings_ends_with_one_line_and_exit_code_1(tm
     assert done.returncode == 1
     assert "flight.takeoff_height_m = true: expected 1 to 50" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_settings_that_an_editor_has_put_a_mark_before_are_read(tmp_path):
+    (tmp_path / "c.toml").write_text('[features]\nname = "orb"\n', encoding="utf-8-sig")
+    assert load_config(tmp_path / "c.toml").features.name == "orb"
+
+
+def test_settings_without_end_to_their_nesting_are_refused(tmp_path):
+    (tmp_path / "c.toml").write_text("a = " + "[" * 100_000)
+    with pytest.raises(ConfigError, match="are not TOML"):
+        load_config(tmp_path / "c.toml")

@@ -33,6 +33,8 @@ EXIT_FAILED = 1
 EXIT_NOT_SAFE = 3
 EXIT_FLIGHT_ENDED = 4  # of a service alone: deploy/vwnav.service starts none of these anew
 EXIT_INTERRUPTED = 130
+_LINE_BEGINS, _LINE_ENDS = 1200, 300
+_LONGEST_LINE = _LINE_BEGINS + _LINE_ENDS
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 app = typer.Typer(
@@ -94,7 +96,7 @@ def main() -> None:
     try:
         _run()
     except VwnavError as wrong:
-        print(f"vwnav: {' '.join(str(wrong).split())}", file=sys.stderr)
+        print(f"vwnav: {_one_line(wrong)}", file=sys.stderr)
         sys.exit(_exit_code(wrong))
     except KeyboardInterrupt:
         print("vwnav: interrupted", file=sys.stderr)
@@ -102,6 +104,13 @@ def main() -> None:
     except OSError as error:
         _complain(error)
         sys.exit(EXIT_FAILED)
+
+
+def _one_line(wrong: VwnavError) -> str:
+    """What it says, whatever it has taken of a file: no control characters, not megabytes."""
+    text = " ".join(str(wrong).split())
+    text = "".join(each if each.isprintable() else "\N{REPLACEMENT CHARACTER}" for each in text)
+    return text if len(text) <= _LONGEST_LINE else f"{text[:_LINE_BEGINS]} ... {text[-_LINE_ENDS:]}"
 
 
 def _exit_code(wrong: VwnavError) -> int:

@@ -93,6 +93,34 @@ def test_a_lever_arm_in_millimetres_is_refused(tmp_path: Path) -> None:
     assert "is it in metres?" in refused(tmp_path / "c.toml")
 
 
+@pytest.mark.parametrize("suffix", [".json", ".toml"])
+def test_a_file_that_an_editor_has_put_a_mark_before_is_read(tmp_path: Path, suffix: str) -> None:
+    save_camera(mounted(0.0, 0.0, False), tmp_path / f"c{suffix}")
+    text = (tmp_path / f"c{suffix}").read_text()
+    (tmp_path / f"c{suffix}").write_text(text, encoding="utf-8-sig")
+    assert load_camera(tmp_path / f"c{suffix}").width_px == 640
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("c.json", "[" * 100_000),
+        ("c.toml", "a = " + "[" * 100_000),
+        ("c.yaml", "a: " + "[" * 100_000),  # and these three end OpenCV
+        ("c.yaml", "a:\n  " + "- " * 100_000),
+        ("c.yaml", "a:" + " b:" * 100_000),
+    ],
+)
+def test_a_file_without_end_to_its_nesting_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    assert "not a usable camera calibration" in refused(tmp_path / name)
+
+
+def test_what_is_no_yaml_is_said_to_be_none(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("a: [\n")
+    assert "(not YAML)" in refused(tmp_path / "c.yaml")
+
+
 def test_opencv_yaml_is_read(tmp_path: Path) -> None:
     camera = load_camera(opencv_yaml(tmp_path / "c.yml", [-0.2, 0.05, 1e-3, 2e-3, 0.01]))
     np.testing.assert_allclose(camera.K, K)

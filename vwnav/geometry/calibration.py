@@ -25,6 +25,7 @@ from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.types import Array
 
+_NESTING, _MOST_NESTING = ("[", "{", "- ", ":"), 5000  # of YAML; OpenCV writes some dozens
 _MAX_BYTES = 1_000_000
 _LEAST_FOCAL_RATIO = 0.001  # what warming and focusing leave of a measured one
 _NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -57,7 +58,7 @@ def load_camera(path: Path | str) -> Camera:
         _check_plausible(camera)
     except CalibrationError:
         raise
-    except (ValueError, KeyError, TypeError, OverflowError, cv2.error, SystemError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, cv2.error) as error:
         raise CalibrationError(
             f"{path}: not a usable camera calibration ({_one_line(error)}); "
             "expected JSON, TOML, or YAML of OpenCV or ROS camera_info"
@@ -114,7 +115,7 @@ def _read(path: Path) -> str:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise CalibrationError(f"{path}: larger than 1 MB, not a camera calibration")
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise CalibrationError(f"{path}: cannot read ({error.strerror})") from error
 
@@ -201,7 +202,12 @@ def _to_dict(camera: Camera) -> dict[str, Any]:
 def _from_yaml(text: str) -> Camera:
     # ROS writes no version line, without which OpenCV does not read the file.
     body = text if text.lstrip().startswith("%YAML") else f"%YAML:1.0\n---\n{text}"
-    storage = cv2.FileStorage(body, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    if sum(map(text.count, _NESTING)) > _MOST_NESTING:  # so deep OpenCV ends us without a word
+        raise ValueError("far more in it than a calibration has")
+    try:
+        storage = cv2.FileStorage(body, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    except SystemError as error:  # its binding's own, without a word about the file
+        raise ValueError("not YAML") from error
     try:
         K = _matrix(storage, "camera_matrix").reshape(3, 3)
         coefficients = _matrix(storage, "distortion_coefficients")

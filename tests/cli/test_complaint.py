@@ -1,0 +1,29 @@
+"""A command that fails says one line, whatever it has taken of a file."""
+
+import pytest
+
+from vwnav import __main__ as command
+from vwnav.errors import SourceError
+
+
+def said(monkeypatch, capsys, text: str) -> str:
+    def fails() -> None:
+        raise SourceError(text)
+
+    monkeypatch.setattr(command, "app", fails)
+    with pytest.raises(SystemExit) as ended:
+        command.main()
+    assert ended.value.code == 1
+    return capsys.readouterr().err
+
+
+def test_what_would_command_the_terminal_is_left_out(monkeypatch, capsys):
+    line = said(monkeypatch, capsys, "no column t_s;\nit has \x1b[2J, \x00\x9b, Höhe")
+    assert line == "vwnav: no column t_s; it has \ufffd[2J, \ufffd\ufffd, Höhe\n"
+
+
+def test_what_would_fill_the_terminal_is_cut(monkeypatch, capsys):
+    line = said(monkeypatch, capsys, f"it has {'uint64_t timestamp, ' * 5000}; say another")
+    assert line.startswith("vwnav: it has uint64_t timestamp, ")
+    assert line.endswith("timestamp, ; say another\n")
+    assert len(line) < 1600
