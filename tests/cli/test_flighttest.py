@@ -46,6 +46,8 @@ def test_drawn_flights_are_listed_as_rows_are():
         (["--only", "no such fault"], "no fault is named no such fault: see --list"),
         (["--connection", "udpin://0.0.0.0:24000", "--only", "killed"], "--truth"),
         (["--connection", "udpin://0.0.0.0:24000", "--only", "starved"], "no fault is named"),
+        (["--truth", "udpout:127.0.0.1:24001", "--only", "killed"], "go with --connection"),
+        (["--pilot", "udpin://0.0.0.0:24001", "--only", "killed"], "go with --connection"),
     ],
 )
 def test_what_cannot_be_flown_is_said(words, says, tmp_path):
@@ -62,6 +64,8 @@ def test_what_cannot_be_flown_is_said(words, says, tmp_path):
         (["--connection", "udpin://0.0.0.0:24000"], "--truth"),
         (["--connection", "udpin://0.0.0.0:24000", "--map", "a", "--home", "1,2"],
          "without --truth a test needs --camera, --video, too"),
+        (["--truth", "udpout:127.0.0.1:24001"], "go with --connection"),
+        (["--map", "a", "--camera", "b", "--video", "c", "--home", "1,2"], "go with --connection"),
     ],
 )  # fmt: skip
 def test_a_test_that_cannot_be_flown_leaves_nothing(test, words, says, tmp_path):

@@ -164,11 +164,17 @@ def _links(
     """None without a connection.
 
     Raises:
-        ConfigError: there is one, and neither a truth that a camera can be drawn from nor `eyes`.
+        ConfigError: there is one, and neither a truth that a camera can be drawn from nor `eyes`;
+            there is none, and something that goes with it.
     """
     from vwnav.bench.flights.live.session import Links
 
     if connection is None:
+        if truth is not None or pilot is not None or eyes is not None:
+            raise ConfigError(
+                "--truth, --pilot, --map, --camera, --video and --home go with --connection: "
+                "without it everything is simulated"
+            )
         return None
     if truth is None and eyes is None:
         raise ConfigError(
