@@ -1,5 +1,6 @@
 """Which setting is chosen, what is said of it, and what a terminal shows."""
 
+import os
 import sys
 from dataclasses import replace
 
@@ -173,7 +174,8 @@ def test_settings_that_were_there_stay_when_new_ones_cannot_be_written(rows, mon
         raise OSError(28, "No space left on device")
 
     chosen = choose(rows, 5.0, lambda _: LATENCY)
-    monkeypatch.setattr("vwnav.bench.speed.report.replace_for_good", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ConfigError, match="No space left"):
         write_settings(path, report(rows, chosen))
     assert load_config(path).pipeline.fix_interval_s == 0.3
+    assert [each.name for each in tmp_path.iterdir()] == ["board.toml"]

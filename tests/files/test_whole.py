@@ -51,3 +51,16 @@ def test_a_calibration_that_finds_no_room_leaves_no_half_of_it(
     with pytest.raises(CalibrationError, match="No space left"):
         save_camera(Camera.from_hfov(640, 480, 70.0), tmp_path / name)
     assert not list(tmp_path.iterdir())
+
+
+def test_where_nothing_can_be_written_the_error_names_the_file_that_was_asked_for(
+    tmp_path: Path, monkeypatch
+):
+    def read_only(path: Path, *_, **__) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "open", read_only)
+    monkeypatch.setattr(Path, "unlink", read_only)
+    with pytest.raises(OSError, match="Read-only") as refused:
+        write_whole(tmp_path / "a.txt", "x")
+    assert refused.value.filename == str(tmp_path / "a.txt")

@@ -1,6 +1,7 @@
 """Writes a file whole or not at all."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -23,7 +24,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
     except OSError as error:
         raise named(error, path) from error
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # of a file system that may only be read it is no news
+            partial.unlink(missing_ok=True)
 
 
 def named(error: OSError, path: Path) -> OSError:

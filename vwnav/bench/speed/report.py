@@ -1,5 +1,6 @@
 """The report as one JSON object, as tables for a person, and as a settings file."""
 
+import os
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import date
@@ -17,7 +18,7 @@ from vwnav.bench.speed.choice import described, words
 from vwnav.bench.speed.projection import BOARDS
 from vwnav.bench.speed.results import SpeedReport, TimedSetting
 from vwnav.errors import ConfigError
-from vwnav.recording.disk.thread import replace_for_good
+from vwnav.files.whole import write_whole
 
 # Chapter 7 of the thesis: its whole navigation on a Raspberry Pi 4, images a second.
 THESIS_HZ = {"sift": "17", "orb": "17", "XFeat": "below 1"}
@@ -158,6 +159,8 @@ def check_place(path: Path) -> None:
     """
     if path.is_dir() or not path.parent.is_dir():
         raise ConfigError(f"cannot write {path}: give a file in a folder that exists")
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigError(f"cannot write {path}: its folder may not be written")
 
 
 def write_settings(path: Path, report: SpeedReport) -> None:
@@ -172,9 +175,7 @@ def write_settings(path: Path, report: SpeedReport) -> None:
     head = f"Chosen by `vwnav bench speed` on {date.today()} for {report.machine}."
     comment = "".join(f"# {line}\n" for line in (head, *said))
     settings = tomli_w.dumps(chosen.timed.setting.as_config(report.wanted.target_hz))
-    partial = path.with_name(path.name + ".part")
     try:
-        partial.write_text(f"{comment}\n{settings}")
-        replace_for_good(partial, path)
+        write_whole(path, f"{comment}\n{settings}")
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror}") from error
