@@ -85,6 +85,39 @@ def test_an_mp4_whose_end_was_never_written_is_damaged(tmp_path):
     assert 5 < len(frames_before_error(VideoFile(path), words)) < COUNT
 
 
+def test_a_video_with_a_broken_picture_in_its_middle_goes_on_after_it(tmp_path, caplog):
+    path = tmp_path / "a.mp4"
+    data = video(path)
+    middle = len(data) // 2
+    data[middle : middle + 3000] = bytes(3000)
+    path.write_bytes(data)
+    frames = frames_of(open_source(str(path)))
+    assert COUNT - 3 <= len(frames) < COUNT
+    assert frames[-1].t_s == pytest.approx((COUNT - 1) / 20, abs=0.01)
+    (said,) = caplog.messages
+    assert re.search(r"a\.mp4 is damaged about 0\.[78] s", said)
+
+
+def test_a_video_that_is_broken_in_its_middle_and_at_its_end_is_damaged(tmp_path):
+    path = tmp_path / "a.mp4"
+    data = bytearray(with_index_in_front(bytes(video(path))))
+    third = len(data) // 3
+    data[third : third + 3000] = bytes(3000)
+    data[2 * third :] = bytes(len(data) - 2 * third)
+    path.write_bytes(data)
+    words = rf"ends in the middle of picture \d+ of {COUNT}"
+    assert 5 < len(frames_before_error(VideoFile(path), words)) < COUNT
+
+
+def test_a_video_of_a_coding_that_is_not_known_says_which_and_what_to_do(tmp_path):
+    path = tmp_path / "a.mp4"
+    data = video(path).replace(b"mp4v", b"av01").replace(b"esds", b"free")
+    path.write_bytes(data)
+    words = r"not known here \(AV01\).*`ffmpeg -i a\.mp4 -c:v libx264 other\.mp4`"
+    with pytest.raises(SourceError, match=words):
+        VideoFile(path).next_frame()
+
+
 @pytest.mark.parametrize("box", [b"mvhd", b"mdhd"])
 def test_an_mp4_whose_index_makes_no_sense_ends_in_no_traceback(tmp_path, box):
     path = tmp_path / "a.mp4"

@@ -18,6 +18,8 @@ _log = logging.getLogger(__name__)
 _HELD_BACK = 3
 # Containers may count a few that are not shown.
 _COUNT_TOLERANCE = 3
+# A picture that cannot be decoded, and those that are coded on it, until a key picture comes.
+_MOST_BROKEN = 300
 
 
 def quieten_decoder() -> None:
@@ -53,7 +55,7 @@ class VideoFile:
                          "the camera took them", path, turned_deg)  # fmt: skip
         self._fps = self._video.get(cv2.CAP_PROP_FPS) or 30.0
         self._expected = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
-        self._index = 0
+        self._index, self._goes_on = 0, False  # after damage
         self._last_t_s = -1.0
         self._ahead: deque[Frame] = deque()
         self._coming = self._decoded()
@@ -88,11 +90,17 @@ class VideoFile:
         return Frame(self._last_t_s, now[1], index)
 
     def _decoded(self) -> tuple[float, NDArray[np.uint8]] | None:
-        """The next image and its stamp, s."""
-        good, image = self._video.read()
-        if not good:
-            return None
-        return self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3, np.asarray(image, dtype=np.uint8)
+        """The next image that can be decoded, and its stamp, s; None after the last."""
+        for broken in range(_MOST_BROKEN):
+            good, image = self._video.read()
+            if good:
+                stamp_s = self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                if broken:
+                    self._goes_on = True
+                    _log.warning("%s is damaged about %.1f s: pictures are missing there",
+                                 self._path, stamp_s)  # fmt: skip
+                return stamp_s, np.asarray(image, dtype=np.uint8)
+        return None
 
     def _time_of(self, stamp_s: float) -> float:
         """A stamp as it is, but where it does not go on, or the next one does and it does not.
@@ -107,7 +115,13 @@ class VideoFile:
 
     def _check_end(self) -> None:
         if self._index == 0:
-            raise SourceError(f"{self._path} holds no picture that can be read")
+            fourcc = int(self._video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
+            coding = fourcc.decode("latin-1").strip()
+            raise SourceError(
+                f"{self._path} holds no picture that can be read: it is damaged, or of a coding "
+                f"that is not known here ({coding}); where a player shows it, "
+                f"`ffmpeg -i {self._path.name} -c:v libx264 other.mp4` makes one that is"
+            )
         missing = self._missing()
         if self._cut_off or missing > _COUNT_TOLERANCE:
             at = max(0, self._index - len(self._ahead))
@@ -119,9 +133,9 @@ class VideoFile:
 
     def _missing(self) -> int:
         """How many more pictures the container says there are; 0 where it does not say."""
-        if self._counted == "pictures":
+        if self._counted == "pictures" and not self._goes_on:
             return self._expected - self._index
-        if self._counted == "periods":  # those before the last picture may be empty
+        if self._counted is not None:  # periods before the last picture may be empty
             period_s = self._last_t_s / (self._index - 1) if self._index > 1 else 1.0 / self._fps
             return round((self._expected / self._fps - self._last_t_s) / period_s) - 1
         return 0
