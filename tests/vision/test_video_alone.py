@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
 from vision_scenes import HOME, frame_at, ground_pack, texture
@@ -13,7 +14,9 @@ from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat, wrap_pi
 from vwnav.maps.pack import MapPack
 from vwnav.seams import InlineExecutor
-from vwnav.types import Estimate, MapFix, OdometryMotion, Rejected
+from vwnav.types import Estimate, Frame, MapFix, OdometryMotion, Rejected
+from vwnav.vision.config import OdometryConfig
+from vwnav.vision.odometry.odometry import Odometry
 
 AGL_M, SPEED_M_S, INTERVAL_S = 80.0, 8.0, 0.5
 TRUSTED, LOST, AFTER = 14, 4, 6  # images before, in the loss, and after it
@@ -88,6 +91,15 @@ def field_pack(tmp_path_factory, field, sift):
         yield opened
 
 
+def draw_text(image: np.ndarray) -> None:
+    """As a goggle's display has it, white on a black edge; height and speed at the sides."""
+    lines = [(6, 16, "REC 00:12"), (210, 16, "15.8V 22A"), (6, 212, "ALT 80.2m"),
+             (210, 212, "SPD 8.1m/s"), (90, 234, "N47.0001 E8.0002")]  # fmt: skip
+    for gray, thick in ((0, 3), (255, 1)):
+        for u, v, text in lines:
+            cv2.putText(image, text, (u, v), cv2.FONT_HERSHEY_SIMPLEX, 0.42, gray, thick)
+
+
 def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
     """From the image before the loss on; the map is asked no more after `most_fixes`."""
     config = Config()
@@ -134,6 +146,20 @@ def test_what_sight_was_lost_of_is_found_again_and_never_claimed(flight, field, 
         assert row.off_m < 2.0
         assert abs(row.turned_rad) < math.radians(2.0)
         assert abs(row.agl_off_m) < 3.0
+
+
+def test_text_that_is_drawn_into_all_images_is_no_ground_that_stands_still(field):
+    """Over ground that shows nothing it had been: a place 58 m off after 8 s, at a sigma of 0.8."""
+    odometry, place_m = Odometry(CAMERA, OdometryConfig(), alone=True), np.array([-80.0, -40.0])
+    found = []
+    for number in range(22):
+        frame = frame_at(field, *place_m, AGL_M, camera=CAMERA)
+        image = frame.image if number < 18 else np.full_like(frame.image, 90)
+        draw_text(image)
+        found.append(odometry.step(Frame(number * INTERVAL_S, image, number), None, AGL_M))
+        place_m += [9.0, 3.0] if number < 14 else [3.5, 1.0]
+    assert all(isinstance(motion, OdometryMotion) for motion in found[1:18])
+    assert not any(isinstance(motion, OdometryMotion) for motion in found[18:])
 
 
 def test_a_turn_that_no_image_and_no_fix_tells_leaves_heading_and_place_open(

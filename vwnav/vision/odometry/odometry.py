@@ -40,13 +40,14 @@ from vwnav.vision.odometry.ground_motion import (
     fit_motion,
     tilt_seen,
 )
-from vwnav.vision.odometry.views import Course, Keyframe, ReducedView, turned
+from vwnav.vision.odometry.views import Course, Keyframe, Overlay, ReducedView, turned
 from vwnav.vision.shutter import as_at_once, ray_flow
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
 _MOST_ZOOM = 0.5
 _STEEPEST = 0.5  # slope that ground is thought to have
+_WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
 
@@ -86,6 +87,7 @@ class Odometry:
         self._course = Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
         self._slope_ne: Array | None = None  # of the ground at the keyframe, by the images before
         self._heading_rad = 0.0
+        self._overlay = Overlay(self._camera.width_px, self._camera.height_px)
         self._broke = False  # the image before could not be followed
 
     def mistook(self) -> None:
@@ -197,6 +199,8 @@ class Odometry:
             rays = as_at_once(rays, uv, self._camera, view.flow)
         rays = rays @ view.R_ned_camera.T
         down = rays[:, 2] > _LEAST_COS_RAY
+        if self._alone:  # else the IMU tells that it is no ground
+            down &= ~self._overlay.shows(uv)
         if np.count_nonzero(down) < self._config.least_corners:
             self._keyframe = None
             return None
@@ -286,6 +290,8 @@ class Odometry:
             or abs(increment_rad) > self._config.keep_turn_rad
             or abs(motion.way[2]) > self._config.keep_zoom
         ):
+            if self._alone and self._camera.K[0, 0] * np.hypot(*motion.way[:2]) > _WENT_BY_PX:
+                self._overlay.look(keyframe.view.gray, view.gray)
             self._slope_ne = np.clip(motion.slope, -_STEEPEST, _STEEPEST)
             self._start(view)
         return OdometryMotion(

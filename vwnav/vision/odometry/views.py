@@ -5,9 +5,14 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vwnav.types import Array, Gray
 from vwnav.vision.matching import Points
+
+_TEXTURED, _SAME = 25, 12  # gray values: across 3 px, and from image to image
+_DRAWN_AFTER = 4  # looks in a row: less, and ground is like what was there before by chance
+_NEAR_PX = 19  # the window within which a corner is followed, and one more to each side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,30 @@ class Course:
     way: Array
     turn_rad: Array
     way_per_s: Array
+
+
+class Overlay:
+    """What is drawn into the images of a video, or hangs before its lens: the ground goes by it.
+
+    Where the ground shows nothing it is all that can be followed, and it says "at rest".
+    """
+
+    def __init__(self, width_px: int, height_px: int) -> None:
+        self._still = np.zeros((height_px, width_px), np.uint8)  # looks in a row
+
+    def look(self, gray0: Gray, gray1: Gray) -> None:
+        """Learn from two images (h, w), between which the ground has gone by."""
+        rough = cv2.morphologyEx(gray0, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > _TEXTURED
+        same = rough & (cv2.absdiff(gray0, gray1) < _SAME)
+        self._still[~same] = 0
+        self._still[same] = np.minimum(self._still[same] + 1, _DRAWN_AFTER)
+
+    def shows(self, uv: Points) -> NDArray[np.bool_]:
+        """Which corners (n, 2) are of it, or so near that they are followed by it."""
+        drawn = np.asarray(self._still >= _DRAWN_AFTER, np.uint8)
+        near = cv2.dilate(drawn, np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
+        column, row = np.round(uv).astype(np.int64).T
+        return np.asarray(near[row, column] > 0)
 
 
 def turned(keyframe: Keyframe, turn_rad: float) -> Keyframe:
