@@ -176,6 +176,21 @@ def test_straight_up_leg_climbs_over_the_place(make_drone, fly) -> None:
     assert np.hypot(below[:, 0], below[:, 1]).max() < 1.0
 
 
+@pytest.mark.parametrize("end_m", [-35.0, -90.0])
+@pytest.mark.parametrize("aside_m", [0.2, 0.6, 3.0, 12.0])
+def test_waypoints_nearly_above_each_other_are_flown_by_their_height(
+    make_drone, fly, aside_m: float, end_m: float
+) -> None:
+    route = np.array([[20, 0, -60], [20 + aside_m, 0, end_m], [50, 0, end_m]])
+    drone = make_drone(6, noise_m=0.3, position_m=np.array([0.0, 0.0, -60.0]))
+    track = fly(drone, RouteFollower(route, LIMITS).step, 60.0)
+    assert np.hypot(*(track[-1, :2] - route[-1, :2])) < 2.0
+    # Never in the corner below its line: a wall or a slope may be what it climbs, or comes down by.
+    on_leg = (track[:, 0] > 20.0) & (track[:, 0] < 20.0 + aside_m)
+    due_m = -60.0 + (end_m + 60.0) * (track[on_leg, 0] - 20.0) / aside_m
+    assert aside_m < 5.0 or np.all(track[on_leg, 2] - due_m < 3.0)
+
+
 def test_yaw_turns_along_the_leg_and_stays_on_short_ones(make_estimate) -> None:
     follower = RouteFollower(np.array([[0, 100, -50.0]]), LIMITS)
     for i in range(60):

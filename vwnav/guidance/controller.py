@@ -157,9 +157,8 @@ class RouteFollower:
     def _wanted_velocity(self, leg: Leg, estimate: Estimate, step_s: float) -> Array:
         """Along the leg as fast as the next waypoint allows, across it back to the line."""
         limits, position = self._limits, estimate.position_ned_m
-        ahead_m = leg.length_m - leg.along_track_m(position)
         cross_m = leg.cross_track_m(position)
-        along_m_s = self._along_speed(leg, ahead_m)
+        along_m_s = self._along_speed(leg, leg.to_go_m(position))
         drift_m_s = float(estimate.velocity_ned_m_s[:2] @ leg.right_ne)
         # Where it will be when this setpoint takes effect; else the gain would have to be low.
         back_m_s = -limits.position_gain_per_s * (cross_m + limits.latency_s * drift_m_s)
