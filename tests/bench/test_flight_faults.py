@@ -256,6 +256,14 @@ def a_track() -> FlightTrace:
     return track
 
 
+def test_a_phase_is_noted_once_and_at_the_step_in_which_it_is_entered():
+    """Offboard that is asked for again sends setpoints at once: later they seem to be nobody's."""
+    track = FlightTrace()
+    for t_s, phase in ((1.0, "pilot flies"), (1.004, "pilot flies"), (1.008, "on route")):
+        track.enters(phase, t_s)
+    assert track.phases == [LogLine(1.0, "pilot flies"), LogLine(1.008, "on route")]
+
+
 def test_a_failure_is_drawn_and_told_by_time(tmp_path):
     pytest.importorskip("matplotlib")
     name = draw_failure("link cut for 1 s", a_track(), 100.0, 9.0, ["it is not down"], tmp_path)

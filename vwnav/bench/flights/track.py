@@ -64,6 +64,14 @@ class FlightTrace:
     events: list[LogLine] = field(default_factory=list)
     phases: list[LogLine] = field(default_factory=list)
 
+    def enters(self, phase: str, t_s: float) -> None:
+        """The mission stands in it; to be called at every step, for a setpoint may follow at once.
+
+        `t_s` since the mission began.
+        """
+        if not self.phases or self.phases[-1].text != phase:
+            self.phases.append(LogLine(t_s, phase))
+
     def truth_at(self, t_s: float) -> Truth:
         """The nearest one before, with the position carried on to the moment."""
         i = max(bisect.bisect_right(self.truth, t_s, key=lambda each: each.t_s) - 1, 0)

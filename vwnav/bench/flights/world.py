@@ -298,6 +298,7 @@ class World:
             self._end_seen = True
             self.note(NAVIGATOR_ENDED)
             self.watchdog.handle_navigator_end(self.clock.now_s)
+        self.track.enters(self.navigator.flight.phase.value, self.t_s)
         if self._steps % _NOTED_EVERY == 0:
             self._note_truth()
 
@@ -332,9 +333,6 @@ class World:
         home = self.navigator.flight.home_ne_m
         if home is not None:
             track.homes.append(At(t_s, (float(home[0]), float(home[1]))))
-        phase = self.navigator.flight.phase.value
-        if not track.phases or track.phases[-1].text != phase:
-            track.phases.append(LogLine(self.t_s, phase))
 
 
 def draw(setup: Setup, place: Place) -> CameraRenderer:
