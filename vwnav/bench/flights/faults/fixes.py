@@ -8,7 +8,7 @@ import numpy as np
 from vwnav.bench.flights.stage import FlightStage, Lasting
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import wrap_pi
-from vwnav.types import MapFix, Rejected
+from vwnav.types import MapFix, Rejected, RejectReason
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,21 @@ class MapSteps(Lasting):
         world.navigator.executor.mistake = lambda found: (
             found if isinstance(found, Rejected) else _moved(found, self.ne_m)
         )
+
+
+@dataclass(frozen=True)
+class NoFixes:
+    """The map shows nothing of what images do, which are followed all the same: snow, a flood."""
+
+    def begin(self, world: FlightStage) -> None:
+        """Nothing is found."""
+        world.navigator.executor.mistake = lambda found: Rejected(
+            found.t_s, RejectReason.FEW_INLIERS, "snow"
+        )
+
+    def end(self, world: FlightStage) -> None:
+        """It thaws."""
+        world.navigator.executor.mistake = None
 
 
 def _moved(fix: MapFix, ne_m: tuple[float, float]) -> MapFix:

@@ -2,7 +2,7 @@
 
 import math
 
-from vwnav.bench.flights.faults import aircraft, camera, computer, link
+from vwnav.bench.flights.faults import aircraft, camera, computer, fixes, link
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     DESCEND,
@@ -174,6 +174,26 @@ STALE = [
         lands_within_m=30.0,
     ),
 ]
+# It looks for the map from higher up, finds it, goes on, and loses it again.
+SNOW = [
+    Scenario(
+        name="no fix for 20 s, fixes for 3 s, and then none",
+        setup=setup(),
+        breaks=(
+            Break(fault=fixes.NoFixes(), at_s=BREAKS_AT_S, for_s=20.0),
+            Break(fault=fixes.NoFixes(), at_s=BREAKS_AT_S + 23.0),
+        ),
+        limit_s=200.0,
+        follows=(
+            said(22.0, "climbing to where the map shows more"),
+            said(24.0, "all well again"),
+            phase(60.0, "returning"),
+            down(180.0),
+        ),
+        lands_within_m=5.0,
+        lands_at_ne_m=HOME,
+    ),
+]
 _CUT = Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0)
 # PX4 has fallen back to a mode that stays up by the time that the link is there again.
 FALLEN_BACK = [
@@ -251,5 +271,6 @@ NOBODY_LEFT = [
     )
 ]
 TOGETHER = [
-    *LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *FOUND_OUT, *STALE, *FALLEN_BACK, *NOBODY_LEFT,
+    *LOOSE, *STORM, *BOTH_HANDS, *BLIND, *TURNED, *FOUND_OUT, *STALE, *SNOW, *FALLEN_BACK,
+    *NOBODY_LEFT,
 ]  # fmt: skip

@@ -20,6 +20,23 @@ WHOLE = [
         lands_within_m=3.0,
         lands_at_ne_m=(60.0, -45.0),
     ),
+    # As two clicks at one place make them: what a position errs by is more than the way between.
+    Scenario(
+        name="waypoints half a metre beside each other, 35 m above and below",
+        setup=setup(
+            None,
+            route_ned_m=(
+                (30.0, -30.0, -45.0),
+                (30.3, -30.4, -80.0),
+                (60.0, 0.0, -80.0),
+                (60.4, 0.3, -45.0),
+            ),
+        ),
+        breaks=(),
+        limit_s=220.0,
+        lands_within_m=3.0,
+        lands_at_ne_m=HOME,
+    ),
 ]
 
 
