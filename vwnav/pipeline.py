@@ -21,6 +21,7 @@ from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
 from vwnav.estimation.beginning.other_camera import found_by, found_in
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.beginning.starts import Start, left_by
+from vwnav.estimation.disputes import is_told
 from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
@@ -46,7 +47,7 @@ from vwnav.types import (
 from vwnav.vehicle import FoundCamera, Learned
 
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
-MIN_PRIOR_SIGMA_M = 3.0
+MIN_PRIOR_SIGMA_M, TOLD_DOUBT = 3.0, 4.0
 MAX_DOUBT, MAX_DOUBTED_AGL_RATIO = 8.0, 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then
@@ -282,11 +283,9 @@ class Pipeline:
         A filter that is sure of itself and finds nothing is doubted: its place and its heading may
         be wrong by more than it says; what is not looked for is not found.
         """
-        # Tilt as the autopilot says it: the filter itself carries the error of that, and would
-        # count it twice if the image were rectified with its corrected attitude.
-        roll_rad, pitch_rad = None, None
-        if R_ned_body is not None:
-            roll_rad, pitch_rad, _ = euler_from_rotation(R_ned_body)
+        # As the autopilot says it: the filter carries the error of that, and would count it twice.
+        tilt = (None, None) if R_ned_body is None else euler_from_rotation(R_ned_body)[:2]
+        roll_rad, pitch_rad = tilt
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
         yaw_rad = math.remainder(yaw_of(now.quat_wxyz) + now.camera_turn_rad, 2.0 * math.pi)
@@ -303,6 +302,8 @@ class Pipeline:
         if (sigma_m := now.sigma_horizontal_m) > self._config.max_prior_sigma_m:
             return prior
         lat_deg, lon_deg, _ = self.local_frame.to_geodetic(now.position_ned_m)
+        if now.t_last_fix_s is None and (state := self._ekf.state) is not None and is_told(state):
+            doubt = max(doubt, TOLD_DOUBT)
         sigma_m = doubt * max(sigma_m, MIN_PRIOR_SIGMA_M)
         return replace(prior, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_m=sigma_m)
 

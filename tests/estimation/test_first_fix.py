@@ -1,4 +1,4 @@
-"""Around what is an aircraft looked for that was found once, a search ago?"""
+"""Where is an aircraft looked for, and what is believed, before any fix was?"""
 
 import math
 
@@ -7,9 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vwnav.estimation.beginning.first_fix import PRIOR_SIGMAS, FirstFix
+from vwnav.estimation.beginning.starts import Start
+from vwnav.estimation.config import EkfConfig
+from vwnav.estimation.ekf import Ekf
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.inputs import decode, encode
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler, wrap_pi
-from vwnav.types import Estimate, MapFix, Prior
+from vwnav.types import Attitude, Estimate, Height, MapFix, Prior
 
 FRAME = LocalFrame(41.1, 29.0, 0.0)
 NOBODY_KNOWS_M = 2000.0
@@ -85,3 +90,33 @@ def test_where_nobody_tells_the_way_it_is_looked_for_as_far_as_an_aircraft_comes
     first.confirmed(found_at(5.0, place_m, 0.0), None)
     prior = first.prior(Prior(), 9.0, None)
     assert prior.sigma_m > 4.0 * 30.0 / PRIOR_SIGMAS
+
+
+def test_a_few_fixes_that_agree_are_believed_over_a_persons_word():
+    """A click on a map, 42 m off: they were refused until the flight was given up."""
+    ekf = Ekf(EkfConfig())
+    place = np.array([0.0, 0.0, -50.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=place, sigma_m=5.0, agl_m=50.0, by_person=True))
+    accepted = []
+    for number in range(1, 200):
+        t_s = 0.02 * number
+        ekf.handle(Attitude(t_s, quat_from_rotation(np.eye(3))))
+        ekf.handle(Height(t_s, 50.0))
+        if number % 20 == 0:
+            told = NedFix(
+                t_s=t_s, position_ne_m=np.array([30.0, -30.0]), covariance_ne_m2=0.3 * np.eye(2)
+            )
+            accepted.append(ekf.handle(told).accepted)
+    assert accepted[:3] == [False] * 3
+    assert all(accepted[3:])
+    now = ekf.estimate(t_s)
+    off_m = float(np.hypot(*(now.position_ned_m[:2] - [30.0, -30.0])))
+    assert off_m < 1.0
+    assert now.reset_counter == 1
+
+
+def test_what_a_person_has_told_is_replayed_as_that():
+    start = Start(t_s=0.0, position_ned_m=np.zeros(3), by_person=True)
+    assert decode(encode(start)).by_person
+    of_before = {name: value for name, value in encode(start).items() if name != "by_person"}
+    assert not decode(of_before).by_person

@@ -161,6 +161,19 @@ def convinces(rejected: RejectedInnovations, drift_per_s: float, count: int, spa
     )
 
 
+def is_told(state: FilterState) -> bool:
+    """Whether nothing but a person's word says the place: no fix was believed yet."""
+    return state.t_last_fix_s is None and state.trusted is not None and state.trusted.by_person
+
+
+def relocates(state: FilterState, config: EkfConfig) -> bool:
+    """Whether refused fixes agree enough to jump to them: a few do, over a person's word."""
+    count, span_s = config.relocation_fixes, config.relocation_span_s
+    if is_told(state):
+        count, span_s = config.offset_count, config.offset_span_s
+    return convinces(state.rejected_fixes, config.relocation_drift_m_s, count, span_s)
+
+
 def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
     """Of an image whose ways contradict the IMU: it may be from another moment than it says.
 

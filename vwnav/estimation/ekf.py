@@ -14,7 +14,7 @@ from vwnav.estimation.beginning.explanations import explained
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground, patch_below
-from vwnav.estimation.disputes import of_doubtful_date
+from vwnav.estimation.disputes import is_told, of_doubtful_date
 from vwnav.estimation.events import (
     Displacement,
     Drag,
@@ -241,8 +241,9 @@ class Ekf:
 
     def _explain(self, timeline: Timeline) -> Innovation | None:
         """Go on with what makes fixes right that were refused in a row, where something does."""
-        again = timeline.newest.t_s < self._explained_s + _EXPLAINED_AGAIN_S
-        if again or self._odometry_gate.lost or self.counts_heading:
+        newest = timeline.newest
+        again = newest.t_s < self._explained_s + _EXPLAINED_AGAIN_S
+        if again or is_told(newest) or self._odometry_gate.lost or self.counts_heading:
             return None
         if (found := explained(timeline, self.attitudes)) is None:
             return None

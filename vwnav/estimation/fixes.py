@@ -16,6 +16,7 @@ from vwnav.estimation.disputes import (
     moved_along,
     range_doubted,
     relocated,
+    relocates,
     remember,
     seen_from,
     turned,
@@ -63,10 +64,7 @@ class _PoseSlices:
 
 _NOW = _PoseSlices(States.POSITION_NE, States.HEADING_BIAS, States.TILT, None)
 _THEN = _PoseSlices(
-    States.EXPOSED_POSITION,
-    States.EXPOSED_HEADING_BIAS,
-    States.EXPOSED_TILT,
-    States.EXPOSED_AGL,
+    States.EXPOSED_POSITION, States.EXPOSED_HEADING_BIAS, States.EXPOSED_TILT, States.EXPOSED_AGL
 )
 
 
@@ -241,7 +239,7 @@ def _disputed(
             kept = seen_from(rejected, state, after, measurement)
             return after._replace(rejected_fixes=kept), replace(told, verdict=Verdict.UNCONFIRMED)
         state = state._replace(rejected_fixes=rejected)
-        if not convinces(rejected, drift, config.relocation_fixes, config.relocation_span_s):
+        if not relocates(state, config):
             return state, told
     after = relocated(state, measurement)
     old, new = patch_below(state, context), patch_below(after, context)

@@ -72,11 +72,12 @@ HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEAD
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrustedPosition:
-    """Where a fix that was believed has shown it: (2,) north and east, per-axis sigma."""
+    """Where a fix that was believed, or a person, shows it: (2,) north and east, per-axis sigma."""
 
     t_s: float
     position_ne_m: Array
     sigma_m: float
+    by_person: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,8 +133,7 @@ class FilterState(NamedTuple):
             which it was told whether it is; the start until then.
         anchor, exposure: the keyframe and the image that is being matched, whose poses are cloned.
         trusted: the last fix that agreed with one before it; the start until then.
-        relief_m: one sigma of the heights over their plane of what the newest ways have shown:
-            which of it a way, a fix or a rangefinder takes for the ground is not known.
+        relief_m: one sigma of the ground's heights over their plane, as the newest ways show it.
         newest_height: time and height that the barometer told last, believed or not.
         stood_s: when it was told last that the aircraft stands.
         above_s: when it last stood, or was higher than one that touches the ground.

@@ -257,6 +257,7 @@ def _start(options: FlyOptions, plan: FlightPlan, vehicle: VehicleState) -> Star
         t_s=vehicle.t_s,
         position_ned_m=np.zeros(3) if stands_at_home else None,
         sigma_m=options.home_sigma_m,
+        by_person=True,
     )
 
 

@@ -13,6 +13,7 @@ from vwnav.mission.mission import Mission, Phase
 from vwnav.sim.config import Manners
 from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
+from vwnav.types import Array
 from vwnav.vehicle import FlightMode
 
 # As a pilot sets an aircraft up that flies on vision: see `preflight_parameters`.
@@ -55,6 +56,7 @@ class Setup:
         route_ned_m: waypoints about home.
         stands_ne_m: where it stands, about the site's home.
         home_known: False: the program is not told where it stands.
+        home_off_ne_m: how far from there it is told to stand.
         rc_on: a pilot holds a radio.
         gust_m_s: one sigma of the turbulence; None is a tenth of the wind.
         vehicle_rate: seconds of the vehicle's clock per second.
@@ -81,6 +83,7 @@ class Setup:
     )
     stands_ne_m: tuple[float, float] = (0.0, 0.0)
     home_known: bool = True
+    home_off_ne_m: tuple[float, float] = (0.0, 0.0)
     wind_m_s: float = 4.0
     wind_from_deg: float = 250.0
     gust_m_s: float | None = None
@@ -107,9 +110,14 @@ class Setup:
         return Mission(
             np.array(self.route_ned_m),
             about_home=not self.home_known,
-            home_ne_m=np.array(self.stands_ne_m) if self.home_known else None,
+            home_ne_m=self.told_home_ne_m,
             way_home=WayHome.within(self.config.safety),
         )
+
+    @property
+    def told_home_ne_m(self) -> Array | None:
+        """(2,) where the program is told that it stands."""
+        return np.add(self.stands_ne_m, self.home_off_ne_m) if self.home_known else None
 
     def vehicle_s(self, t_s: float) -> float:
         """The time on the vehicle's clock at a time on ours."""

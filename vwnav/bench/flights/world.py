@@ -199,8 +199,9 @@ class World:
         for _ in self._steps_of(_SETTLED_S if setup.start is None else _LINK_UP_S):
             navigator.listen(self.clock.now_s)
         if setup.start is None:
-            known = self._stands_ned_m if setup.home_known else None
-            navigator.start(Start(t_s=self.clock.now_s, position_ned_m=known))
+            told_ne_m = setup.told_home_ne_m
+            known = None if told_ne_m is None else np.array([*told_ne_m, 0.0])
+            navigator.start(Start(t_s=self.clock.now_s, position_ned_m=known, by_person=True))
         elif setup.start.phase is None:
             self._lift(setup.start)
             navigator.start(None)

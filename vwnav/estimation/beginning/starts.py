@@ -38,6 +38,7 @@ class Start:
 
     Attributes:
         position_ned_m: (3,), None when unknown; its sigma is per horizontal axis.
+        by_person: that place is somebody's word: a click on a map, tens of metres off perhaps.
         sigma_baro_m: of the barometer's zero; None takes the configured one, of a barometer that
             was zeroed where the height is counted from.
         learned: by a filter before this one.
@@ -51,6 +52,7 @@ class Start:
     sigma_velocity_m_s: float = 0.1
     sigma_baro_m: float | None = None
     learned: Learned | None = None
+    by_person: bool = False
 
 
 def first_state(start: Start, config: EkfConfig) -> FilterState:
@@ -76,7 +78,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
     variance[States.VELOCITY] = start.sigma_velocity_m_s**2
     variance[States.TERRAIN] = start.sigma_agl_m**2
     variance[States.BARO] = (start.sigma_baro_m or config.baro_sigma_m) ** 2
-    trusted = TrustedPosition(start.t_s, position[:2], start.sigma_m) if known else None
+    place = TrustedPosition(start.t_s, position[:2], start.sigma_m, start.by_person)
     P, t_s = np.diag(variance), start.t_s
     if start.learned is not None:
         _take_on(x, P, start.learned, t_s, config)
@@ -88,7 +90,7 @@ def first_state(start: Start, config: EkfConfig) -> FilterState:
         heading_known=tells_heading(P),
         tracked_s=t_s,
         exposed_s=t_s,
-        trusted=trusted,
+        trusted=place if known else None,
         baro_zeroed=start.sigma_baro_m is None,
         map_error=LearnedMapError.stated(config.map_first_sigma_m),
     )
