@@ -206,7 +206,8 @@ class RoutePhases:
         if since_s <= most_s:
             return None
         if looks >= _LOOKS:
-            return "the map shows another place, or the camera does not work"
+            told = " --home is wrong," if self._mission.home_ne_m is not None else ""
+            return f"the map shows another place,{told} or the camera does not work"
         return (
             f"{looks} looks at the map answered in {since_s:.0f} s: this computer is too slow, "
             "or the map too large to be searched without --home"
