@@ -88,6 +88,7 @@ class Path:
     rested: list = field(default_factory=list)
     fed: list = field(default_factory=list)
     seen: list = field(default_factory=list)
+    attempts: int = 0
 
     def estimate(self, t_s):
         return replace(self.believed, t_s=t_s)
