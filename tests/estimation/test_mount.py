@@ -58,7 +58,7 @@ def test_a_mount_that_nobody_measured_is_learned_and_the_place_stays_within_its_
 
 
 @pytest.mark.parametrize("seed", first_quick([1, 2, 3]))
-@pytest.mark.parametrize("turn_deg", [-8.0, 5.0])
+@pytest.mark.parametrize("turn_deg", first_quick([-8.0, 5.0]))
 def test_one_that_is_turned_is_told_from_a_compass_that_errs(seed, turn_deg):
     """By how the aircraft gains speed, and by where fixes lie while it leans."""
     run = flown(seed, 0.2, (0.0, 0.0), turn_deg=turn_deg)

@@ -134,7 +134,7 @@ def test_a_rough_prior_is_enough(pack, ground, learned, yaw_off_deg, agl_factor,
     [
         ("yaw_rad",),
         ("lat_deg", "lon_deg"),
-        ("lat_deg", "lon_deg", "yaw_rad"),
+        pytest.param(("lat_deg", "lon_deg", "yaw_rad"), marks=pytest.mark.long),
         ("lat_deg", "lon_deg", "yaw_rad", "agl_m", "roll_rad", "pitch_rad"),
     ],
 )
