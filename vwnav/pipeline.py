@@ -47,7 +47,7 @@ from vwnav.types import (
 from vwnav.vehicle import FoundCamera, Learned
 
 MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
-MIN_PRIOR_SIGMA_M, TOLD_DOUBT = 3.0, 4.0
+MIN_PRIOR_SIGMA_M, TOLD_DOUBT = 3.0, 4.0  # so many times as far around a person's word
 MAX_DOUBT, MAX_DOUBTED_AGL_RATIO = 8.0, 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
 CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then

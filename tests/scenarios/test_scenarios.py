@@ -1,5 +1,6 @@
 """The whole program with one thing broken, row by row, in lockstep."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -41,6 +42,23 @@ def test_after_a_cut_in_a_climb_it_lands_on_its_velocity_where_the_map_shows_not
     row = next(row for row in TABLE if row.name == "link cut for 10 s while climbing")
     verdict = judge(fly(replace(row, setup=replace(row.setup, seed=seed)), lockstep_place()))
     assert not verdict.wrong, "; ".join(verdict.wrong)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("manners", ["px4", "copter"])
+def test_a_home_that_is_told_22_m_off_is_found_out_and_not_returned_to(manners: Manners) -> None:
+    """Not in the table: until the first fix no estimate can tell that it was told wrongly.
+
+    It was landed again, "the map shows another place", and the camera blamed.
+    """
+    row = in_manners(next(row for row in TABLE if row.name == "nothing breaks"), manners)
+    off = replace(row, setup=replace(row.setup, home_off_ne_m=(16.0, -16.0)))
+    flown = fly(off, lockstep_place())
+    said = "\n".join(line.text for line in flown.track.events)
+    assert judge(flown).landed_off_m < 1.5
+    assert re.search(r"the aircraft stood 2[23] m from the home that was given", said)
+    assert "descending" in said
+    assert "hangs otherwise" not in said
 
 
 # A pilot landed against, a rule that forgot the line's own time, an aircraft that hovers at 0.2 m,
